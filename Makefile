@@ -1,0 +1,52 @@
+# Every target sets up .venv when it is missing or older than what it is made from.
+#   make repro                 the whole benchmark at the size of params.yaml (the default profile)
+#   make repro PROFILE=smoke   write a profile (smoke, default or paper) to params.yaml first
+VENV ?= .venv
+PYTHON ?= python3
+PROFILE ?=
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+READY := $(VENV)/.ready
+export PATH := $(abspath $(VENV))/bin:$(PATH)
+
+.PHONY: help repro test test-fast lint types bench docs clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 12
+
+$(READY): pyproject.toml constraints.txt
+	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip install -q -c constraints.txt -e ".[dev]"
+	touch $@
+
+repro: $(READY) ## run the pipeline; a second run does nothing
+ifneq ($(PROFILE),)
+	cp racines_data/profiles/$(PROFILE).yaml params.yaml.part
+	mv params.yaml.part params.yaml
+endif
+	dvc repro
+
+test: $(READY) ## run all tests
+	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal
+
+test-fast: $(READY) ## run the tests that take seconds
+	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal -m "not slow"
+
+lint: $(READY) ## check style, format and spelling
+	ruff check .
+	ruff format --check .
+	codespell
+
+types: $(READY) ## check types
+	pyright
+
+bench: $(READY) ## measure speed; run alone, on a quiet machine
+	pytest tests/benchmarks -n 0 --benchmark-only
+
+docs: $(READY) ## build the pages under docs/ into site/
+	mkdocs build --strict -q
+
+clean: ## remove what the pipeline and the tools made, the DVC cache included; keeps .venv
+	rm -rf data/racines models/runs envs/runs .dvc/cache .dvc/tmp site dist build \
+	  .pytest_cache .ruff_cache .benchmarks

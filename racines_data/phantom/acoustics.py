@@ -1,0 +1,164 @@
+"""Sector acoustics: what the probe hears along its beams, before it is drawn.
+
+The convolution model (Bamber & Dickinson 1980; Meunier & Bertrand 1995): complex scatterers fixed
+in the block are sampled along each beam, weighted by what reaches them and returns (attenuation,
+loss at interfaces, coupling), joined by specular echoes of interfaces hit head-on, and blurred by
+a separable point spread function whose width is an angle across the beam and a length along it.
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from racines_data.geometry import Pose
+from racines_data.phantom.config import ProbeConfig
+from racines_data.phantom.volume import ATTENUATION_STEP, Volume
+from racines_data.randomness import derive, normal, sample_seeds
+
+SPECULAR_GAIN = 0.05
+"""Echo of a head-on interface, per unit of packed impedance gradient."""
+SPECULAR_LOSS = 0.02
+"""One-way loss at an interface, dB per unit of packed gradient."""
+AIR_LOSS = 60.0
+"""One-way loss a centimetre outside the block, dB."""
+NOISE_BANK = 1 << 20
+REVERBERATION_SEED = 977
+
+
+class Beams(NamedTuple):
+    """The fixed polar grid of a probe and everything precomputed on it."""
+
+    sin: Tensor
+    """(L,) lateral component of each beam's direction."""
+    cos: Tensor
+    depth: Tensor
+    """(S,) distance of each sample from the face, m."""
+    elevation: Tensor
+    """(L, S) offset out of the plane, m: one draw a point stands for the slice's thickness."""
+    axial: Tensor
+    """(S, S) pulse, as a matrix from the right."""
+    lateral_far: Tensor
+    """(L, L) beam profile at the focus, from the left."""
+    lateral_near: Tensor
+    near: Tensor
+    """(S,) share of the near profile."""
+    tgc: Tensor
+    """(S,) dB that undo the attenuation of gel, both ways."""
+    clutter: Tensor
+    """(2, L, S) reverberation of the face, fixed to the probe."""
+    noise: Tensor
+    """(NOISE_BANK,) standard normal numbers; a frame reads a run of them."""
+
+
+def make_beams(probe: ProbeConfig, gel_attenuation: float, device: torch.device) -> Beams:
+    """Precompute the polar grid of a probe."""
+    angle = torch.linspace(-probe.half_angle, probe.half_angle, probe.beams)
+    step = probe.depth / probe.samples
+    depth = (torch.arange(probe.samples) + 0.5) * step
+    spread = normal(sample_seeds(1, 1), probe.beams * probe.samples)
+    spread = spread.view(probe.beams, probe.samples).clamp(-2.0, 2.0)
+    elevation = spread * (0.0006 + probe.elevation_sigma * (depth - probe.focus).abs())
+    spacing = float(angle[1] - angle[0])
+    sigma = probe.lateral_sigma / spacing
+    beams = Beams(
+        sin=angle.sin(),
+        cos=angle.cos(),
+        depth=depth,
+        elevation=elevation,
+        axial=_profile(probe.samples, probe.axial_sigma / step),
+        lateral_far=_profile(probe.beams, sigma),
+        lateral_near=_profile(probe.beams, 2.2 * sigma),
+        near=((probe.focus - depth) / probe.focus).clamp(0.0, 1.0),
+        tgc=2.0 * gel_attenuation * probe.frequency * 100.0 * depth,
+        clutter=_clutter(probe, depth),
+        noise=normal(sample_seeds(2, 1), NOISE_BANK)[0],
+    )
+    return Beams(*(x.to(device=device, dtype=torch.float32) for x in beams))
+
+
+def _profile(size: int, sigma: float) -> Tensor:
+    """Return a symmetric banded matrix of Gaussian rows with unit energy (keeps speckle power)."""
+    offset = torch.arange(size).unsqueeze(0) - torch.arange(size).unsqueeze(1)
+    matrix = torch.exp(-0.5 * (offset / sigma) ** 2)
+    matrix[offset.abs() > math.ceil(4 * sigma)] = 0.0
+    return matrix / matrix.square().sum(1, keepdim=True).sqrt()
+
+
+def _clutter(probe: ProbeConfig, depth: Tensor) -> Tensor:
+    """Ringing of the face: bands that repeat and die away, with a little fixed speckle."""
+    bands = 0.6 + 0.4 * torch.cos(2.0 * math.pi * depth / 0.0048)
+    decay = 1.6 * torch.exp(-depth / 0.0042) + 0.05 * torch.exp(-depth / 0.016)
+    speckle = normal(sample_seeds(REVERBERATION_SEED, 2), probe.beams * probe.samples)
+    speckle = speckle.view(2, probe.beams, probe.samples)
+    phase = torch.tensor([1.0, 0.0]).view(2, 1, 1)
+    return (phase + 0.5 * speckle) * bands * decay
+
+
+def sample_echoes(volume: Volume, beams: Beams, probe: ProbeConfig, pose: Pose) -> Tensor:
+    """Return the (B, 2, L, S) complex echoes of the block before the point spread function."""
+    x, y, z = (pose.rotation[:, :, i] for i in range(3))
+    direction = x.unsqueeze(1) * beams.sin.view(1, -1, 1) + z.unsqueeze(1) * beams.cos.view(
+        1, -1, 1
+    )
+    index = _voxel_index(volume, beams, pose.position, direction, y)
+    packed = volume.packed.index_select(0, index.flatten())
+    shape = index.shape
+    halves = packed.view(torch.float16).view(*shape, 4)
+    levels = packed.view(torch.int8).view(*shape, 8)
+    attenuation = (packed >> 56).bitwise_and_(255).view(shape).to(torch.float32)
+    incidence = levels[..., 4] * direction[..., 0:1]
+    incidence += levels[..., 5] * direction[..., 1:2]
+    incidence += levels[..., 6] * direction[..., 2:3]
+
+    step_cm = 100.0 * probe.depth / probe.samples
+    loss = attenuation * (ATTENUATION_STEP * probe.frequency * step_cm)
+    loss = torch.where(attenuation >= 255.0, AIR_LOSS * step_cm, loss)
+    loss += SPECULAR_LOSS * incidence.abs()
+    travelled = loss.cumsum(-1) - loss
+    received = torch.exp((beams.tgc - 2.0 * travelled) * (math.log(10.0) / 20.0))
+    # A gradient seen at an angle loses to its cosine; the packed incidence is |g| cos θ already,
+    # and the square makes the echo directional, as from a surface rough on a wavelength's scale.
+    specular = incidence * incidence.abs() * (SPECULAR_GAIN * SPECULAR_GAIN)
+    real = (halves[..., 0] + specular) * received
+    imaginary = halves[..., 1] * received
+    return torch.stack([real, imaginary], 1)
+
+
+def _voxel_index(
+    volume: Volume, beams: Beams, position: Tensor, direction: Tensor, elevation_axis: Tensor
+) -> Tensor:
+    """Return the (B, L, S) int64 voxel under each sample; outside falls on the border."""
+    index = None
+    for axis, size in enumerate(volume.shape):
+        start = (position[:, axis] - volume.origin[axis]) / volume.voxel
+        where = direction[..., axis : axis + 1] * (beams.depth / volume.voxel)
+        where = torch.addcmul(
+            where, beams.elevation, (elevation_axis[:, axis] / volume.voxel).view(-1, 1, 1)
+        )
+        where = (where + (start + 0.5).view(-1, 1, 1)).clamp_(0.0, size - 1.0).to(torch.int32)
+        index = where if index is None else index.mul_(size).add_(where)
+    assert index is not None
+    return index
+
+
+def form_image(echoes: Tensor, beams: Beams) -> Tensor:
+    """Blur (B, 2, L, S) echoes with the point spread function."""
+    field = echoes.flatten(0, 1)
+    field = torch.bmm(field, beams.axial.expand(len(field), -1, -1))
+    far = torch.bmm(beams.lateral_far.expand(len(field), -1, -1), field)
+    near = torch.bmm(beams.lateral_near.expand(len(field), -1, -1), field)
+    return torch.lerp(far, near, beams.near).view(echoes.shape)
+
+
+def add_face(
+    field: Tensor, beams: Beams, probe: ProbeConfig, coupling: Tensor, seeds: Tensor
+) -> Tensor:
+    """Add coupling loss, reverberation and noise to (B, 2, L, S); coupling is (B, L) in 0-1."""
+    gain = coupling.unsqueeze(1).unsqueeze(-1)
+    size = field[0].numel()
+    start = derive(seeds, 11).remainder(NOISE_BANK - size)
+    noise = beams.noise.unfold(0, size, 1).index_select(0, start).view(field.shape)
+    level = 10.0 ** ((probe.noise + 0.62 * beams.tgc) / 20.0)
+    return field * gain + beams.clutter * (1.0 - 0.65 * gain) + noise * level

@@ -1,0 +1,93 @@
+"""What an anatomy is: tissues painted in space, named structures, and the views that show them.
+
+A new organ is one file with one function `(seed: int) -> Anatomy`, and one entry point in the
+group `racines.anatomies`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+
+
+@dataclass(frozen=True)
+class Tissue:
+    """Acoustic properties of one tissue class."""
+
+    name: str
+    echogenicity: float
+    """Backscatter, dB relative to myocardium."""
+    attenuation: float
+    """dB/cm/MHz."""
+    speed: float
+    """Speed of sound, m/s."""
+    density: float
+    """kg/m³."""
+
+    @property
+    def impedance(self) -> float:
+        """Acoustic impedance, MRayl."""
+        return self.speed * self.density * 1e-6
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A landmark that a view has to show."""
+
+    name: str
+    centre: tuple[float, float, float]
+    """Organ frame, m."""
+    radius: float
+    """Distance from the image plane at which it is all but lost, m."""
+
+
+@dataclass(frozen=True)
+class ViewSpec:
+    """A standard view: the plane, the way it is looked at, and what has to be in it.
+
+    All vectors are in the organ frame.
+    """
+
+    name: str
+    focus: tuple[float, float, float]
+    """A point of the image plane on the central beam, m."""
+    beam: tuple[float, float, float]
+    """Direction of the central beam; made orthogonal to the normal."""
+    normal: tuple[float, float, float]
+    """Normal of the image plane, out of the image (the probe's y axis)."""
+    structures: tuple[tuple[str, float], ...]
+    """Names and weights of the structures that make the view complete."""
+    indentation: float = 0.006
+    """Depth of the tip under the surface at the nominal pose, m."""
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """An organ in its own frame, and where it lies in the block."""
+
+    name: str
+    tissues: tuple[Tissue, ...]
+    """Index 0 is the gel around the organ."""
+    paint: Callable[[Tensor], Tensor]
+    """Maps (M, 3) points of the organ frame, m, to (M,) int64 tissue indices."""
+    structures: tuple[Structure, ...]
+    views: tuple[ViewSpec, ...]
+    axes: tuple[tuple[float, float, float], ...]
+    """Rows are the organ's axes in the base frame."""
+    origin: tuple[float, float, float]
+    """The organ's origin in the base frame, m."""
+
+
+def load_anatomy(name: str, seed: int) -> Anatomy:
+    """Build a registered anatomy.
+
+    Raises:
+        RacinesError: no entry point of the group `racines.anatomies` has that name.
+    """
+    found = {point.name: point for point in entry_points(group="racines.anatomies")}
+    if name not in found:
+        raise RacinesError(f"unknown anatomy {name!r}: known are {', '.join(sorted(found))}")
+    return found[name].load()(seed)

@@ -1,0 +1,105 @@
+"""Configuration of the phantom: block, probe, contact and workspace; metres, seconds, newtons."""
+
+from dataclasses import dataclass, field
+
+PHANTOM_VERSION = "0.1.0"
+"""Part of every recipe digest: raise it whenever an image, a force or a truth changes."""
+
+
+@dataclass(frozen=True)
+class BlockConfig:
+    """The gel block, axis-aligned in the robot base frame."""
+
+    minimum: tuple[float, float, float] = (0.400, -0.070, -0.075)
+    maximum: tuple[float, float, float] = (0.580, 0.080, 0.065)
+    """The top face is the scanned surface; 18 x 15 x 14 cm."""
+    voxel: float = 0.0008
+    """Edge of a voxel of the baked volume, m."""
+    seed: int = 0
+    """Draws the scatterers; the same block has the same scatterers for ever."""
+
+
+@dataclass(frozen=True)
+class ProbeConfig:
+    """A phased-array sector probe and its scanner settings."""
+
+    half_angle: float = 0.68
+    """Half the sector angle, rad."""
+    depth: float = 0.155
+    """Imaging depth, m."""
+    beams: int = 96
+    samples: int = 144
+    """Samples along a beam."""
+    frequency: float = 2.5
+    """Centre frequency, MHz."""
+    axial_sigma: float = 0.0007
+    """Standard deviation of the pulse envelope, m."""
+    lateral_sigma: float = 0.0145
+    """Standard deviation of the beam at the focus, rad (about half of λ/D)."""
+    focus: float = 0.075
+    """Focal depth, m; the beam widens towards the probe."""
+    elevation_sigma: float = 0.012
+    """Half-thickness of the slice, m per m of depth."""
+    aperture: float = 0.020
+    """Width of the probe's face along x, m."""
+    thickness: float = 0.012
+    """Width of the face along y, m."""
+    gain: float = -7.0
+    """Gain, dB: moves the gray of myocardium."""
+    dynamic_range: float = 58.0
+    """Log compression, dB from black to white."""
+    noise: float = -46.0
+    """Electronic noise at the face, dB below myocardium; TGC lifts it with depth."""
+
+
+@dataclass(frozen=True)
+class ContactConfig:
+    """Contact of the probe with the gel, and what the wrist sensor feels of it."""
+
+    stiffness: float = 1450.0
+    """Normal stiffness, N/m."""
+    hardening: float = 90_000.0
+    """Second-order stiffness, N/m²."""
+    friction: float = 0.45
+    """Coulomb friction coefficient of the gelled probe."""
+    slip_speed: float = 0.004
+    """Speed at which friction saturates, m/s."""
+    lever: float = 0.19
+    """From the wrist sensor to the probe's tip, m."""
+    torsion: float = 0.035
+    """Friction torque about the beam axis, N·m a newton of normal force."""
+    spin_speed: float = 0.05
+    """Yaw rate at which torsion saturates, rad/s."""
+    tool_weight: float = 2.2
+    """Weight left after the sensor is zeroed looking down, N."""
+    tool_centre: float = 0.09
+    """Height of that weight above the tip, m."""
+
+
+@dataclass(frozen=True)
+class WorkspaceConfig:
+    """Where the probe may go; beyond it a pose is refused or a step becomes idle."""
+
+    margin: float = 0.012
+    """Distance of the tip from the block's edges, m."""
+    lowest: float = 0.040
+    highest: float = 0.134
+    """Height of the tip, m (the paper's range of position_z)."""
+    tilt_max: float = 1.0
+    """Angle between the beam axis and straight down, rad."""
+    yaw_max: float = 2.5
+    """Largest |rotation_z|, rad."""
+
+
+@dataclass(frozen=True)
+class PhantomConfig:
+    """Everything that decides what the phantom shows."""
+
+    anatomy: str = "heart"
+    """Name of an anatomy (entry points `racines.anatomies`)."""
+    anatomy_seed: int = 0
+    """0 is the canonical organ; other seeds give other organs of the same kind."""
+    block: BlockConfig = field(default_factory=BlockConfig)
+    probe: ProbeConfig = field(default_factory=ProbeConfig)
+    contact: ContactConfig = field(default_factory=ContactConfig)
+    workspace: WorkspaceConfig = field(default_factory=WorkspaceConfig)

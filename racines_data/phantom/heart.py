@@ -1,0 +1,236 @@
+"""The heart in the block: a static adult heart without valve leaflets, as the CAE block holds.
+
+Organ frame, metres: u towards the left ventricle's lateral wall, v anterior, w from base to apex;
+the origin is the centre of the mitral annulus. The directions are right-handed (left x anterior =
+towards the apex). `s` is the anteroseptal direction, 120° from u, in which a parasternal probe
+looks; `t` = s x w is the normal of the parasternal long-axis plane.
+
+Dimensions are those of a normal adult (Lang et al., Recommendations for Cardiac Chamber
+Quantification, JASE 2015): LV 44 mm by 76 mm inside, walls 9 mm, LA 36-45 mm, RV base 35 mm, free
+wall 4 mm, aortic root 29 mm. Acoustic values are from Duck, Physical Properties of Tissue (1990)
+and Szabo, Diagnostic Ultrasound Imaging (2014), tables of speed, density and attenuation.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from racines_data.phantom.anatomy import Anatomy, Structure, Tissue, ViewSpec
+from racines_data.phantom.shapes import capsule, ellipsoid, smooth_union, subtract, tube, union
+from racines_data.randomness import sample_seeds, uniform
+
+TISSUES = (
+    Tissue("gel", -13.0, 0.50, 1540.0, 1040.0),
+    Tissue("myocardium", 0.0, 0.52, 1561.0, 1081.0),
+    Tissue("blood", -34.0, 0.14, 1578.0, 1050.0),
+    Tissue("vessel wall", 2.0, 0.70, 1600.0, 1102.0),
+    Tissue("pericardium", 7.0, 1.20, 1665.0, 1120.0),
+)
+GEL, MYOCARDIUM, BLOOD, WALL, PERICARDIUM = range(5)
+
+MM = 1e-3
+S = (-0.5, math.sqrt(0.75), 0.0)
+T = (math.sqrt(0.75), 0.5, 0.0)
+W = (0.0, 0.0, 1.0)
+
+# Up in the organ frame: apex, anterior and right side face the scanned surface, so that the
+# apical, subcostal and parasternal windows all lie on one flat top.
+DOWN = (0.45, -0.60, -0.66)
+HEADING = 2.55
+"""Rotation of the heart about the vertical, rad."""
+ORIGIN = (0.4885, 0.0180, 0.0)
+"""x and y of the heart's reference point in the base frame, m; z comes from APEX_DEPTH."""
+REFERENCE = (0.0, 0.0, 35.0)
+"""The reference point: the middle of the LV, organ frame, mm."""
+REFERENCE_DEPTH = 0.050
+"""Depth of the reference point under the surface at z = 0.065, m."""
+
+
+def heart(seed: int = 0) -> Anatomy:
+    """Build a heart; seed 0 is the canonical one, others vary size, walls and orientation."""
+    size, wall, turn = _variation(seed)
+    axes, origin = _placement(turn)
+    return Anatomy(
+        name="heart",
+        tissues=TISSUES,
+        paint=lambda points: _paint(points / (MM * size), wall),
+        structures=tuple(
+            Structure(name, _scaled(centre, size), radius * MM * size)
+            for name, (centre, radius) in _STRUCTURES.items()
+        ),
+        views=tuple(_view(size, *row) for row in _VIEWS),
+        axes=axes,
+        origin=origin,
+    )
+
+
+def _variation(seed: int) -> tuple[float, float, float]:
+    if seed == 0:
+        return 1.0, 1.0, 0.0
+    draw = uniform(sample_seeds(seed, 1), 3)[0].tolist()
+    return 0.90 + 0.18 * draw[0], 0.85 + 0.4 * draw[1], 0.35 * (draw[2] - 0.5)
+
+
+def _scaled(point: tuple[float, float, float], size: float) -> tuple[float, float, float]:
+    return (point[0] * MM * size, point[1] * MM * size, point[2] * MM * size)
+
+
+def _along(s: float, t: float, w: float) -> tuple[float, float, float]:
+    """Return the point with coordinates along s, t and w."""
+    return (s * S[0] + t * T[0], s * S[1] + t * T[1], w)
+
+
+# --- shapes, millimetres -------------------------------------------------------------------------
+
+_LA = _along(-15.0, 0.0, -25.0)
+_RA = (-34.0, -5.0, -24.0)
+_AORTA = (_along(14.0, 0.0, 8.0), _along(18.0, 0.0, -6.0), _along(21.0, 1.0, -16.0),
+          _along(22.0, -2.0, -34.0), _along(22.0, -5.0, -60.0))  # fmt: skip
+_AORTA_RADII = (10.0, 11.0, 14.5, 12.5, 12.5)
+_OUTFLOW = (_along(34.0, -30.0, 30.0), _along(44.0, -16.0, 8.0), _along(50.0, 2.0, -12.0),
+            _along(38.0, 27.0, -20.0), _along(14.0, 38.0, -28.0))  # fmt: skip
+_OUTFLOW_RADII = (12.0, 14.0, 13.0, 11.5, 11.0)
+_PULMONARY = (_OUTFLOW[-1], _along(-4.0, 42.0, -34.0))
+
+
+def _paint(p: Tensor, wall: float) -> Tensor:
+    """Return the tissue of (M, 3) points, mm of the canonical heart; `wall` scales thickness."""
+    lv_wall, rv_wall, atrial_wall = 9.5 * wall, 4.0 * wall, 2.5 * wall
+    u, v, w = p.unbind(-1)
+    lv = torch.maximum(ellipsoid(p, (0, 0, 16.0), (22.5, 22.5, 60.0)), -w)
+    lv_outer = torch.maximum(
+        ellipsoid(p, (0, 0, 16.0), (22.5 + lv_wall, 22.5 + lv_wall, 60.0 + lv_wall)), -w - 4.0
+    )
+    la = ellipsoid(p, _LA, (19.0, 24.0, 23.0), (S, T, W))
+    ra = ellipsoid(p, _RA, (19.0, 23.0, 23.0))
+    aorta = tube(p, _AORTA, _AORTA_RADII)
+    # The RV body wraps the septum: an ellipsoid on the septal side, less the LV and its septum.
+    rv_body = torch.maximum(ellipsoid(p, (-21.0, 9.0, 20.0), (31.0, 37.0, 49.0)), -w + 1.0)
+    outflow = tube(p, _OUTFLOW, _OUTFLOW_RADII)
+    rv = smooth_union(rv_body, outflow, 6.0)
+    pulmonary = tube(p, _PULMONARY, (11.0, 9.0))
+    rv_cavity = subtract(subtract(rv, lv_outer), aorta - 2.5)
+    mitral = capsule(p, _along(-6.0, 0.0, 4.0), _along(-9.0, 0.0, -12.0), 14.5, 15.0)
+    tricuspid = capsule(p, (-34.0, 0.0, 6.0), (-34.0, -2.0, -12.0), 14.0, 15.0)
+    papillary = union(
+        capsule(p, _along(-14.0, 14.0, 44.0), _along(-9.0, 9.0, 24.0), 5.5, 3.0),
+        capsule(p, _along(-14.0, -14.0, 44.0), _along(-9.0, -9.0, 24.0), 5.5, 3.0),
+    )
+    trabecula = capsule(p, (-22.0, 8.0, 44.0), (-44.0, 6.0, 38.0), 2.2, 3.0)  # moderator band
+
+    blood = union(
+        subtract(lv, papillary), subtract(rv_cavity, trabecula), la, ra, aorta, pulmonary,
+        mitral, tricuspid,
+    )  # fmt: skip
+    # Septa: the atria and the aortic root are kept apart by their walls.
+    septum = torch.maximum(union(la, ra), (_signed_gap(la, ra) - atrial_wall / 2))
+    root = torch.maximum(torch.maximum(union(la, ra), aorta - 2.5), -(aorta))
+    muscle = union(lv_outer, subtract(rv, lv_outer) - rv_wall)
+    atria = union(la, ra) - atrial_wall
+    vessels = union(aorta - 2.2, pulmonary - 2.0, outflow - 2.5)
+    heart_outer = union(muscle, atria, vessels)
+
+    tissue = torch.full_like(u, GEL, dtype=torch.int64)
+    tissue[heart_outer < 1.4] = PERICARDIUM
+    tissue[(heart_outer < 0.0)] = MYOCARDIUM
+    tissue[torch.minimum(vessels, atria) < 0.0] = WALL
+    tissue[torch.minimum(lv_outer, rv - rv_wall) < 0.0] = MYOCARDIUM
+    tissue[(aorta - 2.2 < 0.0) & (w < 2.0)] = WALL
+    tissue[blood < 0.0] = BLOOD
+    in_septum = (septum < 0.0) & (mitral > 0.0) & (tricuspid > 0.0) & (aorta > 0.0)
+    in_root = (root < 0.0) & (aorta > 0.0) & (mitral > 0.0)
+    tissue[in_septum | in_root] = WALL
+    return tissue
+
+
+def _signed_gap(a: Tensor, b: Tensor) -> Tensor:
+    """Distance from the surface halfway between two shapes."""
+    return (a - b).abs() / 2
+
+
+# --- landmarks and views -------------------------------------------------------------------------
+
+_STRUCTURES: dict[str, tuple[tuple[float, float, float], float]] = {
+    # name: (centre, distance from the plane at which it is lost), mm
+    "LV apex": ((0.0, 0.0, 72.0), 14.0),
+    "LV": ((0.0, 0.0, 30.0), 16.0),
+    "LV lateral wall": ((25.0, 0.0, 20.0), 16.0),
+    "septum": ((-25.0, 0.0, 25.0), 16.0),
+    "RV": ((-36.0, 2.0, 18.0), 18.0),
+    "LA": (_LA, 18.0),
+    "RA": (_RA, 18.0),
+    "crux": ((-19.0, -4.0, -4.0), 14.0),
+    "aortic root": (_along(20.5, 0.0, -14.0), 11.0),
+    "aortic outflow": (_along(15.0, 0.0, 4.0), 11.0),
+    "anteroseptum": (_along(26.0, 0.0, 24.0), 12.0),
+    "posterior wall": (_along(-26.0, 0.0, 20.0), 14.0),
+    "RVOT": (_OUTFLOW[2], 13.0),
+    "pulmonary trunk": (_along(20.0, 36.0, -26.0), 15.0),
+    "LA below root": (_along(-12.0, 0.0, -22.0), 16.0),
+    "RA beside root": ((-34.0, -5.0, -20.0), 18.0),
+    "mitral annulus anterior": (_along(8.0, 0.0, 4.0), 11.0),
+    "mitral annulus posterior": (_along(-22.0, 0.0, 4.0), 11.0),
+    "mitral annulus lateral": (_along(-4.0, 20.0, 4.0), 11.0),
+    "mitral annulus septal": (_along(-4.0, -20.0, 4.0), 11.0),
+    "RV base": ((-40.0, 6.0, 8.0), 14.0),
+}
+
+_FOUR = (("LV", 1.5), ("LV apex", 1.0), ("septum", 1.0), ("LV lateral wall", 1.0), ("RV", 1.0),
+         ("LA", 1.0), ("RA", 1.0), ("crux", 1.0))  # fmt: skip
+
+
+def _in_plane(first: tuple[float, float, float], degrees: float) -> tuple[float, float, float]:
+    """Rotate from -w (apical) towards `first` by an angle: a beam of a long-axis plane."""
+    angle = math.radians(degrees)
+    sin, cos = math.sin(angle), math.cos(angle)
+    return (sin * first[0], sin * first[1], sin * first[2] - cos)
+
+
+_FOUR_NORMAL = (0.0, -1.0, 0.05)
+_VIEWS = (
+    # name, focus mm, beam, normal, structures
+    ("A4C", (-6.0, -1.5, 8.0), _in_plane((1.0, 0.0, 0.0), 8.0), _FOUR_NORMAL, _FOUR),
+    ("SC", (-12.0, -1.5, 14.0), _in_plane((1.0, 0.0, 0.0), 52.0), _FOUR_NORMAL, _FOUR),
+    ("PL", _along(2.0, 0.0, 8.0), _in_plane((-S[0], -S[1], 0.0), 68.0), T,
+     (("LV", 1.0), ("anteroseptum", 1.0), ("posterior wall", 1.0), ("aortic root", 1.5),
+      ("aortic outflow", 1.0), ("LA below root", 1.0), ("RVOT", 0.5))),
+    ("PSAV", _along(14.0, 0.0, -16.0), (0.6, -0.8, 0.0), W,
+     (("aortic root", 2.0), ("RVOT", 1.0), ("pulmonary trunk", 1.0), ("LA below root", 1.0),
+      ("RA beside root", 1.0))),
+    ("PSMV", _along(0.0, 0.0, 6.0), (0.6, -0.8, 0.0), W,
+     (("mitral annulus anterior", 1.0), ("mitral annulus posterior", 1.0),
+      ("mitral annulus lateral", 1.0), ("mitral annulus septal", 1.0), ("RV base", 1.0))),
+)  # fmt: skip
+
+
+def _view(
+    size: float,
+    name: str,
+    focus: tuple[float, float, float],
+    beam: tuple[float, float, float],
+    normal: tuple[float, float, float],
+    structures: tuple[tuple[str, float], ...],
+) -> ViewSpec:
+    return ViewSpec(name, _scaled(focus, size), beam, normal, structures)
+
+
+def _placement(turn: float) -> tuple[tuple[tuple[float, float, float], ...], tuple[float, ...]]:
+    """Return the organ's axes (rows u, v, w in the base frame) and its origin."""
+    down = torch.tensor(DOWN, dtype=torch.float64)
+    down = down / down.norm()
+    # Horizontal directions in the organ frame: the long axis projected, and its perpendicular.
+    long_axis = torch.tensor(W, dtype=torch.float64)
+    forward = long_axis - (long_axis @ down) * down
+    forward = forward / forward.norm()
+    side = torch.linalg.cross(-down, forward)
+    heading = HEADING + turn
+    cos, sin = math.cos(heading), math.sin(heading)
+    base_x = cos * forward - sin * side
+    base_y = sin * forward + cos * side
+    axes = torch.stack([base_x, base_y, -down], dim=-1)  # row i: organ axis i in base coordinates
+    reference = torch.tensor(REFERENCE, dtype=torch.float64) * MM
+    target = torch.tensor([ORIGIN[0], ORIGIN[1], 0.065 - REFERENCE_DEPTH], dtype=torch.float64)
+    origin = target - axes.T @ reference
+    rows = tuple(tuple(float(x) for x in row) for row in axes)
+    return rows, tuple(float(x) for x in origin)  # type: ignore[return-value]

@@ -1,0 +1,145 @@
+"""The phantom: poses in, images, forces and truth out; batched, on one device."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, parameters_to_pose
+from racines_data.imaging import check_parameters
+from racines_data.phantom import acoustics, contact
+from racines_data.phantom.anatomy import load_anatomy
+from racines_data.phantom.config import BlockConfig, PhantomConfig, WorkspaceConfig
+from racines_data.phantom.scan import log_compress, scan_converter
+from racines_data.phantom.truth import Truth, make_oracle
+from racines_data.phantom.volume import bake
+from racines_data.randomness import sample_seeds
+
+CHUNK = 64
+"""Frames rendered at once: bounds the memory of the polar grids (about 1 MB a frame)."""
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Where the tip may be and how far the probe may lean and turn."""
+
+    position_min: Tensor
+    """(3,) m."""
+    position_max: Tensor
+    tilt_max: float
+    yaw_max: float
+
+    def contains(self, pose: Pose) -> Tensor:
+        """Return (B,) bool."""
+        inside = (pose.position >= self.position_min) & (pose.position <= self.position_max)
+        upright = -pose.rotation[:, 2, 2] >= torch.cos(torch.tensor(self.tilt_max)).item()
+        yaw = torch.atan2(pose.rotation[:, 1, 0], pose.rotation[:, 0, 0]).abs() <= self.yaw_max
+        return inside.all(-1) & upright & yaw
+
+
+class Phantom:
+    """A simulated block with an organ in it, a probe and a robot's contact; an `ImageSource`."""
+
+    def __init__(self, config: PhantomConfig | None = None, device: torch.device | str = "cpu"):
+        """Bake the block (seconds; share one instance through `shared_phantom`)."""
+        self.config = config or PhantomConfig()
+        self.device = torch.device(device)
+        anatomy = load_anatomy(self.config.anatomy, self.config.anatomy_seed)
+        volume = bake(anatomy, self.config.block)
+        self._volume = volume._replace(
+            packed=volume.packed.to(self.device), origin=volume.origin.to(self.device)
+        )
+        probe = self.config.probe
+        self._beams = acoustics.make_beams(probe, anatomy.tissues[0].attenuation, self.device)
+        self._converter = scan_converter(probe, self.device)
+        self.surface_height = self.config.block.maximum[2]
+        self._oracle = make_oracle(anatomy, self.surface_height, self.device)
+        self.views = tuple(view.name for view in anatomy.views)
+        self.structures = tuple(structure.name for structure in anatomy.structures)
+        self.workspace = _workspace(self.config.workspace, self.config.block, self.device)
+
+    def generate(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
+        """Return (B, 128, 128) uint8 images of (B, 12) parameters; see `ImageSource`.
+
+        The pose decides the image, the seed its electronic noise; the force columns are not read.
+        """
+        parameters = check_parameters(parameters).to(self.device, torch.float32)
+        seeds = sample_seeds(seed, len(parameters), self.device)
+        return self.render(parameters_to_pose(parameters), seeds)
+
+    def render(self, pose: Pose, seeds: Tensor) -> Tensor:
+        """Return (B, 128, 128) uint8 images of poses on this device, unchecked."""
+        parts = [
+            self._render_chunk(Pose(*(x[i : i + CHUNK] for x in pose)), seeds[i : i + CHUNK])
+            for i in range(0, len(seeds), CHUNK)
+        ]
+        if not parts:
+            return torch.zeros((0, 128, 128), dtype=torch.uint8, device=self.device)
+        return parts[0] if len(parts) == 1 else torch.cat(parts)
+
+    def envelope(self, pose: Pose, seeds: Tensor) -> Tensor:
+        """Return the (B, beams, samples) envelope before log compression; 1 is myocardium."""
+        probe = self.config.probe
+        echoes = acoustics.sample_echoes(self._volume, self._beams, probe, pose)
+        field = acoustics.form_image(echoes, self._beams)
+        field = acoustics.add_face(field, self._beams, probe, self.coupling(pose), seeds)
+        return field.square().sum(1).sqrt()
+
+    def _render_chunk(self, pose: Pose, seeds: Tensor) -> Tensor:
+        probe = self.config.probe
+        gray = log_compress(self.envelope(pose, seeds), probe.gain, probe.dynamic_range)
+        return self._converter.convert(gray)
+
+    def coupling(self, pose: Pose) -> Tensor:
+        """Return (B, beams) acoustic coupling in 0-1."""
+        return contact.coupling(
+            pose, self.surface_height, self.config.probe, self.config.probe.beams
+        )
+
+    def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
+        """Return (B, 6) force, N, and torque, N·m, at the wrist sensor in the probe's axes.
+
+        `velocity` is (B, 6), m/s and rad/s in the base frame; at rest if absent.
+        """
+        return contact.wrench(pose, velocity, self.surface_height, self.config.contact)
+
+    def truth(self, parameters: Tensor) -> Truth:
+        """Judge (B, 12) parameters with the oracle."""
+        parameters = check_parameters(parameters).to(self.device, torch.float32)
+        return self.judge(parameters_to_pose(parameters))
+
+    def judge(self, pose: Pose) -> Truth:
+        """Judge poses on this device, unchecked."""
+        return self._oracle.judge(pose, self.config.probe, self.coupling(pose))
+
+    def target(self, view: str) -> Pose:
+        """Return the nominal pose of a view, a batch of one.
+
+        Raises:
+            RacinesError: the anatomy has no such view.
+        """
+        if view not in self.views:
+            raise RacinesError(f"unknown view {view!r}: choose one of {', '.join(self.views)}")
+        row = self.views.index(view)
+        return Pose(*(x[row : row + 1] for x in self._oracle.targets))
+
+
+def _workspace(config: WorkspaceConfig, block: BlockConfig, device: torch.device) -> Workspace:
+    low = [block.minimum[0] + config.margin, block.minimum[1] + config.margin, config.lowest]
+    high = [block.maximum[0] - config.margin, block.maximum[1] - config.margin, config.highest]
+    return Workspace(
+        torch.tensor(low, device=device),
+        torch.tensor(high, device=device),
+        config.tilt_max,
+        config.yaw_max,
+    )
+
+
+@cache
+def shared_phantom(config: PhantomConfig | None = None, device: str = "cpu") -> Phantom:
+    """Return the one phantom of a configuration and device in this process."""
+    if config is None:
+        return shared_phantom(PhantomConfig(), device)
+    return Phantom(config, device)

@@ -1,0 +1,73 @@
+"""From beams to picture: log compression and scan conversion to the square image."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from racines_data.imaging import IMAGE_SIZE
+from racines_data.phantom.config import ProbeConfig
+
+
+class ScanConverter(NamedTuple):
+    """Bilinear weights from the polar grid to the pixels of the sector."""
+
+    pixels: Tensor
+    """(P,) int64 flat indices of the pixels inside the sector."""
+    taps: Tensor
+    """(4 * P,) int64 flat indices into the (beams, samples) grid."""
+    weights: Tensor
+    """(4, P) float32."""
+
+    def convert(self, polar: Tensor) -> Tensor:
+        """Turn (B, beams, samples) gray levels 0-255 into (B, 128, 128) uint8 images."""
+        picked = polar.flatten(1).index_select(1, self.taps)
+        gray = (picked.view(len(polar), 4, -1) * self.weights).sum(1)
+        image = torch.zeros((len(polar), IMAGE_SIZE**2), dtype=torch.uint8, device=polar.device)
+        image[:, self.pixels] = (gray + 0.5).to(torch.uint8)
+        return image.view(-1, IMAGE_SIZE, IMAGE_SIZE)
+
+
+def scan_converter(probe: ProbeConfig, device: torch.device) -> ScanConverter:
+    """Lay the sector into the image: apex at the top centre, as wide as the image."""
+    lateral, axial = pixel_grid(probe)
+    radius = (lateral.square() + axial.square()).sqrt()
+    angle = torch.atan2(lateral, axial)
+    beam = (angle / probe.half_angle + 1.0) / 2.0 * (probe.beams - 1)
+    sample = radius / probe.depth * probe.samples - 0.5
+    inside = (angle.abs() <= probe.half_angle) & (radius <= probe.depth)
+    beam = beam[inside].clamp(0, probe.beams - 1)
+    sample = sample[inside].clamp(0, probe.samples - 1)
+    b0 = beam.floor().clamp_max(probe.beams - 2).long()
+    s0 = sample.floor().clamp_max(probe.samples - 2).long()
+    fb, fs = (beam - b0).float(), (sample - s0).float()
+    flat = b0 * probe.samples + s0
+    taps = torch.stack([flat, flat + 1, flat + probe.samples, flat + probe.samples + 1])
+    weights = torch.stack([(1 - fb) * (1 - fs), (1 - fb) * fs, fb * (1 - fs), fb * fs])
+    pixels = inside.flatten().nonzero().squeeze(1)
+    return ScanConverter(pixels.to(device), taps.flatten().to(device), weights.to(device))
+
+
+def pixel_grid(probe: ProbeConfig) -> tuple[Tensor, Tensor]:
+    """Return the lateral and axial coordinates, m, of the (128, 128) pixel centres (float64)."""
+    pixel = 2.0 * probe.depth * math.sin(probe.half_angle) / IMAGE_SIZE
+    rows, columns = torch.meshgrid(
+        torch.arange(IMAGE_SIZE, dtype=torch.float64),
+        torch.arange(IMAGE_SIZE, dtype=torch.float64),
+        indexing="ij",
+    )
+    return (columns - (IMAGE_SIZE - 1) / 2) * pixel, (rows + 0.5) * pixel
+
+
+def sector_mask(probe: ProbeConfig) -> Tensor:
+    """Return the (128, 128) bool mask of the sector."""
+    lateral, axial = pixel_grid(probe)
+    radius = (lateral.square() + axial.square()).sqrt()
+    return (torch.atan2(lateral, axial).abs() <= probe.half_angle) & (radius <= probe.depth)
+
+
+def log_compress(envelope: Tensor, gain: float, dynamic_range: float) -> Tensor:
+    """Map an envelope (1 is myocardium) to gray levels 0-255."""
+    decibels = 20.0 * torch.log10(envelope.clamp_min(1e-6)) + gain
+    return ((decibels + dynamic_range) * (255.0 / dynamic_range)).clamp(0.0, 255.0)

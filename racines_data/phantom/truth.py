@@ -1,0 +1,126 @@
+"""The oracle: which view a pose shows, how well, and which structures it sees.
+
+It knows the geometry alone, never the picture, so it cannot be fooled by a generator or a grader.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from racines_data.geometry import Pose, rotate
+from racines_data.phantom.anatomy import Anatomy, ViewSpec
+from racines_data.phantom.config import ProbeConfig
+from racines_data.views import RANDOM_LABEL
+
+MEMBERSHIP_CENTRE = 0.60
+MEMBERSHIP_WIDTH = 0.035
+"""A view is attained (membership > 0.5) where completeness passes the centre."""
+ROLL_FREE, ROLL_LOST = 0.26, 0.70
+"""In-plane rotation from the standard display, rad: free up to the first, lost at the second."""
+
+
+class Truth(NamedTuple):
+    """What the oracle says of (B,) poses."""
+
+    view: Tensor
+    """(B,) int64 label; Random where no view is attained."""
+    grade: Tensor
+    """(B,) float32, 1-10 for a view, 0 for Random."""
+    membership: Tensor
+    """(B, V) float32 in 0-1, how far each view is attained; above 0.5 it is."""
+    view_grade: Tensor
+    """(B, V) float32 0-10, the grade as each view."""
+    clarity: Tensor
+    """(B,) float32 in 0-1: coupling over the sector."""
+    visibility: Tensor
+    """(B, structures) float32 in 0-1."""
+
+
+class Oracle(NamedTuple):
+    """Landmarks and views of an anatomy in the base frame."""
+
+    centres: Tensor
+    """(S, 3) m."""
+    radii: Tensor
+    """(S,) m."""
+    weights: Tensor
+    """(V, S), rows sum to one."""
+    targets: Pose
+    """(V,) nominal poses."""
+
+    def judge(self, pose: Pose, probe: ProbeConfig, coupling: Tensor) -> Truth:
+        """Judge (B,) poses whose (B, beams) coupling is known."""
+        seen = self._visibility(pose, probe, coupling)
+        # A weighted geometric mean: one lost structure spoils a view, as it does for an expert.
+        complete = (self.weights * seen.clamp_min(0.02).log().unsqueeze(1)).sum(-1).exp()
+        score = complete * self._display(pose)
+        clarity = coupling.mean(-1)
+        membership = torch.sigmoid((score - MEMBERSHIP_CENTRE) / MEMBERSHIP_WIDTH)
+        membership = membership * torch.sigmoid((clarity - 0.35) / 0.04).unsqueeze(-1)
+        best, view = membership.max(-1)
+        attained = best > 0.5
+        progress = ((score - 0.5) / 0.45).clamp(0.0, 1.0)
+        view_grade = (10.0 * progress * clarity.clamp(0.0, 1.0).unsqueeze(-1)).clamp(0.0, 10.0)
+        grade = view_grade.gather(-1, view.unsqueeze(-1)).squeeze(-1).clamp_min(1.0)
+        return Truth(
+            view=torch.where(attained, view, RANDOM_LABEL),
+            grade=torch.where(attained, grade, 0.0),
+            membership=membership,
+            view_grade=view_grade,
+            clarity=clarity,
+            visibility=seen,
+        )
+
+    def _visibility(self, pose: Pose, probe: ProbeConfig, coupling: Tensor) -> Tensor:
+        offset = self.centres - pose.position.unsqueeze(1)
+        inverse = pose.rotation.transpose(-1, -2).unsqueeze(1)
+        lateral, elevation, axial = rotate(inverse, offset).unbind(-1)
+        in_plane = torch.exp(-0.5 * (elevation / (0.6 * self.radii)).square())
+        radius = (lateral.square() + axial.square()).sqrt()
+        angle = torch.atan2(lateral, axial)
+        in_sector = torch.sigmoid((probe.half_angle - angle.abs()) * radius / 0.002)
+        in_depth = torch.sigmoid((probe.depth - radius) / 0.002)
+        beams = coupling.shape[-1]
+        beam = ((angle / probe.half_angle + 1.0) * 0.5 * (beams - 1)).round().long()
+        coupled = coupling.gather(-1, beam.clamp(0, beams - 1))
+        return in_plane * in_sector * in_depth * coupled.sqrt()
+
+    def _display(self, pose: Pose) -> Tensor:
+        """Return (B, V) in 0-1: how near the picture is turned to the standard display."""
+        beam = pose.rotation[:, None, :, 2]
+        lateral = self.targets.rotation[None, :, :, 0]
+        axial = self.targets.rotation[None, :, :, 2]
+        roll = torch.atan2((beam * lateral).sum(-1), (beam * axial).sum(-1)).abs()
+        upright = ((ROLL_LOST - roll) / (ROLL_LOST - ROLL_FREE)).clamp(0.0, 1.0)
+        facing = (pose.rotation[:, None, :, 1] * self.targets.rotation[None, :, :, 1]).sum(-1)
+        return upright * (3.0 - 2.0 * upright) * upright * (facing > 0.0)
+
+
+def make_oracle(anatomy: Anatomy, surface: float, device: torch.device) -> Oracle:
+    """Place an anatomy's landmarks and views in the base frame."""
+    axes = torch.tensor(anatomy.axes, device=device)
+    origin = torch.tensor(anatomy.origin, device=device)
+    centres = torch.tensor([s.centre for s in anatomy.structures], device=device) @ axes + origin
+    radii = torch.tensor([s.radius for s in anatomy.structures], device=device)
+    names = [s.name for s in anatomy.structures]
+    weights = torch.zeros((len(anatomy.views), len(names)), device=device)
+    for row, view in enumerate(anatomy.views):
+        for name, weight in view.structures:
+            weights[row, names.index(name)] = weight
+    poses = [nominal_pose(view, axes, origin, surface) for view in anatomy.views]
+    targets = Pose(
+        torch.stack([p.position for p in poses]), torch.stack([p.rotation for p in poses])
+    )
+    return Oracle(centres, radii, weights / weights.sum(1, keepdim=True), targets)
+
+
+def nominal_pose(view: ViewSpec, axes: Tensor, origin: Tensor, surface: float) -> Pose:
+    """Go from a view's focus back along its beam to just under the surface."""
+    normal = torch.nn.functional.normalize(axes.new_tensor(view.normal) @ axes, dim=0)
+    beam = axes.new_tensor(view.beam) @ axes
+    beam = torch.nn.functional.normalize(beam - (beam @ normal) * normal, dim=0)
+    focus = axes.new_tensor(view.focus) @ axes + origin
+    distance = (surface - view.indentation - focus[2]) / -beam[2]
+    position = focus - distance * beam
+    return Pose(position, torch.stack([torch.linalg.cross(normal, beam), normal, beam], -1))

@@ -1,0 +1,105 @@
+"""Bake an anatomy into voxels that a beam can be sampled from with one gather a point."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from racines_data.phantom.anatomy import Anatomy
+from racines_data.phantom.config import BlockConfig
+from racines_data.randomness import normal, sample_seeds
+
+ATTENUATION_STEP = 0.02
+"""dB/cm/MHz of one unit of the packed attenuation byte."""
+REFLECTOR_STEP = 0.002
+"""Impedance difference (MRayl a voxel) of one unit of a packed gradient byte."""
+
+
+class Volume(NamedTuple):
+    """Voxels of the block with a border of outside, packed to eight bytes each.
+
+    Bytes 0-3: complex scatterer amplitude, two float16. Bytes 4-6: impedance gradient, int8, in
+    `REFLECTOR_STEP`. Byte 7: attenuation, uint8, in `ATTENUATION_STEP`.
+    """
+
+    packed: Tensor
+    """(X * Y * Z,) int64, z fastest, since beams run mostly along z."""
+    shape: tuple[int, int, int]
+    origin: Tensor
+    """(3,) float32 centre of voxel (0, 0, 0), base frame, m."""
+    voxel: float
+
+
+def bake(anatomy: Anatomy, block: BlockConfig) -> Volume:
+    """Voxelise the block: tissue, scatterers of each, impedance steps, attenuation."""
+    low, high = torch.tensor(block.minimum), torch.tensor(block.maximum)
+    inner = ((high - low) / block.voxel).round().to(torch.int64).tolist()
+    tissue = _tissue_grid(anatomy, low, inner, block.voxel)
+    attenuation = torch.tensor([t.attenuation for t in anatomy.tissues])[tissue]
+    impedance = torch.tensor([t.impedance for t in anatomy.tissues])[tissue]
+    echogenicity = torch.tensor([t.echogenicity for t in anatomy.tissues])[tissue]
+
+    gradient = _gradient(_blur(impedance, 0.8))
+    scatter = _scatterers(inner, block.seed)
+    amplitude = 10.0 ** (_blur(echogenicity, 0.6) / 20.0)
+    shape = (inner[0] + 2, inner[1] + 2, inner[2] + 2)
+    packed = torch.zeros((*shape, 8), dtype=torch.uint8)
+    packed[..., 7] = 255  # outside: air, nothing passes
+    core = packed[1:-1, 1:-1, 1:-1]
+    echoes = (scatter * amplitude).movedim(0, -1).to(torch.float16).contiguous()
+    core[..., 0:4] = echoes.view(torch.uint8)
+    bytes_ = (gradient / REFLECTOR_STEP).round().clamp(-127, 127).to(torch.int8)
+    core[..., 4:7] = bytes_.movedim(0, -1).contiguous().view(torch.uint8)
+    core[..., 7] = (attenuation / ATTENUATION_STEP).round().clamp(0, 254).to(torch.uint8)
+    origin = low - 0.5 * block.voxel
+    return Volume(packed.view(torch.int64).reshape(-1), shape, origin, block.voxel)
+
+
+def _tissue_grid(anatomy: Anatomy, low: Tensor, shape: list[int], voxel: float) -> Tensor:
+    axes = torch.tensor(anatomy.axes)
+    origin = torch.tensor(anatomy.origin)
+    y = low[1] + (torch.arange(shape[1]) + 0.5) * voxel
+    z = low[2] + (torch.arange(shape[2]) + 0.5) * voxel
+    slabs = []
+    for i in range(shape[0]):  # a slab at a time bounds the memory of the distance fields
+        x = (low[0] + (i + 0.5) * voxel).expand(shape[1], shape[2])
+        points = torch.stack([x, *torch.meshgrid(y, z, indexing="ij")], -1).reshape(-1, 3)
+        slabs.append(anatomy.paint((points - origin) @ axes.T).reshape(shape[1], shape[2]))
+    return torch.stack(slabs)
+
+
+def _scatterers(shape: list[int], seed: int) -> Tensor:
+    """Draw (2, X, Y, Z) complex Gaussian scatterers, correlated over about two voxels.
+
+    The correlation makes speckle decorrelate over millimetres of motion, as a beam of finite
+    width does, and not at the first voxel boundary. A blurred Gaussian field is Gaussian, so the
+    envelope in homogeneous gel stays Rayleigh.
+    """
+    seeds = sample_seeds(seed, 2 * shape[0])
+    noise = torch.stack(
+        [normal(seeds[i : i + 1], shape[1] * shape[2])[0] for i in range(len(seeds))]
+    )
+    field = _blur(noise.reshape(2, *shape), 0.8)
+    return field / (field.std() * math.sqrt(2.0))
+
+
+def _blur(grid: Tensor, sigma: float) -> Tensor:
+    """Blur the last three axes with a Gaussian of `sigma` voxels, edges replicated."""
+    radius = max(1, math.ceil(2.5 * sigma))
+    taps = torch.exp(-0.5 * (torch.arange(-radius, radius + 1) / sigma) ** 2)
+    taps = taps / taps.sum()
+    field = grid.reshape(-1, 1, *grid.shape[-3:])
+    for axis in range(3):
+        size, pad = [1, 1, 1], [0] * 6
+        size[axis] = len(taps)
+        pad[4 - 2 * axis] = pad[5 - 2 * axis] = radius
+        padded = functional.pad(field, pad, mode="replicate")
+        field = functional.conv3d(padded, taps.reshape(1, 1, *size))
+    return field.reshape(grid.shape)
+
+
+def _gradient(grid: Tensor) -> Tensor:
+    """Return the (3, X, Y, Z) central difference a voxel."""
+    return torch.stack(list(torch.gradient(grid, dim=(0, 1, 2))))

@@ -1,0 +1,98 @@
+"""Records of the dataset: the columns, their units, and their Arrow and Hugging Face types."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from datasets import ClassLabel, Features, Image, Value
+
+from racines_data.errors import RacinesError
+from racines_data.views import LABELS
+
+PARAMETERS = (
+    "force_x",
+    "force_y",
+    "force_z",
+    "torque_x",
+    "torque_y",
+    "torque_z",
+    "position_x",
+    "position_y",
+    "position_z",
+    "rotation_x",
+    "rotation_y",
+    "rotation_z",
+)
+"""The twelve conditioning parameters: N, N·m, m, rad; robot base frame."""
+
+CONTROLS = ("control_x", "control_y", "control_z", "control_rx", "control_ry", "control_rz")
+"""Commanded velocity: m/s and rad/s; nullable."""
+
+SPLITS = ("train", "validation", "test")
+SOURCES = ("phantom", "release", "cactus", "tracked")
+
+
+def frame_features(sources: Sequence[str] = SOURCES) -> Features:
+    """Return the features of the `frames` config; `sources` names the labels of `source`."""
+    columns = {"image": Image(mode="L")}
+    columns |= {name: Value("float32") for name in (*PARAMETERS, "timestamp", *CONTROLS)}
+    columns["timestamp"] = Value("float64")
+    columns |= {
+        "view": ClassLabel(names=list(LABELS)),
+        "grade": Value("float32"),
+        "target_view": Value("string"),
+        "source": ClassLabel(names=list(sources)),
+        "session": Value("string"),
+        "trajectory": Value("string"),
+        "frame": Value("int32"),
+    }
+    return Features(columns)
+
+
+def trajectory_features() -> Features:
+    """Return the features of the `trajectories` config."""
+    return Features(
+        {
+            "trajectory": Value("string"),
+            "session": Value("string"),
+            "target_view": Value("string"),
+            "split": Value("string"),
+            "frames": Value("int32"),
+            "duration": Value("float64"),
+            "digest": Value("string"),
+        }
+    )
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One recorded sweep of T frames; absent measurements are NaN (or label -1)."""
+
+    id: str
+    session: str
+    target_view: str
+    """One of the five views, or `Random`."""
+    images: np.ndarray
+    """(T, 128, 128) uint8."""
+    parameters: np.ndarray
+    """(T, 12) float32; forces may be NaN."""
+    timestamps: np.ndarray
+    """(T,) float64 seconds, increasing."""
+    controls: np.ndarray
+    """(T, 6) float32; NaN where unknown."""
+    views: np.ndarray
+    """(T,) int64 labels; -1 where unknown."""
+    grades: np.ndarray
+    """(T,) float32, 0-10; NaN where unknown."""
+
+    def __post_init__(self) -> None:
+        """Check that every column has one entry a frame."""
+        for name in ("parameters", "timestamps", "controls", "views", "grades"):
+            if len(getattr(self, name)) != len(self.images):
+                raise RacinesError(
+                    f"trajectory {self.id}: {name} has {len(getattr(self, name))} rows for "
+                    f"{len(self.images)} images"
+                )
+
+    def __len__(self) -> int:
+        return len(self.images)

@@ -1,0 +1,60 @@
+"""The standard views, and the paper's statistics of the twelve parameters."""
+
+from dataclasses import dataclass
+
+from racines_data.errors import RacinesError
+
+VIEWS = ("A4C", "SC", "PL", "PSAV", "PSMV")
+"""The five target views; the index of a view here is its label."""
+
+RANDOM = "Random"
+LABELS = (*VIEWS, RANDOM)
+"""Class labels of a frame, in label order: the five views, then `Random`."""
+RANDOM_LABEL = len(VIEWS)
+
+VIEW_TITLES = {
+    "A4C": "apical four-chamber",
+    "SC": "subcostal four-chamber",
+    "PL": "parasternal long axis",
+    "PSAV": "parasternal short axis, aortic valve",
+    "PSMV": "parasternal short axis, mitral valve",
+    "Random": "no standard view",
+}
+
+
+def view_index(view: str) -> int:
+    """Return the label of a target view.
+
+    Raises:
+        RacinesError: the name is not one of the five views.
+    """
+    if view not in VIEWS:
+        raise RacinesError(f"unknown view {view!r}: choose one of {', '.join(VIEWS)}")
+    return VIEWS.index(view)
+
+
+@dataclass(frozen=True)
+class ParameterStatistics:
+    """Minimum, maximum, mean and standard deviation of one parameter."""
+
+    minimum: float
+    maximum: float
+    mean: float
+    std: float
+
+
+PAPER_STATISTICS = {
+    "force_x": ParameterStatistics(-26.8882, 28.4758, -0.0600, 6.3660),
+    "force_y": ParameterStatistics(-42.6100, 28.7321, -1.5118, 6.4483),
+    "force_z": ParameterStatistics(-19.9065, 17.9240, -9.4422, 4.5702),
+    "torque_x": ParameterStatistics(-7.2058, 8.1759, -0.2110, 1.3068),
+    "torque_y": ParameterStatistics(-4.9334, 6.6932, 0.1395, 1.0109),
+    "torque_z": ParameterStatistics(-0.8552, 0.8573, 0.0650, 0.4330),
+    "position_x": ParameterStatistics(0.3999, 0.5833, 0.4886, 0.0375),
+    "position_y": ParameterStatistics(-0.0744, 0.0801, 0.0380, 0.0216),
+    "position_z": ParameterStatistics(0.0400, 0.1339, 0.0602, 0.0115),
+    "rotation_x": ParameterStatistics(-3.1416, 3.1416, 0.0399, 2.9759),
+    "rotation_y": ParameterStatistics(-0.7959, 0.6613, 0.0412, 0.2355),
+    "rotation_z": ParameterStatistics(-2.1800, 2.1534, 0.0317, 1.0826),
+}
+"""Table 1 of the paper, over 144,668 frames; N, N·m, m (headed "mm" there) and rad."""
