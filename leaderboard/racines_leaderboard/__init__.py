@@ -1,0 +1,1 @@
+"""The leaderboard: submissions, results, ranking, tables, and the `racines` command."""

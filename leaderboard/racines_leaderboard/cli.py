@@ -1,0 +1,51 @@
+"""The `racines` command, put together from the commands of the four packages."""
+
+import sys
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+
+import racines_data.cli
+import racines_envs.cli
+import racines_models.cli
+from racines_data.errors import RacinesError
+from racines_leaderboard import commands
+
+app = typer.Typer(
+    help="RACINES, the open benchmark for robotic cardiac ultrasound. Not a medical device.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+train = typer.Typer(help="Train a grader, a generator or an agent.", no_args_is_help=True)
+evaluate = typer.Typer(help="Score a generator or an agent.", no_args_is_help=True)
+
+app.add_typer(racines_data.cli.app, name="data")
+app.add_typer(train, name="train")
+app.add_typer(evaluate, name="eval")
+racines_models.cli.register(train, evaluate)
+racines_envs.cli.register(train, evaluate)
+commands.register(app)
+
+
+@app.callback(invoke_without_command=True)
+def root(
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)
+    ] = False,
+) -> None:
+    """RACINES, the open benchmark for robotic cardiac ultrasound. Not a medical device."""
+    if show_version:
+        typer.echo(f"racines {version('racines')}")
+        raise typer.Exit
+
+
+def main() -> None:
+    """Run the command; a refused input is one line on stderr and exit code 1."""
+    try:
+        app()
+    except RacinesError as error:
+        print(f"racines: {error}", file=sys.stderr)
+        raise SystemExit(1) from error

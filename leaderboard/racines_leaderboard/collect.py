@@ -1,0 +1,119 @@
+"""Results: taking scores into a board, and reading a board back.
+
+A board is a folder `results/<board>/{generators,agents}/<name>.json`, one record a system.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from racines_data.digest import write_atomic
+from racines_data.errors import RacinesError
+from racines_leaderboard.schema import check, read_json
+from racines_leaderboard.submission import find_submission
+from racines_leaderboard.tracks import TRACKS, Track
+
+Record = dict[str, Any]
+TRACK_OF = {f"racines.{track.schema}/1": track for track in TRACKS}
+
+
+def boards(results: Path) -> list[str]:
+    """Return the names of the boards that hold a result."""
+    return sorted({path.parts[-3] for path in results.glob("*/*/*.json")})
+
+
+def read_board(results: Path, board: str) -> dict[str, list[Record]]:
+    """Read the records of a board, by track.
+
+    Raises:
+        RacinesError: a damaged record, or one that says it belongs elsewhere.
+    """
+    content = {}
+    for track in TRACKS:
+        paths = sorted((results / board / track.name).glob("*.json"))
+        content[track.name] = [_read_record(path, board, track) for path in paths]
+    return content
+
+
+def collect(folders: list[Path], results: Path, submissions: Path, board: str) -> list[Path]:
+    """Write one self-reported record for each scores file in the folders; return their paths.
+
+    Nothing is written unless every file is sound and the board stays on one dataset.
+
+    Raises:
+        RacinesError: a missing folder or one without scores, a damaged file, or scores made on
+            another dataset than the board's.
+    """
+    records: dict[Path, Record] = {}
+    for folder in folders:
+        paths = sorted(folder.glob("*.json"))
+        if not paths:
+            raise RacinesError(f"{folder}: no scores; run `racines eval` first")
+        for path in paths:
+            record = _record(path, submissions, board)
+            records[results / board / record["track"] / f"{record['name']}.json"] = record
+    _one_dataset(records, results, board)
+    for path, record in records.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+    return list(records)
+
+
+def dataset_of(record: Record) -> str | None:
+    """Return the recipe digest of the dataset a result was made on, if it names one."""
+    return (record["scores"].get("dataset") or {}).get("recipe_digest")
+
+
+def _record(path: Path, submissions: Path, board: str) -> Record:
+    scores, track = _read_scores(path)
+    name = scores[track.subject]
+    if name != path.stem:
+        raise RacinesError(f"{path}: {track.subject}: {name!r} differs from the file's name")
+    record = {
+        "schema": "racines.record/1",
+        "board": board,
+        "track": track.name,
+        "name": name,
+        "tier": "self-reported",
+        "submission": find_submission(submissions, track.name, name),
+        "scores": scores,
+    }
+    check(record, "record", str(path))
+    return record
+
+
+def _read_scores(path: Path) -> tuple[dict[str, Any], Track]:
+    declared = read_json(path, "any")["schema"]
+    track = TRACK_OF.get(declared)
+    if track is None:
+        raise RacinesError(f"{path}: schema: {declared!r} is none of {', '.join(TRACK_OF)}")
+    return read_json(path, track.schema), track
+
+
+def _read_record(path: Path, board: str, track: Track) -> Record:
+    record = read_json(path, "record")
+    expected = {"board": board, "track": track.name, "name": path.stem}
+    for key, value in expected.items():
+        if record[key] != value:
+            raise RacinesError(f"{path}: {key}: {record[key]!r}, expected {value!r} by its place")
+    check(record["scores"], track.schema, f"{path}: scores")
+    return record
+
+
+def _one_dataset(new: dict[Path, Record], results: Path, board: str) -> None:
+    kept = [
+        (results / board / name / f"{record['name']}.json", record)
+        for name, records in read_board(results, board).items()
+        for record in records
+    ]
+    merged = dict(kept) | new
+    seen: dict[str, Path] = {}
+    for path, record in merged.items():
+        if (digest := dataset_of(record)) is not None:
+            seen.setdefault(digest, path)
+    if len(seen) > 1:
+        (first, a), (second, b) = list(seen.items())[:2]
+        raise RacinesError(
+            f"board {board}: {a} rests on dataset recipe {first[:12]} and {b} on {second[:12]}; "
+            "score both on one dataset, remove the stale record, or name another board"
+        )

@@ -1,0 +1,107 @@
+"""The commands `racines leaderboard` and `racines submit`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+RESULTS = Path("leaderboard/results")
+SUBMISSIONS = Path("leaderboard/submissions")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the root."""
+    app.command("leaderboard")(leaderboard)
+    app.command("submit")(submit)
+
+
+def leaderboard(
+    board: Annotated[
+        str | None, typer.Option(help="Board to collect into, or the only one to show.")
+    ] = None,
+    collect: Annotated[
+        list[Path] | None,
+        typer.Option(help="Take the scores of this folder into the board first; repeatable."),
+    ] = None,
+    results: Annotated[Path, typer.Option(help="Folder of the boards.")] = RESULTS,
+    submissions: Annotated[Path, typer.Option(help="Folder of the submissions.")] = SUBMISSIONS,
+    params: Annotated[
+        Path | None, typer.Option(help="Name the board by `board` of this file.")
+    ] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(help="Write all boards to this file, charts beside the results.")
+    ] = None,
+    readme: Annotated[
+        Path | None, typer.Option(help="Renew the tables between the marks of this file.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
+) -> None:
+    """Collect scores into a board, rank it, and show it."""
+    from racines_data.digest import write_atomic
+    from racines_data.errors import RacinesError
+    from racines_leaderboard import collect as results_of
+    from racines_leaderboard.pages import with_tables, write_page
+
+    if params is not None:
+        board = _board_of(params, board)
+    if collect:
+        if board is None:
+            raise RacinesError("--collect needs --board NAME or --params FILE")
+        results_of.collect(collect, results, submissions, board)
+    names = [board] if board else results_of.boards(results)
+    if not set(names) <= set(results_of.boards(results)) or not names:
+        raise RacinesError(f"{results}: no results of {board or 'any board'}")
+    if markdown is not None:
+        write_page(markdown, results)
+    if readme is not None:
+        if not readme.is_file():
+            raise RacinesError(f"{readme}: no such file")
+        write_atomic(readme, with_tables(readme.read_text(), results, str(readme)))
+    _show({name: results_of.read_board(results, name) for name in names}, as_json)
+
+
+def submit(
+    file: Annotated[Path, typer.Argument(help="The submission.yaml.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print the submission as JSON.")] = False,
+) -> None:
+    """Check a submission and the weights that it names."""
+    from racines_leaderboard.submission import read_submission
+
+    document = read_submission(file)
+    if as_json:
+        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        return
+    typer.echo(f"{file}: sound ({document['name']}, {document['track']}).")
+    typer.echo(
+        f"Next: put it at leaderboard/submissions/{document['name']}/submission.yaml, its scores "
+        "under models/runs/scores or envs/runs/scores, and run `racines leaderboard --collect`."
+    )
+
+
+def _board_of(params: Path, board: str | None) -> str:
+    from racines_data.config import read_params
+    from racines_data.errors import RacinesError
+
+    named = read_params(params).get("board")
+    if not isinstance(named, str):
+        raise RacinesError(f"{params}: board: expected the name of a board")
+    if board not in (None, named):
+        raise RacinesError(f"--board {board} differs from {named!r}, the board of {params}")
+    return named
+
+
+def _show(content: dict[str, dict], as_json: bool) -> None:
+    from rich.console import Console
+
+    from racines_leaderboard.table import board_tables, plain, published, show
+
+    if as_json:
+        ranked = {name: plain(records) for name, records in content.items()}
+        document = {"boards": ranked, "reported_in_the_paper": published()}
+        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        return
+    console = Console()
+    for name, records in content.items():
+        for table in board_tables(name, records):
+            show(table, console)

@@ -1,0 +1,61 @@
+"""JSON Schemas of the leaderboard's files, and reading a file against one."""
+
+import functools
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any, NoReturn
+
+from jsonschema import Draft202012Validator
+from jsonschema.exceptions import best_match
+from referencing import Registry, Resource
+
+from racines_data.errors import RacinesError
+
+KINDS = ("any", "generator-scores", "agent-scores", "submission", "record")
+
+
+def check(document: Any, kind: str, where: str) -> None:
+    """Check a document against the schema of a kind.
+
+    Raises:
+        RacinesError: the first fault, with the file, the field and what was expected.
+    """
+    error = best_match(_validator(kind).iter_errors(document))
+    if error is None:
+        return
+    field = ".".join(str(part) for part in error.absolute_path) or "top level"
+    raise RacinesError(f"{where}: {field}: {error.message}")
+
+
+def read_json(path: Path, kind: str) -> dict[str, Any]:
+    """Read a JSON file of a kind.
+
+    Raises:
+        RacinesError: missing or damaged file, NaN or infinity, or a field against the schema.
+    """
+    try:
+        document = json.loads(path.read_text(), parse_constant=lambda c: _not_finite(path, c))
+    except FileNotFoundError as error:
+        raise RacinesError(f"{path}: no such file") from error
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise RacinesError(f"{path}: not readable as JSON: {error}") from error
+    check(document, kind, str(path))
+    return document
+
+
+def _not_finite(path: Path, constant: str) -> NoReturn:
+    raise RacinesError(f"{path}: holds {constant}; write null for a figure that does not exist")
+
+
+@functools.cache
+def _validator(kind: str) -> Draft202012Validator:
+    folder = resources.files("racines_leaderboard") / "schemas"
+    contents = {
+        name: json.loads((folder / f"{name}.json").read_text())
+        for name in (*KINDS, "common", "metric")
+    }
+    registry = Registry().with_resources(
+        (schema["$id"], Resource.from_contents(schema)) for schema in contents.values()
+    )
+    return Draft202012Validator(contents[kind], registry=registry)

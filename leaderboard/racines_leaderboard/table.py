@@ -1,0 +1,146 @@
+"""Boards as tables: for the terminal, as Markdown, and as plain data for `--json`."""
+
+import functools
+import json
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table as RichTable
+
+from racines_leaderboard.rank import Ranked, Record, figure, rank
+from racines_leaderboard.tracks import TRACKS, Column, Track
+
+REPORTED = "reported in the paper, on other data"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table ready to be drawn; every cell is text."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...]
+
+
+def board_tables(board: str, content: dict[str, list[Record]]) -> list[Table]:
+    """Return the tables of a board: its tracks (agents by task), then the paper's figures."""
+    tables = []
+    for track in TRACKS:
+        for task, records in by_task(content[track.name]).items():
+            title = " · ".join(part for part in (board, track.name, task) if part)
+            tables.append(_table(title, track, rank(track, records)))
+        if content[track.name]:
+            tables.append(_reported(track))
+    return tables
+
+
+def by_task(records: list[Record]) -> dict[str, list[Record]]:
+    """Group the results that compare: agents by view and backend, generators all together."""
+    groups: dict[str, list[Record]] = {}
+    for record in records:
+        task = record["scores"].get("task")
+        key = f"{task['view']}, {task['backend']} backend" if task else ""
+        groups.setdefault(key, []).append(record)
+    return dict(sorted(groups.items()))
+
+
+def markdown(table: Table) -> str:
+    """Return a table as Markdown: a title in bold, the table, its notes."""
+    rows = [table.head, ("---",) * len(table.head), *table.rows]
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+    return "\n".join([f"**{table.title}**", "", *lines, "", *(f"{n}  " for n in table.notes)])
+
+
+def show(table: Table, console: Console) -> None:
+    """Draw a table on a terminal."""
+    drawn = RichTable(title=table.title, title_justify="left", title_style="bold")
+    for i, name in enumerate(table.head):
+        drawn.add_column(name, justify="left" if i < 2 else "right")
+    for row in table.rows:
+        drawn.add_row(*row)
+    console.print(drawn)
+    for note in table.notes:
+        console.print(note, style="dim", markup=False)
+    console.print()
+
+
+def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
+    """Return ranked results as data: by track, in order, each figure with its interval and n."""
+    return {
+        track.name: [
+            {"rank": ranked.place, "name": ranked.record["name"], "tier": ranked.record["tier"]}
+            | ({"task": ranked.record["scores"]["task"]} if track.name == "agents" else {})
+            | {"metrics": ranked.record["scores"]["metrics"]}
+            for records in by_task(content[track.name]).values()
+            for ranked in rank(track, records)
+        ]
+        for track in TRACKS
+    }
+
+
+@functools.cache
+def published() -> dict[str, Any]:
+    """Return the figures of the paper."""
+    return json.loads((resources.files("racines_leaderboard") / "published.json").read_text())
+
+
+def cell(record: Record, column: Column, usual_n: int) -> str:
+    """Return a figure with its 95 % interval; with its n where that is not the row's."""
+    metric = figure(record, column.key)
+    if metric is None:
+        return "–"
+    text = _number(metric["value"], column)
+    if metric["low"] is not None and metric["high"] is not None:
+        text += f" ({_number(metric['low'], column)} – {_number(metric['high'], column)})"
+    return text if metric["n"] == usual_n else f"{text}, n = {metric['n']:,}"
+
+
+def _table(title: str, track: Track, ranking: list[Ranked]) -> Table:
+    columns = [c for c in track.columns if any(figure(r.record, c.key) for r in ranking)]
+    rows = []
+    for ranked in ranking:
+        usual = _usual_n(ranked.record, columns)
+        cells = [cell(ranked.record, column, usual) for column in columns]
+        rows.append(
+            (str(ranked.place), ranked.record["name"], *cells, f"{usual:,}", ranked.record["tier"])
+        )
+    head = ("#", "System", *(column.title for column in columns), "n", "Tier")
+    notes = (
+        track.rule,
+        f"In brackets: 95 % intervals. n: {track.counted}. {_basis(ranking)}",
+    )
+    return Table(title, head, tuple(rows), notes)
+
+
+def _usual_n(record: Record, columns: list[Column]) -> int:
+    counts = [m["n"] for c in columns if (m := figure(record, c.key))]
+    return max(counts, key=counts.count) if counts else 0
+
+
+def _basis(ranking: list[Ranked]) -> str:
+    """Say which data the results rest on."""
+    dataset = ranking[0].record["scores"].get("dataset") or {}
+    if "source" not in dataset or "version" not in dataset:
+        return "Simulated phantom."
+    simulated = " (simulated)" if dataset["source"] == "phantom" else ""
+    recipe = dataset.get("recipe_digest", "")[:12]
+    return f"Data: {dataset['source']} {dataset['version']}{simulated}, recipe {recipe}."
+
+
+def _reported(track: Track) -> Table:
+    paper = published()
+    systems = paper[track.name]
+    names = list(dict.fromkeys(name for system in systems for name in system["figures"]))
+    rows = tuple(
+        ("", system["system"], *(str(system["figures"].get(name, "–")) for name in names))
+        for system in systems
+    )
+    notes = (paper["remark"][track.name], f"Source: {paper['citation']}.")
+    return Table(f"{track.name} · {REPORTED}", ("", "System", *names), rows, notes)
+
+
+def _number(value: float, column: Column) -> str:
+    return f"{value * column.scale:.{column.digits}f}"

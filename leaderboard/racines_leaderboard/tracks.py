@@ -1,0 +1,89 @@
+"""The two tracks: which figures they show, in which direction they are good, how they rank."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Column:
+    """A figure as the tables show it."""
+
+    key: str
+    label: str
+    better: str
+    """`higher`, `lower`, or `none` for a figure that is shown and not judged."""
+    digits: int = 3
+    scale: float = 1.0
+    unit: str = ""
+
+    @property
+    def title(self) -> str:
+        """The label with its arrow and unit."""
+        arrow = {"higher": " ↑", "lower": " ↓", "none": ""}[self.better]
+        return f"{self.label}{f' ({self.unit})' if self.unit else ''}{arrow}"
+
+
+@dataclass(frozen=True)
+class Track:
+    """One table of a board."""
+
+    name: str
+    schema: str
+    """Kind of the scores file."""
+    subject: str
+    """Key of the system's name in the scores file."""
+    columns: tuple[Column, ...]
+    ranked_by: tuple[str, ...]
+    """Keys of the columns that decide the rank."""
+    mean_rank: bool
+    """Rank by the mean of the ranks in `ranked_by`; otherwise by each in turn."""
+    rule: str
+    counted: str
+    """What n counts."""
+
+
+GENERATORS = Track(
+    name="generators",
+    schema="generator-scores",
+    subject="generator",
+    columns=(
+        Column("ssim", "SSIM", "higher"),
+        Column("psnr", "PSNR", "higher", 2, unit="dB"),
+        Column("fid", "FID", "lower", 1),
+        Column("kid", "KID", "lower"),
+        Column("view_agreement", "View agreement", "higher", 1, 100.0, "%"),
+    ),
+    ranked_by=("ssim", "psnr", "fid", "kid"),
+    mean_rank=True,
+    rule=(
+        "Ranked by the mean of the ranks in SSIM, PSNR, FID and KID: two figures of likeness to "
+        "the frame at the same pose, two of likeness of the whole set. A missing figure ranks "
+        "last. Equal means share a rank."
+    ),
+    counted="frames of the test split",
+)
+
+AGENTS = Track(
+    name="agents",
+    schema="agent-scores",
+    subject="agent",
+    columns=(
+        Column("success_true", "True success", "higher", 1, 100.0, "%"),
+        Column("steps", "Steps", "lower", 1),
+        Column("final_grade", "Final grade", "higher", 2),
+        Column("spl", "SPL", "higher"),
+        Column("success_grader", "Grader's success", "none", 1, 100.0, "%"),
+        Column("peak_force", "Peak force", "lower", 1, unit="N"),
+        Column("violations", "Violations", "lower", 1),
+        Column("return", "Return", "none", 1),
+    ),
+    ranked_by=("success_true", "steps", "final_grade"),
+    mean_rank=False,
+    rule=(
+        "Ranked by true success, then steps, then final grade; the return is shown and never "
+        "ranks. Equal figures share a rank."
+    ),
+    counted="episodes from the fixed starts",
+)
+
+TRACKS = (GENERATORS, AGENTS)
+TIERS = ("self-reported", "recomputed", "reproduced")

@@ -1,0 +1,75 @@
+"""Score files as the evaluations write them, with made-up figures."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+DIGEST = "ab" * 32
+ENVIRONMENT = {"python": "3.11.7", "torch": "2.13.0", "platform": "Linux", "cpu": "x86_64"}
+
+
+def metric(value: float | None, n: int = 100) -> dict[str, Any]:
+    low, high = (None, None) if value is None else (value - 0.1, value + 0.1)
+    return {"value": value, "low": low, "high": high, "n": n}
+
+
+def generator_scores(name: str, recipe: str = DIGEST, **figures: float | None) -> dict[str, Any]:
+    values = {"ssim": 0.5, "psnr": 20.0, "fid": 100.0, "kid": 0.1} | figures
+    return {
+        "schema": "racines.generator-scores/1",
+        "generator": name,
+        "dataset": {
+            "source": "phantom",
+            "version": "1.0.0",
+            "digest": DIGEST,
+            "recipe_digest": recipe,
+            "split": "test",
+        },
+        "seeds": [0],
+        "metrics": {key: metric(value) for key, value in values.items()},
+        "extractors": {},
+        "weights": {"sha256": DIGEST},
+        "code": {"version": "0.1.0"},
+        "environment": ENVIRONMENT,
+        "seconds": 1.0,
+    }
+
+
+def agent_scores(name: str, view: str = "SC", **figures: float) -> dict[str, Any]:
+    values = {"success_true": 0.5, "steps": 50.0, "final_grade": 5.0, "return": 10.0} | figures
+    return {
+        "schema": "racines.agent-scores/1",
+        "agent": name,
+        "task": {
+            "view": view,
+            "backend": "phantom",
+            "observation": "image",
+            "reward": "paper",
+            "start_set": "fixed-100",
+        },
+        "phantom": {"recipe_digest": DIGEST},
+        "metrics": {key: metric(value) for key, value in values.items()},
+        "seeds": [0],
+        "weights": None,
+        "code": {"version": "0.1.0"},
+        "environment": ENVIRONMENT,
+        "seconds": 1.0,
+    }
+
+
+@pytest.fixture
+def write_scores(tmp_path: Path) -> Callable[..., Path]:
+    """Write scores documents into a folder, each under its system's name."""
+
+    def write(folder: str, *documents: dict[str, Any]) -> Path:
+        target = tmp_path / folder
+        target.mkdir(parents=True, exist_ok=True)
+        for document in documents:
+            name = document.get("generator") or document.get("agent")
+            (target / f"{name}.json").write_text(json.dumps(document))
+        return target
+
+    return write

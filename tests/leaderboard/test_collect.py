@@ -1,0 +1,125 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from racines_data.errors import RacinesError
+from racines_leaderboard.collect import boards, collect, read_board
+from tests.leaderboard.conftest import agent_scores, generator_scores
+
+SUBMISSION = """
+name: {name}
+track: {track}
+authors: [The RACINES developers]
+method: a method
+source: racines
+licence: Apache-2.0
+description: What it is.
+"""
+
+
+def submission(folder: Path, name: str, track: str) -> None:
+    (folder / name).mkdir(parents=True)
+    (folder / name / "submission.yaml").write_text(SUBMISSION.format(name=name, track=track))
+
+
+def test_scores_become_records_of_a_board(tmp_path, write_scores):
+    generators = write_scores("g", generator_scores("one"), generator_scores("two"))
+    agents = write_scores("a", agent_scores("ppo"))
+    submission(tmp_path / "submissions", "two", "generators")
+    results = tmp_path / "results"
+    written = collect([generators, agents], results, tmp_path / "submissions", "phantom-smoke")
+    assert {path.relative_to(results).as_posix() for path in written} == {
+        "phantom-smoke/generators/one.json",
+        "phantom-smoke/generators/two.json",
+        "phantom-smoke/agents/ppo.json",
+    }
+    assert boards(results) == ["phantom-smoke"]
+    content = read_board(results, "phantom-smoke")
+    one, two = content["generators"]
+    assert one["tier"] == "self-reported" and one["submission"] is None
+    assert two["submission"]["method"] == "a method"
+    assert two["scores"] == generator_scores("two")
+    assert not list(tmp_path.rglob(".*")), "no temporary file stays"
+
+
+def test_collecting_again_writes_the_same_bytes(tmp_path, write_scores):
+    folder = write_scores("g", generator_scores("one"))
+    results = tmp_path / "results"
+    (path,) = collect([folder], results, tmp_path / "none", "b")
+    first = path.read_bytes()
+    collect([folder], results, tmp_path / "none", "b")
+    assert path.read_bytes() == first
+
+
+def test_a_board_stays_on_one_dataset(tmp_path, write_scores):
+    results = tmp_path / "results"
+    collect([write_scores("g", generator_scores("old"))], results, tmp_path, "b")
+    other = write_scores("h", generator_scores("new", recipe="cd" * 32))
+    with pytest.raises(RacinesError, match=r"board b: .*old\.json .* dataset recipe"):
+        collect([other], results, tmp_path, "b")
+    assert [record["name"] for record in read_board(results, "b")["generators"]] == ["old"]
+
+
+def damage(document: dict, path: str, value: object) -> dict:
+    node = document
+    *parents, last = path.split(".")
+    for key in parents:
+        node = node[key]
+    if value is None:
+        del node[last]
+    else:
+        node[last] = value
+    return document
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("schema", "other/9", "schema: 'other/9' is none of"),
+        ("metrics.ssim.n", -1, r"metrics\.ssim\.n"),
+        ("metrics.ssim.value", "high", r"metrics\.ssim\.value"),
+        ("metrics.fid", None, "metrics: 'fid' is a required"),
+        ("dataset.version", "one", r"dataset\.version"),
+        ("generator", "Bad Name", "generator"),
+        ("surprise", 1, "surprise"),
+    ],
+)
+def test_damaged_scores_name_file_and_field(tmp_path, write_scores, field, value, message):
+    folder = write_scores("g")
+    path = folder / "one.json"
+    path.write_text(json.dumps(damage(generator_scores("one"), field, value)))
+    with pytest.raises(RacinesError, match=rf"one\.json: .*{message}"):
+        collect([folder], tmp_path / "results", tmp_path, "b")
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [('{"schema": ', "not readable as JSON"), ('{"schema": NaN}', "holds NaN"), ("[]", "object")],
+)
+def test_broken_json_is_refused(tmp_path, write_scores, text, message):
+    folder = write_scores("g")
+    (folder / "one.json").write_text(text)
+    with pytest.raises(RacinesError, match=rf"one\.json: .*{message}"):
+        collect([folder], tmp_path / "results", tmp_path, "b")
+
+
+def test_an_empty_folder_is_refused(tmp_path):
+    with pytest.raises(RacinesError, match="no scores"):
+        collect([tmp_path / "absent"], tmp_path / "results", tmp_path, "b")
+
+
+def test_a_record_in_the_wrong_place_is_refused(tmp_path, write_scores):
+    results = tmp_path / "results"
+    (path,) = collect([write_scores("g", generator_scores("one"))], results, tmp_path, "b")
+    path.rename(path.with_name("two.json"))
+    with pytest.raises(RacinesError, match=r"two\.json: name: 'one', expected 'two'"):
+        read_board(results, "b")
+
+
+def test_scores_of_the_other_track_than_the_submission(tmp_path, write_scores):
+    submission(tmp_path / "submissions", "one", "agents")
+    folder = write_scores("g", generator_scores("one"))
+    with pytest.raises(RacinesError, match="track: 'agents'"):
+        collect([folder], tmp_path / "results", tmp_path / "submissions", "b")
