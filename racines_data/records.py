@@ -1,0 +1,126 @@
+"""Between a trajectory and the rows of the `frames` config: PNG, nulls for what is absent."""
+
+import io
+from collections.abc import Sequence
+
+import numpy as np
+import pyarrow as pa
+from datasets import Features
+from PIL import Image
+
+from racines_data.errors import RacinesError
+from racines_data.imaging import IMAGE_SIZE
+from racines_data.schema import CONTROLS, PARAMETERS, SOURCES, Trajectory, frame_features
+from racines_data.sources import Unit
+from racines_data.views import LABELS
+
+PIXELS = IMAGE_SIZE * IMAGE_SIZE
+
+
+def features_of(source: str) -> Features:
+    """Return the features of the `frames` config for one source, a third party's included."""
+    return frame_features(SOURCES if source in SOURCES else (*SOURCES, source))
+
+
+def encode_png(image: np.ndarray) -> bytes:
+    """Return one (H, W) uint8 image as PNG."""
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def trajectory_to_table(trajectory: Trajectory, source: str) -> pa.Table:
+    """Return a trajectory as rows of the `frames` config, with the Hugging Face metadata."""
+    count = len(trajectory)
+    features = features_of(source)
+    columns: dict[str, pa.Array] = {"image": _images(trajectory)}
+    for index, name in enumerate(PARAMETERS):
+        columns[name] = pa.array(trajectory.parameters[:, index], pa.float32(), from_pandas=True)
+    columns["timestamp"] = pa.array(trajectory.timestamps, pa.float64())
+    for index, name in enumerate(CONTROLS):
+        columns[name] = pa.array(trajectory.controls[:, index], pa.float32(), from_pandas=True)
+    columns["view"] = pa.array(trajectory.views, pa.int64(), mask=trajectory.views < 0)
+    columns["grade"] = pa.array(trajectory.grades, pa.float32(), from_pandas=True)
+    columns["target_view"] = pa.repeat(trajectory.target_view, count)
+    columns["source"] = pa.repeat(pa.scalar(features["source"].str2int(source), pa.int64()), count)
+    columns["session"] = pa.repeat(trajectory.session, count)
+    columns["trajectory"] = pa.repeat(trajectory.id, count)
+    columns["frame"] = pa.array(np.arange(count), pa.int32())
+    return pa.table([columns[name] for name in features], schema=features.arrow_schema)
+
+
+def _images(trajectory: Trajectory) -> pa.Array:
+    names = [f"{trajectory.id}-{frame:05d}.png" for frame in range(len(trajectory))]
+    pngs = pa.array([encode_png(image) for image in trajectory.images], pa.binary())
+    return pa.StructArray.from_arrays([pngs, pa.array(names)], ["bytes", "path"])
+
+
+def pixels_array(images: np.ndarray) -> pa.FixedSizeBinaryArray:
+    """Return (T, 128, 128) uint8 images as an Arrow array of 16,384-byte values."""
+    buffer = pa.py_buffer(np.ascontiguousarray(images))
+    kind = pa.binary(PIXELS)
+    return pa.FixedSizeBinaryArray.from_buffers(kind, len(images), [None, buffer])
+
+
+def table_to_trajectory(table: pa.Table) -> Trajectory:
+    """Return the trajectory that some rows of the `frames` config hold, in order."""
+    pngs = table["image"].combine_chunks().field("bytes")
+    images = [np.asarray(Image.open(io.BytesIO(png.as_buffer()))) for png in pngs]
+    return Trajectory(
+        id=table["trajectory"][0].as_py(),
+        session=table["session"][0].as_py(),
+        target_view=table["target_view"][0].as_py(),
+        images=np.stack(images),
+        parameters=float_columns(table, PARAMETERS),
+        timestamps=table["timestamp"].to_numpy(),
+        controls=float_columns(table, CONTROLS),
+        views=table["view"].fill_null(-1).to_numpy(),
+        grades=float_columns(table, ["grade"])[:, 0],
+    )
+
+
+def float_columns(table: pa.Table, names: Sequence[str]) -> np.ndarray:
+    """Return (T, len(names)) float32, NaN for null."""
+    return np.stack([table[name].fill_null(np.nan).to_numpy() for name in names], -1)
+
+
+def check_trajectory(trajectory: Trajectory, unit: Unit) -> None:
+    """Check what a source has made of a unit.
+
+    Raises:
+        RacinesError: wrong identity, image shape or type, a pose or time that is not finite, or a
+            label or grade out of range.
+    """
+    where = f"trajectory {unit.id}"
+    made = (trajectory.id, trajectory.session, trajectory.target_view)
+    if made != (unit.id, unit.session, unit.target_view):
+        raise RacinesError(f"{where}: the source made {made} of it; names must stay the unit's")
+    if trajectory.target_view not in LABELS:
+        raise RacinesError(
+            f"{where}: unknown target view {trajectory.target_view!r}; one of {', '.join(LABELS)}"
+        )
+    shape = (len(trajectory), IMAGE_SIZE, IMAGE_SIZE)
+    if trajectory.images.dtype != np.uint8 or trajectory.images.shape != shape or not shape[0]:
+        raise RacinesError(
+            f"{where}: images are {trajectory.images.dtype} {trajectory.images.shape}; give uint8 "
+            f"(T, {IMAGE_SIZE}, {IMAGE_SIZE}), T > 0"
+        )
+    _check_numbers(trajectory, where)
+
+
+def _check_numbers(trajectory: Trajectory, where: str) -> None:
+    bad = ~np.isfinite(trajectory.parameters)
+    bad[:, :6] = np.isinf(trajectory.parameters[:, :6])  # a force may be absent
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise RacinesError(
+            f"{where}: {PARAMETERS[column]} of frame {row} is not finite: every pose needs numbers"
+        )
+    times = trajectory.timestamps
+    if not np.isfinite(times).all() or (np.diff(times) < 0).any():
+        raise RacinesError(f"{where}: timestamps must be finite seconds that do not decrease")
+    grades = trajectory.grades[~np.isnan(trajectory.grades)]
+    if ((grades < 0) | (grades > 10)).any():
+        raise RacinesError(f"{where}: a grade lies outside 0-10")
+    if ((trajectory.views < -1) | (trajectory.views >= len(LABELS))).any():
+        raise RacinesError(f"{where}: a view label lies outside -1 to {len(LABELS) - 1}")

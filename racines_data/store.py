@@ -1,0 +1,227 @@
+"""The training store: one uncompressed Arrow IPC file, memory-mapped and served in whole batches.
+
+One record batch with the images as FixedSizeBinary(16384) is one contiguous run of bytes, hence a
+(N, 128, 128) tensor without a copy; nothing is decoded and no Python runs per frame. Plain
+`binary` has 32-bit offsets, which overflow at 131,072 frames.
+"""
+
+import json
+import mmap
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import torch
+from torch import Tensor
+
+from racines_data.digest import check_files
+from racines_data.errors import RacinesError
+from racines_data.imaging import IMAGE_SIZE
+from racines_data.load import check_split, default_root, read_manifest, rebuild_hint
+from racines_data.records import PIXELS
+from racines_data.schema import CONTROLS, PARAMETERS
+
+STORE = "store/frames.arrow"
+_METADATA = b"racines.store"
+
+
+class Batch(NamedTuple):
+    """Frames of one split."""
+
+    images: Tensor
+    """(B, 128, 128) uint8."""
+    parameters: Tensor
+    """(B, 12) float32, SI; forces NaN where absent."""
+    views: Tensor
+    """(B,) int64 labels, -1 where unknown."""
+    grades: Tensor
+    """(B,) float32, NaN where unknown."""
+    index: Tensor  # pyright: ignore[reportIncompatibleMethodOverride]
+    """(B,) int64 rows of the store."""
+
+
+class FrameStore:
+    """All frames of a dataset, memory-mapped. Rows are in the order train, validation, test.
+
+    Raises:
+        RacinesError: no dataset at `root`, or its store is damaged.
+    """
+
+    manifest: dict[str, Any]
+    """The dataset's manifest: `version`, `source`, `digest`, `recipe_digest`, counts, files."""
+    images: Tensor
+    """(N, 128, 128) uint8, a view of the file. Writing to it changes this process's copy only."""
+    parameters: Tensor
+    """(N, 12) float32, SI; forces NaN where absent."""
+    views: Tensor
+    """(N,) int64 labels, -1 where unknown."""
+    grades: Tensor
+    """(N,) float32, 0-10, NaN where unknown."""
+    timestamps: Tensor
+    """(N,) float64 seconds."""
+    controls: Tensor
+    """(N, 6) float32, NaN where unknown."""
+    trajectory_index: Tensor
+    """(N,) int64, the row's place in `trajectories`."""
+    frame: Tensor
+    """(N,) int64, the row's number in its trajectory."""
+    trajectories: list[str]
+    """Ids of the trajectories."""
+    target_views: list[str]
+    """Target view of each trajectory."""
+    sessions: list[str]
+    """Session of each trajectory."""
+
+    def __init__(self, root: Path | str | None = None) -> None:
+        self.root = default_root(root)
+        self.manifest = read_manifest(self.root)
+        files = self.manifest["files"]
+        if STORE not in files:
+            raise RacinesError(f"{self.root / 'manifest.json'}: names no {STORE}; rebuild")
+        check_files(self.root, {STORE: files[STORE]}, rebuild_hint(self.manifest))
+        try:
+            self._read(self.root / STORE)
+        except (pa.ArrowInvalid, KeyError, ValueError) as error:
+            hint = rebuild_hint(self.manifest)
+            raise RacinesError(f"{self.root / STORE}: damaged ({error}); {hint}") from error
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def _read(self, path: Path) -> None:
+        # A private mapping is writable without touching the file, as torch wants its memory.
+        with path.open("rb") as file:
+            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+        whole = pa.py_buffer(mapped)
+        table = pa.ipc.open_file(pa.BufferReader(whole)).read_all()
+
+        def column(name: str, dtype: torch.dtype, *shape: int) -> Tensor:
+            array = table[name].chunk(0)
+            values = array.values if pa.types.is_fixed_size_list(array.type) else array
+            buffer = values.buffers()[1]
+            count = len(array) * int(np.prod(shape, initial=1))
+            flat = torch.frombuffer(
+                mapped, dtype=dtype, count=count, offset=buffer.address - whole.address
+            )
+            return flat.view(len(array), *shape)
+
+        self.images = column("image", torch.uint8, IMAGE_SIZE, IMAGE_SIZE)
+        self.parameters = column("parameters", torch.float32, len(PARAMETERS))
+        self.controls = column("controls", torch.float32, len(CONTROLS))
+        self.views = column("view", torch.int64)
+        self.grades = column("grade", torch.float32)
+        self.timestamps = column("timestamp", torch.float64)
+        self.trajectory_index = column("trajectory", torch.int64)
+        self.frame = column("frame", torch.int64)
+        metadata = json.loads(table.schema.metadata[_METADATA])
+        self.trajectories, self.sessions, self.target_views = (
+            list(names) for names in metadata["trajectories"]
+        )
+        self._splits: dict[str, list[int]] = metadata["splits"]
+
+    def split_indices(self, split: str) -> Tensor:
+        """Return the (n,) int64 rows of a split, in order; empty if the split has none.
+
+        Raises:
+            RacinesError: no such split.
+        """
+        start, stop = self._splits[check_split(split)]
+        return torch.arange(start, stop)
+
+    def batches(
+        self,
+        split: str,
+        batch_size: int,
+        seed: int,
+        shuffle: bool = True,
+        drop_last: bool = False,
+    ) -> Iterator[Batch]:
+        """Yield one pass over a split in batches; the order depends on the seed alone.
+
+        Raises:
+            RacinesError: no such split, or a batch size below one.
+        """
+        if batch_size < 1:
+            raise RacinesError(f"batch_size {batch_size}: give one or more")
+        rows = self.split_indices(split)
+        if shuffle:
+            generator = torch.Generator().manual_seed(seed)
+            rows = rows[torch.randperm(len(rows), generator=generator)]
+        last = len(rows) - len(rows) % batch_size if drop_last else len(rows)
+        for start in range(0, last, batch_size):
+            yield self.take(rows[start : min(start + batch_size, last)])
+
+    def take(self, index: Tensor) -> Batch:
+        """Return the frames of (B,) int64 rows."""
+        columns = self.parameters, self.views, self.grades
+        # Rows of int64 words: a row copy moves 8 bytes at a time whatever the element.
+        words = self.images.view(len(self), PIXELS).view(torch.int64)
+        images = words.index_select(0, index).view(torch.uint8)
+        images = images.view(-1, IMAGE_SIZE, IMAGE_SIZE)
+        parameters, views, grades = (column.index_select(0, index) for column in columns)
+        return Batch(images, parameters, views, grades, index)
+
+
+def open_store(root: Path | str | None = None) -> FrameStore:
+    """Open the training store of a dataset (default: `data/racines`)."""
+    return FrameStore(root)
+
+
+def write_store(
+    path: Path,
+    tables: Iterable[pa.Table],
+    trajectories: Sequence[Mapping[str, Any]],
+    splits: Mapping[str, tuple[int, int]],
+) -> None:
+    """Write the store from tables of one trajectory each, in row order.
+
+    Pixels pass through a raw file that is then mapped, so that memory stays bounded.
+
+    Args:
+        path: The file to write.
+        tables: Rows of `frames` with a `pixels` column; one table a trajectory.
+        trajectories: `trajectory`, `session` and `target_view` of each.
+        splits: First and past-the-last row of each split.
+    """
+    raw = path.with_suffix(".raw")
+    columns: list[pa.Table] = []
+    with raw.open("wb") as file:
+        for index, table in enumerate(tables):
+            for chunk in table["pixels"].chunks:
+                first = chunk.offset * PIXELS
+                file.write(chunk.buffers()[1][first : first + len(chunk) * PIXELS])
+            columns.append(_store_columns(table, index))
+    table = pa.concat_tables(columns).combine_chunks()
+    images = pa.FixedSizeBinaryArray.from_buffers(
+        pa.binary(PIXELS), len(table), [None, pa.memory_map(str(raw)).read_buffer()]
+    )
+    keys = ("trajectory", "session", "target_view")
+    names = [[row[key] for row in trajectories] for key in keys]
+    metadata = json.dumps({"trajectories": names, "splits": splits}, sort_keys=True)
+    table = table.add_column(0, "image", images).replace_schema_metadata(
+        {_METADATA: metadata.encode()}
+    )
+    with pa.OSFile(str(path), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
+        writer.write_batch(table.to_batches()[0])
+    os.remove(raw)
+
+
+def _store_columns(table: pa.Table, index: int) -> pa.Table:
+    def stacked(names: Sequence[str]) -> pa.Array:
+        flat = np.stack([table[name].fill_null(np.nan).to_numpy() for name in names], -1).ravel()
+        return pa.FixedSizeListArray.from_arrays(pa.array(flat, pa.float32()), len(names))
+
+    return pa.table(
+        {
+            "parameters": stacked(PARAMETERS),
+            "controls": stacked(CONTROLS),
+            "view": table["view"].fill_null(-1).combine_chunks(),
+            "grade": table["grade"].fill_null(np.nan).combine_chunks(),
+            "timestamp": table["timestamp"].combine_chunks(),
+            "trajectory": pa.array(np.full(len(table), index, np.int64)),
+            "frame": table["frame"].cast(pa.int64()).combine_chunks(),
+        }
+    )

@@ -1,0 +1,68 @@
+"""A source for tests: small, deterministic, picklable; can be slow and can be wrong."""
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from racines_data.schema import Trajectory
+from racines_data.sources import Finding, Unit
+from racines_data.views import LABELS, VIEWS
+
+
+@dataclass(frozen=True)
+class FakeConfig:
+    frames: int = 200
+    seed: int = 0
+    trajectories: int = 20
+    sessions: int = 2
+    views: tuple[str, ...] = VIEWS
+    delay: float = 0.0
+    journal: str = ""
+    """Folder in which every unit made leaves a mark."""
+
+
+@dataclass
+class FakeSource:
+    config: FakeConfig = FakeConfig()
+    report: list[Finding] = field(default_factory=list)
+    name = "phantom"
+    version = "0.1.0"
+    Config = FakeConfig
+
+    @classmethod
+    def from_config(cls, config: dict[str, Any], inputs=()) -> "FakeSource":
+        return cls(FakeConfig(**config))
+
+    def recipe(self) -> dict[str, Any]:
+        return {"frames": self.config.frames, "seed": self.config.seed}
+
+    def plan(self) -> list[Unit]:
+        c = self.config
+        edges = [c.frames * i // c.trajectories for i in range(c.trajectories + 1)]
+        return [
+            Unit(f"t{i:03d}", f"s{i % c.sessions}", c.views[i % len(c.views)], high - low)
+            for i, (low, high) in enumerate(zip(edges, edges[1:], strict=False))
+        ]
+
+    def produce(self, unit: Unit) -> Trajectory:
+        time.sleep(self.config.delay)
+        if self.config.journal:
+            (Path(self.config.journal) / f"{unit.id}-{time.monotonic_ns()}").touch()
+        n = unit.frames
+        rng = np.random.default_rng([self.config.seed, int(unit.id[1:])])
+        parameters = rng.normal(size=(n, 12)).astype(np.float32)
+        parameters[n // 2 :, :6] = np.nan
+        return Trajectory(
+            id=unit.id,
+            session=unit.session,
+            target_view=unit.target_view,
+            images=rng.integers(0, 256, (n, 128, 128), np.uint8),
+            parameters=parameters,
+            timestamps=np.arange(n) / 30.0,
+            controls=np.full((n, 6), np.nan, np.float32),
+            views=rng.integers(-1, len(LABELS), n),
+            grades=np.where(rng.random(n) < 0.5, np.nan, 5.0).astype(np.float32),
+        )
