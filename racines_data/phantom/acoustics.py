@@ -17,6 +17,8 @@ from racines_data.phantom.config import ProbeConfig
 from racines_data.phantom.volume import ATTENUATION_STEP, Volume
 from racines_data.randomness import derive, normal, sample_seeds
 
+SPECKLE_GAIN = 0.68
+"""Undoes the gain of the point spread function on correlated scatterers: myocardium is 1."""
 SPECULAR_GAIN = 0.05
 """Echo of a head-on interface, per unit of packed impedance gradient."""
 SPECULAR_LOSS = 0.02
@@ -149,7 +151,7 @@ def form_image(echoes: Tensor, beams: Beams) -> Tensor:
     field = torch.bmm(field, beams.axial.expand(len(field), -1, -1))
     far = torch.bmm(beams.lateral_far.expand(len(field), -1, -1), field)
     near = torch.bmm(beams.lateral_near.expand(len(field), -1, -1), field)
-    return torch.lerp(far, near, beams.near).view(echoes.shape)
+    return (torch.lerp(far, near, beams.near) * SPECKLE_GAIN).view(echoes.shape)
 
 
 def add_face(

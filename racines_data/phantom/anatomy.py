@@ -26,6 +26,8 @@ class Tissue:
     """Speed of sound, m/s."""
     density: float
     """kg/m³."""
+    texture: float = 0.0
+    """Standard deviation of slow (centimetre) variation of the backscatter, dB."""
 
     @property
     def impedance(self) -> float:

@@ -13,7 +13,7 @@ class BlockConfig:
     minimum: tuple[float, float, float] = (0.400, -0.070, -0.075)
     maximum: tuple[float, float, float] = (0.580, 0.080, 0.065)
     """The top face is the scanned surface; 18 x 15 x 14 cm."""
-    voxel: float = 0.0008
+    voxel: float = 0.001
     """Edge of a voxel of the baked volume, m."""
     seed: int = 0
     """Draws the scatterers; the same block has the same scatterers for ever."""
@@ -44,11 +44,11 @@ class ProbeConfig:
     """Width of the probe's face along x, m."""
     thickness: float = 0.012
     """Width of the face along y, m."""
-    gain: float = -7.0
+    gain: float = -21.0
     """Gain, dB: moves the gray of myocardium."""
     dynamic_range: float = 58.0
     """Log compression, dB from black to white."""
-    noise: float = -46.0
+    noise: float = -54.0
     """Electronic noise at the face, dB below myocardium; TGC lifts it with depth."""
 
 

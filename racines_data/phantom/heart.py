@@ -21,11 +21,11 @@ from racines_data.phantom.shapes import capsule, ellipsoid, smooth_union, subtra
 from racines_data.randomness import sample_seeds, uniform
 
 TISSUES = (
-    Tissue("gel", -13.0, 0.50, 1540.0, 1040.0),
-    Tissue("myocardium", 0.0, 0.52, 1561.0, 1081.0),
+    Tissue("gel", -13.0, 0.50, 1540.0, 1040.0, 1.0),
+    Tissue("myocardium", 0.0, 0.52, 1561.0, 1081.0, 2.5),
     Tissue("blood", -34.0, 0.14, 1578.0, 1050.0),
-    Tissue("vessel wall", 2.0, 0.70, 1600.0, 1102.0),
-    Tissue("pericardium", 7.0, 1.20, 1665.0, 1120.0),
+    Tissue("vessel wall", 2.0, 0.70, 1600.0, 1102.0, 2.0),
+    Tissue("pericardium", 7.0, 1.20, 1665.0, 1120.0, 2.0),
 )
 GEL, MYOCARDIUM, BLOOD, WALL, PERICARDIUM = range(5)
 
@@ -37,13 +37,13 @@ W = (0.0, 0.0, 1.0)
 # Up in the organ frame: apex, anterior and right side face the scanned surface, so that the
 # apical, subcostal and parasternal windows all lie on one flat top.
 DOWN = (0.45, -0.60, -0.66)
-HEADING = 2.55
+HEADING = 3.80
 """Rotation of the heart about the vertical, rad."""
-ORIGIN = (0.4885, 0.0180, 0.0)
+ORIGIN = (0.4626, -0.0070, 0.0)
 """x and y of the heart's reference point in the base frame, m; z comes from APEX_DEPTH."""
 REFERENCE = (0.0, 0.0, 35.0)
 """The reference point: the middle of the LV, organ frame, mm."""
-REFERENCE_DEPTH = 0.050
+REFERENCE_DEPTH = 0.0575
 """Depth of the reference point under the surface at z = 0.065, m."""
 
 
@@ -83,8 +83,8 @@ def _along(s: float, t: float, w: float) -> tuple[float, float, float]:
 
 # --- shapes, millimetres -------------------------------------------------------------------------
 
-_LA = _along(-15.0, 0.0, -25.0)
-_RA = (-34.0, -5.0, -24.0)
+_LA = (0.0, -10.0, -25.0)
+_RA = (-43.0, -4.0, -23.0)
 _AORTA = (_along(14.0, 0.0, 8.0), _along(18.0, 0.0, -6.0), _along(21.0, 1.0, -16.0),
           _along(22.0, -2.0, -34.0), _along(22.0, -5.0, -60.0))  # fmt: skip
 _AORTA_RADII = (10.0, 11.0, 14.5, 12.5, 12.5)
@@ -102,17 +102,17 @@ def _paint(p: Tensor, wall: float) -> Tensor:
     lv_outer = torch.maximum(
         ellipsoid(p, (0, 0, 16.0), (22.5 + lv_wall, 22.5 + lv_wall, 60.0 + lv_wall)), -w - 4.0
     )
-    la = ellipsoid(p, _LA, (19.0, 24.0, 23.0), (S, T, W))
-    ra = ellipsoid(p, _RA, (19.0, 23.0, 23.0))
+    la = ellipsoid(p, _LA, (21.0, 19.0, 22.0))
+    ra = ellipsoid(p, _RA, (19.0, 22.0, 22.0))
     aorta = tube(p, _AORTA, _AORTA_RADII)
     # The RV body wraps the septum: an ellipsoid on the septal side, less the LV and its septum.
-    rv_body = torch.maximum(ellipsoid(p, (-21.0, 9.0, 20.0), (31.0, 37.0, 49.0)), -w + 1.0)
+    rv_body = torch.maximum(ellipsoid(p, (-27.0, 8.0, 19.0), (36.0, 36.0, 50.0)), -w + 1.0)
     outflow = tube(p, _OUTFLOW, _OUTFLOW_RADII)
     rv = smooth_union(rv_body, outflow, 6.0)
     pulmonary = tube(p, _PULMONARY, (11.0, 9.0))
     rv_cavity = subtract(subtract(rv, lv_outer), aorta - 2.5)
-    mitral = capsule(p, _along(-6.0, 0.0, 4.0), _along(-9.0, 0.0, -12.0), 14.5, 15.0)
-    tricuspid = capsule(p, (-34.0, 0.0, 6.0), (-34.0, -2.0, -12.0), 14.0, 15.0)
+    mitral = capsule(p, (2.0, -4.0, 4.0), (2.0, -8.0, -12.0), 15.0, 14.5)
+    tricuspid = capsule(p, (-46.0, 2.0, 6.0), (-45.0, -2.0, -12.0), 13.0, 14.0)
     papillary = union(
         capsule(p, _along(-14.0, 14.0, 44.0), _along(-9.0, 9.0, 24.0), 5.5, 3.0),
         capsule(p, _along(-14.0, -14.0, 44.0), _along(-9.0, -9.0, 24.0), 5.5, 3.0),
@@ -157,23 +157,24 @@ _STRUCTURES: dict[str, tuple[tuple[float, float, float], float]] = {
     "LV": ((0.0, 0.0, 30.0), 16.0),
     "LV lateral wall": ((25.0, 0.0, 20.0), 16.0),
     "septum": ((-25.0, 0.0, 25.0), 16.0),
-    "RV": ((-36.0, 2.0, 18.0), 18.0),
+    "RV": ((-45.0, 2.0, 16.0), 18.0),
     "LA": (_LA, 18.0),
     "RA": (_RA, 18.0),
-    "crux": ((-19.0, -4.0, -4.0), 14.0),
+    "crux": ((-25.0, -4.0, -3.0), 14.0),
     "aortic root": (_along(20.5, 0.0, -14.0), 11.0),
     "aortic outflow": (_along(15.0, 0.0, 4.0), 11.0),
     "anteroseptum": (_along(26.0, 0.0, 24.0), 12.0),
     "posterior wall": (_along(-26.0, 0.0, 20.0), 14.0),
     "RVOT": (_OUTFLOW[2], 13.0),
-    "pulmonary trunk": (_along(20.0, 36.0, -26.0), 15.0),
-    "LA below root": (_along(-12.0, 0.0, -22.0), 16.0),
-    "RA beside root": ((-34.0, -5.0, -20.0), 18.0),
+    "RV outflow": (_along(43.0, -2.0, 10.0), 16.0),
+    "pulmonary trunk": (_along(32.0, 30.0, -21.0), 15.0),
+    "LA below root": ((2.0, -9.0, -20.0), 16.0),
+    "RA beside root": ((-40.0, -3.0, -18.0), 18.0),
     "mitral annulus anterior": (_along(8.0, 0.0, 4.0), 11.0),
     "mitral annulus posterior": (_along(-22.0, 0.0, 4.0), 11.0),
     "mitral annulus lateral": (_along(-4.0, 20.0, 4.0), 11.0),
     "mitral annulus septal": (_along(-4.0, -20.0, 4.0), 11.0),
-    "RV base": ((-40.0, 6.0, 8.0), 14.0),
+    "RV base": ((-46.0, 8.0, 8.0), 14.0),
 }
 
 _FOUR = (("LV", 1.5), ("LV apex", 1.0), ("septum", 1.0), ("LV lateral wall", 1.0), ("RV", 1.0),
@@ -190,11 +191,11 @@ def _in_plane(first: tuple[float, float, float], degrees: float) -> tuple[float,
 _FOUR_NORMAL = (0.0, -1.0, 0.05)
 _VIEWS = (
     # name, focus mm, beam, normal, structures
-    ("A4C", (-6.0, -1.5, 8.0), _in_plane((1.0, 0.0, 0.0), 8.0), _FOUR_NORMAL, _FOUR),
-    ("SC", (-12.0, -1.5, 14.0), _in_plane((1.0, 0.0, 0.0), 52.0), _FOUR_NORMAL, _FOUR),
+    ("A4C", (-9.0, -1.5, 20.0), _in_plane((1.0, 0.0, 0.0), 5.0), _FOUR_NORMAL, _FOUR),
+    ("SC", (-10.0, -1.5, 22.0), _in_plane((1.0, 0.0, 0.0), 46.0), _FOUR_NORMAL, _FOUR[2:] + (("LV", 1.5),)),
     ("PL", _along(2.0, 0.0, 8.0), _in_plane((-S[0], -S[1], 0.0), 68.0), T,
      (("LV", 1.0), ("anteroseptum", 1.0), ("posterior wall", 1.0), ("aortic root", 1.5),
-      ("aortic outflow", 1.0), ("LA below root", 1.0), ("RVOT", 0.5))),
+      ("aortic outflow", 1.0), ("LA below root", 1.0), ("RV outflow", 0.5))),
     ("PSAV", _along(14.0, 0.0, -16.0), (0.6, -0.8, 0.0), W,
      (("aortic root", 2.0), ("RVOT", 1.0), ("pulmonary trunk", 1.0), ("LA below root", 1.0),
       ("RA beside root", 1.0))),

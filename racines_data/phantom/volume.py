@@ -43,6 +43,8 @@ def bake(anatomy: Anatomy, block: BlockConfig) -> Volume:
 
     gradient = _gradient(_blur(impedance, 0.8))
     scatter = _scatterers(inner, block.seed)
+    texture = torch.tensor([t.texture for t in anatomy.tissues])[tissue]
+    echogenicity = echogenicity + texture * _slow_field(inner, block.seed)
     amplitude = 10.0 ** (_blur(echogenicity, 0.6) / 20.0)
     shape = (inner[0] + 2, inner[1] + 2, inner[2] + 2)
     packed = torch.zeros((*shape, 8), dtype=torch.uint8)
@@ -58,16 +60,33 @@ def bake(anatomy: Anatomy, block: BlockConfig) -> Volume:
 
 
 def _tissue_grid(anatomy: Anatomy, low: Tensor, shape: list[int], voxel: float) -> Tensor:
-    axes = torch.tensor(anatomy.axes)
-    origin = torch.tensor(anatomy.origin)
-    y = low[1] + (torch.arange(shape[1]) + 0.5) * voxel
-    z = low[2] + (torch.arange(shape[2]) + 0.5) * voxel
-    slabs = []
-    for i in range(shape[0]):  # a slab at a time bounds the memory of the distance fields
-        x = (low[0] + (i + 0.5) * voxel).expand(shape[1], shape[2])
-        points = torch.stack([x, *torch.meshgrid(y, z, indexing="ij")], -1).reshape(-1, 3)
-        slabs.append(anatomy.paint((points - origin) @ axes.T).reshape(shape[1], shape[2]))
-    return torch.stack(slabs)
+    """Paint (X, Y, Z) tissue indices: every second voxel, then those near a change of tissue.
+
+    A layer thinner than two voxels shows only where it lies beside another change.
+    """
+    coarse_shape = [(n + 1) // 2 for n in shape]
+    index = [torch.arange(n) * 2.0 for n in coarse_shape]
+    coarse = _paint(anatomy, low, voxel, torch.cartesian_prod(*index)).view(coarse_shape)
+    around = coarse.to(torch.float32).view(1, 1, *coarse_shape)
+    highest = functional.max_pool3d(around, 3, 1, 1)
+    lowest = -functional.max_pool3d(-around, 3, 1, 1)
+    tissue = _double(coarse, shape)
+    where = _double((highest != lowest).view(coarse_shape), shape).nonzero()
+    tissue[tuple(where.unbind(1))] = _paint(anatomy, low, voxel, where.to(torch.float32))
+    return tissue
+
+
+def _double(grid: Tensor, shape: list[int]) -> Tensor:
+    for axis in range(3):
+        grid = grid.repeat_interleave(2, axis)
+    return grid[: shape[0], : shape[1], : shape[2]].contiguous()
+
+
+def _paint(anatomy: Anatomy, low: Tensor, voxel: float, index: Tensor) -> Tensor:
+    """Paint (M, 3) voxels by index, a chunk at a time to bound memory."""
+    axes, origin = torch.tensor(anatomy.axes), torch.tensor(anatomy.origin)
+    chunks = (low + (part + 0.5) * voxel - origin for part in index.split(1 << 18))
+    return torch.cat([anatomy.paint(chunk @ axes.T) for chunk in chunks])
 
 
 def _scatterers(shape: list[int], seed: int) -> Tensor:
@@ -83,6 +102,14 @@ def _scatterers(shape: list[int], seed: int) -> Tensor:
     )
     field = _blur(noise.reshape(2, *shape), 0.8)
     return field / (field.std() * math.sqrt(2.0))
+
+
+def _slow_field(shape: list[int], seed: int) -> Tensor:
+    """Draw an (X, Y, Z) standard normal field that varies over about a centimetre."""
+    coarse = [max(2, n // 8) for n in shape]
+    noise = normal(sample_seeds(seed + 1, 1), math.prod(coarse)).view(1, 1, *coarse)
+    field = functional.interpolate(noise, shape, mode="trilinear", align_corners=True)[0, 0]
+    return field / field.std()
 
 
 def _blur(grid: Tensor, sigma: float) -> Tensor:
