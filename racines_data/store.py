@@ -128,8 +128,16 @@ class FrameStore:
         Raises:
             RacinesError: no such split.
         """
+        return torch.arange(*self.bounds(split))
+
+    def bounds(self, split: str) -> tuple[int, int]:
+        """Return the first and the past-the-last row of a split.
+
+        Raises:
+            RacinesError: no such split.
+        """
         start, stop = self._splits[check_split(split)]
-        return torch.arange(start, stop)
+        return start, stop
 
     def batches(
         self,

@@ -87,7 +87,7 @@ def write_dataset(
     }
     (final / CARD).write_text(write_card(manifest))
     manifest["files"] = _seal(final)
-    (final / MANIFEST).write_text(json.dumps(manifest, indent=1, sort_keys=True) + "\n")
+    (final / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
     return manifest
 
 
