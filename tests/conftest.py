@@ -1,0 +1,49 @@
+"""What all tests share: one thread a process, the command, and one tiny dataset for all of them."""
+
+import fcntl
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("HF_HUB_OFFLINE", "1")
+os.environ.setdefault("MPLBACKEND", "agg")
+
+ROOT = Path(__file__).resolve().parents[1]
+BIN = Path(sys.executable).parent
+TINY_FRAMES = 240
+
+
+def command(folder: Path, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
+    """Run a command in a folder with this environment's programs first; check its exit code."""
+    environment = os.environ | {"PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "200"}
+    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == code, f"{words}: {done.returncode}\n{done.stdout}\n{done.stderr}"
+    return done
+
+
+@pytest.fixture(scope="session")
+def tiny_root(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+    """A dataset of a few hundred phantom frames, built once for all test processes."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base if worker_id == "master" else base.parent) / "tiny"
+    folder.mkdir(exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "racines").exists():
+            size = ("--frames", str(TINY_FRAMES), "--workers", "1")
+            build = ("racines", "data", "build", "--profile", "smoke", *size)
+            command(folder, *build, "--out", "racines")
+    return folder / "racines"
+
+
+@pytest.fixture
+def workplace(tmp_path: Path, tiny_root: Path) -> Path:
+    """A folder that looks like the repository's root after the data stage, at a tiny size."""
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "racines").symlink_to(tiny_root)
+    (tmp_path / "racines").symlink_to("data/racines")
+    return tmp_path

@@ -1,0 +1,176 @@
+"""The pipeline's shape: what runs, in which order, and what a change makes run again.
+
+The stages run for real under DVC in a scratch repository, with a stand-in for `racines` that fills
+each stage's outputs with a digest of that stage's dependencies and parameters, in no time.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from racines_data.config import PROFILES
+from tests.conftest import ROOT
+
+STAND_IN = """#!{python}
+import hashlib, json, pathlib, sys
+command = " ".join(["racines", *sys.argv[1:]])
+stage = json.loads(pathlib.Path("stages.json").read_text())[command]
+with open("ran.txt", "a") as log:
+    log.write(stage["name"] + "\\n")
+digest = hashlib.sha256(json.dumps(stage["params"]).encode())
+for path in map(pathlib.Path, stage["deps"]):
+    files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
+    for file in files:
+        digest.update(file.read_bytes())
+for path in map(pathlib.Path, stage["outs"]):
+    if not path.suffix:
+        path.mkdir(parents=True, exist_ok=True)
+        path = path / "out.txt"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps({{"digest": digest.hexdigest()}}))
+"""
+
+
+def run(folder: Path, *command: str) -> str:
+    environment = os.environ | {
+        "PATH": os.pathsep.join(
+            [str(folder / "bin"), str(Path(sys.executable).parent), os.environ["PATH"]]
+        )
+    }
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def stages(folder: Path) -> dict[str, dict[str, Any]]:
+    """Return DVC's own reading of the pipeline: by command, what the stage reads and writes."""
+    from dvc.repo import Repo
+
+    found = {}
+    with Repo(str(folder)) as repo:
+        for stage in repo.index.stages:
+            deps = [d for d in stage.deps if type(d).__name__ != "ParamsDependency"]
+            params = [d for d in stage.deps if type(d).__name__ == "ParamsDependency"]
+            found[str(stage.cmd)] = {
+                "name": stage.name,
+                "deps": [str(dep.def_path) for dep in deps],
+                "outs": [str(out.def_path) for out in stage.outs],
+                "cached": [str(out.def_path) for out in stage.outs if out.use_cache],
+                "params": [dep.read_params() for dep in params],
+            }
+    return found
+
+
+@pytest.fixture
+def pipeline(tmp_path: Path) -> Path:
+    """A scratch repository with the pipeline, the code it depends on, and the stand-in."""
+    for name in ("dvc.yaml", "params.yaml", ".dvcignore"):
+        shutil.copy(ROOT / name, tmp_path / name)
+    for name in ("racines_data", "models/racines_models", "envs/racines_envs"):
+        skip = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / name, tmp_path / name, ignore=skip)
+    shutil.copytree(
+        ROOT / "leaderboard",
+        tmp_path / "leaderboard",
+        ignore=shutil.ignore_patterns("__pycache__", "results"),
+    )
+    run(tmp_path, "git", "init", "-q")
+    run(tmp_path, "dvc", "init", "-q")
+    shutil.copy(ROOT / ".dvc/config", tmp_path / ".dvc/config")
+    (tmp_path / "bin").mkdir()
+    stand_in = tmp_path / "bin" / "racines"
+    stand_in.write_text(STAND_IN.format(python=sys.executable))
+    stand_in.chmod(0o755)
+    return tmp_path
+
+
+def repro(folder: Path) -> list[str]:
+    """Run the pipeline; return the stages that ran, in order."""
+    log = folder / "ran.txt"
+    log.unlink(missing_ok=True)
+    (folder / "stages.json").write_text(json.dumps(stages(folder)))
+    run(folder, "dvc", "repro", "-q")
+    return log.read_text().split() if log.exists() else []
+
+
+def change(folder: Path, path: str, value: object) -> None:
+    params = yaml.safe_load((folder / "params.yaml").read_text())
+    node = params
+    *parents, last = path.split(".")
+    for key in parents:
+        node = node[key]
+    assert node.get(last) != value
+    node[last] = value
+    (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
+
+
+@pytest.mark.slow
+def test_a_change_runs_again_what_follows_from_it_and_nothing_else(pipeline: Path):
+    everything = repro(pipeline)
+    assert everything[0] == "data" and everything[-1] == "leaderboard"
+    assert set(everything) == {stage["name"] for stage in stages(pipeline).values()}
+    assert repro(pipeline) == [], "a second repro does nothing"
+
+    change(pipeline, "generators.vae-gan.learning_rate", 0.5)
+    assert repro(pipeline) == ["generators@vae-gan", "scores@vae-gan", "leaderboard"]
+
+    change(pipeline, "agents.ppo.actor_rate", 0.5)
+    assert repro(pipeline) == ["agents@ppo", "evaluate@ppo", "leaderboard"]
+
+    (pipeline / "racines_data" / "README.md").write_text("words")
+    assert repro(pipeline) == [], "documentation is no dependency"
+
+    shutil.rmtree(pipeline / "data" / "racines")
+    assert repro(pipeline) == [], "what the cache holds is taken from there"
+
+
+def test_params_yaml_is_the_default_profile():
+    profile = ROOT / "racines_data" / "profiles" / "default.yaml"
+    assert (ROOT / "params.yaml").read_bytes() == profile.read_bytes()
+
+
+def test_profiles_have_the_same_sections():
+    contents = {
+        name: yaml.safe_load((ROOT / "racines_data" / "profiles" / f"{name}.yaml").read_text())
+        for name in PROFILES
+    }
+    default = contents["default"]
+    for name, content in contents.items():
+        assert content["board"] == f"phantom-{name}"
+        assert list(content) == list(default)
+        for section in ("generators", "agents"):
+            assert list(content[section]) == list(default[section])
+
+
+def test_every_stage_is_a_plain_command_of_ours():
+    pipeline = yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"]
+    for name, stage in pipeline.items():
+        command = stage.get("do", stage)["cmd"]
+        assert command.startswith("racines ") and "dvc" not in command, name
+    assert list(pipeline) == [
+        "data",
+        "grader",
+        "generators",
+        "scores",
+        "agents",
+        "evaluate",
+        "realism",
+        "leaderboard",
+    ]
+
+
+def test_what_dvc_caches_is_ignored_by_git():
+    """DVC writes .gitignore lines for what it caches; they are committed, so repro adds none."""
+    cached = [out for stage in stages(ROOT).values() for out in stage["cached"]]
+    assert "data/racines" in cached and "models/runs/vae-gan" in cached
+    done = subprocess.run(
+        ["git", "check-ignore", *cached], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.stdout.split() == cached
