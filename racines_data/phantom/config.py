@@ -10,9 +10,9 @@ PHANTOM_VERSION = "0.1.0"
 class BlockConfig:
     """The gel block, axis-aligned in the robot base frame."""
 
-    minimum: tuple[float, float, float] = (0.400, -0.070, -0.075)
-    maximum: tuple[float, float, float] = (0.580, 0.080, 0.065)
-    """The top face is the scanned surface; 18 x 15 x 14 cm."""
+    minimum: tuple[float, float, float] = (0.400, -0.066, -0.075)
+    maximum: tuple[float, float, float] = (0.580, 0.086, 0.065)
+    """The top face is the scanned surface; 18 x 15.2 x 14 cm."""
     voxel: float = 0.001
     """Edge of a voxel of the baked volume, m."""
     seed: int = 0
@@ -56,17 +56,17 @@ class ProbeConfig:
 class ContactConfig:
     """Contact of the probe with the gel, and what the wrist sensor feels of it."""
 
-    stiffness: float = 1450.0
+    stiffness: float = 1600.0
     """Normal stiffness, N/m."""
     hardening: float = 90_000.0
     """Second-order stiffness, N/m²."""
-    friction: float = 0.45
+    friction: float = 0.75
     """Coulomb friction coefficient of the gelled probe."""
     slip_speed: float = 0.004
     """Speed at which friction saturates, m/s."""
     lever: float = 0.19
     """From the wrist sensor to the probe's tip, m."""
-    torsion: float = 0.035
+    torsion: float = 0.043
     """Friction torque about the beam axis, N·m a newton of normal force."""
     spin_speed: float = 0.05
     """Yaw rate at which torsion saturates, rad/s."""

@@ -37,9 +37,9 @@ W = (0.0, 0.0, 1.0)
 # Up in the organ frame: apex, anterior and right side face the scanned surface, so that the
 # apical, subcostal and parasternal windows all lie on one flat top.
 DOWN = (0.45, -0.60, -0.66)
-HEADING = 3.80
+HEADING = 3.95
 """Rotation of the heart about the vertical, rad."""
-ORIGIN = (0.4626, -0.0070, 0.0)
+ORIGIN = (0.4690, -0.0040, 0.0)
 """x and y of the heart's reference point in the base frame, m; z comes from APEX_DEPTH."""
 REFERENCE = (0.0, 0.0, 35.0)
 """The reference point: the middle of the LV, organ frame, mm."""
@@ -192,7 +192,8 @@ _FOUR_NORMAL = (0.0, -1.0, 0.05)
 _VIEWS = (
     # name, focus mm, beam, normal, structures
     ("A4C", (-9.0, -1.5, 20.0), _in_plane((1.0, 0.0, 0.0), 5.0), _FOUR_NORMAL, _FOUR),
-    ("SC", (-10.0, -1.5, 22.0), _in_plane((1.0, 0.0, 0.0), 46.0), _FOUR_NORMAL, _FOUR[2:] + (("LV", 1.5),)),
+    ("SC", (-10.0, -1.5, 22.0), _in_plane((1.0, 0.0, 0.0), 46.0), _FOUR_NORMAL,
+     (("LV", 1.5), *_FOUR[2:])),
     ("PL", _along(2.0, 0.0, 8.0), _in_plane((-S[0], -S[1], 0.0), 68.0), T,
      (("LV", 1.0), ("anteroseptum", 1.0), ("posterior wall", 1.0), ("aortic root", 1.5),
       ("aortic outflow", 1.0), ("LA below root", 1.0), ("RV outflow", 0.5))),

@@ -1,0 +1,239 @@
+"""Sweeps as a robot steered by a joystick makes them, one trajectory at a time.
+
+    height ──╮                                          ╭── leave
+             ╰─ touch ─── overshoot ─ correct ─ dwell ──╯
+             approach      search       the view is held
+
+A path is a chain of way-points joined by minimum-jerk moves (Flash & Hogan 1985), with tremor of
+the hand on top. Coordinates are x, y, z and the Euler angles with rotation_x measured from straight
+down, in which the probe's leaning and turning are nearly independent.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from racines_data.geometry import Pose, euler_to_matrix, matrix_to_euler
+from racines_data.phantom.config import PhantomConfig
+from racines_data.phantom.model import Phantom
+from racines_data.randomness import derive, normal, sample_seeds, uniform
+from racines_data.views import RANDOM, VIEWS
+
+
+@dataclass(frozen=True)
+class AcquisitionConfig:
+    """How the phantom is scanned."""
+
+    frames: int = 6000
+    """Frames in all; the paper has 144,668."""
+    seed: int = 0
+    sessions: int = 3
+    """Recording sessions; each has its operator: speed, tremor and pressure differ."""
+    shortest: int = 90
+    longest: int = 150
+    """Frames of a trajectory."""
+    rate: float = 25.0
+    """Frames a second."""
+    random_share: float = 0.16
+    """Share of trajectories that scan at random (CACTUS: 6,021 of 37,736 images)."""
+    tremor: float = 0.0004
+    """Tremor of the hand, m (and the same number of degrees a millimetre)."""
+    pose_noise: float = 0.00005
+    """Noise of the measured position, m, and a tenth of it a millimetre in rad."""
+    force_noise: float = 0.15
+    """Noise of the force sensor, N; a tenth of it in N·m for torque."""
+    phantom: PhantomConfig = field(default_factory=PhantomConfig)
+
+
+class Sweep(NamedTuple):
+    """One trajectory of T poses."""
+
+    pose: Pose
+    """Where the probe truly is."""
+    velocity: Tensor
+    """(T, 6) true velocity, m/s and rad/s, base frame."""
+    control: Tensor
+    """(T, 6) commanded velocity, without the tremor."""
+    times: Tensor
+    """(T,) float64 seconds."""
+
+
+HOME = (0.4886, 0.0400, 0.0, 0.0, 0.05, 1.75)
+"""Where an operator starts: x, y, then (unused) z, leaning and turning of the probe."""
+DWELL = 0.62
+"""Share of a trajectory's frames in which the view is held."""
+
+
+def plan_lengths(config: AcquisitionConfig) -> list[int]:
+    """Draw trajectory lengths that add up to `frames`."""
+    span = config.longest - config.shortest + 1
+    count = max(1, round(config.frames / ((config.longest + config.shortest) / 2)))
+    drawn = uniform(sample_seeds(config.seed, 1), count, stream=1)[0]
+    lengths = (config.shortest + (drawn * span).long()).tolist()
+    # Spread what is missing or too much evenly, so that no trajectory becomes odd.
+    excess = config.frames - sum(lengths)
+    for i in range(count):
+        share = (excess * (i + 1)) // count - (excess * i) // count
+        lengths[i] = max(2, lengths[i] + share)
+    lengths[-1] += config.frames - sum(lengths)
+    return lengths
+
+
+def plan_targets(count: int, config: AcquisitionConfig) -> list[str]:
+    """Return the target of each trajectory: views in turn, random scans evenly between them."""
+    targets, done, views = [], 0, 0
+    for i in range(count):
+        if math.floor((i + 1) * config.random_share + 0.5) > done:
+            targets.append(RANDOM)
+            done += 1
+        else:
+            targets.append(VIEWS[views % len(VIEWS)])
+            views += 1
+    return targets
+
+
+def make_sweep(
+    phantom: Phantom,
+    config: AcquisitionConfig,
+    target: str,
+    session: int,
+    length: int,
+    seed: Tensor,
+) -> Sweep:
+    """Draw one sweep of `length` frames from a (1,) seed."""
+    draw = _Draw(seed)
+    if target == RANDOM:
+        points, shares = _random_points(phantom, draw)
+    else:
+        points, shares = _view_points(phantom, target, draw)
+    points[:, 2] -= 0.0008 * (session % 3 - 1)  # sessions press harder or softer
+    smooth = _limit(_minimum_jerk(points, shares, length), phantom)
+    shaky = smooth + _tremor(length, config, draw) * (0.8 + 0.25 * (session % 3))
+    shaky = _limit(shaky, phantom)
+    times = torch.arange(length, dtype=torch.float64) / config.rate
+    return Sweep(_pose(shaky), _velocity(shaky, config), _velocity(smooth, config), times)
+
+
+class _Draw:
+    """A stream of draws from one seed."""
+
+    def __init__(self, seed: Tensor):
+        self._seed, self._stream = seed, 100
+
+    def uniform(self, *shape: int) -> Tensor:
+        self._stream += 1
+        return uniform(self._seed, math.prod(shape), self._stream).view(shape)
+
+    def normal(self, *shape: int) -> Tensor:
+        self._stream += 1
+        return normal(self._seed, math.prod(shape), self._stream).view(shape)
+
+
+def coordinates(pose: Pose) -> Tensor:
+    """Return (B, 6): position, and Euler angles with rotation_x measured from straight down."""
+    angles = matrix_to_euler(pose.rotation)
+    lean = torch.remainder(angles[:, :1], 2 * math.pi) - math.pi
+    return torch.cat([pose.position, lean, angles[:, 1:]], -1)
+
+
+def _pose(path: Tensor) -> Pose:
+    angles = path[:, 3:] + path.new_tensor([math.pi, 0.0, 0.0])
+    return Pose(path[:, :3].contiguous(), euler_to_matrix(angles))
+
+
+_SPREAD = torch.tensor([1.0, 1.0, 0.15, 1.0, 1.0, 1.0])
+_DEGREES_A_MILLIMETRE = math.radians(1.0) / 0.001
+
+
+def _around(point: Tensor, millimetres: float, draw: _Draw, count: int = 1) -> Tensor:
+    """Scatter points by some millimetres in position and as many degrees in angle."""
+    scale = _SPREAD * millimetres * 1e-3
+    scale = torch.cat([scale[:3], scale[3:] * _DEGREES_A_MILLIMETRE])
+    return point + draw.normal(count, 6) * scale
+
+
+def _view_points(phantom: Phantom, view: str, draw: _Draw) -> tuple[Tensor, Tensor]:
+    """Return way-points (P, 6) of a sweep to a view, and the share of time of each move."""
+    target = coordinates(phantom.target(view))[0].cpu()
+    home = target.new_tensor(HOME)
+    home[2] = target[2]
+    start = torch.lerp(target, home, 0.25 + 0.6 * draw.uniform(1)[0])
+    touch = _around(start, 7.0, draw)
+    above = touch.clone()
+    above[:, 2] = phantom.surface_height + 0.008 + 0.06 * draw.uniform(1)
+    overshoot = _around(target + 0.18 * (target - start), 5.0, draw)
+    holds = _around(target, 1.7, draw, 5)
+    holds[0] = _around(target, 3.5, draw)[0]
+    leave = _around(holds[-1:], 8.0, draw)
+    leave[:, 2] = phantom.surface_height + 0.012 * draw.uniform(1)
+    points = torch.cat([above, touch, overshoot, holds, leave])
+    shares = torch.tensor([0.10, 0.13, 0.08, *[DWELL / 5] * 4, DWELL / 5, 0.07])
+    return points, shares[: len(points) - 1] * (0.7 + 0.6 * draw.uniform(len(points) - 1))
+
+
+def _random_points(phantom: Phantom, draw: _Draw) -> tuple[Tensor, Tensor]:
+    """Return way-points of a wandering scan over the whole surface."""
+    count = 7
+    spread = torch.tensor([0.036, 0.016, 0.0022, 0.26, 0.20, 0.70])
+    centre = torch.tensor([HOME[0], HOME[1], phantom.surface_height - 0.006, 0.0, 0.0, 0.9])
+    points = centre + draw.normal(count, 6) * spread
+    points[0, 2] = points[-1, 2] = phantom.surface_height + 0.006
+    return points, 0.5 + draw.uniform(count - 1)
+
+
+def _minimum_jerk(points: Tensor, shares: Tensor, length: int) -> Tensor:
+    """Join (P, 6) way-points by minimum-jerk moves into a (length, 6) path."""
+    ends = torch.cat([shares.new_zeros(1), shares.cumsum(0) / shares.sum()])
+    time = torch.linspace(0.0, 1.0, length)
+    leg = torch.searchsorted(ends, time, right=True).sub(1).clamp(0, len(shares) - 1)
+    phase = ((time - ends[leg]) / (ends[leg + 1] - ends[leg])).clamp(0.0, 1.0)
+    blend = phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2)
+    return torch.lerp(points[leg], points[leg + 1], blend.unsqueeze(-1))
+
+
+def _tremor(length: int, config: AcquisitionConfig, draw: _Draw) -> Tensor:
+    """Draw (length, 6) of smooth noise: white noise averaged over a third of a second."""
+    width = max(1, round(config.rate / 3))
+    white = draw.normal(length + width - 1, 6)
+    smooth = white.unfold(0, width, 1).mean(-1) * math.sqrt(width)
+    scale = torch.full((6,), config.tremor)
+    scale[3:] *= _DEGREES_A_MILLIMETRE
+    scale[2] *= 0.4
+    return smooth * scale
+
+
+def _limit(path: Tensor, phantom: Phantom) -> Tensor:
+    """Hold a path within the workspace, as the robot's safety limits do."""
+    space = phantom.workspace
+    position = torch.clamp(path[:, :3], space.position_min.cpu(), space.position_max.cpu())
+    lean = path[:, 3:5]
+    size = lean.norm(dim=-1, keepdim=True)
+    lean = lean * (0.98 * space.tilt_max / size.clamp_min(1e-6)).clamp_max(1.0)
+    yaw = path[:, 5:].clamp(-0.98 * space.yaw_max, 0.98 * space.yaw_max)
+    return torch.cat([position, lean, yaw], -1)
+
+
+def _velocity(path: Tensor, config: AcquisitionConfig) -> Tensor:
+    """Differentiate a (T, 6) path; angular part as the base-frame rotation rate."""
+    rate = torch.gradient(path, dim=0)[0] * config.rate
+    rotation = _pose(path).rotation
+    step = torch.gradient(rotation, dim=0)[0] * config.rate
+    skew = (step.unsqueeze(-2) * rotation.unsqueeze(-3)).sum(-1)  # dR Rᵀ
+    spin = torch.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], -1)
+    return torch.cat([rate[:, :3], spin], -1)
+
+
+def record(phantom: Phantom, config: AcquisitionConfig, sweep: Sweep, seed: Tensor) -> Tensor:
+    """Return (T, 12) measured parameters: the true ones with the sensors' noise."""
+    noise = normal(derive(seed, 7), len(sweep.times) * 12, 0).view(-1, 12).to(sweep.control)
+    wrench = phantom.wrench(sweep.pose, sweep.velocity)
+    force = wrench[:, :3] + config.force_noise * noise[:, :3]
+    torque = wrench[:, 3:] + 0.1 * config.force_noise * noise[:, 3:6]
+    position = sweep.pose.position + config.pose_noise * noise[:, 6:9]
+    tilt = 100.0 * config.pose_noise * 0.01 * noise[:, 9:]
+    angles = matrix_to_euler(sweep.pose.rotation) + tilt
+    angles = torch.remainder(angles + math.pi, 2 * math.pi) - math.pi
+    return torch.cat([force, torque, position, angles], -1)

@@ -1,0 +1,107 @@
+"""The embedded source: sweeps over the simulated block, images and truth from the phantom."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from racines_data.config import fill
+from racines_data.errors import RacinesError
+from racines_data.phantom.acquisition import (
+    AcquisitionConfig,
+    make_sweep,
+    plan_lengths,
+    plan_targets,
+    record,
+)
+from racines_data.phantom.config import PHANTOM_VERSION
+from racines_data.phantom.model import Phantom, shared_phantom
+from racines_data.randomness import derive, sample_seeds
+from racines_data.schema import Trajectory
+from racines_data.sources import Finding, Unit
+
+
+@dataclass(frozen=True)
+class PhantomUnit(Unit):
+    """A planned sweep."""
+
+    index: int = 0
+
+
+class PhantomSource:
+    """Acquires trajectories from the phantom; every one depends on its index and the seed alone."""
+
+    name = "phantom"
+    version = "0.1.0"
+    Config = AcquisitionConfig
+
+    def __init__(self, config: AcquisitionConfig):
+        self.config = config
+        self.report: list[Finding] = []
+
+    @classmethod
+    def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> Self:
+        """Make the source; it reads no input files.
+
+        Raises:
+            RacinesError: unknown settings, impossible numbers, or input files given.
+        """
+        if inputs:
+            raise RacinesError("the phantom reads no --input: drop it, or name another --source")
+        settings = fill(AcquisitionConfig, config, "data.phantom")
+        if settings.frames < 2 or settings.shortest < 2 or settings.longest < settings.shortest:
+            raise RacinesError(
+                "data.phantom: frames and shortest must be at least 2 and longest no less than "
+                f"shortest; got {settings.frames}, {settings.shortest}, {settings.longest}"
+            )
+        return cls(settings)
+
+    def recipe(self) -> dict[str, Any]:
+        """Return what decides the bytes: the phantom's version and all settings."""
+        return {"phantom": PHANTOM_VERSION, "acquisition": dataclasses.asdict(self.config)}
+
+    def plan(self) -> Sequence[PhantomUnit]:
+        """Return the sweeps in order, sessions in turn."""
+        lengths = plan_lengths(self.config)
+        targets = plan_targets(len(lengths), self.config)
+        return [
+            PhantomUnit(
+                id=f"{i:05d}-{target.lower()}",
+                session=f"session-{self._session(i, len(lengths)) + 1}",
+                target_view=target,
+                frames=length,
+                index=i,
+            )
+            for i, (length, target) in enumerate(zip(lengths, targets, strict=True))
+        ]
+
+    def produce(self, unit: Unit) -> Trajectory:
+        """Acquire one sweep."""
+        assert isinstance(unit, PhantomUnit)
+        phantom = self._phantom
+        seed = derive(sample_seeds(self.config.seed, 1), unit.index, 1)
+        session = int(unit.session.rpartition("-")[2]) - 1
+        sweep = make_sweep(phantom, self.config, unit.target_view, session, unit.frames, seed)
+        frames = sample_seeds(int(derive(seed, 3)), unit.frames)
+        truth = phantom.judge(sweep.pose)
+        return Trajectory(
+            id=unit.id,
+            session=unit.session,
+            target_view=unit.target_view,
+            images=phantom.render(sweep.pose, frames).numpy(),
+            parameters=record(phantom, self.config, sweep, seed).numpy(),
+            timestamps=sweep.times.numpy(),
+            controls=sweep.control.numpy(),
+            views=truth.view.numpy(),
+            grades=truth.grade.numpy().astype(np.float32),
+        )
+
+    def _session(self, index: int, count: int) -> int:
+        return min(index * self.config.sessions // count, self.config.sessions - 1)
+
+    @property
+    def _phantom(self) -> Phantom:
+        return shared_phantom(self.config.phantom)
