@@ -1,5 +1,6 @@
 """The `racines` command, put together from the commands of the four packages."""
 
+import os
 import sys
 from importlib.metadata import version
 from typing import Annotated
@@ -22,7 +23,7 @@ app = typer.Typer(
 train = typer.Typer(help="Train a grader, a generator or an agent.", no_args_is_help=True)
 evaluate = typer.Typer(help="Score a generator or an agent.", no_args_is_help=True)
 
-app.add_typer(racines_data.cli.app, name="data")
+app.add_typer(racines_data.cli.data, name="data")
 app.add_typer(train, name="train")
 app.add_typer(evaluate, name="eval")
 racines_models.cli.register(train, evaluate)
@@ -44,6 +45,8 @@ def root(
 
 def main() -> None:
     """Run the command; a refused input is one line on stderr and exit code 1."""
+    # A plug-in named module:Class may stand in the current folder; last, so that it hides nothing.
+    sys.path.append(os.getcwd())
     try:
         app()
     except RacinesError as error:

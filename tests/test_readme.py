@@ -1,0 +1,48 @@
+"""What the README says is run: each Python block, then each bash block, on a tiny dataset."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from racines_leaderboard.pages import with_tables
+from tests.conftest import ROOT, command
+from tests.documents import blocks
+
+README = ROOT / "README.md"
+
+
+@pytest.mark.slow
+def test_the_code_blocks_run_in_order(workplace: Path):
+    ran = 0
+    for block in blocks(README):
+        if block.language == "python" and block.text.startswith("# "):
+            (workplace / block.text.split()[1]).write_text(block.text)
+        elif block.language == "python":
+            command(workplace, "python", "-c", block.text)
+        elif block.language == "bash":
+            command(workplace, "bash", "-euc", block.text)
+        else:
+            continue
+        ran += 1
+    assert ran >= 4
+    scores = workplace / "models" / "runs" / "scores" / "median-image.json"
+    assert scores.exists() and list((workplace / "leaderboard").rglob("median-image.json"))
+
+
+def test_the_links_hold():
+    for target in re.findall(r"\]\(([^)#:]+)\)", README.read_text()):
+        assert (ROOT / target).exists(), target
+
+
+def test_the_figures_are_those_of_the_committed_results():
+    """Only where neither has been touched: a run of one's own may differ in the last digits."""
+    paths = ("README.md", "leaderboard/results")
+    clean = subprocess.run(["git", "diff", "--quiet", "HEAD", "--", *paths], cwd=ROOT).returncode
+    results = ROOT / "leaderboard" / "results"
+    text = README.read_text()
+    if clean == 0:
+        assert with_tables(text, results, "README.md") == text
+    else:
+        assert "<!-- leaderboard phantom-default" in text

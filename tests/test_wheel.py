@@ -1,0 +1,76 @@
+"""The wheel, installed where no repository is: the command, a load, an environment step.
+
+The clean environment gets our wheel and nothing else from pip; the libraries that it needs come
+from the environment that runs the tests, by a .pth file. That leaves out pip's download of
+gigabytes and nothing of ours: the test checks that every package comes from the wheel.
+"""
+
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import ROOT
+
+CHECK = """
+import pathlib, sys
+import racines_data, racines_models, racines_envs, racines_leaderboard
+for package in (racines_data, racines_models, racines_envs, racines_leaderboard):
+    assert pathlib.Path(package.__file__).is_relative_to(sys.prefix), package.__file__
+frames = racines_data.load(root=sys.argv[1], split="train")
+assert frames[0]["image"].size == (128, 128)
+import gymnasium
+env = gymnasium.make("racines_envs:racines/SC-v0", observation="image", reward="oracle")
+observation, info = env.reset(seed=0)
+observation, *_ = env.step(env.action_space.sample())
+assert observation.shape[-2:] == (128, 128), observation.shape
+print("fine")
+"""
+
+
+def run(folder: Path, *words: str | Path) -> str:
+    done = subprocess.run(list(map(str, words)), cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    build = ("pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", folder)
+    run(folder, sys.executable, "-m", *build, ROOT)
+    return next(folder.glob("racines-*.whl"))
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_the_packages_and_their_data_and_nothing_else(wheel: Path):
+    names = zipfile.ZipFile(wheel).namelist()
+    tops = {name.split("/")[0] for name in names if ".dist-info" not in name}
+    assert tops == {"racines_data", "racines_models", "racines_envs", "racines_leaderboard"}
+    for name in (
+        "racines_data/profiles/smoke.yaml",
+        "racines_data/py.typed",
+        "racines_leaderboard/schemas/record.json",
+        "racines_leaderboard/published.json",
+    ):
+        assert name in names
+
+
+@pytest.mark.slow
+def test_the_installed_wheel_works_outside_the_repository(
+    wheel: Path, tmp_path: Path, tiny_root: Path
+):
+    venv.create(tmp_path / "env", with_pip=False)
+    python = tmp_path / "env" / "bin" / "python"
+    install = ("install", "-q", "--no-deps", "--no-index")
+    run(tmp_path, sys.executable, "-m", "pip", "--python", python, *install, wheel)
+    # Only now, or pip would take the outer environment's racines for one to replace. A .pth file
+    # in a folder that a .pth file adds is not read, so the editable install stays out.
+    site = run(tmp_path, python, "-c", "import site; print(site.getsitepackages()[0])").strip()
+    Path(site, "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    assert "Usage: racines" in run(tmp_path, tmp_path / "env/bin/racines", "--help")
+    assert run(tmp_path, python, "-c", CHECK, tiny_root).endswith("fine\n")
