@@ -119,11 +119,13 @@ def _print_validation(result: "Validation") -> None:
     for check in result.checks:
         mark = "[green]ok[/]" if check.ok else "[red]BROKEN[/]"
         console.print(f"{mark}  {check.name}: {check.detail}", soft_wrap=True, highlight=False)
-    paper = has_paper(result.manifest)
+    paper = PAPER_STATISTICS if has_paper(result.manifest) else {}
     kinds = ("minimum", "maximum", "mean", "std")
-    table = Table("parameter", *kinds, *(f"paper {kind}" for kind in kinds if paper))
+    table = Table("parameter", *kinds)
     for name, values in result.statistics.items():
-        shown = [values, *([PAPER_STATISTICS[name]] if paper else [])]
-        table.add_row(name, *(f"{getattr(v, kind):.4f}" for v in shown for kind in kinds))
+        table.add_row(name, *(f"{getattr(values, kind):.4f}" for kind in kinds))
+        if name in paper:
+            reference = (f"{getattr(paper[name], kind):.4f}" for kind in kinds)
+            table.add_row("  paper, real", *reference, style="dim")
     if result.statistics:
         console.print(table)
