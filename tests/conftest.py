@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
@@ -14,7 +15,17 @@ os.environ.setdefault("MPLBACKEND", "agg")
 
 ROOT = Path(__file__).resolve().parents[1]
 BIN = Path(sys.executable).parent
-TINY_FRAMES = 240
+TINY = {
+    "board": "tiny",
+    "seed": 0,
+    "data": {"frames": 240, "workers": 1, "phantom": {"shortest": 10, "longest": 20}},
+    "grader": {"view_stage": {"epochs": 1}, "grade_stage": {"epochs": 1}},
+    "generators": {"vae-gan": {"width": 4, "training": {"images": 128, "batch_size": 8}}},
+    "scores": {},
+    "agents": {"ppo": {"frames": 8192}},
+    "evaluation": {"starts": 4},
+}
+"""Settings with which every command ends within seconds; its figures mean nothing."""
 
 
 def command(folder: Path, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
@@ -34,9 +45,8 @@ def tiny_root(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
     with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not (folder / "racines").exists():
-            size = ("--frames", str(TINY_FRAMES), "--workers", "1")
-            build = ("racines", "data", "build", "--profile", "smoke", *size)
-            command(folder, *build, "--out", "racines")
+            (folder / "params.yaml").write_text(yaml.safe_dump(TINY))
+            command(folder, "racines", "data", "build", "--out", "racines")
     return folder / "racines"
 
 
@@ -46,4 +56,5 @@ def workplace(tmp_path: Path, tiny_root: Path) -> Path:
     (tmp_path / "data").mkdir()
     (tmp_path / "data" / "racines").symlink_to(tiny_root)
     (tmp_path / "racines").symlink_to("data/racines")
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(TINY))
     return tmp_path

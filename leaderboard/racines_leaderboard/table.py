@@ -104,15 +104,20 @@ def _table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     for ranked in ranking:
         usual = _usual_n(ranked.record, columns)
         cells = [cell(ranked.record, column, usual) for column in columns]
-        rows.append(
-            (str(ranked.place), ranked.record["name"], *cells, f"{usual:,}", ranked.record["tier"])
-        )
-    head = ("#", "System", *(column.title for column in columns), "n", "Tier")
+        system = (str(ranked.place), ranked.record["name"], *_sees(track, ranked.record))
+        rows.append((*system, *cells, f"{usual:,}", ranked.record["tier"]))
+    sees = ("Sees",) if track.name == "agents" else ()
+    head = ("#", "System", *sees, *(column.title for column in columns), "n", "Tier")
     notes = (
         track.rule,
         f"In brackets: 95 % intervals. n: {track.counted}. {_basis(ranking)}",
     )
     return Table(title, head, tuple(rows), notes)
+
+
+def _sees(track: Track, record: Record) -> tuple[str, ...]:
+    """Return what an agent observes; a generator observes nothing."""
+    return (record["scores"]["task"]["observation"],) if track.name == "agents" else ()
 
 
 def _usual_n(record: Record, columns: list[Column]) -> int:

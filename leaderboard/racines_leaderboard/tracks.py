@@ -68,7 +68,7 @@ AGENTS = Track(
     subject="agent",
     columns=(
         Column("success_true", "True success", "higher", 1, 100.0, "%"),
-        Column("steps", "Steps", "lower", 1),
+        Column("steps", "Steps to success", "lower", 1),
         Column("final_grade", "Final grade", "higher", 2),
         Column("spl", "SPL", "higher"),
         Column("success_grader", "Grader's success", "none", 1, 100.0, "%"),

@@ -44,6 +44,7 @@ def test_tables_show_figures_intervals_n_and_the_papers_figures_apart(results):
     assert "phantom 1.0.0 (simulated), recipe abababababab" in text
     assert "0.4253" in markdown(tables[1]) and "0.4253" not in text
     assert "75.0 (65.0 – 85.0)" in markdown(tables[3])
+    assert tables[3].head[2] == "Sees" and tables[3].rows[0][2] == "image"
 
 
 def test_a_terminal_gets_every_cell(results):
