@@ -61,7 +61,7 @@ class Sweep(NamedTuple):
     """(T,) float64 seconds."""
 
 
-HOME = (0.4886, 0.0400, 0.0, 0.0, 0.05, 1.75)
+HOME = (0.4886, 0.0400, 0.0, 0.0, 0.05, 1.90)
 """Where an operator starts: x, y, then (unused) z, leaning and turning of the probe."""
 DWELL = 0.62
 """Share of a trajectory's frames in which the view is held."""

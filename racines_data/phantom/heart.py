@@ -37,9 +37,9 @@ W = (0.0, 0.0, 1.0)
 # Up in the organ frame: apex, anterior and right side face the scanned surface, so that the
 # apical, subcostal and parasternal windows all lie on one flat top.
 DOWN = (0.45, -0.60, -0.66)
-HEADING = 3.95
+HEADING = 3.88
 """Rotation of the heart about the vertical, rad."""
-ORIGIN = (0.4690, -0.0040, 0.0)
+ORIGIN = (0.4665, -0.0045, 0.0)
 """x and y of the heart's reference point in the base frame, m; z comes from APEX_DEPTH."""
 REFERENCE = (0.0, 0.0, 35.0)
 """The reference point: the middle of the LV, organ frame, mm."""

@@ -1,0 +1,25 @@
+"""The commands `racines phantom …`. Heavy imports stand inside, so that --help is instant."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+phantom = typer.Typer(no_args_is_help=True, help="Look at the simulated phantom.")
+
+
+@phantom.command()
+def sheet(
+    out: Annotated[Path, typer.Option(help="PNG to write.")] = Path(
+        "docs/images/contact_sheet.png"
+    ),
+    anatomy: Annotated[str, typer.Option(help="Name of an anatomy.")] = "heart",
+    anatomy_seed: Annotated[int, typer.Option(help="0 is the canonical organ.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the poses and the noise.")] = 0,
+) -> None:
+    """Draw a contact sheet: every view at falling grades, and `Random` scans."""
+    from racines_data.phantom import Phantom, PhantomConfig
+    from racines_data.phantom.figures import contact_sheet
+
+    contact_sheet(Phantom(PhantomConfig(anatomy=anatomy, anatomy_seed=anatomy_seed)), out, seed)
+    typer.echo(f"wrote {out}")
