@@ -101,6 +101,7 @@ def build(
             else, or another build of it is running.
     """
     config = config or DataConfig()
+    out = out.resolve()  # a link to the dataset stays a link
     _check_out(out)
     if config.workers < 1 or config.shards < 1:
         raise RacinesError("data.workers and data.shards must be one or more")

@@ -92,6 +92,9 @@ def _print_build(out: Path, manifest: dict[str, Any], findings: list[dict[str, A
 @data.command()
 def validate(
     root: Annotated[Path | None, typer.Argument(help="Folder of the dataset.")] = None,
+    against: Annotated[
+        Path | None, typer.Option(help="Another build that should be the same version.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Check a dataset's files, digests, splits and ranges; exit 1 if anything is wrong."""
@@ -99,7 +102,7 @@ def validate(
     from racines_data.validate import to_json
     from racines_data.validate import validate as check
 
-    result = check(default_root(root))
+    result = check(default_root(root), against)
     if as_json:
         typer.echo(json.dumps(to_json(result)))
     else:

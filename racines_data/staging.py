@@ -19,6 +19,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 import pyarrow as pa
 import torch
@@ -47,12 +48,27 @@ def staging_folder(out: Path, source: Source, recipe_digest: str) -> Iterator[Pa
     folder = out.parent / f".{out.name}.staging-{key[:16]}"
     (folder / "units").mkdir(parents=True, exist_ok=True)
     with (folder / "lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise RacinesError(f"{out}: another build is running; wait for it") from error
+        if not _lock(lock):
+            raise RacinesError(f"{out}: another build of it is running; wait for it")
+        for other in set(out.parent.glob(f".{out.name}.staging-*")) - {folder}:
+            _remove_abandoned(other)
         yield folder
         shutil.rmtree(folder)
+
+
+def _lock(file: IO[str]) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _remove_abandoned(folder: Path) -> None:
+    # Left by a build of another recipe that was killed: nothing will ever go on from it.
+    with (folder / "lock").open("a") as lock:
+        if _lock(lock):
+            shutil.rmtree(folder)
 
 
 def _code_digest(source: Source) -> str:

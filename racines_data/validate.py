@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 
+from racines_data.canonical import same_version
 from racines_data.card import describe
 from racines_data.digest import content_digest, recipe_digest, sha256_file, trajectory_digest
 from racines_data.errors import RacinesError
@@ -50,8 +51,12 @@ class Validation:
         return all(check.ok for check in self.checks)
 
 
-def validate(root: Path) -> Validation:
+def validate(root: Path, against: Path | None = None) -> Validation:
     """Check a dataset, reading every byte of it.
+
+    Args:
+        root: Folder of the dataset.
+        against: Another build that should be the same version.
 
     Raises:
         RacinesError: there is no dataset.
@@ -66,12 +71,14 @@ def validate(root: Path) -> Validation:
         "splits": _check_splits,
         "store": _check_store,
     }
+    if against is not None:
+        checks["same version"] = lambda root, _: same_version(root, against)
     for name, check in checks.items():
         try:
             result.checks.append(Check(name, True, check(root, manifest)))
         except (RacinesError, pa.ArrowException, OSError, KeyError, ValueError) as error:
             result.checks.append(Check(name, False, f"{error}"))
-    if result.checks[-1].ok:
+    if next(check.ok for check in result.checks if check.name == "store"):
         result.statistics.update(parameter_statistics(FrameStore(root)))
     return result
 

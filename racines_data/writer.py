@@ -6,7 +6,7 @@ Rows are grouped by split and by whether they belong to the held-out session, so
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,15 +14,15 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from racines_data.canonical import write_canonical
 from racines_data.card import write_card
 from racines_data.digest import content_digest, recipe_digest, sha256_file
 from racines_data.load import CARD, MANIFEST
-from racines_data.schema import PARAMETERS, SPLITS, trajectory_features
+from racines_data.schema import SPLITS, trajectory_features
 from racines_data.sources import Finding, Source, Unit
 from racines_data.splits import divide_shards, held_out_session, shard_bounds
 from racines_data.staging import open_unit, unit_path
 from racines_data.store import STORE, write_store
-from racines_data.views import LABELS
 
 REPORT = "import_report.parquet"
 _ROW_GROUP = 256
@@ -83,7 +83,7 @@ def write_dataset(
         "counts": _counts(rows),
         "report": _report_counts(source.report),
         "configs": configs,
-        "canonical": _write_canonical(final, rows, order, folder),
+        "canonical": write_canonical(final, _tables(order, folder)),
     }
     (final / CARD).write_text(write_card(manifest))
     manifest["files"] = _seal(final)
@@ -197,6 +197,10 @@ def _write_trajectories(final: Path, rows: Sequence[dict[str, Any]]) -> dict[str
     return paths
 
 
+def _tables(order: Sequence[int], folder: Path) -> Iterator[pa.Table]:
+    return (open_unit(unit_path(folder, index))[0] for index in order)
+
+
 def _write_store(
     final: Path, groups: Sequence[_Group], rows: Sequence[dict[str, Any]], folder: Path
 ) -> None:
@@ -205,8 +209,7 @@ def _write_store(
         stop = start + sum(group.count for group in groups if group.split == split)
         bounds[split], start = (start, stop), stop
     order = [index for group in groups for index in group.members]
-    tables = (open_unit(unit_path(folder, index))[0] for index in order)
-    write_store(final / STORE, tables, rows, bounds)
+    write_store(final / STORE, _tables(order, folder), rows, bounds)
 
 
 def _write_report(path: Path, report: Sequence[Finding]) -> None:
@@ -231,22 +234,3 @@ def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         splits[split] = {"trajectories": len(frames), "frames": sum(frames)}
     total = sum(row["frames"] for row in rows)
     return {"frames": total, "trajectories": len(rows), "splits": splits, "sessions": sessions}
-
-
-def _write_canonical(
-    final: Path, rows: Sequence[dict[str, Any]], order: Sequence[int], folder: Path
-) -> list[dict[str, Any]]:
-    """Write the middle frame of the first trajectory of each target view, and its parameters."""
-    chosen = []
-    for view in LABELS:
-        place = next((i for i, row in enumerate(rows) if row["target_view"] == view), None)
-        if place is None:
-            continue
-        table, _ = open_unit(unit_path(folder, order[place]))
-        row = table.slice(len(table) // 2, 1).to_pylist()[0]
-        name = f"canonical/{view}.png"
-        (final / name).write_bytes(row["image"]["bytes"])
-        parameters = {key: row[key] for key in PARAMETERS}
-        keys = "trajectory", "frame", "target_view"
-        chosen.append({"file": name, **{key: row[key] for key in keys}, "parameters": parameters})
-    return chosen

@@ -128,6 +128,35 @@ def test_a_damaged_staged_unit_is_made_again(built: Path, tmp_path: Path):
     assert manifest["digest"] == read_manifest(built)["digest"]
 
 
+def test_what_another_recipe_left_is_removed(tmp_path: Path):
+    class Stops(FakeSource):
+        def produce(self, unit: Unit) -> Trajectory:
+            raise RacinesError("stopped")
+
+    with pytest.raises(RacinesError):
+        build(Stops(FakeConfig(seed=9)), tmp_path / "racines", DataConfig(workers=1))
+    assert len(list(tmp_path.glob(".racines.staging-*"))) == 1
+    build(FakeSource(FakeConfig()), tmp_path / "racines", DataConfig(workers=1))
+    assert [path.name for path in tmp_path.iterdir()] == ["racines"]
+
+
+def test_two_builds_at_once_are_refused(tmp_path: Path):
+    class Nested(FakeSource):
+        def produce(self, unit: Unit) -> Trajectory:
+            build(Nested(self.config), tmp_path / "racines", DataConfig(workers=1))
+            raise AssertionError("the second build was let in")
+
+    with pytest.raises(RacinesError, match="another build of it is running"):
+        build(Nested(FakeConfig()), tmp_path / "racines", DataConfig(workers=1))
+
+
+def test_a_link_to_the_dataset_stays_a_link(tmp_path: Path):
+    (tmp_path / "racines").symlink_to("data/racines")
+    build(FakeSource(FakeConfig()), tmp_path / "racines", DataConfig(workers=1))
+    assert (tmp_path / "racines").is_symlink()
+    assert read_manifest(tmp_path / "data" / "racines")["counts"]["frames"] == 200
+
+
 def test_a_failed_rebuild_leaves_the_old_dataset(tmp_path: Path):
     out = tmp_path / "racines"
     before = build(FakeSource(FakeConfig()), out, DataConfig(workers=1))

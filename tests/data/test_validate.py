@@ -2,16 +2,18 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from racines_data import RacinesError
 from racines_data.cli import data
 from racines_data.digest import sha256_file
 from racines_data.load import read_manifest
-from racines_data.validate import validate
+from racines_data.validate import Check, validate
 
 
 @pytest.fixture
@@ -96,6 +98,27 @@ def test_card_of_another_dataset(copy: Path):
     card.write_text(card.read_text().replace(read_manifest(copy)["digest"], "0" * 64))
     reseal(copy)
     assert "card" in broken(copy)
+
+
+def alter_canonical(root: Path, levels: int) -> None:
+    path = root / "canonical" / "SC.png"
+    image = np.asarray(Image.open(path)).astype(int)
+    image[5, 5] += levels if image[5, 5] < 128 else -levels
+    Image.fromarray(image.astype(np.uint8)).save(path)
+    reseal(root, digest="0" * 64)
+
+
+def test_the_same_version_on_another_processor(built: Path, copy: Path):
+    def verdict() -> Check:
+        return validate(built, against=copy).checks[-1]
+
+    assert verdict() == Check("same version", True, "equal, byte for byte")
+    alter_canonical(copy, 1)
+    assert verdict().ok and "by 1 gray level at most" in verdict().detail
+    alter_canonical(copy, 2)
+    assert not verdict().ok and "differ by" in verdict().detail
+    reseal(copy, recipe_digest="1" * 64)
+    assert not verdict().ok and "recipe_digest is" in verdict().detail
 
 
 def test_command(built: Path, copy: Path):
