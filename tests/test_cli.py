@@ -14,6 +14,7 @@ HELP = [
     ("data",),
     ("data", "build"),
     ("data", "validate"),
+    ("phantom", "sheet"),
     ("train",),
     ("train", "grader"),
     ("train", "generator"),

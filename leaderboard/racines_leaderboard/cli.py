@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 import racines_data.cli
+import racines_data.cli_phantom
 import racines_envs.cli
 import racines_models.cli
 from racines_data.errors import RacinesError
@@ -24,6 +25,7 @@ train = typer.Typer(help="Train a grader, a generator or an agent.", no_args_is_
 evaluate = typer.Typer(help="Score a generator or an agent.", no_args_is_help=True)
 
 app.add_typer(racines_data.cli.data, name="data")
+app.add_typer(racines_data.cli_phantom.phantom, name="phantom")
 app.add_typer(train, name="train")
 app.add_typer(evaluate, name="eval")
 racines_models.cli.register(train, evaluate)
