@@ -1,0 +1,68 @@
+"""Networks of the agents: one shape for actor and critic, another last layer."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from racines_envs.core import PARAMS_SIZE
+
+KEYS = {"image": ["image"], "params": ["params"], "multimodal": ["image", "params"]}
+"""What a network of each observation reads, in order."""
+
+
+class ObservationNetwork(nn.Module):
+    """Convolutions with batch norm for the image, dense layers for the parameters, then a head.
+
+    It owns its normalisation: images are 0-255 (…, 1, 128, 128); parameters are standardised by
+    running statistics, since the probe's height varies by a tenth of what the workspace allows.
+    """
+
+    def __init__(self, observation: str, outputs: int, hidden: Sequence[int], gain: float) -> None:
+        """Build for an observation; `gain` scales the first outputs (small: near uniform)."""
+        super().__init__()
+        self.keys = KEYS[observation]
+        self.image = _convolutions(hidden[0]) if "image" in self.keys else None
+        self.params = self.scale = None
+        if "params" in self.keys:
+            self.scale = nn.BatchNorm1d(PARAMS_SIZE, affine=False, momentum=None)
+            self.params = _dense([PARAMS_SIZE, hidden[0]])
+        self.body = _dense([hidden[0] * len(self.keys), *hidden[1:]])
+        self.head = nn.Linear(hidden[-1], outputs)
+        for module in self.modules():
+            if isinstance(module, (nn.Linear, nn.Conv2d)):
+                nn.init.orthogonal_(module.weight, gain if module is self.head else 2.0**0.5)
+                if module.bias is not None:
+                    nn.init.zeros_(module.bias)
+
+    def forward(self, *seen: Tensor) -> Tensor:
+        """Map observations in the order of `KEYS`, any leading shape, to (…, outputs)."""
+        values = dict(zip(self.keys, seen, strict=True))
+        features = []
+        if self.image is not None:
+            image = values["image"]
+            flat = image.reshape(-1, *image.shape[-3:]).float() / 127.5 - 1.0
+            features.append(self.image(flat).view(*image.shape[:-3], -1))
+        if self.params is not None and self.scale is not None:
+            params = values["params"]
+            scaled = self.scale(params.reshape(-1, PARAMS_SIZE)).view(params.shape)
+            features.append(self.params(scaled))
+        return self.head(self.body(torch.cat(features, -1)))
+
+
+def _convolutions(features: int) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for inputs, outputs, stride in ((1, 16, 4), (16, 32, 2), (32, 32, 2), (32, 32, 2)):
+        layers += [
+            nn.Conv2d(inputs, outputs, 2 * stride - 1, stride, stride - 1),
+            nn.BatchNorm2d(outputs),
+            nn.ReLU(),
+        ]
+    return nn.Sequential(*layers, nn.Flatten(), nn.Linear(32 * 4 * 4, features), nn.Tanh())
+
+
+def _dense(sizes: Sequence[int]) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for inputs, outputs in zip(sizes, sizes[1:], strict=False):
+        layers += [nn.Linear(inputs, outputs), nn.Tanh()]
+    return nn.Sequential(*layers)

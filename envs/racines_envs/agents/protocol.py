@@ -1,0 +1,74 @@
+"""What an agent is."""
+
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, Self, runtime_checkable
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_envs.core import ScanCore
+
+
+@runtime_checkable
+class Agent(Protocol):
+    """Chooses actions for N rows at once, from what they see."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type]
+    """A dataclass whose defaults are usable, filled from the params section of this name."""
+    observation: str
+    """What it looks at: `image`, `params` or `multimodal`."""
+
+    def attach(self, core: ScanCore) -> None:
+        """Meet the environment before a rollout. Only an upper bound may keep hold of it."""
+        ...
+
+    def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
+        """Return (N,) int64 actions 0-12.
+
+        `observation` holds `image` (N, 128, 128) uint8 and/or `params` (N, 9) float32. An agent
+        that draws its actions draws them from the (N,) seeds, so a row's action ignores its batch.
+        """
+        ...
+
+    @classmethod
+    def train(cls, config: Any, run_dir: Path, **where: Any) -> Self:
+        """Learn, and leave `policy.safetensors`, `config.json` and `metrics.json` in `run_dir`.
+
+        Raises:
+            RacinesError: this agent has nothing to learn.
+        """
+        ...
+
+    @classmethod
+    def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
+        """Read what `train` left; an agent that learns nothing reads nothing.
+
+        Raises:
+            RacinesError: no policy there.
+        """
+        ...
+
+
+class Untrained:
+    """The part of the protocol that agents without weights share."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type]
+    observation: str = "params"
+
+    def attach(self, core: ScanCore) -> None:
+        """Keep nothing of the environment."""
+
+    @classmethod
+    def train(cls, config: Any, run_dir: Path, **where: Any) -> Self:
+        """Refuse: there is nothing to learn."""
+        raise RacinesError(
+            f"agent {cls.name!r} has nothing to learn: run `racines eval agent {cls.name}`"
+        )
+
+    @classmethod
+    def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
+        """Return the agent; there is nothing to read."""
+        return cls()

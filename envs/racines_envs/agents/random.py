@@ -1,0 +1,26 @@
+"""The floor: every action equally likely."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from torch import Tensor
+
+from racines_data.randomness import uniform
+from racines_envs.actions import ACTIONS
+from racines_envs.agents.protocol import Untrained
+
+
+@dataclass(frozen=True)
+class RandomConfig:
+    """Nothing to set."""
+
+
+class RandomAgent(Untrained):
+    """Draws uniformly from the thirteen actions."""
+
+    name: ClassVar[str] = "random"
+    Config: ClassVar[type] = RandomConfig
+
+    def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
+        """Draw (N,) actions from the seeds."""
+        return (uniform(seeds, 1)[:, 0] * len(ACTIONS)).long()

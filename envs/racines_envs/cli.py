@@ -1,0 +1,146 @@
+"""Commands: `racines train agent` and `racines eval agent`."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+RUNS = Path("envs/runs")
+
+Params = Annotated[Path | None, typer.Option(help="Settings; ./params.yaml if it is there.")]
+Profile = Annotated[str | None, typer.Option(help="Packaged settings: smoke, default or paper.")]
+
+
+def register(train: typer.Typer, evaluate: typer.Typer) -> None:
+    """Add the agent commands to the shared verbs."""
+    train.command("agent")(train_agent)
+    evaluate.command("agent")(evaluate_agent)
+
+
+def train_agent(
+    agent: Annotated[str, typer.Argument(help="Registered agent, or module:Class.")] = "ppo",
+    view: Annotated[str | None, typer.Option(help="Target view.")] = None,
+    observation: Annotated[str | None, typer.Option(help="image, params or multimodal.")] = None,
+    reward: Annotated[str | None, typer.Option(help="paper, oracle or shaped.")] = None,
+    backend: Annotated[str | None, typer.Option(help="phantom or generator.")] = None,
+    generator: Annotated[str | None, typer.Option(help="Generator: name or run folder.")] = None,
+    grader: Annotated[str | None, typer.Option(help="Grader: run folder.")] = None,
+    frames: Annotated[int | None, typer.Option(help="Environment steps.")] = None,
+    device: Annotated[str | None, typer.Option(help="cpu or cuda.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the training.")] = None,
+    run_dir: Annotated[Path | None, typer.Option(help="Where to write; envs/runs/<agent>.")] = None,
+    resume: Annotated[
+        bool | None,
+        typer.Option("--resume/--fresh", help="Continue a run, or start anew; else as it fits."),
+    ] = None,
+    params: Params = None,
+    profile: Profile = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the metrics as JSON.")] = False,
+) -> None:
+    """Train an agent; options override the settings."""
+    from racines_data.config import fill, section
+    from racines_envs.agents import agent_class
+
+    settings = _settings(params, profile)
+    chosen = _given(
+        view=view, observation=observation, reward=reward, backend=backend, generator=generator,
+        grader=grader, frames=frames, device=device,
+    )  # fmt: skip
+    cls = agent_class(agent)
+    values = section(settings, f"agents.{cls.name}") | chosen
+    config: Any = fill(cls.Config, values, f"agents.{cls.name}")
+    folder = run_dir or RUNS / cls.name
+    cls.train(
+        config,
+        folder,
+        seed=settings.get("seed", 0) if seed is None else seed,
+        phantom=_phantom(settings),
+        resume=resume,
+        progress=not as_json,
+    )
+    metrics = (folder / "metrics.json").read_text()
+    typer.echo(metrics if as_json else f"policy and metrics are in {folder}")
+
+
+def evaluate_agent(
+    agent: Annotated[str, typer.Argument(help="Registered agent, or module:Class.")],
+    view: Annotated[str | None, typer.Option(help="Target view.")] = None,
+    starts: Annotated[int | None, typer.Option(help="Episodes, from the fixed starts.")] = None,
+    backend: Annotated[str | None, typer.Option(help="phantom or generator.")] = None,
+    generator: Annotated[str | None, typer.Option(help="Generator: name or run folder.")] = None,
+    reward: Annotated[str | None, typer.Option(help="paper, oracle or shaped.")] = None,
+    grader: Annotated[str | None, typer.Option(help="Grader: run folder.")] = None,
+    device: Annotated[str | None, typer.Option(help="cpu or cuda.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Names the start set.")] = None,
+    run_dir: Annotated[Path | None, typer.Option(help="The policy; envs/runs/<agent>.")] = None,
+    scores: Annotated[
+        Path | None, typer.Option(help="Scores file; envs/runs/scores/<agent>.json.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture of trajectories; beside the scores, .png.")
+    ] = None,
+    params: Params = None,
+    profile: Profile = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the scores as JSON.")] = False,
+) -> None:
+    """Score an agent from fixed starts; options override the settings."""
+    import json
+
+    from racines_data.config import fill, section
+    from racines_envs.agents import agent_class
+    from racines_envs.evaluation import EvaluationConfig, evaluate, write_evaluation
+
+    settings = _settings(params, profile)
+    chosen = _given(
+        view=view, starts=starts, backend=backend, generator=generator, reward=reward,
+        grader=grader, device=device, seed=seed,
+    )  # fmt: skip
+    config = fill(EvaluationConfig, section(settings, "evaluation") | chosen, "evaluation")
+    name = agent_class(agent).name
+    result = evaluate(agent, run_dir or RUNS / name, config, _phantom(settings))
+    out = scores or RUNS / "scores" / f"{name}.json"
+    write_evaluation(result, out, picture or out.with_suffix(".png"))
+    if as_json:
+        typer.echo(json.dumps(result.scores, indent=2))
+    else:
+        _show(result.scores, out)
+
+
+def _settings(params: Path | None, profile: str | None) -> dict[str, Any]:
+    from racines_data.config import read_params
+
+    if params is None and profile is None and Path("params.yaml").is_file():
+        params = Path("params.yaml")
+    return read_params(params, profile)
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def _phantom(settings: dict[str, Any]) -> Any:
+    """Return the configuration of the phantom that the dataset is acquired from."""
+    from racines_data.config import fill, section
+    from racines_data.phantom import PhantomConfig
+
+    return fill(PhantomConfig, section(settings, "data.phantom.phantom"), "data.phantom.phantom")
+
+
+def _show(scores: dict[str, Any], path: Path) -> None:
+    """Print the figures as a table."""
+    from rich.console import Console
+    from rich.table import Table
+
+    task = scores["task"]
+    table = Table(title=f"{scores['agent']} on {task['view']} ({task['observation']})")
+    for column in ("figure", "value", "95 %", "n"):
+        table.add_column(column, justify="left" if column == "figure" else "right")
+    for name, figure in scores["metrics"].items():
+        value, low, high = (_number(figure[key]) for key in ("value", "low", "high"))
+        table.add_row(name, value, f"{low} – {high}", str(figure["n"]))
+    Console().print(table)
+    typer.echo(f"written: {path}")
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"

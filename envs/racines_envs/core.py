@@ -1,0 +1,378 @@
+"""The batched core of every environment: N probes on one phantom, pure tensors on one device.
+
+One step, for all rows at once and without waiting for the device (a reset waits once, to look at
+the rows that ended and at no others):
+
+    action -> candidate pose -> limits -> pose, wrench -> truth (and image, and grader)
+           -> score (p, g) -> reward, hit, streak -> terminated, truncated
+
+A row's result depends on its own seed and actions alone, never on the rows beside it. A row that
+has ended stays as it is until it is reset (`reset`, or `step` with `autoreset`).
+"""
+
+from dataclasses import dataclass, fields
+from typing import Any, NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, geodesic, pose_to_parameters, rotation_6d
+from racines_data.imaging import ImageSource
+from racines_data.randomness import derive
+from racines_envs.actions import ActionTable, check_actions
+from racines_envs.rewards import RewardConfig, Score, get_reward, is_hit
+from racines_envs.starts import draw_starts
+from racines_envs.tasks import Task
+
+OBSERVATIONS = ("image", "params", "multimodal")
+PARAMS_SIZE = 9
+"""Position in the workspace's box (3), then the continuous rotation (6)."""
+
+
+class GraderLike(Protocol):
+    """Judges images by their pixels."""
+
+    def probabilities_and_grade(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (B, 6) view probabilities and (B,) grades of (B, 128, 128) uint8 images."""
+        ...
+
+
+@dataclass
+class State:
+    """The state of N rows; every field has N rows."""
+
+    position: Tensor
+    """(N, 3) m."""
+    rotation: Tensor
+    """(N, 3, 3)."""
+    wrench: Tensor
+    """(N, 6) N and N·m, of the probe at rest."""
+    seed: Tensor
+    """int64 seed of the episode."""
+    steps: Tensor
+    streak: Tensor
+    """Hits in a row."""
+    workspace_hits: Tensor
+    """Steps that would have left the workspace and became idle."""
+    force_hits: Tensor
+    """Steps that would have pressed over the limit and became idle."""
+    peak_force: Tensor
+    """Greatest normal force of the episode, N."""
+    force_sum: Tensor
+    """Sum of the normal force over the steps, N."""
+    total: Tensor
+    """Return of the episode, undiscounted."""
+    done: Tensor
+
+    @property
+    def pose(self) -> Pose:
+        """The poses."""
+        return Pose(self.position, self.rotation)
+
+    @property
+    def force(self) -> Tensor:
+        """(N,) normal force, N."""
+        return -self.wrench[:, 2]
+
+    def replaced(self, rows: Tensor, other: "State") -> "State":
+        """Return the state with the (K,) rows of another of K rows put in."""
+        names = [field.name for field in fields(self)]
+        return State(**{n: getattr(self, n).index_copy(0, rows, getattr(other, n)) for n in names})
+
+
+class Transition(NamedTuple):
+    """What a step gave; N rows each."""
+
+    observation: dict[str, Tensor]
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor
+
+
+class ScanCore:
+    """N environments of one task."""
+
+    def __init__(
+        self,
+        task: Task,
+        phantom: Any,
+        images: ImageSource,
+        grader: GraderLike | None = None,
+        observation: str = "params",
+        reward: str = "oracle",
+        rewards: RewardConfig | None = None,
+        num_envs: int = 1,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        """Join a task, a phantom (contact, truth) and a source of images.
+
+        Raises:
+            RacinesError: an unknown observation or reward, or reward `paper` without a grader.
+        """
+        if observation not in OBSERVATIONS:
+            raise RacinesError(
+                f"unknown observation {observation!r}: choose one of {', '.join(OBSERVATIONS)}"
+            )
+        if reward == "paper" and grader is None:
+            raise RacinesError(
+                "reward 'paper' needs a trained grader: run `racines train grader`, or use "
+                "reward='oracle'"
+            )
+        if num_envs < 1:
+            raise RacinesError(f"num_envs is {num_envs}: give at least 1")
+        self.task, self.phantom, self.images, self.grader = task, phantom, images, grader
+        self.observation, self.reward_name = observation, reward
+        self.rewards, self._reward = rewards or RewardConfig(), get_reward(reward)
+        self.num_envs, self.device = num_envs, torch.device(device)
+        self.table = ActionTable.make(task.step_translation, task.step_rotation, self.device)
+        self.target = phantom.target(task.view).to(self.device)
+        workspace = phantom.workspace
+        self._centre = ((workspace.position_max + workspace.position_min) / 2).to(self.device)
+        self._half = ((workspace.position_max - workspace.position_min) / 2).to(self.device)
+        self.renders = observation != "params" or reward == "paper"
+        self._env_seed = torch.arange(num_envs, dtype=torch.int64, device=self.device)
+        self._episode = torch.full_like(self._env_seed, -1)
+        self._sensed: dict[str, Tensor] = {}
+        self.state: State
+
+    # -- reset ---------------------------------------------------------------------------------
+
+    def reset(
+        self,
+        seed: int | Tensor | None = None,
+        mask: Tensor | None = None,
+        pose: Pose | None = None,
+    ) -> dict[str, Tensor]:
+        """Start episodes and return the observations of all rows.
+
+        Args:
+            seed: One integer (row i gets seed + i) or (N,) int64; without it each row goes on to
+                the next episode of its seed.
+            mask: (N,) bool, the rows to reset; all by default, and at the first reset.
+            pose: (N,) start poses instead of drawn ones.
+
+        Raises:
+            RacinesError: a given pose lies outside the workspace.
+        """
+        if seed is not None:
+            self._seed(seed)
+        if mask is None or not self._sensed:
+            self.state = self._begin(torch.arange(self.num_envs, device=self.device), pose)
+            self._sense()
+        else:
+            rows = mask.nonzero().squeeze(1)
+            self.state = self.state.replaced(rows, self._begin(rows, pose))
+            self._sense(rows)
+        return self.observe()
+
+    def _seed(self, seed: int | Tensor) -> None:
+        index = torch.arange(self.num_envs, dtype=torch.int64, device=self.device)
+        given = seed.to(self.device, torch.int64) if isinstance(seed, Tensor) else index + seed
+        if given.shape != (self.num_envs,):
+            raise RacinesError(f"seeds have shape {tuple(given.shape)}: give ({self.num_envs},)")
+        self._env_seed, self._episode = given, torch.full_like(index, -1)
+
+    def _begin(self, rows: Tensor, pose: Pose | None = None) -> State:
+        """Return fresh states of (K,) rows, each at the next episode of its seed."""
+        self._episode = self._episode.index_add(0, rows, torch.ones_like(rows))
+        seed = derive(self._env_seed[rows], self._episode[rows])
+        if pose is None:
+            pose = draw_starts(self.task, self.phantom, self.target, seed)
+        else:
+            pose = Pose(*(x[rows] for x in self._check_pose(pose)))
+        wrench = self.phantom.wrench(pose)
+        none, zero = torch.zeros_like(seed), torch.zeros_like(wrench[:, 0])
+        done = torch.zeros_like(seed, dtype=torch.bool)
+        return State(*pose, wrench, seed, none, none, none, none, -wrench[:, 2], zero, zero, done)
+
+    def _check_pose(self, pose: Pose) -> Pose:
+        pose = pose.to(self.device)
+        if pose.position.shape != (self.num_envs, 3):
+            shape = tuple(pose.position.shape)
+            raise RacinesError(f"start positions have shape {shape}: give ({self.num_envs}, 3)")
+        finite = torch.isfinite(pose.position).all() & torch.isfinite(pose.rotation).all()
+        if not bool(finite):
+            raise RacinesError("a start pose is not finite: every value must be a number")
+        outside = ~self.phantom.workspace.contains(pose)
+        if bool(outside.any()):
+            row = int(outside.nonzero()[0])
+            where = ", ".join(f"{x:.4f}" for x in pose.position[row].tolist())
+            low = ", ".join(f"{x:.3f}" for x in (self._centre - self._half).tolist())
+            high = ", ".join(f"{x:.3f}" for x in (self._centre + self._half).tolist())
+            raise RacinesError(
+                f"start pose {row} at ({where}) m is outside the workspace: positions from ({low}) "
+                f"to ({high}) m, and its tilt and yaw limits"
+            )
+        return pose
+
+    # -- step ----------------------------------------------------------------------------------
+
+    def step(self, action: Tensor, autoreset: bool = False) -> Transition:
+        """Move every row by one of the 13 actions, (N,) integers.
+
+        With `autoreset`, a row that ended in the step before ignores its action and starts its next
+        episode instead (Gymnasium's NEXT_STEP): reward 0, neither terminated nor truncated.
+
+        Raises:
+            RacinesError: actions of the wrong shape or type, or out of range; no reset before.
+        """
+        if not self._sensed:
+            raise RacinesError("step before reset: call reset first")
+        state, before = self.state, self.score
+        live = ~state.done
+        self.state = self._move(state, check_actions(action, self.num_envs), live)
+        if autoreset:
+            ended = state.done.nonzero().squeeze(1)
+            if len(ended):
+                self.state = self.state.replaced(ended, self._begin(ended))
+        self._sense()
+        return self._judge(before, live)
+
+    def _move(self, state: State, action: Tensor, live: Tensor) -> State:
+        """Apply actions within the limits to the live rows, and count what was refused."""
+        candidate = self.table.move(state.pose, action)
+        wrench = self.phantom.wrench(candidate)
+        inside, soft = self.limits(candidate, wrench, state.force)
+        free = inside & soft & live
+        wrench = torch.where(free[:, None], wrench, state.wrench)
+        force = -wrench[:, 2]
+        return State(
+            position=torch.where(free[:, None], candidate.position, state.position),
+            rotation=torch.where(free[:, None, None], candidate.rotation, state.rotation),
+            wrench=wrench,
+            seed=state.seed,
+            steps=state.steps + live,
+            streak=state.streak,
+            workspace_hits=state.workspace_hits + (live & ~inside),
+            force_hits=state.force_hits + (live & inside & ~soft),
+            peak_force=torch.maximum(state.peak_force, force),
+            force_sum=state.force_sum + force * live,
+            total=state.total,
+            done=state.done,
+        )
+
+    def limits(self, pose: Pose, wrench: Tensor, force: Tensor) -> tuple[Tensor, Tensor]:
+        """Return whether poses lie in the workspace, and whether they press within the limit.
+
+        From a force, N, already over the limit, a step that eases it is let through.
+        """
+        pressing = -wrench[:, 2]
+        soft = (pressing <= self.task.force_limit) | (pressing <= force)
+        return self.phantom.workspace.contains(pose), soft
+
+    def _judge(self, before: Score, live: Tensor) -> Transition:
+        """Reward the live rows and end those that are through."""
+        state, needed = self.state, self.task.hits_to_end
+        streak = (state.streak + 1) * is_hit(self.score, self.rewards)
+        state.streak = torch.where(live, streak, state.streak)
+        ended = state.streak >= needed if needed else torch.zeros_like(live)
+        terminated = live & ended
+        truncated = live & ~terminated & (state.steps >= self.task.max_steps)
+        reward = self._reward(before, self.score, terminated, self.rewards) * live
+        state.total = state.total + reward
+        state.done = state.done | terminated | truncated
+        return Transition(self.observe(), reward, terminated, truncated)
+
+    # -- senses --------------------------------------------------------------------------------
+
+    def _sense(self, rows: Tensor | None = None) -> None:
+        """Look at the rows (all by default): parameters, truth, and image and scores if needed."""
+        state = self.state
+        pose, wrench, seeds = state.pose, state.wrench, derive(state.seed, state.steps)
+        if rows is not None:
+            pose = Pose(pose.position[rows], pose.rotation[rows])
+            wrench, seeds = wrench[rows], seeds[rows]
+        parameters = pose_to_parameters(pose, wrench)
+        truth = self.phantom.judge(pose)
+        sensed = {
+            "parameters": parameters,
+            "view": truth.view,
+            "grade": truth.grade,
+            "oracle_p": truth.membership[:, self.task.target],
+            "oracle_g": truth.view_grade[:, self.task.target],
+        }
+        if self.renders:
+            sensed["image"] = self.images.generate(parameters, seeds)
+        if self.reward_name == "paper" and self.grader is not None:
+            p, g = self.grader.probabilities_and_grade(sensed["image"])
+            sensed |= {"grader_p": p[:, self.task.target].float(), "grader_g": g.float()}
+        if rows is not None:
+            sensed = {k: self._sensed[k].index_copy(0, rows, v) for k, v in sensed.items()}
+        self._sensed = sensed
+        self.score = self.scored_by("grader" if self.reward_name == "paper" else "oracle")
+
+    def scored_by(self, source: str) -> Score:
+        """Return the scores of all rows by the `oracle` or, where one looks, the `grader`."""
+        p, g = self._sensed[f"{source}_p"], self._sensed[f"{source}_g"]
+        return Score(p, g, self._distance())
+
+    def _distance(self) -> Tensor:
+        """Return (N,) unit steps to the nominal pose, or zeros where the reward has no use."""
+        if self.reward_name != "shaped":
+            return torch.zeros_like(self.state.total)
+        metres, radians = self.pose_error()
+        return metres / self.task.step_translation + radians / self.task.step_rotation
+
+    def pose_error(self) -> tuple[Tensor, Tensor]:
+        """Return (N,) m and (N,) rad to the nominal pose of the target view."""
+        metres = (self.state.position - self.target.position).norm(dim=-1)
+        return metres, geodesic(self.state.rotation, self.target.rotation)
+
+    def sees_target(self) -> Tensor:
+        """Return (N,) bool: the true view is the target's, by the oracle."""
+        return self._sensed["view"] == self.task.target
+
+    @property
+    def parameters(self) -> Tensor:
+        """(N, 12) parameters of the probes at rest."""
+        return self._sensed["parameters"]
+
+    def decision_seeds(self) -> Tensor:
+        """Return (N,) int64 seeds for an agent that draws its action at this step."""
+        return derive(self.state.seed, self.state.steps, 7)
+
+    def picture(self) -> Tensor:
+        """Return the (N, 128, 128) images at the present poses, drawn now if no step drew them."""
+        if "image" in self._sensed:
+            return self._sensed["image"]
+        return self.images.generate(self.parameters, derive(self.state.seed, self.state.steps))
+
+    def observe(self) -> dict[str, Tensor]:
+        """Return what an agent sees: `image` (N, 128, 128) uint8, `params` (N, 9) float32."""
+        seen: dict[str, Tensor] = {}
+        if self.observation != "params":
+            seen["image"] = self._sensed["image"]
+        if self.observation != "image":
+            position = (self.state.position - self._centre) / self._half
+            encoded = torch.cat([position, rotation_6d(self.state.rotation)], -1)
+            seen["params"] = encoded.clamp(-1.0, 1.0)
+        return seen
+
+    def info(self) -> dict[str, Tensor]:
+        """Return what the agent is not told, N rows each.
+
+        `view` and `grade` are the oracle's; `success` is the true view being the target's,
+        `success_graded` also a true grade of at least 5. `probability` and `score` are p and g by
+        the reward's own source. Forces in N, errors in m and rad.
+        """
+        state, sensed = self.state, self._sensed
+        metres, radians = self.pose_error()
+        success = self.sees_target()
+        return {
+            "view": sensed["view"],
+            "grade": sensed["grade"],
+            "success": success,
+            "success_graded": success & (sensed["grade"] >= self.rewards.grade),
+            "probability": self.score.probability,
+            "score": self.score.grade,
+            "steps": state.steps,
+            "return": state.total,
+            "force": state.force,
+            "peak_force": state.peak_force,
+            "mean_force": state.force_sum / state.steps.clamp_min(1),
+            "workspace_hits": state.workspace_hits,
+            "force_hits": state.force_hits,
+            "position_error": metres,
+            "rotation_error": radians,
+        }

@@ -1,0 +1,122 @@
+"""`racines/<VIEW>-v0` as one Gymnasium environment: a batch of one row of the core."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, euler_to_matrix
+from racines_data.imaging import IMAGE_SIZE
+from racines_envs.actions import ACTIONS
+from racines_envs.core import OBSERVATIONS, PARAMS_SIZE, ScanCore
+from racines_envs.making import make_core
+
+RENDER_FPS = 10
+
+
+def observation_space(observation: str) -> spaces.Space[Any]:
+    """Return the space of one observation; images are (128, 128, 1), channels last."""
+    image = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 1), np.uint8)
+    params = spaces.Box(-1.0, 1.0, (PARAMS_SIZE,), np.float32)
+    known: dict[str, spaces.Space[Any]] = {
+        "image": image,
+        "params": params,
+        "multimodal": spaces.Dict({"image": image, "params": params}),
+    }
+    if observation not in known:
+        raise RacinesError(
+            f"unknown observation {observation!r}: choose one of {', '.join(OBSERVATIONS)}"
+        )
+    return known[observation]
+
+
+def to_numpy(core: ScanCore, seen: dict[str, torch.Tensor]) -> Any:
+    """Turn observations of N rows into (copied) arrays as the vector space wants them."""
+    arrays = {name: value.cpu().numpy().copy() for name, value in seen.items()}
+    if "image" in arrays:
+        arrays["image"] = arrays["image"][..., None]
+    return arrays if core.observation == "multimodal" else arrays[core.observation]
+
+
+def check_render_mode(render_mode: str | None) -> str | None:
+    """Return the mode if it is `rgb_array` or none."""
+    if render_mode not in (None, "rgb_array"):
+        raise RacinesError(f"unknown render_mode {render_mode!r}: use 'rgb_array'")
+    return render_mode
+
+
+def read_pose(options: dict[str, Any] | None, count: int) -> Pose | None:
+    """Read `options["pose"]`: (6,) or (count, 6) position m and extrinsic xyz angles rad.
+
+    Raises:
+        RacinesError: an unknown option, or values of another shape.
+    """
+    options = options or {}
+    unknown = set(options) - {"pose"}
+    if unknown:
+        raise RacinesError(f"unknown reset option {sorted(unknown)[0]!r}: known is 'pose'")
+    if "pose" not in options:
+        return None
+    values = torch.as_tensor(np.asarray(options["pose"], dtype=np.float32))
+    if values.shape not in ((6,), (count, 6)):
+        raise RacinesError(
+            f"options['pose'] has shape {tuple(values.shape)}: give (6,) or ({count}, 6), position "
+            "in m and angles in rad"
+        )
+    values = values.expand(count, 6)
+    return Pose(values[:, :3], euler_to_matrix(values[:, 3:]))
+
+
+class GymScanEnv(gymnasium.Env[Any, np.int64]):
+    """Find a standard view with one probe."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
+
+    def __init__(self, view: str, render_mode: str | None = None, **settings: Any) -> None:
+        """Build the task of a view; the settings are those of `racines_envs.making.make_core`."""
+        self.render_mode = check_render_mode(render_mode)
+        self.observation_space = observation_space(settings.get("observation", "image"))
+        self.action_space = spaces.Discrete(len(ACTIONS))
+        self.core = make_core(view, 1, **settings)
+        self._seeded = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start an episode, at `options["pose"]` (6 values, m and rad) if given.
+
+        With a seed this is the first episode of that seed; without, the next one.
+        """
+        super().reset(seed=seed)
+        if seed is None and not self._seeded:
+            seed = int(self.np_random.integers(2**31))
+        self._seeded = True
+        seen = self.core.reset(seed, pose=read_pose(options, 1))
+        return self._first(seen), self._info()
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Take one of the 13 actions.
+
+        Raises:
+            RacinesError: the action is not an integer 0-12.
+        """
+        seen, reward, ended, cut = self.core.step(torch.as_tensor(np.asarray(action)).reshape(-1))
+        return self._first(seen), float(reward), bool(ended), bool(cut), self._info()
+
+    def render(self) -> Any:
+        """Return the present image as (128, 128, 3) uint8."""
+        if self.render_mode is None:
+            return None
+        return self.core.picture()[0].cpu().numpy()[..., None].repeat(3, -1)
+
+    def _first(self, seen: dict[str, torch.Tensor]) -> Any:
+        arrays = to_numpy(self.core, seen)
+        if isinstance(arrays, dict):
+            return {name: value[0] for name, value in arrays.items()}
+        return arrays[0]
+
+    def _info(self) -> dict[str, Any]:
+        return {name: value.item() for name, value in self.core.info().items()}

@@ -1,0 +1,86 @@
+"""`racines/<VIEW>-v0` as a Gymnasium vector environment: N rows of the core, one step for all."""
+
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from racines_envs.actions import ACTIONS
+from racines_envs.gym_env import (
+    RENDER_FPS,
+    check_render_mode,
+    observation_space,
+    read_pose,
+    to_numpy,
+)
+from racines_envs.making import make_core
+
+
+class VectorScanEnv(VectorEnv[Any, Any, Any]):
+    """N probes on one phantom.
+
+    Row i with seed s is exactly `GymScanEnv` with seed s + i. A row that ends starts its next
+    episode in the next step, whose action it ignores (`AutoresetMode.NEXT_STEP`, Gymnasium's
+    default: so one step draws one image a row and the last observation is never lost).
+    """
+
+    metadata: dict[str, Any] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": RENDER_FPS,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self, view: str, num_envs: int = 1, render_mode: str | None = None, **settings: Any
+    ) -> None:
+        """Build N rows of a view's task; settings as for `racines_envs.making.make_core`."""
+        self.render_mode = check_render_mode(render_mode)
+        self.num_envs = num_envs
+        self.single_observation_space = observation_space(settings.get("observation", "image"))
+        self.single_action_space = spaces.Discrete(len(ACTIONS))
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.core = make_core(view, num_envs, **settings)
+        self._seeded = False
+
+    def reset(
+        self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start N episodes, of seeds s, s + 1, … for an integer s, or of one seed a row."""
+        super().reset(seed=seed if isinstance(seed, int) else None)
+        if seed is None and not self._seeded:
+            seed = int(self.np_random.integers(2**31))
+        self._seeded = True
+        seeds = torch.tensor(seed) if isinstance(seed, list) else seed
+        seen = self.core.reset(seeds, pose=read_pose(options, self.num_envs))
+        return to_numpy(self.core, seen), self._infos()
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Take (N,) actions.
+
+        Raises:
+            RacinesError: wrong shape or type, or an action outside 0-12.
+        """
+        action = torch.as_tensor(np.asarray(actions)).to(self.core.device)
+        seen, reward, ended, cut = self.core.step(action, autoreset=True)
+        return (
+            to_numpy(self.core, seen),
+            reward.double().cpu().numpy(),
+            ended.cpu().numpy(),
+            cut.cpu().numpy(),
+            self._infos(),
+        )
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Return N present images, (128, 128, 3) uint8 each."""
+        if self.render_mode is None:
+            return None
+        return tuple(self.core.picture().cpu().numpy()[..., None].repeat(3, -1))
+
+    def _infos(self) -> dict[str, Any]:
+        """Return the infos with Gymnasium's masks of presence."""
+        infos = {name: value.cpu().numpy().copy() for name, value in self.core.info().items()}
+        return infos | {f"_{name}": np.ones(self.num_envs, dtype=np.bool_) for name in infos}
