@@ -11,9 +11,10 @@ import pytest
 from racines_data.build import DataConfig, build, make_source, read_data_section
 from racines_data.digest import sha256_file
 from racines_data.errors import RacinesError
-from racines_data.load import read_manifest
+from racines_data.load import load, read_manifest
 from racines_data.schema import Trajectory
 from racines_data.sources import Finding, Unit, source_class
+from racines_data.validate import validate
 from tests.data.fake_source import FakeConfig, FakeSource
 
 
@@ -77,6 +78,7 @@ build(FakeSource(FakeConfig(delay=0.3, journal={journal!r})), Path({out!r}), Dat
 """
 
 
+@pytest.mark.slow
 def test_a_killed_build_goes_on_and_has_the_same_digest(built: Path, tmp_path: Path):
     journal, out = tmp_path / "journal", tmp_path / "racines"
     journal.mkdir()
@@ -219,6 +221,17 @@ def test_a_source_can_be_named_by_module_and_class():
     source = make_source(DataConfig(source="tests.data.fake_source:FakeSource", frames=7, seed=5))
     assert isinstance(source, FakeSource)
     assert (source.config.frames, source.config.seed) == (7, 5)
+
+
+def test_a_source_of_another_package_names_itself(tmp_path: Path):
+    class Mine(FakeSource):
+        name = "mine"
+
+    root = tmp_path / "racines"
+    build(Mine(FakeConfig()), root, DataConfig(workers=1))
+    rows = load(root=root, split="test")
+    assert set(rows.features["source"].int2str(rows["source"][:])) == {"mine"}
+    assert validate(root).ok
 
 
 def test_data_section():
