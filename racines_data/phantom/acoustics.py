@@ -14,7 +14,7 @@ from torch import Tensor
 
 from racines_data.geometry import Pose
 from racines_data.phantom.config import ProbeConfig
-from racines_data.phantom.volume import ATTENUATION_STEP, Volume
+from racines_data.phantom.volume import ATTENUATION_STEP, SCATTERER_STEP, Volume
 from racines_data.randomness import derive, normal, sample_seeds
 
 SPECKLE_GAIN = 0.68
@@ -106,13 +106,12 @@ def sample_echoes(volume: Volume, beams: Beams, probe: ProbeConfig, pose: Pose) 
     )
     index = _voxel_index(volume, beams, pose.position, direction, y)
     packed = volume.packed.index_select(0, index.flatten())
-    shape = index.shape
-    halves = packed.view(torch.float16).view(*shape, 4)
-    levels = packed.view(torch.int8).view(*shape, 8)
-    attenuation = (packed >> 56).bitwise_and_(255).view(shape).to(torch.float32)
-    incidence = levels[..., 4] * direction[..., 0:1]
-    incidence += levels[..., 5] * direction[..., 1:2]
-    incidence += levels[..., 6] * direction[..., 2:3]
+    scatterers = packed.view(torch.int16).view(*index.shape, 4)
+    levels = packed.view(torch.int8).view(*index.shape, 8)
+    attenuation = packed.view(torch.uint8).view(*index.shape, 8)[..., 7].to(torch.float32)
+    incidence = levels[..., 4].to(torch.float32) * direction[..., 0:1]
+    incidence.addcmul_(levels[..., 5].to(torch.float32), direction[..., 1:2])
+    incidence.addcmul_(levels[..., 6].to(torch.float32), direction[..., 2:3])
 
     step_cm = 100.0 * probe.depth / probe.samples
     loss = attenuation * (ATTENUATION_STEP * probe.frequency * step_cm)
@@ -122,10 +121,12 @@ def sample_echoes(volume: Volume, beams: Beams, probe: ProbeConfig, pose: Pose) 
     received = torch.exp((beams.tgc - 2.0 * travelled) * (math.log(10.0) / 20.0))
     # A gradient seen at an angle loses to its cosine; the packed incidence is |g| cos θ already,
     # and the square makes the echo directional, as from a surface rough on a wavelength's scale.
-    specular = incidence * incidence.abs() * (SPECULAR_GAIN * SPECULAR_GAIN)
-    real = (halves[..., 0] + specular) * received
-    imaginary = halves[..., 1] * received
-    return torch.stack([real, imaginary], 1)
+    specular = incidence * incidence.abs() * (SPECULAR_GAIN * SPECULAR_GAIN / SCATTERER_STEP)
+    received *= SCATTERER_STEP
+    echoes = torch.empty((len(index), 2, *index.shape[1:]), device=index.device)
+    torch.mul(scatterers[..., 0].to(torch.float32) + specular, received, out=echoes[:, 0])
+    torch.mul(scatterers[..., 1].to(torch.float32), received, out=echoes[:, 1])
+    return echoes
 
 
 def _voxel_index(

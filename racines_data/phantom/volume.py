@@ -13,6 +13,8 @@ from racines_data.randomness import normal, sample_seeds
 
 ATTENUATION_STEP = 0.02
 """dB/cm/MHz of one unit of the packed attenuation byte."""
+SCATTERER_STEP = 5e-4
+"""Amplitude of one unit of a packed scatterer; myocardium has 1, blood 0.02."""
 REFLECTOR_STEP = 0.002
 """Impedance difference (MRayl a voxel) of one unit of a packed gradient byte."""
 
@@ -20,8 +22,8 @@ REFLECTOR_STEP = 0.002
 class Volume(NamedTuple):
     """Voxels of the block with a border of outside, packed to eight bytes each.
 
-    Bytes 0-3: complex scatterer amplitude, two float16. Bytes 4-6: impedance gradient, int8, in
-    `REFLECTOR_STEP`. Byte 7: attenuation, uint8, in `ATTENUATION_STEP`.
+    Bytes 0-3: complex scatterer amplitude, two int16 in `SCATTERER_STEP`. Bytes 4-6: impedance
+    gradient, three int8 in `REFLECTOR_STEP`. Byte 7: attenuation, uint8 in `ATTENUATION_STEP`.
     """
 
     packed: Tensor
@@ -50,8 +52,8 @@ def bake(anatomy: Anatomy, block: BlockConfig) -> Volume:
     packed = torch.zeros((*shape, 8), dtype=torch.uint8)
     packed[..., 7] = 255  # outside: air, nothing passes
     core = packed[1:-1, 1:-1, 1:-1]
-    echoes = (scatter * amplitude).movedim(0, -1).to(torch.float16).contiguous()
-    core[..., 0:4] = echoes.view(torch.uint8)
+    echoes = (scatter * amplitude / SCATTERER_STEP).round().clamp(-32767, 32767).to(torch.int16)
+    core[..., 0:4] = echoes.movedim(0, -1).contiguous().view(torch.uint8)
     bytes_ = (gradient / REFLECTOR_STEP).round().clamp(-127, 127).to(torch.int8)
     core[..., 4:7] = bytes_.movedim(0, -1).contiguous().view(torch.uint8)
     core[..., 7] = (attenuation / ATTENUATION_STEP).round().clamp(0, 254).to(torch.uint8)
