@@ -1,0 +1,96 @@
+"""Intervals that respect trajectories: frames of one sweep are near-copies, never independent.
+
+A mean gets a percentile bootstrap that resamples whole trajectories. A distance between two sets
+(FID, KID) gets a delete-a-block jackknife: resampling with replacement puts copies of a frame into
+a set, which inflates the distance itself, and leaving out does not.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+LEVEL = 0.95
+"""Coverage of every interval."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number with its 95 % interval; the ends are None where one cluster allows none."""
+
+    value: float
+    low: float | None
+    high: float | None
+    n: int
+    """Samples the value is made of."""
+    clusters: int
+    """Trajectories they come from."""
+    method: str
+
+    def to_json(self, unit: str | None = None, **settings: Any) -> dict[str, Any]:
+        """Return the estimate as it stands in a scores file."""
+        described: dict[str, Any] = {
+            "value": self.value,
+            "low": self.low,
+            "high": self.high,
+            "n": self.n,
+        }
+        if unit is not None:
+            described["unit"] = unit
+        interval = {"interval": self.method, "trajectories": self.clusters}
+        return described | {"settings": settings | interval}
+
+
+def bootstrap_mean(
+    values: np.ndarray, clusters: np.ndarray, seed: int = 0, resamples: int = 1000
+) -> Estimate:
+    """Estimate the mean of (N,) values, resampling their (N,) clusters with replacement.
+
+    NaN values are absent measurements and are left out.
+
+    Raises:
+        ValueError: no value is present.
+    """
+    present = np.isfinite(values)
+    values, clusters = np.asarray(values, np.float64)[present], clusters[present]
+    if not len(values):
+        raise ValueError("no values to average")
+    _, cluster = np.unique(clusters, return_inverse=True)
+    count = np.bincount(cluster)
+    total = np.bincount(cluster, weights=values)
+    low = high = None
+    if len(count) > 1:
+        draws = np.random.default_rng(seed).multinomial(
+            len(count), np.full(len(count), 1 / len(count)), size=resamples
+        )
+        means = (draws @ total) / (draws @ count)
+        low, high = (float(q) for q in np.quantile(means, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]))
+    method = f"percentile bootstrap by trajectory, {resamples} resamples"
+    return Estimate(float(values.mean()), low, high, len(values), len(count), method)
+
+
+def jackknife(
+    statistic: Callable[[np.ndarray], float],
+    clusters: np.ndarray,
+    blocks: int = 20,
+    minimum: float = -np.inf,
+) -> Estimate:
+    """Estimate a statistic of N samples, deleting blocks of (N,) clusters in turn.
+
+    `statistic` takes a (N,) boolean mask of the samples to keep. The interval is the value ± t
+    times the standard error, t with blocks - 1 degrees of freedom, cut at `minimum`.
+    """
+    unique, cluster = np.unique(clusters, return_inverse=True)
+    blocks = min(blocks, len(unique))
+    value = float(statistic(np.ones(len(clusters), bool)))
+    low = high = None
+    if blocks > 1:
+        block = cluster % blocks
+        parts = np.array([statistic(block != b) for b in range(blocks)])
+        error = np.sqrt((blocks - 1) / blocks * np.square(parts - parts.mean()).sum())
+        half = float(stats.t.ppf(0.5 + LEVEL / 2, blocks - 1) * error)
+        low, high = max(value - half, minimum), value + half
+    method = f"jackknife by trajectory, {blocks} blocks, Student t"
+    return Estimate(value, low, high, len(clusters), len(unique), method)

@@ -1,0 +1,58 @@
+"""What the scoring commands show: a progress bar on stderr, tables on stdout."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+
+@contextmanager
+def progress_bar(name: str, total: int, hidden: bool) -> Iterator[Callable[[int], None]]:
+    """Show a bar over `total` images; yields what advances it."""
+    bar = Progress(
+        TextColumn("[bold]{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("images"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=hidden,
+    )
+    with bar:
+        task = bar.add_task(name, total=total)
+        yield lambda images: bar.advance(task, images)
+        bar.update(task, completed=total)
+
+
+def show_metrics(title: str, metrics: dict[str, Any]) -> None:
+    """Print metrics with their intervals."""
+    table = Table("figure", title=title, title_justify="left")
+    for column in ("value", "95 % interval", "n"):
+        table.add_column(column, justify="right")
+    for name, metric in metrics.items():
+        unit = f" {metric['unit']}" if metric.get("unit") else ""
+        interval = "-"
+        if metric["low"] is not None:
+            interval = f"{metric['low']:.4g} to {metric['high']:.4g}"
+        table.add_row(name, f"{metric['value']:.4g}{unit}", interval, str(metric["n"]))
+    Console().print(table)
+
+
+def show_realism(content: dict[str, Any]) -> None:
+    """Print each realism figure of the phantom beside that of two halves of the real frames."""
+    title = f"{content['view']}, {content['n']} frames a set, {content['splits']} splits"
+    table = Table("figure", title=title, title_justify="left")
+    for column in ("phantom, real", "real, real", "ratio"):
+        table.add_column(column, justify="right")
+    for name, figure in content["figures"].items():
+        ours, real = figure["phantom"], figure["real"]
+        ratio = f"{ours['value'] / real['value']:.3g}" if real["value"] > 0 else "-"
+        table.add_row(name, _ranged(ours), _ranged(real), ratio)
+    Console().print(table)
+
+
+def _ranged(figure: dict[str, float]) -> str:
+    return f"{figure['value']:.4g} ({figure['low']:.4g} to {figure['high']:.4g})"

@@ -1,0 +1,73 @@
+"""Feature extractors behind one call, and the reference's features kept between runs."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import Tensor
+
+from racines_models.files import write_atomic
+from racines_models.grader import Grader
+from racines_models.provenance import sha256_bytes
+
+Progress = Callable[[int], None]
+
+
+class Extractor(Protocol):
+    """Embeds images for FID and KID."""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the features depend on: `id`, `sha256`, `layer`, `resizer`, `range`."""
+        ...
+
+    def __call__(self, images: Tensor, progress: Progress | None = None) -> Tensor:
+        """Return (N, D) float32 features, on the CPU, of (N, 128, 128) uint8 images."""
+        ...
+
+
+class GraderFeatures:
+    """The grader's encoder as an extractor."""
+
+    def __init__(self, grader: Grader) -> None:
+        self._grader = grader
+        self.settings = grader.settings
+
+    def __call__(self, images: Tensor, progress: Progress | None = None) -> Tensor:
+        """Return (N, 512) features."""
+        features = self._grader.judge(images)[2]
+        if progress is not None:
+            progress(len(images))
+        return features
+
+
+def reference_features(
+    extractor: Extractor,
+    images: Tensor,
+    key: list[Any],
+    folder: Path | None,
+    progress: Progress | None = None,
+) -> Tensor:
+    """Return the features of the true images, from `folder` if a former run left them there.
+
+    The file's name is a hash of `key` (which images) and of the extractor's settings.
+    """
+    if folder is None:
+        return extractor(images, progress)
+    named = json.dumps([key, extractor.settings, len(images), torch.__version__], sort_keys=True)
+    path = folder / f"{sha256_bytes(named.encode())[:32]}.safetensors"
+    if path.is_file():
+        try:
+            features = load_file(path)["features"]
+            if progress is not None:
+                progress(len(images))
+            return features
+        except (SafetensorError, KeyError, OSError):
+            pass  # a damaged cache is made again
+    features = extractor(images, progress)
+    write_atomic(path, save({"features": features.contiguous()}))
+    return features

@@ -1,0 +1,53 @@
+"""What the grader's training minimises: masked losses, class weights, augmentation, schedule."""
+
+import math
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from racines_data.randomness import normal
+from racines_data.store import FrameStore
+from racines_data.views import LABELS
+from racines_models.grader import GraderConfig
+
+WARM_UP = 0.1
+"""Share of a stage in which the learning rate rises."""
+
+
+def view_loss(logits: Tensor, views: Tensor, weights: Tensor) -> Tensor:
+    """Return the weighted cross-entropy of (B, 6) logits over the frames with a view (not -1)."""
+    loss = functional.cross_entropy(logits, views, weights, ignore_index=-1, reduction="sum")
+    total = weights[views.clamp_min(0)].mul(views >= 0).sum()
+    return loss / total.clamp_min(1e-6)
+
+
+def grade_loss(grade: Tensor, target: Tensor) -> Tensor:
+    """Return the smooth L1 loss of (B,) grades over the frames with a grade (not NaN)."""
+    present = target.isfinite()
+    error = functional.smooth_l1_loss(grade, target.nan_to_num(0.0), reduction="none", beta=1.0)
+    return (error * present).sum() / present.sum().clamp_min(1)
+
+
+def class_weights(store: FrameStore, power: float) -> Tensor:
+    """Return (6,) weights, the train frequencies to minus `power`, of mean one over frames."""
+    views = store.views[store.split_indices("train")]
+    count = torch.bincount(views[views >= 0], minlength=len(LABELS)).float()
+    weights = count.clamp_min(1.0).pow(-power)
+    return weights * count.sum() / (weights * count).sum()
+
+
+def augment(x: Tensor, seeds: Tensor, config: GraderConfig) -> Tensor:
+    """Vary gain and noise of (B, 1, S, S) images in [-1, 1], by (B,) seeds; black stays black."""
+    gain = (config.gain * normal(seeds, 1)).exp().view(-1, 1, 1, 1)
+    noise = normal(seeds, x[0].numel(), stream=1).view(x.shape)
+    light = (x + 1.0) / 2.0
+    light = light * gain + config.noise * noise * (light > 0)
+    return (light.clamp(0.0, 1.0) * 2.0 - 1.0).contiguous(memory_format=torch.channels_last)
+
+
+def learning_rate(peak: float, progress: float) -> float:
+    """Rise linearly to the peak, then fall as a cosine to zero; progress in 0-1."""
+    if progress < WARM_UP:
+        return peak * (progress + 1e-3) / (WARM_UP + 1e-3)
+    return peak * 0.5 * (1.0 + math.cos(math.pi * (progress - WARM_UP) / (1.0 - WARM_UP)))

@@ -1,0 +1,107 @@
+"""Image metrics: SSIM and PSNR per image (torchmetrics), FID and KID of features."""
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_models.frechet import frechet_distance
+
+DATA_RANGE = 255.0
+"""Gray levels from black to white, for SSIM and PSNR."""
+BORDER = 5
+"""Pixels at each edge where the SSIM window is not whole; left out."""
+PSNR_CAP = 100.0
+"""PSNR of identical images, dB, in place of infinity."""
+
+SSIM_SETTINGS: dict[str, Any] = {
+    "data_range": DATA_RANGE,
+    "window": "Gaussian, 11x11, sigma 1.5",
+    "k1": 0.01,
+    "k2": 0.03,
+    "border": f"{BORDER} pixels left out",
+    "library": "torchmetrics",
+}
+PSNR_SETTINGS: dict[str, Any] = {
+    "data_range": DATA_RANGE,
+    "average": "of per-image values",
+    "cap_db": PSNR_CAP,
+    "library": "torchmetrics",
+}
+KID_SETTINGS: dict[str, Any] = {
+    "kernel": "(x.y/d + 1)^3",
+    "estimator": "unbiased",
+    "library": "torchmetrics",
+}
+
+
+def ssim(images: Tensor, truth: Tensor) -> Tensor:
+    """Return the SSIM (Wang et al., 2004) of (N, H, W) uint8 image pairs, (N,) in [-1, 1]."""
+    from torchmetrics.functional.image import structural_similarity_index_measure
+
+    def chunk(a: Tensor, b: Tensor) -> Tensor:
+        _, full = structural_similarity_index_measure(
+            a, b, data_range=DATA_RANGE, reduction="none", return_full_image=True
+        )
+        # torchmetrics averages over its reflected border too; the definition does not.
+        return full[..., BORDER:-BORDER, BORDER:-BORDER].mean((1, 2, 3))
+
+    return _pairwise(chunk, images, truth)
+
+
+def psnr(images: Tensor, truth: Tensor) -> Tensor:
+    """Return the PSNR of (N, H, W) uint8 image pairs, (N,) dB, at most `PSNR_CAP`."""
+    from torchmetrics.functional.image import peak_signal_noise_ratio
+
+    def chunk(a: Tensor, b: Tensor) -> Tensor:
+        values = peak_signal_noise_ratio(
+            a, b, data_range=DATA_RANGE, reduction="none", dim=(1, 2, 3)
+        )
+        return values.clamp_max(PSNR_CAP)
+
+    return _pairwise(chunk, images, truth)
+
+
+def fid(candidate: Tensor, reference: Tensor) -> float:
+    """Return the Fréchet distance between (N, D) and (M, D) features; it falls with n."""
+    return frechet_distance(reference, candidate)
+
+
+def kid(
+    candidate: Tensor, reference: Tensor, subset: int = 1000, subsets: int = 100, seed: int = 0
+) -> float:
+    """Return the kernel distance (Bińkowski et al., 2018) of two (N, D) feature sets.
+
+    Up to `subset` samples enter one unbiased estimate over all pairs; more are drawn without
+    replacement into `subsets` estimates, which are averaged.
+
+    Raises:
+        RacinesError: sets of different sizes, or fewer than two samples.
+    """
+    from torchmetrics.image.kid import poly_mmd
+
+    n = len(candidate)
+    if n != len(reference) or n < 2:
+        raise RacinesError(f"KID needs two sets of one size >= 2, got {n} and {len(reference)}")
+    x, y = reference.to(torch.float64), candidate.to(torch.float64)
+    if n <= subset:
+        return float(poly_mmd(x, y))
+    generator = torch.Generator().manual_seed(seed)
+    values = []
+    for _ in range(subsets):
+        i = torch.randperm(n, generator=generator)[:subset].to(x.device)
+        j = torch.randperm(n, generator=generator)[:subset].to(x.device)
+        values.append(float(poly_mmd(x[i], y[j])))
+    return math.fsum(values) / subsets
+
+
+def _pairwise(metric: Any, images: Tensor, truth: Tensor, size: int = 256) -> Tensor:
+    if images.shape != truth.shape:
+        raise RacinesError(f"{tuple(images.shape)} images for {tuple(truth.shape)} true ones")
+    parts = [
+        metric(a.unsqueeze(1).to(torch.float32), b.unsqueeze(1).to(torch.float32)).reshape(-1)
+        for a, b in zip(images.split(size), truth.split(size), strict=True)
+    ]
+    return torch.cat(parts) if parts else torch.empty(0)

@@ -1,0 +1,49 @@
+"""Strips of images for people to look at."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from PIL import Image
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.views import RANDOM_LABEL
+from racines_models.files import image_bytes, write_atomic
+
+COLUMNS = 8
+
+
+def write_strip(path: Path, rows: Sequence[Tensor], gap: int = 2) -> None:
+    """Write a PNG of rows of (K, H, W) uint8 images, one below the other.
+
+    Raises:
+        RacinesError: rows of different lengths.
+    """
+    if len({tuple(row.shape) for row in rows}) != 1:
+        raise RacinesError(f"{path}: rows of different shapes")
+    columns, height, width = rows[0].shape
+    canvas = torch.full(
+        (len(rows) * (height + gap) - gap, columns * (width + gap) - gap), 255, dtype=torch.uint8
+    )
+    for i, row in enumerate(rows):
+        for j, image in enumerate(row):
+            top, left = i * (height + gap), j * (width + gap)
+            canvas[top : top + height, left : left + width] = image
+    write_atomic(path, image_bytes(Image.fromarray(canvas.numpy())))
+
+
+def pick_columns(views: Tensor, grades: Tensor) -> Tensor:
+    """Choose up to 8 of (N,) frames: the best of each view, then others at even distances.
+
+    Frames of unknown view (-1) are spread evenly.
+    """
+    chosen = []
+    for label in range(RANDOM_LABEL):
+        rows = (views == label).nonzero()[:, 0]
+        if len(rows):
+            chosen.append(int(rows[grades[rows].nan_to_num(0.0).argmax()]))
+    others = [i for i in range(len(views)) if i not in chosen]
+    wanted = min(COLUMNS - len(chosen), len(others))
+    chosen += [others[(2 * k + 1) * len(others) // (2 * wanted)] for k in range(wanted)]
+    return torch.tensor(chosen[:COLUMNS])

@@ -1,0 +1,186 @@
+"""How real the phantom looks: its A4C frames beside real ones, and real ones beside each other.
+
+A distance to real frames means nothing alone. So each figure stands beside the same figure of two
+halves of the real set, split by patient, at equal n: a perfect simulator would reach that.
+"""
+
+import io
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.imaging import IMAGE_SIZE
+from racines_data.store import FrameStore
+from racines_data.views import view_index
+from racines_models.features import Extractor, Progress
+from racines_models.provenance import code_version, dataset_card, environment, sha256_file
+from racines_models.realism_figures import RULES, Sector, Summary, description, differences
+
+SCHEMA = "racines.realism/1"
+
+
+@dataclass(frozen=True)
+class RealismConfig:
+    """How the phantom's frames are held beside real ones."""
+
+    real: str = ""
+    """Parquet of real frames: columns `patient`, `image` (128 x 128 8-bit PNG)."""
+    frames: int = 128
+    """Frames of each set; fewer if the dataset or half of the real patients has fewer."""
+    view: str = "A4C"
+    grade: float = 5.0
+    """Frames of the view below this grade are left out: nobody would keep them."""
+    splits: int = 20
+    """Random halves of the real patients; figures are means over them."""
+    support: float = 0.9
+    """A pixel is in the real sector if it is not black in this share of the real frames."""
+    seed: int = 0
+
+
+class RealFrames(NamedTuple):
+    """Real frames for comparison."""
+
+    images: Tensor
+    """(N, 128, 128) uint8."""
+    patient: np.ndarray
+    """(N,) integer."""
+    sha256: str
+
+
+class Realism(NamedTuple):
+    """The report, and the frames it speaks of, as they were before masking."""
+
+    content: dict[str, Any]
+    real: Tensor
+    phantom: Tensor
+
+
+def read_real(path: Path) -> RealFrames:
+    """Read real frames.
+
+    Raises:
+        RacinesError: no such file, columns missing, or images of another size.
+    """
+    import polars as pl
+
+    if not path.is_file():
+        raise RacinesError(f"{path}: no such file; realism needs real frames, see docs/scores.md")
+    try:
+        table = pl.read_parquet(path, columns=["patient", "image"])
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise RacinesError(f"{path}: no Parquet with columns patient and image: {error}") from error
+    arrays = [np.asarray(Image.open(io.BytesIO(png)).convert("L")) for png in table["image"]]
+    if any(array.shape != (IMAGE_SIZE, IMAGE_SIZE) for array in arrays):
+        raise RacinesError(f"{path}: images are not all {IMAGE_SIZE} x {IMAGE_SIZE}")
+    patient = np.unique(table["patient"].to_numpy(), return_inverse=True)[1]
+    return RealFrames(torch.from_numpy(np.stack(arrays)), patient, sha256_file(path))
+
+
+def take_phantom(store: FrameStore, config: RealismConfig) -> Tensor:
+    """Return (n, 128, 128) frames of the view, of all splits, at even distances.
+
+    Raises:
+        RacinesError: the dataset has fewer than two frames of the view and grade.
+    """
+    chosen = (store.views == view_index(config.view)) & (store.grades >= config.grade)
+    rows = chosen.nonzero()[:, 0]
+    if len(rows) < 2:
+        raise RacinesError(
+            f"realism: {len(rows)} frames of {config.view} with grade >= {config.grade:g} in the "
+            "dataset; lower realism.grade or build more frames"
+        )
+    count = min(config.frames, len(rows))
+    return store.take(rows[torch.arange(count) * len(rows) // count]).images
+
+
+def common_sector(real: Tensor, phantom: Tensor, support: float) -> Tensor:
+    """Return the (H, W) mask of pixels in the sector of both sets.
+
+    Real: not black in a share `support` of the frames, as scanners crop differently. Phantom: not
+    black in any frame, as its sector is the same in all.
+    """
+    inside = ((real > 0).float().mean(0) >= support) & (phantom > 0).any(0)
+    if int(inside.sum()) < 1000:
+        raise RacinesError("realism: the sectors of real and phantom frames do not overlap")
+    return inside
+
+
+def compare_with_real(
+    real: RealFrames,
+    store: FrameStore,
+    config: RealismConfig,
+    extractor: Extractor,
+    progress: Progress | None = None,
+) -> Realism:
+    """Hold the phantom's frames beside the real ones.
+
+    Raises:
+        RacinesError: too few frames of either, or sectors that do not overlap.
+    """
+    began = time.perf_counter()
+    phantom = take_phantom(store, config)
+    mask = common_sector(real.images, phantom, config.support)
+    sector = Sector.of(mask)
+    ours, theirs = (images * mask for images in (phantom, real.images))
+    a = Summary.of(ours, sector, extractor(ours, progress))
+    b = Summary.of(theirs, sector, extractor(theirs, progress))
+    n, figures = _over_splits(a, b, real.patient, config)
+    content = {
+        "schema": SCHEMA,
+        "dataset": dataset_card(store),
+        "real": {"sha256": real.sha256, "frames": len(theirs), "patients": len(set(real.patient))},
+        "view": config.view,
+        "grade_at_least": config.grade,
+        "phantom_frames": len(ours),
+        "n": n,
+        "splits": config.splits,
+        "mask": {"pixels": int(mask.sum()), "support": config.support},
+        "figures": figures,
+        "gray": {"phantom": description(a), "real": description(b)},
+        "extractor": extractor.settings,
+        "code": code_version(),
+        "environment": environment(),
+        "seconds": round(time.perf_counter() - began, 3),
+    }
+    return Realism(content, real.images, phantom)
+
+
+def _over_splits(
+    phantom: Summary, real: Summary, patient: np.ndarray, config: RealismConfig
+) -> tuple[int, dict[str, Any]]:
+    """Return n, and each figure's mean and range over random halves of the patients."""
+    random = np.random.default_rng(config.seed)
+    halves = [_halves(patient, random) for _ in range(config.splits)]
+    n = min(len(phantom.profile), config.frames, *(len(half) for pair in halves for half in pair))
+    rows: dict[str, list[dict[str, float]]] = {"phantom": [], "real": []}
+    for left, right in halves:
+        one, other = (real.take(torch.from_numpy(half[:n])) for half in (left, right))
+        ours = torch.from_numpy(random.permutation(len(phantom.profile))[:n])
+        rows["phantom"].append(differences(phantom.take(ours), one))
+        rows["real"].append(differences(other, one))
+    figures = {}
+    for name, rule in RULES.items():
+        of = {key: np.array([each[name] for each in values]) for key, values in rows.items()}
+        figures[name] = {"rule": rule} | {
+            key: {
+                "value": float(values.mean()),
+                "low": float(values.min()),
+                "high": float(values.max()),
+            }
+            for key, values in of.items()
+        }
+    return n, figures
+
+
+def _halves(patient: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Split frames into two halves that share no patient, each in random order."""
+    order = random.permutation(patient.max() + 1)
+    left = np.isin(patient, order[: len(order) // 2])
+    return random.permutation(np.flatnonzero(left)), random.permutation(np.flatnonzero(~left))

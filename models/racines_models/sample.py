@@ -1,0 +1,108 @@
+"""What generators are scored on: the same frames for all, and the images drawn of their poses."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.imaging import ImageSource, check_images
+from racines_data.randomness import derive
+from racines_data.store import Batch, FrameStore
+from racines_models.provenance import sha256_bytes
+
+CHUNK = 64
+"""Images asked of a generator at once."""
+DRAW = 31
+"""Random stream of the generators' seeds."""
+FAINT = 1.0
+"""An image whose gray levels have a smaller standard deviation shows nothing."""
+
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class Sample:
+    """N frames of a split, spread over its trajectories."""
+
+    frames: Batch
+    trajectory: np.ndarray
+    """(N,) the trajectory of each, an integer."""
+
+    @property
+    def digest(self) -> str:
+        """Hash that says which frames these are."""
+        return sha256_bytes(self.frames.index.numpy().tobytes())
+
+
+def take_sample(store: FrameStore, split: str, size: int) -> Sample:
+    """Take at most `size` frames at even distances, so that each trajectory has its share.
+
+    Raises:
+        RacinesError: the split has fewer than two frames.
+    """
+    rows = store.split_indices(split)
+    if len(rows) < 2:
+        raise RacinesError(
+            f"split {split} has {len(rows)} frames: scores need 2 or more; set scores.split"
+        )
+    rows = rows[torch.argsort(store.trajectory_index[rows], stable=True)]
+    if len(rows) > size:
+        rows = rows[(torch.arange(size) * len(rows) + len(rows) // 2) // size]
+    return Sample(store.take(rows), store.trajectory_index[rows].numpy())
+
+
+def draw(
+    generator: ImageSource, frames: Batch, seed: int, progress: Progress | None = None
+) -> Tensor:
+    """Return the generator's (N, 128, 128) uint8 images of the frames' parameters.
+
+    A frame's noise depends on `seed` and the frame's row, not on the frames beside it.
+
+    Raises:
+        RacinesError: an image is missing, of a wrong type, shape or range, or shows nothing.
+    """
+    seeds = derive(torch.full_like(frames.index, seed), DRAW, frames.index)
+    parts = []
+    for parameters, chunk in zip(frames.parameters.split(CHUNK), seeds.split(CHUNK), strict=True):
+        images = generator.generate(parameters, chunk)
+        if not isinstance(images, Tensor) or len(images) != len(parameters):
+            raise RacinesError(f"the generator returned no (B, H, W) tensor of {len(parameters)}")
+        parts.append(images.cpu())
+        if progress is not None:
+            progress(len(images))
+    return check_drawn(torch.cat(parts))
+
+
+def check_drawn(images: Tensor) -> Tensor:
+    """Return (N, 128, 128) uint8 images if they can be scored.
+
+    Raises:
+        RacinesError: NaN, wrong type, shape or range, or images that show nothing.
+    """
+    if images.is_floating_point() and not bool(images.isfinite().all()):
+        raise RacinesError("images hold NaN or infinity: give uint8 gray levels 0-255")
+    check_images(images)
+    spread = torch.cat([chunk.float().flatten(1).std(1) for chunk in images.split(CHUNK)])
+    if float(spread.median()) < FAINT:
+        raise RacinesError(
+            f"half of the images are near-constant (standard deviation below {FAINT:g} gray "
+            "level): nothing was drawn, or 0-1 images were cast to uint8"
+        )
+    return images
+
+
+def speed(generator: ImageSource, frames: Batch, batch: int, repeats: int = 5) -> float:
+    """Return images a second at one batch size, the best of some calls."""
+    rows = torch.arange(batch) % len(frames.index)
+    parameters, seeds = frames.parameters[rows], torch.arange(batch)
+    generator.generate(parameters, seeds)
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        generator.generate(parameters, seeds).cpu()
+        times.append(time.perf_counter() - began)
+    return batch / min(times)
