@@ -41,6 +41,21 @@ def to_numpy(core: ScanCore, seen: dict[str, torch.Tensor]) -> Any:
     return arrays if core.observation == "multimodal" else arrays[core.observation]
 
 
+def read_actions(actions: Any) -> torch.Tensor:
+    """Turn actions of any kind of sequence into a tensor of integers.
+
+    Raises:
+        RacinesError: they are not integers.
+    """
+    try:
+        array = np.asarray(actions)
+    except ValueError as error:
+        raise RacinesError(f"actions {actions!r} are ragged: give integers 0-12") from error
+    if array.dtype.kind not in "iu":
+        raise RacinesError(f"action {actions!r} is no integer: give integers 0-12")
+    return torch.as_tensor(array.astype(np.int64))
+
+
 def check_render_mode(render_mode: str | None) -> str | None:
     """Return the mode if it is `rgb_array` or none."""
     if render_mode not in (None, "rgb_array"):
@@ -103,7 +118,9 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         Raises:
             RacinesError: the action is not an integer 0-12.
         """
-        seen, reward, ended, cut = self.core.step(torch.as_tensor(np.asarray(action)).reshape(-1))
+        seen, reward, ended, cut = self.core.step(
+            read_actions(action).reshape(-1).to(self.core.device)
+        )
         return self._first(seen), float(reward), bool(ended), bool(cut), self._info()
 
     def render(self) -> Any:

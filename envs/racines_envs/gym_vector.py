@@ -13,6 +13,7 @@ from racines_envs.gym_env import (
     RENDER_FPS,
     check_render_mode,
     observation_space,
+    read_actions,
     read_pose,
     to_numpy,
 )
@@ -64,7 +65,7 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         Raises:
             RacinesError: wrong shape or type, or an action outside 0-12.
         """
-        action = torch.as_tensor(np.asarray(actions)).to(self.core.device)
+        action = read_actions(actions).to(self.core.device)
         seen, reward, ended, cut = self.core.step(action, autoreset=True)
         return (
             to_numpy(self.core, seen),

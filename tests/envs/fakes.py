@@ -29,11 +29,12 @@ class FakeWorkspace:
 
 
 class FakePhantom:
-    """A view is attained within about 1 cm and 0.4 rad of its nominal pose."""
+    """A view is attained within about 1 cm and 0.4 rad (times `reach`) of its nominal pose."""
 
     surface_height = 0.065
 
-    def __init__(self) -> None:
+    def __init__(self, reach: float = 1.0) -> None:
+        self.reach = reach
         self.workspace = FakeWorkspace(
             torch.tensor([0.412, -0.058, 0.04]), torch.tensor([0.568, 0.068, 0.134])
         )
@@ -54,7 +55,7 @@ class FakePhantom:
     def judge(self, pose: Pose) -> Truth:
         metres = (pose.position[:, None] - self._targets.position).norm(dim=-1)
         radians = geodesic(pose.rotation[:, None], self._targets.rotation[None])
-        badness = (metres / 0.01).square() + (radians / 0.4).square()
+        badness = ((metres / 0.01).square() + (radians / 0.4).square()) / self.reach**2
         membership = torch.sigmoid((1.5 - badness) * 4.0)
         view_grade = (10.0 - 3.0 * badness).clamp(0.0, 10.0)
         best, view = membership.max(-1)

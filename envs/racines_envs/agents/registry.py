@@ -10,7 +10,7 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.protocol import Agent
 
 GROUP = "racines.agents"
-MEMBERS = ("name", "Config", "observation", "attach", "act", "train", "load")
+MEMBERS = ("name", "Config", "attach", "act", "train", "load")
 
 
 def _points() -> dict[str, str]:

@@ -1,0 +1,137 @@
+"""Gymnasium: one environment, the vector environment, and that they are the same."""
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import matrix_to_euler
+from racines_data.views import VIEWS
+from racines_envs.gym_env import GymScanEnv
+
+ID = "racines_envs:racines/SC-v0"
+OBSERVATIONS = ("image", "params", "multimodal")
+
+
+def make(phantom, observation="params", reward="oracle", view="SC", **more):
+    return gymnasium.make(
+        f"racines_envs:racines/{view}-v0",
+        phantom=phantom,
+        observation=observation,
+        reward=reward,
+        **more,
+    )
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("observation", OBSERVATIONS)
+@pytest.mark.parametrize("reward", ["paper", "oracle", "shaped"])
+def test_check_env_passes_without_warnings(phantom, grader, view, observation, reward):
+    env = make(phantom, observation, reward, view, grader=grader, render_mode="rgb_array")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+        check_env(make(phantom, observation, reward, view, grader=grader).unwrapped)
+
+
+@pytest.mark.parametrize("observation", OBSERVATIONS)
+def test_the_vector_environment_equals_gymnasiums_own_on_the_same_seeds(phantom, observation):
+    ours = gymnasium.make_vec(
+        ID, num_envs=3, phantom=phantom, observation=observation, reward="oracle"
+    )
+    theirs = SyncVectorEnv([lambda: make(phantom, observation)] * 3)
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
+    assert ours.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    a, b = ours.reset(seed=7), theirs.reset(seed=7)
+    rng = np.random.default_rng(0)
+    for step in range(230):  # past the 200 steps of an episode
+        for x, y in zip(_leaves(a), _leaves(b), strict=True):
+            np.testing.assert_array_equal(x, y, err_msg=f"step {step}")
+        action = rng.integers(0, 13, 3)
+        a, b = ours.step(action), theirs.step(action)
+        assert a[0] in ours.observation_space
+    assert ours.num_envs == 3
+
+
+def _leaves(value):
+    if isinstance(value, dict):
+        return [leaf for key in sorted(value) for leaf in _leaves(value[key])]
+    if isinstance(value, tuple):
+        return [leaf for item in value for leaf in _leaves(item)]
+    return [np.asarray(value)]
+
+
+def test_images_are_channels_last_and_rendered_in_gray(phantom):
+    env = make(phantom, "image", render_mode="rgb_array")
+    seen, _ = env.reset(seed=0)
+    assert seen.shape == (128, 128, 1) and seen.dtype == np.uint8
+    drawn = env.render()
+    assert drawn.shape == (128, 128, 3)
+    np.testing.assert_array_equal(drawn[..., 0], seen[..., 0])
+
+
+def test_vector_render_gives_a_frame_a_row(phantom):
+    env = gymnasium.make_vec(
+        ID, num_envs=2, phantom=phantom, observation="params", reward="oracle",
+        render_mode="rgb_array",
+    )  # fmt: skip
+    env.reset(seed=0)
+    frames = env.render()
+    assert len(frames) == 2 and frames[0].shape == (128, 128, 3)
+
+
+@pytest.mark.parametrize("action", [float("nan"), 1.5, 13, -1, [0, 1], "x", None])
+def test_bad_actions_are_refused(phantom, action):
+    env = make(phantom).unwrapped
+    env.reset(seed=0)
+    with pytest.raises(RacinesError, match="action"):
+        env.step(action)
+    vector = gymnasium.make_vec(
+        ID, num_envs=2, phantom=phantom, observation="params", reward="oracle"
+    )
+    vector.reset(seed=0)
+    with pytest.raises(RacinesError, match="action"):
+        vector.step([0, action])
+
+
+def test_start_pose_option(phantom):
+    env = make(phantom)
+    target = phantom.target("SC")
+    pose = [*target.position[0].tolist(), *matrix_to_euler(target.rotation)[0].tolist()]
+    _, info = env.reset(seed=0, options={"pose": pose})
+    assert info["position_error"] < 1e-6 and info["success"]
+    for options, word in (
+        ({"pose": [0.9, *pose[1:]]}, "outside the workspace"),
+        ({"pose": pose[:3]}, "shape"),
+        ({"poes": pose}, "unknown reset option"),
+    ):
+        with pytest.raises(RacinesError, match=word):
+            env.reset(options=options)
+
+
+def test_missing_grader_and_wrong_names_are_refused(phantom, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RacinesError, match="racines train grader"):
+        gymnasium.make(ID, phantom=phantom)
+    with pytest.raises(RacinesError, match="render_mode"):
+        GymScanEnv("SC", phantom=phantom, render_mode="ansi")
+    with pytest.raises(RacinesError, match="phantom"):
+        make("a phantom")
+
+
+def test_an_unseeded_environment_starts_anywhere(phantom):
+    starts = [make(phantom).reset()[0] for _ in range(2)]
+    assert not np.array_equal(*starts)
+
+
+def test_infos_are_plain_numbers_of_the_truth(phantom):
+    env = make(phantom)
+    env.reset(seed=0)
+    info = env.step(0)[4]
+    assert {"view", "grade", "success", "force", "workspace_hits", "position_error"} <= set(info)
+    assert all(isinstance(value, (bool, int, float)) for value in info.values())
