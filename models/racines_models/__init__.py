@@ -1,0 +1,1 @@
+"""Image generators, the grader, and their scores."""

@@ -1,0 +1,73 @@
+"""The command `racines train generator`. Heavy imports stand inside, so that --help is instant."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+
+def register(train: typer.Typer) -> None:
+    """Add `generator` to `racines train`."""
+    train.command("generator")(train_generator)
+
+
+def train_generator(
+    name: Annotated[str, typer.Argument(help="A registered generator, or module:Class.")],
+    data: Annotated[Path, typer.Option(help="Folder of the dataset.")] = Path("data/racines"),
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the run.  [default: models/runs/NAME]")
+    ] = None,
+    params: Annotated[
+        Path | None, typer.Option(help="Params file; its section generators.NAME is used.")
+    ] = None,
+    profile: Annotated[
+        str | None, typer.Option(help="Packaged settings: smoke, default or paper.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed; default: the params file's.")] = None,
+    device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
+    resume: Annotated[
+        bool | None,
+        typer.Option(
+            "--resume/--fresh",
+            help="Continue a killed run, or start anew. Without either: continue if one is there.",
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print figures as JSON.")] = False,
+) -> None:
+    """Train a generator on the train split; leaves model, config, metrics and samples."""
+    from racines_data.config import fill, read_params, section
+    from racines_data.store import open_store
+    from racines_models.protocol import Run
+    from racines_models.registry import generator_class
+
+    cls = generator_class(name)
+    if params is None and profile is None and Path("params.yaml").is_file():
+        params = Path("params.yaml")
+    values = read_params(params, profile)
+    # A module:Class has dots of its own, so the section is not looked up by a dotted path.
+    settings = section(values, "generators").get(cls.name) or {}
+    generator = cls(fill(cls.Config, settings, f"generators.{cls.name}"))
+    run = Run(
+        folder=out or Path("models/runs") / cls.name,
+        seed=values.get("seed", 0) if seed is None else seed,
+        device=device,
+        resume=resume,
+        progress=not as_json,
+    )
+    metrics = generator.fit(open_store(data), run)
+    if as_json:
+        typer.echo(json.dumps({"out": str(run.folder), **metrics}))
+    else:
+        _print(run.folder, metrics)
+
+
+def _print(folder: Path, metrics: dict[str, Any]) -> None:
+    shown = {key: value for key, value in metrics.items() if not isinstance(value, dict | str)}
+    validation = metrics.get("validation", {})
+    parts = [f"{key} {value:,}" for key, value in shown.items()]
+    if validation:
+        parts.append(
+            f"PSNR {validation['psnr']:.2f} dB on {validation['n']} {validation['split']} frames"
+        )
+    typer.echo(f"{folder}: {', '.join(parts)}")

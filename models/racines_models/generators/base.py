@@ -1,0 +1,157 @@
+"""What all our generators share: checked input, a card, and files that hold no code."""
+
+import dataclasses
+import json
+from abc import ABC, abstractmethod
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, ClassVar, Generic, Self, TypeVar
+
+import torch
+from safetensors.torch import load_file, save
+from torch import Tensor
+
+from racines_data.config import fill
+from racines_data.errors import RacinesError
+from racines_data.imaging import check_parameters
+from racines_data.store import FrameStore
+from racines_models.files import write_atomic, write_json
+from racines_models.protocol import Card, Run
+from racines_models.training.checkpoint import discard_checkpoint
+from racines_models.training.validation import Validation
+
+SCHEMA = "racines.generator/1"
+C = TypeVar("C")
+
+
+def resolve_device(device: str) -> str:
+    """Return the device that `auto` stands for, or the one named.
+
+    Raises:
+        RacinesError: CUDA is asked for and absent.
+    """
+    if device == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    if device.startswith("cuda") and not torch.cuda.is_available():
+        raise RacinesError("--device cuda: no CUDA device here; use --device cpu")
+    return device
+
+
+class BaseGenerator(ABC, Generic[C]):
+    """Saves tensors and a config; a subclass says what to learn and how to draw."""
+
+    name: ClassVar[str]
+    Config: ClassVar[type]
+    title: ClassVar[str]
+    summary: ClassVar[str]
+    source: ClassVar[str]
+    stochastic: ClassVar[bool] = False
+    limits: ClassVar[tuple[str, ...]] = ()
+
+    config: C
+
+    def __init__(self, config: C | None = None):
+        self.config = self.Config() if config is None else config
+        self.device = "cpu"
+        self.seed = 0
+        self.data: dict[str, Any] = {}
+
+    @abstractmethod
+    def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
+        """Learn from the train split and return metrics."""
+
+    @abstractmethod
+    def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
+        """Return (B, 128, 128) uint8 images of checked (B, 12) parameters on `self.device`."""
+
+    @abstractmethod
+    def tensors(self) -> dict[str, Tensor]:
+        """Return what the model file holds; empty before the fit."""
+
+    @abstractmethod
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Take back what `tensors` returned, onto `self.device`."""
+
+    def fit(self, store: FrameStore, run: Run) -> dict[str, Any]:
+        """Learn from the train split, save into `run.folder`, and return the metrics."""
+        if len(store.split_indices("train")) == 0:
+            raise RacinesError("the dataset has no train frames: rebuild it with more trajectories")
+        self.device = resolve_device(run.device)
+        run = dataclasses.replace(run, device=self.device)
+        self.seed = run.seed
+        keys = ("source", "version", "digest", "recipe_digest")
+        self.data = {key: store.manifest.get(key) for key in keys}
+        metrics: dict[str, Any] = {"schema": "racines.training/1", "generator": self.name}
+        metrics |= self.learn(store, run)
+        validation = Validation(store, run.seed)
+        drawn = validation.draw(self)
+        validation.grid(drawn, run.folder / "samples.png")
+        metrics["validation"] = validation.figures(drawn)
+        self.save(run.folder)
+        write_json(run.folder / "metrics.json", metrics)
+        discard_checkpoint(run.folder)
+        return metrics
+
+    @torch.no_grad()
+    def generate(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
+        """Return (B, 128, 128) uint8 images, on the parameters' device (see `ImageSource`)."""
+        if not self.tensors():
+            raise RacinesError(f"{self.name} is not fitted: call fit, or load a trained folder")
+        checked = check_parameters(parameters).to(self.device, torch.float32)
+        return self.draw(checked, seed).to(parameters.device)
+
+    @property
+    def card(self) -> Card:
+        """Describe the fitted generator."""
+        return Card(
+            name=self.name,
+            title=self.title,
+            summary=self.summary,
+            source=self.source,
+            stochastic=self.stochastic,
+            weights=sum(tensor.numel() for tensor in self.tensors().values()),
+            data=self.data,
+            config=dataclasses.asdict(self.config),  # type: ignore[call-overload]
+            seed=self.seed,
+            limits=self.limits,
+        )
+
+    def save(self, folder: Path) -> None:
+        """Write `model.safetensors` and `config.json` into the folder."""
+        tensors = {key: value.cpu().contiguous() for key, value in self.tensors().items()}
+        write_atomic(folder / "model.safetensors", save(tensors))
+        content = {"schema": SCHEMA, "code": {"version": version("racines")}}
+        write_json(folder / "config.json", content | dataclasses.asdict(self.card))
+
+    @classmethod
+    def load(cls, folder: Path, device: str = "cpu") -> Self:
+        """Read what `save` wrote.
+
+        Raises:
+            RacinesError: no model there, a damaged one, or one of another generator.
+        """
+        content = _read_config(folder, cls.name)
+        generator = cls(fill(cls.Config, content["config"], f"{folder}/config.json: config"))
+        generator.device = resolve_device(device)
+        generator.seed, generator.data = content["seed"], content["data"]
+        try:
+            generator.restore(load_file(folder / "model.safetensors", device=generator.device))
+        except Exception as error:
+            raise RacinesError(
+                f"{folder}/model.safetensors: cannot be read: {error}; train {cls.name} again"
+            ) from error
+        return generator
+
+
+def _read_config(folder: Path, name: str) -> dict[str, Any]:
+    path = Path(folder) / "config.json"
+    if not path.is_file():
+        raise RacinesError(f"{folder}: no trained {name} here; run: racines train generator {name}")
+    try:
+        content = json.loads(path.read_text())
+    except json.JSONDecodeError as error:
+        raise RacinesError(f"{path}: not valid JSON: {error}; train {name} again") from error
+    if content.get("schema") != SCHEMA or content.get("name") != name:
+        found = content.get("name") or "something else"
+        raise RacinesError(f"{path}: holds {found}, not {name}; name the generator it holds")
+    return content

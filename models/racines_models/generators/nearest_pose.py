@@ -1,0 +1,97 @@
+"""Retrieval: the training image whose pose is nearest."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import parameters_to_pose
+from racines_data.store import FrameStore
+from racines_models.generators.base import BaseGenerator
+from racines_models.protocol import Run
+
+QUERIES = 64
+"""Poses compared at a time: bounds the distance matrix at 37 MB for 144,668 frames."""
+
+
+@dataclass(frozen=True)
+class NearestPoseConfig:
+    """Metric and size of the memory."""
+
+    metres_per_radian: float = 0.07
+    """What a turn weighs against a shift: the depth at which a point moves by as much in both.
+    The default is half of the usual 14 cm imaging depth."""
+    frames: int = 0
+    """Training frames kept, evenly spread over the split; 0 keeps all."""
+
+    def __post_init__(self) -> None:
+        """Refuse a metric that is none."""
+        if self.metres_per_radian < 0 or self.frames < 0:
+            raise RacinesError("nearest-pose: metres_per_radian and frames are 0 or more")
+
+
+class NearestPose(BaseGenerator[NearestPoseConfig]):
+    """Returns the training image of the nearest pose; of equally near ones, the first.
+
+    The distance is sqrt(|Δp|² + (w · 2 sin(θ/2))²) with Δp in metres, θ the angle between the
+    rotations and w metres per radian: Euclidean in position and w/√2 times the rotation matrix,
+    so the search is one exact batched distance.
+    """
+
+    name = "nearest-pose"
+    Config = NearestPoseConfig
+    title = "Nearest pose"
+    summary = "The training image whose probe pose is nearest."
+    source = "a floor of this benchmark (under a split by frames it would win)"
+    limits = ("draws nothing new", "jumps between neighbouring training frames")
+
+    keys: Tensor | None = None
+    images: Tensor | None = None
+
+    def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
+        """Remember poses and images of the train split, in order of the store."""
+        frames = store.split_indices("train").sort().values
+        if 0 < self.config.frames < len(frames):
+            frames = frames[torch.arange(self.config.frames) * len(frames) // self.config.frames]
+        kept = store.take(frames)
+        self.keys = self._embed(kept.parameters).to(self.device)
+        self.images = kept.images.to(self.device)
+        return {"images": len(frames)}
+
+    def _embed(self, parameters: Tensor) -> Tensor:
+        pose = parameters_to_pose(parameters)
+        weight = self.config.metres_per_radian / math.sqrt(2.0)
+        return torch.cat([pose.position, weight * pose.rotation.flatten(-2)], -1)
+
+    def nearest(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the (B,) index of the nearest training frame and the (B,) distance, m."""
+        assert self.keys is not None
+        found = []
+        for queries in self._embed(parameters).split(QUERIES):
+            # The exact form, not the matrix product: equal poses have distance 0, and a row's
+            # result ignores its batch. argmin returns the first of equal minima.
+            distance = torch.cdist(queries, self.keys, compute_mode="donot_use_mm_for_euclid_dist")
+            index = distance.argmin(1)
+            found.append((index, distance.gather(1, index[:, None]).squeeze(1)))
+        index, distance = (torch.cat(column) for column in zip(*found, strict=True))
+        return index, distance
+
+    def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
+        """Return (B, 128, 128) images of the nearest poses."""
+        assert self.images is not None
+        if not len(parameters):
+            return self.images[:0].clone()
+        return self.images[self.nearest(parameters)[0]]
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return the remembered poses and images."""
+        if self.keys is None or self.images is None:
+            return {}
+        return {"keys": self.keys, "images": self.images}
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Take the remembered poses and images."""
+        self.keys, self.images = tensors["keys"], tensors["images"]

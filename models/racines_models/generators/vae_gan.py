@@ -1,0 +1,180 @@
+"""The paper's generator: a conditional VAE whose decoder is also a GAN's generator."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy_with_logits, mse_loss, softplus
+from torch.optim import Adam, Optimizer
+
+from racines_data.errors import RacinesError
+from racines_data.randomness import derive, normal, sample_seeds
+from racines_data.store import FrameStore
+from racines_models.conditioning import Conditioning
+from racines_models.generators.base import BaseGenerator
+from racines_models.networks.batching import in_fixed_batches
+from racines_models.networks.convolution import frozen, to_gray, to_range
+from racines_models.networks.vae_gan import Decoder, Discriminator, Encoder
+from racines_models.protocol import Run
+from racines_models.trainer import train
+from racines_models.training.objective import TrainBatch, Training, Update
+
+POSTERIOR, PRIOR, DRAW = 1, 2, 3
+"""Random streams: noise of the posterior, of the prior in training, of the prior at drawing."""
+
+
+@dataclass(frozen=True)
+class VaeGanConfig:
+    """Sizes, losses and loop; the paper states latent, learning rate, batch and epochs only."""
+
+    width: int = 16
+    """Channels at the decoder's finest level; the coarsest has eight times as many."""
+    encoder_width: int = 8
+    discriminator_width: int = 8
+    """The same of the networks that only train: narrower ones cost a CPU less and lose little."""
+    latent: int = 100
+    embedding: int = 64
+    """Width of the discriminator's label embedding."""
+    conditioning: str = "continuous"
+    """`continuous`, or `euler` for the raw twelve columns."""
+    learning_rate: float = 1e-3
+    """The paper's 1e-4 asks for its 14 million images."""
+    beta1: float = 0.5
+    """Adam's first moment decay; the GAN custom, the paper is silent."""
+    reconstruction_weight: float = 1.0
+    kl_weight: float = 1.0
+    """On the mean over latent entries; 1 ends near the paper's KL of 0.0013. At 0.1 the latent
+    carries what the pose should, and images from prior noise are unlike any frame."""
+    adversarial_weight: float = 0.001
+    training: Training = field(default_factory=Training)
+
+    def __post_init__(self) -> None:
+        """Refuse sizes and weights that cannot train."""
+        if min(self.width, self.encoder_width, self.discriminator_width) < 1:
+            raise RacinesError("vae-gan: the three widths are at least 1")
+        if min(self.latent, self.embedding) < 1:
+            raise RacinesError("vae-gan: latent and embedding are at least 1")
+        if min(self.reconstruction_weight, self.kl_weight, self.adversarial_weight) < 0:
+            raise RacinesError("vae-gan: loss weights are 0 or more")
+        if self.learning_rate <= 0:
+            raise RacinesError("vae-gan.learning_rate: must be above 0")
+
+
+class VaeGan(BaseGenerator[VaeGanConfig]):
+    """Conditional VAE-GAN: reconstruction, KL and adversarial loss; drawn from prior noise."""
+
+    name = "vae-gan"
+    Config = VaeGanConfig
+    title = "Conditional VAE-GAN"
+    summary = "A decoder turns latent noise and the probe's parameters into an image."
+    source = "the RACINES paper, section 'Continuous Conditional US Image Generation'"
+    stochastic = True
+    limits = (
+        "smooths speckle: the reconstruction loss averages what the condition does not fix",
+        "weights of the three losses are ours: the paper states none",
+    )
+
+    nets: nn.ModuleDict | None = None
+
+    def _build(self) -> nn.ModuleDict:
+        config = self.config
+        conditioning = Conditioning(config.conditioning)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.seed)
+            nets = {
+                "conditioning": conditioning,
+                "encoder": Encoder(config.encoder_width, config.latent),
+                "decoder": Decoder(config.width, config.latent, conditioning.width),
+                "discriminator": Discriminator(
+                    config.discriminator_width, conditioning.width, config.embedding
+                ),
+            }
+        # Channels last is the faster order on CPU and GPU; fixed here, since orders round apart.
+        return nn.ModuleDict(nets).to(memory_format=torch.channels_last)  # pyright: ignore
+
+    def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
+        """Fit the conditioning, then train."""
+        self.nets = self._build()
+        self._net("conditioning").fit(store.parameters[store.split_indices("train")])
+        self.nets.to(self.device)
+        return train(self, store, self.config.training, run)
+
+    def _net(self, name: str) -> Any:
+        assert self.nets is not None
+        return self.nets[name]
+
+    def modules(self) -> dict[str, nn.Module]:
+        """Return encoder, decoder and discriminator."""
+        return {name: self._net(name) for name in ("encoder", "decoder", "discriminator")}
+
+    def averaged(self) -> tuple[str, ...]:
+        """Name the decoder, which draws, and the encoder, which is saved beside it."""
+        return ("encoder", "decoder")
+
+    def optimizers(self) -> dict[str, Optimizer]:
+        """Return one Adam for encoder and decoder, one for the discriminator."""
+        rate, betas = self.config.learning_rate, (self.config.beta1, 0.999)
+        vae = [*self._net("encoder").parameters(), *self._net("decoder").parameters()]
+        return {
+            "discriminator": Adam(self._net("discriminator").parameters(), rate, betas),
+            "vae": Adam(vae, rate, betas),
+        }
+
+    def updates(self, nets: Mapping[str, nn.Module], batch: TrainBatch) -> Iterator[Update]:
+        """Yield the discriminator's step, then that of encoder and decoder."""
+        config = self.config
+        real = to_range(batch.images)
+        condition = self._net("conditioning")(batch.parameters)
+        mean, log_variance = nets["encoder"](real)
+        noise = normal(derive(batch.seeds, POSTERIOR), config.latent)
+        posterior = mean + noise * (0.5 * log_variance).exp()
+        prior = normal(derive(batch.seeds, PRIOR), config.latent)
+        # Both in one pass: the decoder's batch norm then fits the prior, from which it will draw.
+        latents, conditions = torch.cat([posterior, prior]), torch.cat([condition, condition])
+        rebuilt, drawn = nets["decoder"](latents, conditions).chunk(2)
+
+        real_logits = nets["discriminator"](real, condition)
+        fake_logits = nets["discriminator"](drawn.detach(), condition)
+        verdict = 0.5 * (softplus(-real_logits) + softplus(fake_logits)).float().mean()
+        yield Update("discriminator", verdict, {"discriminator": verdict})
+
+        reconstruction = mse_loss(rebuilt.float(), real)
+        kl = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).float().mean()
+        with frozen(self._net("discriminator")):
+            logits = nets["discriminator"](drawn, condition).float()
+        adversarial = binary_cross_entropy_with_logits(logits, torch.ones_like(logits))
+        loss = (
+            config.reconstruction_weight * reconstruction
+            + config.kl_weight * kl
+            + config.adversarial_weight * adversarial
+        )
+        logged = {"reconstruction": reconstruction, "kl": kl, "adversarial": adversarial}
+        yield Update("vae", loss, logged)
+
+    def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
+        """Decode prior noise of each sample's seed with its condition."""
+        seeds = sample_seeds(seed, len(parameters), parameters.device)
+        decoder, conditioning = self._net("decoder").eval(), self._net("conditioning")
+
+        def decode(parameters: Tensor, seeds: Tensor) -> Tensor:
+            noise = normal(derive(seeds, DRAW), self.config.latent)
+            return to_gray(decoder(noise, conditioning(parameters)))
+
+        return in_fixed_batches(decode, parameters, seeds)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return encoder, decoder and conditioning; the discriminator stays behind."""
+        if self.nets is None:
+            return {}
+        state = self.nets.state_dict()
+        return {key: value for key, value in state.items() if not key.startswith("discriminator")}
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Take the weights back."""
+        self.nets = self._build().to(self.device)
+        left = self.nets.load_state_dict(tensors, strict=False)
+        missing = [key for key in left.missing_keys if not key.startswith("discriminator")]
+        if missing or left.unexpected_keys:
+            raise RacinesError(f"{missing or left.unexpected_keys} do not fit the config")

@@ -1,0 +1,121 @@
+"""The contract of a generator, as a test class: inherit it to check your own.
+
+    class TestMine(GeneratorContract):
+        generator_class = MyGenerator
+        config = MyConfig(training=Training(images=64, batch_size=8))
+
+pytest collects the inherited tests; they need a `store` fixture that returns a small `FrameStore`.
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.imaging import IMAGE_SIZE, ImageSource
+from racines_data.schema import PARAMETERS
+from racines_data.store import FrameStore
+from racines_models.protocol import Card, Generator, Run
+
+
+class GeneratorContract:
+    """What every registered generator does, whatever its method."""
+
+    generator_class: ClassVar[type[Generator]]
+    config: ClassVar[Any] = None
+    """A configuration that fits within seconds; None takes the defaults."""
+
+    def fitted(self, store: FrameStore, folder: Path) -> Generator:
+        """Return a generator fitted in a folder."""
+        generator = self.generator_class(self.config)
+        generator.fit(store, Run(folder, seed=3, device="cpu", progress=False))
+        return generator
+
+    def parameters(self, store: FrameStore, count: int = 11) -> Tensor:
+        """Return (count, 12) parameters of held-out frames."""
+        return store.take(store.split_indices("test")[:count]).parameters
+
+    def test_images_are_gray_levels(self, store: FrameStore, tmp_path: Path) -> None:
+        """`generate` returns (B, 128, 128) uint8, none for no poses; the class is a generator."""
+        generator = self.fitted(store, tmp_path)
+        assert isinstance(generator, Generator) and isinstance(generator, ImageSource)
+        for count in (0, 1, 11):
+            images = generator.generate(self.parameters(store, count), 0)
+            assert images.dtype == torch.uint8
+            assert images.shape == (count, IMAGE_SIZE, IMAGE_SIZE)
+
+    def test_same_seed_same_bytes(self, store: FrameStore, tmp_path: Path) -> None:
+        """The seed decides, and it matters exactly where the card says so."""
+        generator, poses = self.fitted(store, tmp_path), self.parameters(store)
+        first = generator.generate(poses, 5)
+        assert torch.equal(first, generator.generate(poses, 5))
+        other = generator.generate(poses, 6)
+        assert torch.equal(first, other) is not generator.card.stochastic
+
+    def test_two_fits_agree(self, store: FrameStore, tmp_path: Path) -> None:
+        """The same data and seed give the same model file on one machine."""
+        for name in ("a", "b"):
+            self.fitted(store, tmp_path / name)
+        a, b = (tmp_path / name / "model.safetensors" for name in ("a", "b"))
+        assert a.read_bytes() == b.read_bytes()
+
+    def test_sample_ignores_its_batch(self, store: FrameStore, tmp_path: Path) -> None:
+        """An image depends on its own parameters and seed, to the last bit."""
+        generator, poses = self.fitted(store, tmp_path), self.parameters(store)
+        seeds = torch.arange(len(poses)) * 7 + 1
+        together = generator.generate(poses, seeds)
+        alone = [generator.generate(poses[i : i + 1], seeds[i : i + 1]) for i in range(len(poses))]
+        assert torch.equal(together, torch.cat(alone))
+        assert torch.equal(together.flip(0), generator.generate(poses.flip(0), seeds.flip(0)))
+
+    def test_saved_and_loaded_draws_the_same(self, store: FrameStore, tmp_path: Path) -> None:
+        """`load` of what `fit` or `save` left gives the same bytes and the same card."""
+        generator, poses = self.fitted(store, tmp_path), self.parameters(store)
+        generator.save(tmp_path / "copy")
+        for folder in (tmp_path, tmp_path / "copy"):
+            loaded = self.generator_class.load(folder)
+            assert torch.equal(loaded.generate(poses, 5), generator.generate(poses, 5))
+            assert loaded.card == generator.card
+
+    def test_broken_pose_is_refused(self, store: FrameStore, tmp_path: Path) -> None:
+        """NaN in a pose, and parameters of a wrong shape, are errors that name the column."""
+        generator, poses = self.fitted(store, tmp_path), self.parameters(store).clone()
+        assert "(B, 12)" in _refusal(generator, poses[:, :6])
+        poses[2, PARAMETERS.index("position_y")] = float("nan")
+        assert "position_y of row 2" in _refusal(generator, poses)
+
+    def test_absent_force_is_no_error(self, store: FrameStore, tmp_path: Path) -> None:
+        """Tracked data has no force sensor: NaN there still gives an image."""
+        generator, poses = self.fitted(store, tmp_path), self.parameters(store).clone()
+        poses[:, :6] = float("nan")
+        assert generator.generate(poses, 0).shape == (len(poses), IMAGE_SIZE, IMAGE_SIZE)
+
+    def test_card_is_complete(self, store: FrameStore, tmp_path: Path) -> None:
+        """Every text is filled in, and data, seed and size are those of the fit."""
+        card = self.fitted(store, tmp_path).card
+        for field in dataclasses.fields(Card):
+            assert field.type is not str or getattr(card, field.name), field.name
+        assert card.name == self.generator_class.name and card.limits
+        assert card.data["digest"] == store.manifest["digest"]
+        assert card.seed == 3 and card.weights > 0
+
+    def test_missing_or_foreign_folder_is_refused(self, store: FrameStore, tmp_path: Path) -> None:
+        """`load` names the folder that holds no model of this generator."""
+        for folder in (tmp_path / "absent", tmp_path):
+            try:
+                self.generator_class.load(folder)
+            except RacinesError as error:
+                assert str(folder) in str(error)
+            else:
+                raise AssertionError(f"{folder} holds no model, yet it was loaded")
+
+
+def _refusal(generator: Generator, parameters: Tensor) -> str:
+    try:
+        generator.generate(parameters, 0)
+    except RacinesError as error:
+        return str(error)
+    raise AssertionError("the parameters were accepted")

@@ -1,0 +1,164 @@
+"""One training loop for every learned generator; it knows no method."""
+
+import time
+from typing import Any
+
+import torch
+from accelerate import Accelerator
+from accelerate.state import AcceleratorState
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.store import FrameStore
+from racines_models.protocol import Run
+from racines_models.training.average import Average
+from racines_models.training.checkpoint import Checkpoint
+from racines_models.training.feed import Feed
+from racines_models.training.log import TrainingLog
+from racines_models.training.objective import Trainable, TrainBatch, Training
+from racines_models.training.validation import Validation
+
+
+def train(generator: Trainable, store: FrameStore, config: Training, run: Run) -> dict[str, Any]:
+    """Train until the budget is spent; leave the averaged weights in the networks.
+
+    On the CPU, a run that was killed and resumed ends in the same bits as an undisturbed one.
+
+    Returns:
+        Metrics: `images` and `steps` trained, `seconds` (of all attempts up to their last
+        checkpoints), `images_per_second`, the `precision` used, and the mean `losses` of the
+        last row of the curves.
+
+    Raises:
+        RacinesError: `run.resume` is True and there is no checkpoint of this very run.
+    """
+    trainer = _Trainer(generator, store, config, run)
+    began = time.perf_counter() - trainer.seconds
+    feed = Feed(store, config.batch_size, run.seed, trainer.accelerator.device)
+    with trainer.log:
+        for batch in feed.batches(trainer.seen, trainer.stop):
+            trainer.step(batch)
+            trainer.seconds = time.perf_counter() - began
+            if trainer.due(config.log_every):
+                trainer.log.row(trainer.seen)
+            if trainer.due(config.sample_every):
+                trainer.sample()
+            if trainer.due(config.checkpoint_every):
+                trainer.write_checkpoint()
+    return trainer.finish()
+
+
+class _Trainer:
+    """The state of one run: networks, optimizers, average, curves, and how far it has come."""
+
+    def __init__(self, generator: Trainable, store: FrameStore, config: Training, run: Run):
+        self.generator, self.config, self.folder = generator, config, run.folder
+        self.accelerator = accelerator = _accelerator(config, run)
+        self.modules, optimizers = generator.modules(), generator.optimizers()
+        self.nets = {key: accelerator.prepare(net.train()) for key, net in self.modules.items()}
+        self.optimizers = {name: accelerator.prepare(each) for name, each in optimizers.items()}
+        self.average = Average([self.modules[key] for key in generator.averaged()], config.ema)
+        self.validation = Validation(store, run.seed)
+        self.stop = -(-config.images // config.batch_size) * config.batch_size
+        card = generator.card
+        identity = {"name": card.name, "config": card.config, "seed": card.seed, "data": card.data}
+        self.checkpoint = Checkpoint(run.folder, identity)
+        state = self.checkpoint.read(run.resume)
+        self.seen: int = state["seen"] if state else 0
+        self.seconds: float = state["seconds"] if state else 0.0
+        self.log = TrainingLog(run.folder, card.name, self.seen, self.stop, run.progress)
+        if state:
+            self._restore(state)
+
+    def due(self, every: int) -> bool:
+        """Return whether the last step passed a multiple of `every` images, or was the last."""
+        before = self.seen - self.config.batch_size
+        return self.seen == self.stop or self.seen // every > before // every
+
+    def step(self, batch: TrainBatch) -> None:
+        """Make one batch's optimizer steps."""
+        logged: dict[str, Tensor] = {}
+        for update in self.generator.updates(self.nets, batch):
+            optimizer = self.optimizers[update.optimizer]
+            self.accelerator.backward(update.loss)
+            if self.config.gradient_clip:
+                weights = [each for group in optimizer.param_groups for each in group["params"]]
+                self.accelerator.clip_grad_norm_(weights, self.config.gradient_clip)
+            optimizer.step()
+            # A loss may reach networks that it does not train: clear them all.
+            for each in self.optimizers.values():
+                each.zero_grad()
+            logged |= update.logged
+        self.log.add(logged)
+        self.average.update()
+        self.seen += self.config.batch_size
+
+    def sample(self) -> None:
+        """Draw the validation frames with the averaged weights."""
+        with self.average.applied():
+            drawn = self.validation.draw(self.generator)
+        figures = self.validation.figures(drawn)
+        self.log.metrics(self.seen, {key: figures[key] for key in ("mae", "psnr")}, "validation/")
+        self.validation.grid(drawn, self.folder / "samples" / f"{self.seen:09d}.png")
+
+    def write_checkpoint(self) -> None:
+        """Write everything that a resumed run needs."""
+        state = {
+            "seen": self.seen,
+            "seconds": self.seconds,
+            "modules": {name: net.state_dict() for name, net in self.modules.items()},
+            "optimizers": {name: each.state_dict() for name, each in self.optimizers.items()},
+            "scaler": self.accelerator.scaler.state_dict() if self.accelerator.scaler else {},
+            "average": self.average.state(),
+            "log": self.log.state(),
+        }
+        self.checkpoint.write(state)
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        for name, net in self.modules.items():
+            net.load_state_dict(state["modules"][name])
+        for name, each in self.optimizers.items():
+            each.load_state_dict(state["optimizers"][name])
+        if self.accelerator.scaler:
+            self.accelerator.scaler.load_state_dict(state["scaler"])
+        self.average.restore(state["average"])
+        self.log.restore(state["log"], self.accelerator.device)
+
+    def finish(self) -> dict[str, Any]:
+        """Leave the averaged, unwrapped networks with the generator and return the metrics."""
+        for net in self.nets.values():
+            self.accelerator.unwrap_model(net, keep_fp32_wrapper=False)
+        self.average.apply()
+        return {
+            "images": self.seen,
+            "steps": self.seen // self.config.batch_size,
+            "seconds": round(self.seconds, 3),
+            "images_per_second": round(self.seen / self.seconds, 1),
+            "precision": str(self.accelerator.mixed_precision),
+            "losses": self.log.last,
+        }
+
+
+def resolve_precision(precision: str, device: str) -> str:
+    """Return what `auto` stands for on a device, or the precision named.
+
+    Raises:
+        RacinesError: fp16 on a CPU, which would train in full precision and not say so.
+    """
+    if precision == "fp16" and device == "cpu":
+        raise RacinesError("training.precision: fp16 needs a CUDA device; use bf16, no or auto")
+    if precision != "auto":
+        return precision
+    if device == "cpu":
+        return "bf16" if torch.cpu._is_amx_tile_supported() else "no"
+    return "bf16" if torch.cuda.is_bf16_supported() else "no"
+
+
+def _accelerator(config: Training, run: Run) -> Accelerator:
+    # Accelerate keeps one state a process and refuses a second run with another precision.
+    AcceleratorState._reset_state(reset_partial_state=True)
+    precision = resolve_precision(config.precision, run.device)
+    accelerator = Accelerator(cpu=run.device == "cpu", mixed_precision=precision)
+    if accelerator.num_processes > 1:
+        raise RacinesError("training runs in one process: start it without accelerate launch")
+    return accelerator

@@ -1,0 +1,1 @@
+"""Parts of the trainer: what it feeds, averages, writes down and can resume."""

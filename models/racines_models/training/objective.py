@@ -1,0 +1,97 @@
+"""What the trainer asks of a generator: networks, optimizers, and losses in order."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from torch import Tensor, nn
+from torch.optim import Optimizer
+
+from racines_data.errors import RacinesError
+from racines_data.imaging import ImageSource
+from racines_models.protocol import Card
+
+
+@dataclass(frozen=True)
+class Training:
+    """The loop's settings, the same for every trained generator."""
+
+    images: int = 60_000
+    """Budget: training images seen, counted with repetition."""
+    batch_size: int = 32
+    precision: str = "auto"
+    """Mixed precision: `no`, `bf16`, `fp16`, or `auto`: bf16 where the processor has units for it
+    (CUDA, or AMX on a CPU: 1.6 times the images a second), else no."""
+    ema: float = 0.999
+    """Decay of the averaged weights that draw and are saved, warmed up; 0 switches it off."""
+    gradient_clip: float = 0.0
+    """Largest gradient norm of a network's step; 0 clips nothing."""
+    log_every: int = 2_000
+    """Images between two rows of the loss curves."""
+    sample_every: int = 20_000
+    """Images between two sample grids with validation figures."""
+    checkpoint_every: int = 20_000
+    """Images between two checkpoints."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings that cannot train."""
+        if min(self.images, self.log_every, self.sample_every, self.checkpoint_every) < 1:
+            raise RacinesError("training: images and the intervals are at least 1")
+        if self.batch_size < 2:
+            raise RacinesError("training.batch_size: batch norm needs at least 2")
+        if self.precision not in ("auto", "no", "bf16", "fp16"):
+            raise RacinesError(
+                f"training.precision: {self.precision!r}: use auto, no, bf16 or fp16"
+            )
+        if not 0.0 <= self.ema < 1.0:
+            raise RacinesError("training.ema: a decay lies in [0, 1)")
+
+
+class TrainBatch(NamedTuple):
+    """One training step's data, on the device."""
+
+    images: Tensor
+    """(B, 128, 128) uint8."""
+    parameters: Tensor
+    """(B, 12) float32; forces may be NaN."""
+    seeds: Tensor
+    """(B,) int64: all randomness of the step comes from these, so a resumed run repeats it."""
+
+
+class Update(NamedTuple):
+    """One optimizer step that the trainer is asked to make."""
+
+    optimizer: str
+    loss: Tensor
+    logged: Mapping[str, Tensor]
+    """Scalars for the curves."""
+
+
+class Trainable(ImageSource, Protocol):
+    """A generator that the trainer can train."""
+
+    @property
+    def card(self) -> Card:
+        """Describe what is trained; name, config, seed and data identify a run."""
+        ...
+
+    def modules(self) -> dict[str, nn.Module]:
+        """Return the networks by name; fixed once training starts."""
+        ...
+
+    def averaged(self) -> tuple[str, ...]:
+        """Name the networks that draw: the ones whose weights are averaged (EMA)."""
+        ...
+
+    def optimizers(self) -> dict[str, Optimizer]:
+        """Return fresh optimizers by name."""
+        ...
+
+    def updates(self, nets: Mapping[str, nn.Module], batch: TrainBatch) -> Iterator[Update]:
+        """Yield the optimizer steps of one batch, in order.
+
+        `nets` are the networks of `modules`, as the accelerator wraps them. The trainer makes each
+        step before it asks for the next, so a later loss sees the stepped weights; gradients are
+        cleared in between.
+        """
+        ...

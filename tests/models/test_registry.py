@@ -1,0 +1,118 @@
+"""Generators by name, by entry point of another package, and by module:Class."""
+
+import sys
+import textwrap
+
+import pytest
+import torch
+
+from racines_data.errors import RacinesError
+from racines_models.protocol import Run
+from racines_models.registry import generator_class, generator_names, load_generator
+
+THIRD_PARTY = '''
+    from dataclasses import asdict, dataclass
+    import json
+    import torch
+    from racines_models.protocol import Card
+
+    @dataclass
+    class Config:
+        level: int = 70
+
+    class Flat:
+        """Written without our base class: the protocol alone."""
+        name = "flat"
+        Config = Config
+        def __init__(self, config=None):
+            self.config = config or Config()
+        @property
+        def card(self):
+            return Card("flat", "Flat", "One gray.", "a test", False, 1, {}, asdict(self.config), 0)
+        def fit(self, store, run):
+            self.save(run.folder)
+            return {}
+        def generate(self, parameters, seed):
+            return torch.full((len(parameters), 128, 128), self.config.level, dtype=torch.uint8)
+        def save(self, folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / "config.json").write_text(json.dumps(asdict(self.config)))
+        @classmethod
+        def load(cls, folder, device="cpu"):
+            return cls(Config(**json.loads((folder / "config.json").read_text())))
+
+    class Half:
+        name = "half"
+'''
+
+
+@pytest.fixture
+def third_party(tmp_path, monkeypatch):
+    """An installed package of somebody else, with an entry point."""
+    (tmp_path / "their_generators.py").write_text(textwrap.dedent(THIRD_PARTY))
+    info = tmp_path / "their_generators-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-generators\nVersion: 1.0\n")
+    entry = "[racines.generators]\nflat = their_generators:Flat\n"
+    (info / "entry_points.txt").write_text(entry)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield tmp_path
+    sys.modules.pop("their_generators", None)
+
+
+def test_ours_are_registered():
+    assert {"mean-image", "nearest-pose", "vae-gan"} <= set(generator_names())
+    for name in generator_names():
+        assert generator_class(name).name == name
+
+
+def test_unknown_name_lists_the_known():
+    with pytest.raises(RacinesError, match="'vaegan'.*mean-image, nearest-pose, vae-gan"):
+        generator_class("vaegan")
+
+
+@pytest.mark.parametrize("spec", ["flat", "their_generators:Flat"])
+def test_another_package_plugs_in(third_party, store, tmp_path, spec):
+    cls = generator_class(spec)
+    cls(cls.Config(level=9)).fit(store, Run(tmp_path / "run"))
+    loaded = load_generator(spec, tmp_path / "run")
+    assert torch.equal(loaded.generate(store.parameters[:2], 0).unique(), torch.tensor([9]).byte())
+    assert ("flat" in generator_names()) and "flat" in _message(lambda: generator_class("nope"))
+
+
+def test_entry_point_goes_when_the_package_goes(third_party, monkeypatch):
+    assert "flat" in generator_names()
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path != str(third_party)])
+    assert "flat" not in generator_names()
+
+
+def test_two_packages_with_one_name_are_refused(third_party):
+    entry = "[racines.generators]\nvae-gan = their_generators:Flat\n"
+    (third_party / "their_generators-1.0.dist-info" / "entry_points.txt").write_text(entry)
+    with pytest.raises(RacinesError, match="'vae-gan' is registered twice"):
+        generator_class("vae-gan")
+
+
+@pytest.mark.parametrize(
+    ("spec", "message"),
+    [
+        ("no_such_module:Thing", "cannot import no_such_module"),
+        ("their_generators:Missing", "has no 'Missing'"),
+        ("their_generators:Half", "lacks Config, card, fit, generate, save, load"),
+    ],
+)
+def test_what_is_no_generator_is_refused(third_party, spec, message):
+    with pytest.raises(RacinesError, match=message):
+        generator_class(spec)
+
+
+def test_folder_of_another_generator_is_refused(store, tmp_path):
+    generator_class("mean-image")().fit(store, Run(tmp_path))
+    with pytest.raises(RacinesError, match="holds mean-image, not nearest-pose"):
+        load_generator("nearest-pose", tmp_path)
+
+
+def _message(call) -> str:
+    with pytest.raises(RacinesError) as caught:
+        call()
+    return str(caught.value)
