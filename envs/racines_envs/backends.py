@@ -91,8 +91,8 @@ def make_grader(grader: Any, device: torch.device | str) -> Any:
     folder = Path(grader)
     if not (folder / "grader.safetensors").is_file():
         raise RacinesError(
-            f"{folder}: no trained grader (grader.safetensors) for reward 'paper'; run `racines "
-            "train grader`, or use reward='oracle'"
+            f"{folder}: no trained grader (grader.safetensors): run `racines train grader`, or do "
+            "without one: reward='oracle'"
         )
     from racines_models.grader import Grader
 

@@ -18,7 +18,9 @@ def wilson(hits: np.ndarray) -> dict[str, Any]:
     rate = float(np.mean(hits))
     centre = (rate + _Z**2 / (2 * n)) / (1 + _Z**2 / n)
     half = _Z / (1 + _Z**2 / n) * np.sqrt(rate * (1 - rate) / n + _Z**2 / (4 * n**2))
-    low, high = max(0.0, float(centre - half)), min(1.0, float(centre + half))
+    # The interval reaches its end exactly where no or every trial was a hit.
+    low = 0.0 if rate == 0.0 else float(centre - half)
+    high = 1.0 if rate == 1.0 else float(centre + half)
     return {"value": rate, "low": low, "high": high, "n": n, "settings": {"interval": "Wilson"}}
 
 

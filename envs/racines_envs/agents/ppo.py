@@ -37,7 +37,7 @@ class PPOConfig:
     """Name or run folder, for the backend `generator`."""
     grader: str = ""
     """Run folder, for the reward `paper`; models/runs/grader if empty."""
-    frames: int = 400_000
+    frames: int = 300_000
     """Environment steps in all; rounded up to whole updates."""
     envs: int = 256
     """Environments side by side."""
@@ -68,6 +68,8 @@ class PPOConfig:
     """Environment steps between validations; also between checkpoints."""
     validation_starts: int = 100
     """Episodes a validation, from starts that no evaluation uses."""
+    threads: int = 1
+    """CPU threads; small networks are fastest with one. 0 leaves torch as it is."""
     device: str = "cpu"
 
 
@@ -138,6 +140,14 @@ class _Training:
 
     def run(self, resume: bool | None) -> PPOAgent:
         """Collect, update, validate, checkpoint, until all frames are seen."""
+        threads = torch.get_num_threads()
+        torch.set_num_threads(self.config.threads or threads)
+        try:
+            return self._run(resume)
+        finally:
+            torch.set_num_threads(threads)
+
+    def _run(self, resume: bool | None) -> PPOAgent:
         from torchrl.collectors import Collector
 
         with warnings.catch_warnings(), torch.random.fork_rng(enabled=True):
