@@ -134,7 +134,7 @@ class _Trainer:
             "steps": self.seen // self.config.batch_size,
             "seconds": round(self.seconds, 3),
             "images_per_second": round(self.seen / self.seconds, 1),
-            "precision": str(self.accelerator.mixed_precision),
+            "precision": resolve_precision(self.config.precision, self.accelerator.device.type),
             "losses": self.log.last,
         }
 
@@ -146,19 +146,20 @@ def resolve_precision(precision: str, device: str) -> str:
         RacinesError: fp16 on a CPU, which would train in full precision and not say so.
     """
     if precision == "fp16" and device == "cpu":
-        raise RacinesError("training.precision: fp16 needs a CUDA device; use bf16, no or auto")
+        raise RacinesError("training.precision: fp16 needs a CUDA device; use bf16, fp32 or auto")
     if precision != "auto":
         return precision
     if device == "cpu":
-        return "bf16" if torch.cpu._is_amx_tile_supported() else "no"
-    return "bf16" if torch.cuda.is_bf16_supported() else "no"
+        return "bf16" if torch.cpu._is_amx_tile_supported() else "fp32"
+    return "bf16" if torch.cuda.is_bf16_supported() else "fp32"
 
 
 def _accelerator(config: Training, run: Run) -> Accelerator:
     # Accelerate keeps one state a process and refuses a second run with another precision.
     AcceleratorState._reset_state(reset_partial_state=True)
     precision = resolve_precision(config.precision, run.device)
-    accelerator = Accelerator(cpu=run.device == "cpu", mixed_precision=precision)
+    mixed = "no" if precision == "fp32" else precision
+    accelerator = Accelerator(cpu=run.device == "cpu", mixed_precision=mixed)
     if accelerator.num_processes > 1:
         raise RacinesError("training runs in one process: start it without accelerate launch")
     return accelerator

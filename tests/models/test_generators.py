@@ -23,7 +23,7 @@ TINY = VaeGanConfig(
     latent=8,
     embedding=8,
     learning_rate=0.01,
-    training=Training(images=320, batch_size=16, precision="no"),
+    training=Training(images=320, batch_size=16, precision="fp32"),
 )
 
 
@@ -114,7 +114,7 @@ class TestVaeGan(GeneratorContract):
         """Switching a loss off changes the weights: none is dead code."""
         files = []
         weights = ("kl_weight", "adversarial_weight", "reconstruction_weight")
-        short = {"training": Training(images=32, batch_size=16, precision="no")}
+        short = {"training": Training(images=32, batch_size=16, precision="fp32")}
         for name in ("none", *weights):
             config = VaeGanConfig(**(vars(TINY) | short | ({name: 0.0} if name in weights else {})))
             VaeGan(config).fit(store, Run(tmp_path / name, progress=False))
@@ -122,9 +122,10 @@ class TestVaeGan(GeneratorContract):
         assert len(set(files)) == 4
 
 
+@pytest.mark.slow
 def test_vae_gan_learns_to_follow_the_pose(store, tmp_path):
     """In 300 small steps it beats the mean image, and only at the right pose."""
-    training = Training(images=2400, batch_size=8, precision="no", ema=0.99)
+    training = Training(images=2400, batch_size=8, precision="fp32", ema=0.99)
     config = VaeGanConfig(
         width=4,
         encoder_width=2,

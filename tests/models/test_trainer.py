@@ -21,7 +21,7 @@ from racines_models.training.objective import Training, Update
 @dataclasses.dataclass(frozen=True)
 class ToyConfig:
     training: Training = dataclasses.field(
-        default_factory=lambda: Training(images=40, batch_size=4, ema=0.0, precision="no")
+        default_factory=lambda: Training(images=40, batch_size=4, ema=0.0, precision="fp32")
     )
 
 

@@ -25,7 +25,12 @@ CONFIG = VaeGanConfig(
     latent=4,
     embedding=4,
     training=Training(
-        images=160, batch_size=8, precision="no", log_every=24, sample_every=64, checkpoint_every=40
+        images=160,
+        batch_size=8,
+        precision="fp32",
+        log_every=24,
+        sample_every=64,
+        checkpoint_every=40,
     ),
 )
 
@@ -140,6 +145,7 @@ LONG = dataclasses.replace(
 )
 
 
+@pytest.mark.slow
 def test_sigkill_at_any_moment(tmp_path):
     """The process is killed once its first checkpoint stands, wherever it is by then."""
     torch.set_num_threads(1)
