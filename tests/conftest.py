@@ -19,9 +19,9 @@ TINY = {
     "board": "tiny",
     "seed": 0,
     "data": {"frames": 240, "workers": 1, "phantom": {"shortest": 10, "longest": 20}},
-    "grader": {"view_stage": {"epochs": 1}, "grade_stage": {"epochs": 1}},
+    "grader": {"input_size": 32, "view_stage": {"epochs": 1}, "grade_stage": {"epochs": 1}},
     "generators": {"vae-gan": {"width": 4, "training": {"images": 128, "batch_size": 8}}},
-    "scores": {},
+    "scores": {"samples": 16, "resamples": 20, "speed": False},
     "agents": {"ppo": {"frames": 8192}},
     "evaluation": {"starts": 4},
 }

@@ -27,7 +27,7 @@ import gymnasium
 env = gymnasium.make("racines_envs:racines/SC-v0", observation="image", reward="oracle")
 observation, info = env.reset(seed=0)
 observation, *_ = env.step(env.action_space.sample())
-assert observation.shape[-2:] == (128, 128), observation.shape
+assert observation.shape == (128, 128, 1), observation.shape
 print("fine")
 """
 

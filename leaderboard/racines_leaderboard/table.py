@@ -110,7 +110,7 @@ def _table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     head = ("#", "System", *sees, *(column.title for column in columns), "n", "Tier")
     notes = (
         track.rule,
-        f"In brackets: 95 % intervals. n: {track.counted}. {_basis(ranking)}",
+        f"In brackets: 95 % intervals. n: {track.counted}. {_basis(ranking)}{_ceiling(ranking)}",
     )
     return Table(title, head, tuple(rows), notes)
 
@@ -133,6 +133,12 @@ def _basis(ranking: list[Ranked]) -> str:
     simulated = " (simulated)" if dataset["source"] == "phantom" else ""
     recipe = dataset.get("recipe_digest", "")[:12]
     return f"Data: {dataset['source']} {dataset['version']}{simulated}, recipe {recipe}."
+
+
+def _ceiling(ranking: list[Ranked]) -> str:
+    """Say how often the grader is right where the images are the true ones."""
+    truth = figure(ranking[0].record, "view_agreement_truth")
+    return f" On the true frames the view agrees in {100 * truth['value']:.1f} %." if truth else ""
 
 
 def _reported(track: Track) -> Table:

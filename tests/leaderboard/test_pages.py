@@ -15,7 +15,7 @@ from tests.leaderboard.conftest import agent_scores, generator_scores
 def results(tmp_path, write_scores):
     generators = write_scores(
         "g",
-        generator_scores("vae-gan", fid=80.0, kid=0.05),
+        generator_scores("vae-gan", fid=80.0, kid=0.05, view_agreement_truth=0.9),
         generator_scores("mean-image", ssim=0.25, kid=None),
     )
     agents = write_scores(
@@ -42,6 +42,7 @@ def test_tables_show_figures_intervals_n_and_the_papers_figures_apart(results):
     assert "| – |" in text, "a missing figure is a dash, not a zero"
     assert "self-reported" in text and "100" in text
     assert "phantom 1.0.0 (simulated), recipe abababababab" in text
+    assert "On the true frames the view agrees in 90.0 %" in text
     assert "0.4253" in markdown(tables[1]) and "0.4253" not in text
     assert "75.0 (65.0 – 85.0)" in markdown(tables[3])
     assert tables[3].head[2] == "Sees" and tables[3].rows[0][2] == "image"
