@@ -23,7 +23,7 @@ WEIGHTS = "grader.safetensors"
 CONFIG = "config.json"
 SCHEMA = "racines.grader/1"
 FEATURES = 512
-"""Width of the encoder's output."""
+"""Width of the encoder's output at width 1."""
 GRADE_SCALE = 10.0
 """Grades lie in 0-10."""
 
@@ -48,6 +48,8 @@ class GraderConfig:
 
     input_size: int = 64
     """Images are averaged down to this height and width: 32, 64 or 128."""
+    width: float = 1.0
+    """Channels as a multiple of ResNet-18's."""
     batch_size: int = 64
     view_stage: StageConfig = field(default_factory=StageConfig)
     """First the views alone."""
@@ -78,17 +80,22 @@ class GraderConfig:
 class GraderNetwork(nn.Module):
     """Encoder and heads; owns the normalisation of (B, 128, 128) uint8 images."""
 
-    def __init__(self, input_size: int) -> None:
+    def __init__(self, input_size: int, width: float = 1.0) -> None:
         super().__init__()
         from monai.networks.nets.resnet import resnet18
 
         self.factor = IMAGE_SIZE // input_size
         self.encoder = resnet18(
-            spatial_dims=2, n_input_channels=1, conv1_t_stride=2, feed_forward=False
+            spatial_dims=2,
+            n_input_channels=1,
+            conv1_t_stride=2,
+            feed_forward=False,
+            widen_factor=width,
         )
-        self.view_head = nn.Linear(FEATURES, len(LABELS))
+        self.features = int(FEATURES * width)
+        self.view_head = nn.Linear(self.features, len(LABELS))
         self.grade_head = nn.Sequential(
-            nn.Linear(FEATURES, 128), nn.ReLU(inplace=True), nn.Linear(128, 1)
+            nn.Linear(self.features, 128), nn.ReLU(inplace=True), nn.Linear(128, 1)
         )
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -151,7 +158,7 @@ class Grader:
             grade = grade.clamp(0.0, GRADE_SCALE)
             parts.append((logits.argmax(-1).cpu(), grade.cpu(), features.float().cpu()))
         if not parts:
-            return torch.empty(0, dtype=torch.int64), torch.empty(0), torch.empty(0, FEATURES)
+            return torch.empty(0, dtype=torch.int64), torch.empty(0), torch.empty(0, 0)
         labels, grades, features = (torch.cat(column) for column in zip(*parts, strict=True))
         return labels, grades, features
 
@@ -161,7 +168,7 @@ class Grader:
         return {
             "id": "racines-grader-resnet18",
             "sha256": self.sha256,
-            "layer": f"encoder, {FEATURES}",
+            "layer": f"encoder, {self.network.features}",
             "resizer": f"area average, {IMAGE_SIZE} to {self.config.input_size}",
             "range": "gray 0-255, x / 127.5 - 1",
             "precision": "bfloat16 autocast" if self.config.bf16 else "float32",
@@ -188,7 +195,7 @@ class Grader:
         path = folder / WEIGHTS
         if not path.is_file() or sha256_file(path) != described["sha256"]:
             raise RacinesError(f"{path}: missing or damaged; run: racines train grader")
-        network = GraderNetwork(config.input_size)
+        network = GraderNetwork(config.input_size, config.width)
         network.load_state_dict(load_file(path))
         grader = cls(network, config, device)
         grader.sha256 = described["sha256"]

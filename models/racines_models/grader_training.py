@@ -74,7 +74,7 @@ class _Training:
         self.weights = class_weights(store, config.class_balance).to(self.accelerator.device)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(run.seed)
-            self.network = self.accelerator.prepare(GraderNetwork(config.input_size))
+            self.network = self.accelerator.prepare(GraderNetwork(config.input_size, config.width))
         identity = {"config": asdict(config), "seed": run.seed, "data": dataset_card(store)}
         self.checkpoint = Checkpoint(run.folder, identity)
         self.state = self.checkpoint.read(run.resume)

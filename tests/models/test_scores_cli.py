@@ -1,0 +1,101 @@
+"""`racines train grader`, `eval generator` and `eval realism`, as a user types them."""
+
+import json
+
+import polars as pl
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from racines_data.errors import RacinesError
+from racines_data.store import open_store
+from racines_leaderboard.cli import app
+from racines_leaderboard.schema import read_json
+from racines_models.grader import Grader
+from tests.models.test_realism import png
+
+STAGE = {"epochs": 1}
+PARAMS = {
+    "board": "tiny",
+    "seed": 3,
+    "grader": {
+        "input_size": 32,
+        "width": 0.125,
+        "bf16": False,
+        "view_stage": STAGE,
+        "grade_stage": STAGE,
+    },
+    "generators": {"nearest-pose": {"frames": 50}},
+    "scores": {"samples": 12},
+    "realism": {"frames": 4, "grade": 0.0, "splits": 2},
+}
+
+
+@pytest.fixture
+def here(workplace, monkeypatch):
+    (workplace / "params.yaml").write_text(yaml.safe_dump(PARAMS))
+    monkeypatch.chdir(workplace)
+    return workplace
+
+
+def invoke(*words: str) -> str:
+    result = CliRunner().invoke(app, [*words])
+    if result.exception:
+        raise result.exception
+    return result.stdout
+
+
+def refused(*words: str) -> str:
+    with pytest.raises(RacinesError) as caught:
+        invoke(*words)
+    return str(caught.value)
+
+
+def test_grader_then_generator_then_scores(here):
+    metrics = json.loads(invoke("train", "grader", "--json"))
+    store = open_store(here / "data/racines")
+    assert metrics["dataset"]["digest"] == store.manifest["digest"] and metrics["seed"] == 3
+    assert metrics["metrics"]["view_accuracy"]["n"] == len(store.split_indices("test"))
+    grader = Grader.load(here / "models/runs/grader")
+    assert grader.config.input_size == 32
+
+    invoke("train", "generator", "nearest-pose", "--json")
+    content = json.loads(invoke("eval", "generator", "nearest-pose", "--json"))
+    path = here / "models/runs/scores/nearest-pose.json"
+    assert read_json(path, "generator-scores") == content
+    assert content["dataset"]["board"] == "tiny" and content["metrics"]["fid"]["n"] == 12
+    assert content["extractors"]["grader"]["sha256"] == grader.sha256
+    assert list(content["weights"]) == ["model.safetensors"]
+    assert path.with_suffix(".png").is_file()
+
+    shown = invoke("eval", "generator", "nearest-pose", "--no-grader", "--samples", "8")
+    assert "fid" in shown and "view_agreement" not in shown
+    assert json.loads(path.read_text())["metrics"]["fid"]["n"] == 8
+
+
+def test_refusals_name_the_remedy(here):
+    assert "train grader" in refused("eval", "generator", "nearest-pose")
+    assert "data build" in refused("train", "grader", "--data", "nowhere")
+    assert "use --fresh" in refused("train", "grader", "--resume")
+    (here / "params.yaml").write_text("grader: {input_size: 50}")
+    assert "grader.input_size 50" in refused("train", "grader")
+    (here / "params.yaml").write_text("scores: {sample: 50}")
+    assert "scores.sample: unknown key" in refused("eval", "generator", "nearest-pose")
+
+
+def test_realism_compares_or_says_loudly_that_it_did_not(here):
+    told = refused("eval", "realism")
+    assert "NOT COMPARED" in told and "--real" in told
+    assert "absent.parquet: no such file" in refused("eval", "realism", "--real", "absent.parquet")
+    invoke("eval", "realism", "--optional", "--real", "absent.parquet")
+    report = here / "models/runs/realism.json"
+    assert json.loads(report.read_text()) == {"schema": "racines.realism/1", "compared": False}
+
+    store = open_store(here / "data/racines")
+    images = [png(image.numpy()) for image in store.images[store.views == 0][:8]]
+    patients = [f"patient{i // 2}" for i in range(len(images))]
+    pl.DataFrame({"patient": patients, "image": images}).write_parquet(here / "real.parquet")
+    content = json.loads(invoke("eval", "realism", "--real", "real.parquet", "--json"))
+    assert json.loads(report.read_text()) == content
+    assert content["compared"] and content["figures"]["kid"]["phantom"]["value"] is not None
+    assert report.with_suffix(".png").is_file()
