@@ -102,8 +102,11 @@ def eval_generator(
     config = fill(ScoresConfig, settings, "scores")
     store, device, title = open_store(data), _device(device), generator_class(name).name
     folder = run or Path("models/runs") / title
+    if not no_grader and not grader.is_dir():
+        raise RacinesError(f"{grader}: no grader; run: racines train grader, or give --no-grader")
     judge = None if no_grader else Grader.load(grader, device)
-    total = config.samples * (1 + 2 * len(config.seeds))
+    total = min(config.samples, len(store.split_indices(config.split)))
+    total *= 1 + 2 * len(config.seeds)
     with progress_bar(f"scoring {title}", total, hidden=as_json) as advance:
         scores = score(
             load_generator(name, folder, device),

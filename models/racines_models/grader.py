@@ -54,9 +54,7 @@ class GraderConfig:
     view_stage: StageConfig = field(default_factory=StageConfig)
     """First the views alone."""
     grade_stage: StageConfig = field(
-        default_factory=lambda: StageConfig(
-            epochs=2, learning_rate=1e-3, encoder_rate=0.3, grade_weight=0.5
-        )
+        default_factory=lambda: StageConfig(epochs=3, learning_rate=1e-3, grade_weight=0.5)
     )
     """Then the transfer to grades, on the views' encoder."""
     weight_decay: float = 0.01
