@@ -42,7 +42,7 @@ class Beams(NamedTuple):
     axial: Tensor
     """(S, S) pulse, as a matrix from the right."""
     lateral_far: Tensor
-    """(L, L) beam profile at the focus, from the left."""
+    """(L, L) beam profile at the focus with its side lobes, from the left."""
     lateral_near: Tensor
     near: Tensor
     """(S,) share of the near profile."""
@@ -64,14 +64,15 @@ def make_beams(probe: ProbeConfig, gel_attenuation: float, device: torch.device)
     elevation = spread * (0.0006 + probe.elevation_sigma * (depth - probe.focus).abs())
     spacing = float(angle[1] - angle[0])
     sigma = probe.lateral_sigma / spacing
+    lobes = probe.side_lobes * _profile(probe.beams, probe.side_lobe_sigma / spacing)
     beams = Beams(
         sin=angle.sin(),
         cos=angle.cos(),
         depth=depth,
         elevation=elevation,
         axial=_profile(probe.samples, probe.axial_sigma / step),
-        lateral_far=_profile(probe.beams, sigma),
-        lateral_near=_profile(probe.beams, 2.2 * sigma),
+        lateral_far=_profile(probe.beams, sigma) + lobes,
+        lateral_near=_profile(probe.beams, 2.2 * sigma) + lobes,
         near=((probe.focus - depth) / probe.focus).clamp(0.0, 1.0),
         tgc=2.0 * gel_attenuation * probe.frequency * 100.0 * depth,
         clutter=_clutter(probe, depth),

@@ -38,6 +38,10 @@ class ProbeConfig:
     """Standard deviation of the beam at the focus, rad (about half of λ/D)."""
     focus: float = 0.075
     """Focal depth, m; the beam widens towards the probe."""
+    side_lobes: float = 0.06
+    """Amplitude of the side lobes relative to the main lobe: bright walls haze the chambers."""
+    side_lobe_sigma: float = 0.22
+    """Angular spread of the side lobes, rad."""
     elevation_sigma: float = 0.012
     """Half-thickness of the slice, m per m of depth."""
     aperture: float = 0.020
@@ -48,6 +52,8 @@ class ProbeConfig:
     """Gain, dB: moves the gray of myocardium."""
     dynamic_range: float = 58.0
     """Log compression, dB from black to white."""
+    smoothing: tuple[float, float] = (0.6, 0.9)
+    """Speckle reduction on the compressed picture, as scanners do: samples along a beam, beams."""
     noise: float = -54.0
     """Electronic noise at the face, dB below myocardium; TGC lifts it with depth."""
 

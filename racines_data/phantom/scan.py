@@ -11,7 +11,12 @@ from racines_data.phantom.config import ProbeConfig
 
 
 class ScanConverter(NamedTuple):
-    """Bilinear weights from the polar grid to the pixels of the sector."""
+    """Speckle reduction, then bilinear weights from the polar grid to the sector's pixels."""
+
+    smooth_beams: Tensor
+    """(L, L) from the left."""
+    smooth_samples: Tensor
+    """(S, S) from the right."""
 
     pixels: Tensor
     """(P,) int64 flat indices of the pixels inside the sector."""
@@ -22,8 +27,11 @@ class ScanConverter(NamedTuple):
 
     def convert(self, polar: Tensor) -> Tensor:
         """Turn (B, beams, samples) gray levels 0-255 into (B, 128, 128) uint8 images."""
+        count = len(polar)
+        polar = torch.bmm(polar, self.smooth_samples.expand(count, -1, -1))
+        polar = torch.bmm(self.smooth_beams.expand(count, -1, -1), polar)
         picked = polar.flatten(1).index_select(1, self.taps)
-        gray = (picked.view(len(polar), 4, -1) * self.weights).sum(1)
+        gray = (picked.view(count, 4, -1) * self.weights).sum(1)
         image = torch.zeros((len(polar), IMAGE_SIZE**2), dtype=torch.uint8, device=polar.device)
         image[:, self.pixels] = (gray + 0.5).to(torch.uint8)
         return image.view(-1, IMAGE_SIZE, IMAGE_SIZE)
@@ -46,7 +54,25 @@ def scan_converter(probe: ProbeConfig, device: torch.device) -> ScanConverter:
     taps = torch.stack([flat, flat + 1, flat + probe.samples, flat + probe.samples + 1])
     weights = torch.stack([(1 - fb) * (1 - fs), (1 - fb) * fs, fb * (1 - fs), fb * fs])
     pixels = inside.flatten().nonzero().squeeze(1)
-    return ScanConverter(pixels.to(device), taps.flatten().to(device), weights.to(device))
+    along, across = probe.smoothing
+    parts = (
+        _averaging(probe.beams, across),
+        _averaging(probe.samples, along).T.contiguous(),
+        pixels,
+        taps.flatten(),
+        weights,
+    )
+    return ScanConverter(*(part.to(device) for part in parts))
+
+
+def _averaging(size: int, sigma: float) -> Tensor:
+    """Return the matrix of a Gaussian average over neighbours; rows sum to one."""
+    if sigma <= 0:
+        return torch.eye(size)
+    offset = torch.arange(size).unsqueeze(0) - torch.arange(size).unsqueeze(1)
+    matrix = torch.exp(-0.5 * (offset / sigma) ** 2)
+    matrix[offset.abs() > math.ceil(3 * sigma)] = 0.0
+    return matrix / matrix.sum(1, keepdim=True)
 
 
 def pixel_grid(probe: ProbeConfig) -> tuple[Tensor, Tensor]:
