@@ -49,7 +49,7 @@ def show_realism(content: dict[str, Any]) -> None:
         table.add_column(column, justify="right")
     for name, figure in content["figures"].items():
         ours, real = figure["phantom"], figure["real"]
-        ratio = f"{ours['value'] / real['value']:.3g}" if real["value"] > 0 else "-"
+        ratio = f"{ours['value'] / real['value']:.3g}" if real["low"] > 0 else "-"
         table.add_row(name, _ranged(ours), _ranged(real), ratio)
     Console().print(table)
 

@@ -199,7 +199,7 @@ def _realism(
     from racines_models.pictures import COLUMNS, write_strip
     from racines_models.realism import compare_with_real
 
-    total = len(real.images) + config.frames
+    total = min(len(real.images), 2 * config.frames) + config.frames
     with progress_bar("realism", total, hidden) as advance:
         extractor = InceptionFeatures(device)
         result = compare_with_real(real, open_store(data), config, extractor, advance)

@@ -43,6 +43,15 @@ class StageConfig:
 
 
 @dataclass(frozen=True)
+class GradeStageConfig(StageConfig):
+    """The transfer to grades; a class of its own, so that a params file may name some keys only."""
+
+    epochs: int = 3
+    learning_rate: float = 1e-3
+    grade_weight: float = 0.5
+
+
+@dataclass(frozen=True)
 class GraderConfig:
     """The grader and its training."""
 
@@ -53,9 +62,7 @@ class GraderConfig:
     batch_size: int = 64
     view_stage: StageConfig = field(default_factory=StageConfig)
     """First the views alone."""
-    grade_stage: StageConfig = field(
-        default_factory=lambda: StageConfig(epochs=3, learning_rate=1e-3, grade_weight=0.5)
-    )
+    grade_stage: StageConfig = field(default_factory=GradeStageConfig)
     """Then the transfer to grades, on the views' encoder."""
     weight_decay: float = 0.01
     class_balance: float = 0.5

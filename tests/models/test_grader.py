@@ -3,6 +3,7 @@ import json
 import pytest
 import torch
 
+from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.randomness import sample_seeds
 from racines_models.grader import Grader, GraderConfig, GraderNetwork, StageConfig
@@ -185,6 +186,12 @@ def test_loading_refuses_what_is_not_a_grader(trained, tmp_path):
         Grader.load(tmp_path)
     with pytest.raises(RacinesError, match="input_size"):
         GraderConfig(input_size=100)
+
+
+def test_a_params_file_that_names_one_key_keeps_the_other_defaults_of_the_stage():
+    config = fill(GraderConfig, {"grade_stage": {"epochs": 1}})
+    assert config.grade_stage.epochs == 1
+    assert config.grade_stage.grade_weight == GraderConfig().grade_stage.grade_weight > 0
 
 
 def test_the_network_averages_the_image_down(labelled):
