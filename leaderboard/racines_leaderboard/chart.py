@@ -12,7 +12,7 @@ from racines_leaderboard.table import by_task
 from racines_leaderboard.tracks import Column, Track
 
 INK = "#1f3a5f"
-PANELS_A_ROW = 4
+PANELS_A_ROW = 5
 
 
 def write_chart(path: Path, track: Track, records: list[Record]) -> bool:
@@ -22,8 +22,8 @@ def write_chart(path: Path, track: Track, records: list[Record]) -> bool:
     columns = [c for c in track.columns if any(figure(r.record, c.key) for r in ranking)]
     if not columns:
         return False
-    across = min(PANELS_A_ROW, len(columns))
-    down = -(-len(columns) // across)
+    down = -(-len(columns) // PANELS_A_ROW)
+    across = -(-len(columns) // down)
     height = 0.9 + 0.32 * len(ranking)
     canvas = Figure(figsize=(1.6 + 2.5 * across, 0.5 + height * down), layout="constrained")
     axes = canvas.subplots(down, across, squeeze=False, sharey=True)

@@ -38,7 +38,7 @@ def read_board(results: Path, board: str) -> dict[str, list[Record]]:
 def collect(folders: list[Path], results: Path, submissions: Path, board: str) -> list[Path]:
     """Write one self-reported record for each scores file in the folders; return their paths.
 
-    Nothing is written unless every file is sound and the board stays on one dataset.
+    Nothing is written unless every file is sound and each track stays on one dataset.
 
     Raises:
         RacinesError: a missing folder or one without scores, a damaged file, or scores made on
@@ -59,9 +59,10 @@ def collect(folders: list[Path], results: Path, submissions: Path, board: str) -
     return list(records)
 
 
-def dataset_of(record: Record) -> str | None:
-    """Return the recipe digest of the dataset a result was made on, if it names one."""
-    return (record["scores"].get("dataset") or {}).get("recipe_digest")
+def basis_of(record: Record) -> str | None:
+    """Return the recipe digest of the dataset, or the phantom, that a result rests on."""
+    scores = record["scores"]
+    return (scores.get("dataset") or scores.get("phantom") or {}).get("recipe_digest")
 
 
 def _record(path: Path, submissions: Path, board: str) -> Record:
@@ -107,13 +108,14 @@ def _one_dataset(new: dict[Path, Record], results: Path, board: str) -> None:
         for record in records
     ]
     merged = dict(kept) | new
-    seen: dict[str, Path] = {}
+    seen: dict[str, dict[str, Path]] = {track.name: {} for track in TRACKS}
     for path, record in merged.items():
-        if (digest := dataset_of(record)) is not None:
-            seen.setdefault(digest, path)
-    if len(seen) > 1:
-        (first, a), (second, b) = list(seen.items())[:2]
-        raise RacinesError(
-            f"board {board}: {a} rests on dataset recipe {first[:12]} and {b} on {second[:12]}; "
-            "score both on one dataset, remove the stale record, or name another board"
-        )
+        if (digest := basis_of(record)) is not None:
+            seen[record["track"]].setdefault(digest, path)
+    for paths in seen.values():
+        if len(paths) > 1:
+            (first, a), (second, b) = list(paths.items())[:2]
+            raise RacinesError(
+                f"board {board}: {a} rests on recipe {first[:12]} and {b} on {second[:12]}; score "
+                "both on one dataset, remove the stale record, or name another board"
+            )

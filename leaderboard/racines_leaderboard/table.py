@@ -2,10 +2,12 @@
 
 import functools
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
+from rich import box
 from rich.console import Console
 from rich.table import Table as RichTable
 
@@ -55,16 +57,25 @@ def markdown(table: Table) -> str:
 
 
 def show(table: Table, console: Console) -> None:
-    """Draw a table on a terminal."""
-    drawn = RichTable(title=table.title, title_justify="left", title_style="bold")
-    for i, name in enumerate(table.head):
-        drawn.add_column(name, justify="left" if i < 2 else "right")
-    for row in table.rows:
-        drawn.add_row(*row)
+    """Draw a table on a terminal; on its side, one column a system, where it is too wide."""
+    rows = [table.head, *table.rows]
+    drawn = _drawn(table.title, rows)
+    free = console.options.update(width=10_000)
+    if console.measure(drawn, options=free).maximum > console.width:
+        drawn = _drawn(table.title, [*zip(*rows, strict=True)][1:])
     console.print(drawn)
     for note in table.notes:
         console.print(note, style="dim", markup=False)
     console.print()
+
+
+def _drawn(title: str, rows: Sequence[Sequence[str]]) -> RichTable:
+    drawn = RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    for i, name in enumerate(rows[0]):
+        drawn.add_column(name, justify="left" if i < 2 else "right", overflow="fold")
+    for row in rows[1:]:
+        drawn.add_row(*map(_stacked, row))
+    return drawn
 
 
 def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
@@ -79,6 +90,11 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
         ]
         for track in TRACKS
     }
+
+
+def _stacked(text: str) -> str:
+    """Put the interval and n of a figure under it, so that a wide table fits a terminal."""
+    return text.replace(" (", "\n(").replace(" – ", "–").replace(", n = ", "\nn = ")
 
 
 @functools.cache
@@ -108,11 +124,20 @@ def _table(title: str, track: Track, ranking: list[Ranked]) -> Table:
         rows.append((*system, *cells, f"{usual:,}", ranked.record["tier"]))
     sees = ("Sees",) if track.name == "agents" else ()
     head = ("#", "System", *sees, *(column.title for column in columns), "n", "Tier")
-    notes = (
-        track.rule,
-        f"In brackets: 95 % intervals. n: {track.counted}. {_basis(ranking)}{_ceiling(ranking)}",
-    )
-    return Table(title, head, tuple(rows), notes)
+    basis = f"In brackets: 95 % intervals. n: {track.counted}."
+    basis = " ".join(filter(None, (basis, _basis(ranking), _ceiling(ranking))))
+    notes = (track.rule, basis, _methods(ranking))
+    return Table(title, head, tuple(rows), tuple(filter(None, notes)))
+
+
+def _methods(ranking: list[Ranked]) -> str:
+    """Say in a few words what each submitted system is."""
+    told = [
+        f"{r.record['name']}, {r.record['submission']['method']}"
+        for r in ranking
+        if r.record["submission"]
+    ]
+    return f"Systems: {'; '.join(told)}." if told else ""
 
 
 def _sees(track: Track, record: Record) -> tuple[str, ...]:
@@ -126,19 +151,20 @@ def _usual_n(record: Record, columns: list[Column]) -> int:
 
 
 def _basis(ranking: list[Ranked]) -> str:
-    """Say which data the results rest on."""
-    dataset = ranking[0].record["scores"].get("dataset") or {}
-    if "source" not in dataset or "version" not in dataset:
-        return "Simulated phantom."
-    simulated = " (simulated)" if dataset["source"] == "phantom" else ""
-    recipe = dataset.get("recipe_digest", "")[:12]
-    return f"Data: {dataset['source']} {dataset['version']}{simulated}, recipe {recipe}."
+    """Say which data, or which phantom, the results rest on."""
+    scores = ranking[0].record["scores"]
+    data = scores.get("dataset") or scores.get("phantom")
+    if not data:
+        return ""
+    source = data.get("source", "phantom")
+    simulated = " (simulated)" if source == "phantom" else ""
+    return f"Data: {source} {data['version']}{simulated}, recipe {data['recipe_digest'][:12]}."
 
 
 def _ceiling(ranking: list[Ranked]) -> str:
     """Say how often the grader is right where the images are the true ones."""
     truth = figure(ranking[0].record, "view_agreement_truth")
-    return f" On the true frames the view agrees in {100 * truth['value']:.1f} %." if truth else ""
+    return f"On the true frames the view agrees in {100 * truth['value']:.1f} %." if truth else ""
 
 
 def _reported(track: Track) -> Table:

@@ -38,7 +38,9 @@ def generator_scores(name: str, recipe: str = DIGEST, **figures: float | None) -
     }
 
 
-def agent_scores(name: str, view: str = "SC", **figures: float) -> dict[str, Any]:
+def agent_scores(
+    name: str, view: str = "SC", recipe: str = DIGEST, **figures: float
+) -> dict[str, Any]:
     values = {"success_true": 0.5, "steps": 50.0, "final_grade": 5.0, "return": 10.0} | figures
     return {
         "schema": "racines.agent-scores/1",
@@ -50,7 +52,7 @@ def agent_scores(name: str, view: str = "SC", **figures: float) -> dict[str, Any
             "reward": "paper",
             "start_set": "fixed-100",
         },
-        "phantom": {"recipe_digest": DIGEST},
+        "phantom": {"version": "1.0.0", "recipe_digest": recipe},
         "metrics": {key: metric(value) for key, value in values.items()},
         "seeds": [0],
         "weights": None,

@@ -52,13 +52,16 @@ def test_collecting_again_writes_the_same_bytes(tmp_path, write_scores):
     assert path.read_bytes() == first
 
 
-def test_a_board_stays_on_one_dataset(tmp_path, write_scores):
+@pytest.mark.parametrize(
+    ("scores", "track"), [(generator_scores, "generators"), (agent_scores, "agents")]
+)
+def test_a_board_stays_on_one_dataset(tmp_path, write_scores, scores, track):
     results = tmp_path / "results"
-    collect([write_scores("g", generator_scores("old"))], results, tmp_path, "b")
-    other = write_scores("h", generator_scores("new", recipe="cd" * 32))
-    with pytest.raises(RacinesError, match=r"board b: .*old\.json .* dataset recipe"):
+    collect([write_scores("g", scores("old"))], results, tmp_path, "b")
+    other = write_scores("h", scores("new", recipe="cd" * 32))
+    with pytest.raises(RacinesError, match=r"b: .*old\.json rests on recipe abab.* and .*new"):
         collect([other], results, tmp_path, "b")
-    assert [record["name"] for record in read_board(results, "b")["generators"]] == ["old"]
+    assert [record["name"] for record in read_board(results, "b")[track]] == ["old"]
 
 
 def damage(document: dict, path: str, value: object) -> dict:

@@ -1,4 +1,5 @@
 import io
+import re
 
 import pytest
 from PIL import Image
@@ -52,7 +53,16 @@ def test_a_terminal_gets_every_cell(results):
     out = io.StringIO()
     for table in board_tables("phantom-smoke", read_board(results, "phantom-smoke")):
         show(table, Console(file=out, width=200))
-    assert "80.0 (79.9 – 80.1)" in out.getvalue()
+    text = out.getvalue()
+    assert "80.0" in text and "(79.9–80.1)" in text and "0.4253" in text
+
+
+def test_a_narrow_terminal_gets_a_column_a_system(results):
+    out = io.StringIO()
+    table = board_tables("phantom-smoke", read_board(results, "phantom-smoke"))[0]
+    show(table, Console(file=out, width=60))
+    assert re.search(r"System +vae-gan +mean-image", out.getvalue())
+    assert "(79.9–80.1)" in out.getvalue()
 
 
 def test_plain_data_is_in_ranked_order(results):
