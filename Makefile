@@ -28,10 +28,10 @@ endif
 	dvc repro
 
 test: $(READY) ## run all tests
-	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal
+	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks
 
 test-fast: $(READY) ## run the tests that take seconds
-	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal -m "not slow"
+	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks -m "not slow"
 
 lint: $(READY) ## check style, format and spelling
 	ruff check .

@@ -29,6 +29,7 @@ TISSUES = (
 )
 GEL, MYOCARDIUM, BLOOD, WALL, PERICARDIUM = range(5)
 
+Triple = tuple[float, float, float]
 MM = 1e-3
 S = (-0.5, math.sqrt(0.75), 0.0)
 T = (math.sqrt(0.75), 0.5, 0.0)
@@ -217,7 +218,7 @@ def _view(
     return ViewSpec(name, _scaled(focus, size), beam, normal, structures)
 
 
-def _placement(turn: float) -> tuple[tuple[tuple[float, float, float], ...], tuple[float, ...]]:
+def _placement(turn: float) -> tuple[tuple[Triple, ...], Triple]:
     """Return the organ's axes (rows u, v, w in the base frame) and its origin."""
     down = torch.tensor(DOWN, dtype=torch.float64)
     down = down / down.norm()
@@ -234,5 +235,9 @@ def _placement(turn: float) -> tuple[tuple[tuple[float, float, float], ...], tup
     reference = torch.tensor(REFERENCE, dtype=torch.float64) * MM
     target = torch.tensor([ORIGIN[0], ORIGIN[1], 0.065 - REFERENCE_DEPTH], dtype=torch.float64)
     origin = target - axes.T @ reference
-    rows = tuple(tuple(float(x) for x in row) for row in axes)
-    return rows, tuple(float(x) for x in origin)  # type: ignore[return-value]
+    return tuple(_triple(row) for row in axes), _triple(origin)
+
+
+def _triple(values: torch.Tensor) -> Triple:
+    x, y, z = values.tolist()
+    return x, y, z

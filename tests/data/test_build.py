@@ -175,7 +175,7 @@ def test_a_failed_rebuild_leaves_the_old_dataset(tmp_path: Path):
 
 
 def test_an_error_in_a_worker_arrives_whole(tmp_path: Path):
-    with pytest.raises(RacinesError, match="trajectory t000: unknown target view 'A5C'"):
+    with pytest.raises(RacinesError, match=r"trajectory t\d+: unknown target view 'A5C'"):
         build(FakeSource(FakeConfig(views=("A5C",))), tmp_path / "b", DataConfig(workers=2))
 
 
