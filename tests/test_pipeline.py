@@ -121,7 +121,7 @@ def test_a_change_runs_again_what_follows_from_it_and_nothing_else(pipeline: Pat
     change(pipeline, "generators.vae-gan.learning_rate", 0.5)
     assert repro(pipeline) == ["generators@vae-gan", "scores@vae-gan", "leaderboard"]
 
-    change(pipeline, "agents.ppo.actor_rate", 0.5)
+    change(pipeline, "agents.ppo.actor_lr", 0.5)
     assert repro(pipeline) == ["agents@ppo", "evaluate@ppo", "leaderboard"]
 
     (pipeline / "racines_data" / "README.md").write_text("words")
