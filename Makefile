@@ -48,5 +48,5 @@ docs: $(READY) ## build the pages under docs/ into site/
 	mkdocs build --strict -q
 
 clean: ## remove what the pipeline and the tools made, the DVC cache included; keeps .venv
-	rm -rf data/racines models/runs envs/runs .dvc/cache .dvc/tmp site dist build \
-	  .pytest_cache .ruff_cache .benchmarks
+	git clean -fdXq data models/runs envs/runs
+	rm -rf .dvc/cache .dvc/tmp site dist build .pytest_cache .ruff_cache .benchmarks
