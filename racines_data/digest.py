@@ -7,7 +7,6 @@ so that another PNG or Parquet library leaves it alone. Each file has its own sh
 import hashlib
 import json
 import os
-import tempfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,13 +14,8 @@ from typing import Any
 import numpy as np
 
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file, write_atomic
 from racines_data.schema import Trajectory
-
-
-def sha256_file(path: Path) -> str:
-    """Return the sha256 of a file, hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def canonical_json(value: Any) -> str:
@@ -107,13 +101,3 @@ def _write_verified(seals: dict[str, Any]) -> None:
         write_atomic(path, json.dumps({k: v for k, v in seals.items() if Path(k).exists()}))
     except OSError:
         return
-
-
-def write_atomic(path: Path, content: str | bytes) -> None:
-    """Write a file under a temporary name in its folder, then rename it into place."""
-    data = content.encode() if isinstance(content, str) else content
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    with os.fdopen(handle, "wb") as file:
-        file.write(data)
-    os.chmod(temporary, 0o644)
-    os.replace(temporary, path)

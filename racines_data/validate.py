@@ -14,8 +14,9 @@ import torch
 
 from racines_data.canonical import same_version
 from racines_data.card import describe
-from racines_data.digest import content_digest, recipe_digest, sha256_file, trajectory_digest
+from racines_data.digest import content_digest, recipe_digest, trajectory_digest
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
 from racines_data.load import CARD, read_manifest
 from racines_data.records import check_trajectory, features_of, table_to_trajectory
 from racines_data.schema import PARAMETERS, SPLITS, Trajectory

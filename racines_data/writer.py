@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 
 from racines_data.canonical import write_canonical
 from racines_data.card import write_card
-from racines_data.digest import content_digest, recipe_digest, sha256_file
+from racines_data.digest import content_digest, recipe_digest
+from racines_data.files import sha256_file
 from racines_data.load import CARD, MANIFEST
 from racines_data.schema import SPLITS, trajectory_features
 from racines_data.sources import Finding, Source, Unit

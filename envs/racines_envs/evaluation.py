@@ -215,7 +215,7 @@ def phantom_recipe(phantom: Any) -> dict[str, Any] | None:
 
 def write_evaluation(evaluation: Evaluation, scores: Path, picture: Path | None) -> None:
     """Write the scores JSON and, where wanted, the picture of trajectories."""
-    from racines_models.files import write_json
+    from racines_data.files import write_json
 
     write_json(scores, evaluation.scores)
     if picture is not None:

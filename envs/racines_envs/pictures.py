@@ -14,7 +14,7 @@ def draw_trajectories(evaluation: Any, path: Path) -> None:
     matplotlib.use("agg")
     from matplotlib import pyplot as plt
 
-    from racines_models.files import write_atomic
+    from racines_data.files import write_atomic
 
     episodes, core, scores = evaluation.episodes, evaluation.core, evaluation.scores
     count = min(evaluation.pictured, len(episodes.final["steps"]))

@@ -6,7 +6,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from racines_data.digest import write_atomic
+from racines_data.files import write_atomic
 from racines_leaderboard.rank import Ranked, Record, figure, rank
 from racines_leaderboard.table import by_task
 from racines_leaderboard.tracks import Column, Track

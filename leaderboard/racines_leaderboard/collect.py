@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from racines_data.digest import write_atomic
 from racines_data.errors import RacinesError
+from racines_data.files import write_atomic
 from racines_leaderboard.schema import check, read_json
 from racines_leaderboard.submission import find_submission
 from racines_leaderboard.tracks import TRACKS, Track

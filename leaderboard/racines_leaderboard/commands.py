@@ -38,8 +38,8 @@ def leaderboard(
     as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
 ) -> None:
     """Collect scores into a board, rank it, and show it."""
-    from racines_data.digest import write_atomic
     from racines_data.errors import RacinesError
+    from racines_data.files import write_atomic
     from racines_leaderboard import collect as results_of
     from racines_leaderboard.pages import with_tables, write_page
 

@@ -3,8 +3,8 @@
 import os
 from pathlib import Path
 
-from racines_data.digest import write_atomic
 from racines_data.errors import RacinesError
+from racines_data.files import write_atomic
 from racines_leaderboard.chart import write_chart
 from racines_leaderboard.collect import boards, read_board
 from racines_leaderboard.table import board_tables, markdown

@@ -5,8 +5,8 @@ from typing import Any
 
 import yaml
 
-from racines_data.digest import sha256_file
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
 from racines_leaderboard.schema import check
 
 REFUSED = "weights must be safetensors or ONNX files: a pickle can run code when it is loaded"

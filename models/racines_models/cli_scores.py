@@ -129,7 +129,7 @@ def eval_generator(
 
 
 def _write_scores(out: Path, name: str, content: dict[str, Any], scores: "Scores") -> None:
-    from racines_models.files import write_json
+    from racines_data.files import write_json
     from racines_models.pictures import pick_columns, write_strip
 
     frames = scores.sample.frames
@@ -177,7 +177,7 @@ def realism(
 
 
 def _without_real(path: Path | None, out: Path, optional: bool) -> None:
-    from racines_models.files import write_json
+    from racines_data.files import write_json
 
     told = f"{path}: no such file" if path else "no real frames named"
     told = f"{told}; give --real PATH.parquet (docs/scores.md): THE PHANTOM IS NOT COMPARED"
@@ -192,9 +192,9 @@ def _realism(
 ) -> dict[str, Any]:
     import torch
 
+    from racines_data.files import write_json
     from racines_data.store import open_store
     from racines_models.cli_output import progress_bar
-    from racines_models.files import write_json
     from racines_models.inception import InceptionFeatures
     from racines_models.pictures import COLUMNS, write_strip
     from racines_models.realism import compare_with_real

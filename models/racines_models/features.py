@@ -10,7 +10,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
-from racines_models.files import write_atomic
+from racines_data.files import write_atomic
 from racines_models.grader import Grader
 from racines_models.provenance import sha256_bytes
 

@@ -14,10 +14,9 @@ from torch import Tensor, nn
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file, write_atomic, write_json
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.views import LABELS
-from racines_models.files import write_atomic, write_json
-from racines_models.provenance import sha256_file
 
 WEIGHTS = "grader.safetensors"
 CONFIG = "config.json"

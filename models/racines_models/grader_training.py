@@ -15,9 +15,9 @@ from accelerate import Accelerator
 from accelerate.state import AcceleratorState
 
 from racines_data.errors import RacinesError
+from racines_data.files import write_json
 from racines_data.randomness import derive
 from racines_data.store import Batch, FrameStore
-from racines_models.files import write_json
 from racines_models.grader import Grader, GraderConfig, GraderNetwork, StageConfig
 from racines_models.grader_loss import augment, class_weights, grade_loss, learning_rate, view_loss
 from racines_models.grader_report import report

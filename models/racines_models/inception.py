@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_models.provenance import sha256_file
+from racines_data.files import sha256_file
 
 INCEPTION_SHA256 = "7ff4a85c3a6378f0dfc8433ffd789663b01176bec0a683a435651739c091fa34"
 SIZE = 299

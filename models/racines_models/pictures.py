@@ -8,8 +8,8 @@ from PIL import Image
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.files import image_bytes, write_atomic
 from racines_data.views import RANDOM_LABEL
-from racines_models.files import image_bytes, write_atomic
 
 COLUMNS = 8
 

@@ -7,13 +7,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from racines_data.files import sha256_file
 from racines_data.store import FrameStore
-
-
-def sha256_file(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes in hexadecimal."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def sha256_bytes(*parts: bytes) -> str:

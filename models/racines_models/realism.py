@@ -16,11 +16,12 @@ from PIL import Image
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.store import FrameStore
 from racines_data.views import view_index
 from racines_models.features import Extractor, Progress
-from racines_models.provenance import code_version, dataset_card, environment, sha256_file
+from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.realism_figures import RULES, Sector, Summary, description, differences
 
 SCHEMA = "racines.realism/1"

@@ -19,6 +19,9 @@ MEMBERSHIP_WIDTH = 0.035
 ROLL_FREE, ROLL_LOST = 0.26, 0.70
 """In-plane rotation from the standard display, rad: free up to the first, lost at the second."""
 
+WINDOW_FREE, WINDOW_LOST = 0.015, 0.035
+"""Distance along the surface from the view's acoustic window, m: free, and lost."""
+
 
 class Truth(NamedTuple):
     """What the oracle says of (B,) poses."""
@@ -54,7 +57,7 @@ class Oracle(NamedTuple):
         seen = self._visibility(pose, probe, coupling)
         # A weighted geometric mean: one lost structure spoils a view, as it does for an expert.
         complete = (self.weights * seen.clamp_min(0.02).log().unsqueeze(1)).sum(-1).exp()
-        score = complete * self._display(pose)
+        score = complete * self._display(pose) * self._window(pose)
         clarity = coupling.mean(-1)
         membership = torch.sigmoid((score - MEMBERSHIP_CENTRE) / MEMBERSHIP_WIDTH)
         membership = membership * torch.sigmoid((clarity - 0.35) / 0.04).unsqueeze(-1)
@@ -95,6 +98,17 @@ class Oracle(NamedTuple):
         upright = ((ROLL_LOST - roll) / (ROLL_LOST - ROLL_FREE)).clamp(0.0, 1.0)
         facing = (pose.rotation[:, None, :, 1] * self.targets.rotation[None, :, :, 1]).sum(-1)
         return upright * (3.0 - 2.0 * upright) * upright * (facing > 0.0)
+
+    def _window(self, pose: Pose) -> Tensor:
+        """Return (B, V) in 0-1: how near the probe stands to the view's acoustic window.
+
+        Planes meet along lines, so a plane alone can be had from far off; a view is named for its
+        window too: the same four chambers are apical from one place and subcostal from another.
+        """
+        offset = pose.position[:, None, :2] - self.targets.position[None, :, :2]
+        away = offset.square().sum(-1).sqrt()
+        near = ((WINDOW_LOST - away) / (WINDOW_LOST - WINDOW_FREE)).clamp(0.0, 1.0)
+        return (3.0 - 2.0 * near) * near * near
 
 
 def make_oracle(anatomy: Anatomy, surface: float, device: torch.device) -> Oracle:

@@ -16,8 +16,8 @@ import torch
 from PIL import Image
 
 from racines_data.config import fill
-from racines_data.digest import sha256_file
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
 from racines_data.geometry import Pose, pose_to_parameters
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.schema import CONTROLS, Trajectory

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from racines_data import RacinesError
 from racines_data.cli import data
-from racines_data.digest import sha256_file
+from racines_data.files import sha256_file
 from racines_data.load import read_manifest
 from racines_data.validate import Check, validate
 

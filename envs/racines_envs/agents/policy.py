@@ -52,7 +52,7 @@ class PolicyAgent:
         """Write policy.safetensors, config.json and metrics.json."""
         from safetensors.torch import save
 
-        from racines_models.files import write_atomic, write_json
+        from racines_data.files import write_atomic, write_json
 
         state = {k: v.detach().cpu().contiguous() for k, v in self.actor.state_dict().items()}
         write_atomic(run_dir / POLICY, save(state))

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
+from racines_data.files import write_atomic, write_json
 from racines_data.imaging import check_parameters
 from racines_data.store import FrameStore
-from racines_models.files import write_atomic, write_json
 from racines_models.protocol import Card, Run
 from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.validation import Validation
