@@ -108,7 +108,9 @@ def validate(
     else:
         _print_validation(result)
     if not result.ok:
-        raise typer.Exit(1)
+        faults = (f"{each.name}: {each.detail}" for each in result.checks if not each.ok)
+        broken = "; ".join(faults)
+        raise RacinesError(f"{default_root(root)}: not valid: {broken}")
 
 
 def _print_validation(result: "Validation") -> None:

@@ -17,6 +17,7 @@ from racines_envs.core import ScanCore
 from racines_envs.making import make_core, make_phantom
 from racines_envs.rollout import Episodes, rollout
 from racines_envs.starts import evaluation_seeds
+from racines_envs.tasks import get_task
 
 SCHEMA = "racines.agent-scores/1"
 RETURN_OF_A_HIT = 50.0
@@ -73,6 +74,7 @@ def evaluate(
         RacinesError: unknown names, missing weights, or an agent that was trained for another view.
     """
     began = time.perf_counter()
+    get_task(config.view)  # an unknown view is refused before anything is loaded
     if config.starts < 1:
         raise RacinesError(f"evaluation.starts is {config.starts}: give at least 1")
     agent = load_agent(name, run_dir, config.device)
