@@ -120,6 +120,22 @@ def test_grade_falls_and_the_view_is_lost_out_of_the_plane(phantom: Phantom, vie
     assert int(truth.view[0]) != VIEWS.index(view)
 
 
+def test_the_right_plane_from_another_window_is_not_the_view(
+    phantom: Phantom, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Slide the probe 28 mm along the surface within the subcostal plane."""
+    pose = phantom.target("SC")
+    normal_ = pose.rotation[0, :, 1]
+    along = torch.linalg.cross(normal_, torch.tensor([0.0, 0.0, 1.0]))
+    position = pose.position + 0.028 * along / along.norm() * torch.tensor([[-1.0], [1.0]])
+    slid = Pose(position, pose.rotation.expand(2, 3, 3))
+    sc = VIEWS.index("SC")
+    assert not (phantom.judge(slid).view == sc).any()
+    oracle = type(phantom._oracle)
+    monkeypatch.setattr(oracle, "_window", lambda self, pose: torch.ones(2, 5))
+    assert (phantom.judge(slid).view == sc).any(), "all structures are in the picture"
+
+
 def test_a_mirrored_display_is_no_standard_view(phantom: Phantom) -> None:
     pose = phantom.target("A4C")
     mirrored = Pose(pose.position, pose.rotation * torch.tensor([-1.0, -1.0, 1.0]))
