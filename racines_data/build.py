@@ -24,7 +24,7 @@ from racines_data.splits import assign_splits
 from racines_data.staging import stage_units, staging_folder
 from racines_data.writer import write_dataset
 
-FORMAT = 1
+FORMAT = 2
 """Version of the layout of units, shards and store; part of every recipe."""
 
 

@@ -30,7 +30,8 @@ def recipe_digest(recipe: Mapping[str, Any]) -> str:
 
 def trajectory_digest(trajectory: Trajectory) -> str:
     """Return the sha256 of a trajectory's identity, pixels and numbers (little-endian)."""
-    head = [trajectory.id, trajectory.session, trajectory.target_view, len(trajectory)]
+    head = [trajectory.id, trajectory.session, trajectory.target_view, trajectory.phantom]
+    head.append(len(trajectory))
     digest = hashlib.sha256(canonical_json(head).encode())
     digest.update(np.asarray(trajectory.images, dtype=np.uint8).tobytes())
     columns = ("parameters", "<f4"), ("timestamps", "<f8"), ("controls", "<f4")

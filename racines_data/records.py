@@ -41,7 +41,11 @@ def trajectory_to_table(trajectory: Trajectory, source: str) -> pa.Table:
         columns[name] = pa.array(trajectory.controls[:, index], pa.float32(), from_pandas=True)
     columns["view"] = pa.array(trajectory.views, pa.int64(), mask=trajectory.views < 0)
     columns["grade"] = pa.array(trajectory.grades, pa.float32(), from_pandas=True)
+    # What a grader makes of the frames is filled in later, by `racines data annotate`.
+    columns["view_predicted"] = pa.nulls(count, pa.int64())
+    columns["grade_predicted"] = pa.nulls(count, pa.float32())
     columns["target_view"] = pa.repeat(trajectory.target_view, count)
+    columns["phantom"] = pa.array([trajectory.phantom] * count, pa.int32())
     columns["source"] = pa.repeat(pa.scalar(features["source"].str2int(source), pa.int64()), count)
     columns["session"] = pa.repeat(trajectory.session, count)
     columns["trajectory"] = pa.repeat(trajectory.id, count)
@@ -76,6 +80,7 @@ def table_to_trajectory(table: pa.Table) -> Trajectory:
         controls=float_columns(table, CONTROLS),
         views=table["view"].fill_null(-1).to_numpy(),
         grades=float_columns(table, ["grade"])[:, 0],
+        phantom=table["phantom"][0].as_py(),
     )
 
 

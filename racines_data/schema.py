@@ -40,7 +40,10 @@ def frame_features(sources: Sequence[str] = SOURCES) -> Features:
     columns |= {
         "view": ClassLabel(names=list(LABELS)),
         "grade": Value("float32"),
+        "view_predicted": ClassLabel(names=list(LABELS)),
+        "grade_predicted": Value("float32"),
         "target_view": Value("string"),
+        "phantom": Value("int32"),
         "source": ClassLabel(names=list(sources)),
         "session": Value("string"),
         "trajectory": Value("string"),
@@ -56,6 +59,7 @@ def trajectory_features() -> Features:
             "trajectory": Value("string"),
             "session": Value("string"),
             "target_view": Value("string"),
+            "phantom": Value("int32"),
             "split": Value("string"),
             "frames": Value("int32"),
             "duration": Value("float64"),
@@ -84,6 +88,8 @@ class Trajectory:
     """(T,) int64 labels; -1 where unknown."""
     grades: np.ndarray
     """(T,) float32, 0-10; NaN where unknown."""
+    phantom: int | None = None
+    """Seed of the simulated anatomy, 0 the canonical one; absent for recordings."""
 
     def __post_init__(self) -> None:
         """Check that every column has one entry a frame."""

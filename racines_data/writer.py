@@ -141,6 +141,7 @@ def _trajectory_row(
         "trajectory": unit.id,
         "session": unit.session,
         "target_view": unit.target_view,
+        "phantom": table["phantom"][0].as_py(),
         "split": splits[unit.id],
         "frames": len(table),
         "duration": table["timestamp"][-1].as_py() - table["timestamp"][0].as_py(),

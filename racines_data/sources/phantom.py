@@ -97,6 +97,7 @@ class PhantomSource:
             controls=sweep.control.numpy(),
             views=truth.view.numpy(),
             grades=truth.grade.numpy().astype(np.float32),
+            phantom=self.config.phantom.anatomy_seed,
         )
 
     def _session(self, index: int, count: int) -> int:
