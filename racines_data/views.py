@@ -1,5 +1,6 @@
 """The standard views, and the paper's statistics of the twelve parameters."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from racines_data.errors import RacinesError
@@ -20,6 +21,15 @@ VIEW_TITLES = {
     "PSMV": "parasternal short axis, mitral valve",
     "Random": "no standard view",
 }
+
+
+ORGANS = {"heart": VIEWS}
+"""Views of the anatomies that come with the package, known without building one."""
+
+
+def labels_of(views: Sequence[str]) -> tuple[str, ...]:
+    """Return the class labels of an anatomy's views, in label order: the views, then `Random`."""
+    return (*views, RANDOM)
 
 
 def view_index(view: str) -> int:

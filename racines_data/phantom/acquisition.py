@@ -17,10 +17,11 @@ import torch
 from torch import Tensor
 
 from racines_data.geometry import Pose, euler_to_matrix, matrix_to_euler
+from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PhantomConfig
 from racines_data.phantom.model import Phantom
 from racines_data.randomness import derive, normal, sample_seeds, uniform
-from racines_data.views import RANDOM, VIEWS
+from racines_data.views import RANDOM
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,6 @@ class Sweep(NamedTuple):
     """(T,) float64 seconds."""
 
 
-HOME = (0.4886, 0.0400, 0.0, 0.0, 0.05, 1.90)
-"""Where an operator starts: x, y, then (unused) z, leaning and turning of the probe."""
 DWELL = 0.62
 """Share of a trajectory's frames in which the view is held."""
 
@@ -84,14 +83,15 @@ def plan_lengths(config: AcquisitionConfig) -> list[int]:
 
 def plan_targets(count: int, config: AcquisitionConfig) -> list[str]:
     """Return the target of each trajectory: views in turn, random scans evenly between them."""
-    targets, done, views = [], 0, 0
+    targets, done, turn = [], 0, 0
+    views = anatomy_views(config.phantom.anatomy)
     for i in range(count):
         if math.floor((i + 1) * config.random_share + 0.5) > done:
             targets.append(RANDOM)
             done += 1
         else:
-            targets.append(VIEWS[views % len(VIEWS)])
-            views += 1
+            targets.append(views[turn % len(views)])
+            turn += 1
     return targets
 
 
@@ -158,7 +158,7 @@ def _around(point: Tensor, millimetres: float, draw: _Draw, count: int = 1) -> T
 def _view_points(phantom: Phantom, view: str, draw: _Draw) -> tuple[Tensor, Tensor]:
     """Return way-points (P, 6) of a sweep to a view, and the share of time of each move."""
     target = coordinates(phantom.target(view))[0].cpu()
-    home = target.new_tensor(HOME)
+    home = target.new_tensor(phantom.home)
     home[2] = target[2]
     start = torch.lerp(target, home, 0.25 + 0.6 * draw.uniform(1)[0])
     touch = _around(start, 7.0, draw)
@@ -178,7 +178,8 @@ def _random_points(phantom: Phantom, draw: _Draw) -> tuple[Tensor, Tensor]:
     """Return way-points of a wandering scan over the whole surface."""
     count = 7
     spread = torch.tensor([0.036, 0.016, 0.0022, 0.26, 0.20, 0.70])
-    centre = torch.tensor([HOME[0], HOME[1], phantom.surface_height - 0.006, 0.0, 0.0, 0.9])
+    x, y, turn = phantom.wander
+    centre = torch.tensor([x, y, phantom.surface_height - 0.006, 0.0, 0.0, turn])
     points = centre + draw.normal(count, 6) * spread
     points[0, 2] = points[-1, 2] = phantom.surface_height + 0.006
     return points, 0.5 + draw.uniform(count - 1)

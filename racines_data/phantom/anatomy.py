@@ -1,16 +1,22 @@
 """What an anatomy is: tissues painted in space, named structures, and the views that show them.
 
 A new organ is one file with one function `(seed: int) -> Anatomy`, and one entry point in the
-group `racines.anatomies`.
+group `racines.anatomies` (in this package: one line of `_ANATOMIES`). See docs/organs.md.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
 from importlib.metadata import entry_points
 
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.views import ORGANS
+
+ENTRY_POINTS = "racines.anatomies"
+_ANATOMIES = {"heart": "racines_data.phantom.heart:heart"}
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,8 @@ class ViewSpec:
     """Names and weights of the structures that make the view complete."""
     indentation: float = 0.006
     """Depth of the tip under the surface at the nominal pose, m."""
+    title: str = ""
+    """What people call the view."""
 
 
 @dataclass(frozen=True)
@@ -81,15 +89,35 @@ class Anatomy:
     """Rows are the organ's axes in the base frame."""
     origin: tuple[float, float, float]
     """The organ's origin in the base frame, m."""
+    home: tuple[float, float, float, float, float, float] = (0.4886, 0.0400, 0.0, 0.0, 0.05, 1.90)
+    """Where an operator starts: x, y, m; then (unused) z, two leans and the turn, rad."""
+    wander: tuple[float, float, float] = (0.4886, 0.0400, 0.9)
+    """Middle of the random scans: x, y, m, and the turn of the probe, rad."""
 
 
 def load_anatomy(name: str, seed: int) -> Anatomy:
-    """Build a registered anatomy.
+    """Build an anatomy by its name, or by `module:function`.
 
     Raises:
-        RacinesError: no entry point of the group `racines.anatomies` has that name.
+        RacinesError: no such anatomy, or it cannot be imported.
     """
-    found = {point.name: point for point in entry_points(group="racines.anatomies")}
-    if name not in found:
+    found = _ANATOMIES | {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
+    path = found.get(name, name if ":" in name else "")
+    if not path:
         raise RacinesError(f"unknown anatomy {name!r}: known are {', '.join(sorted(found))}")
-    return found[name].load()(seed)
+    module, _, function = path.partition(":")
+    try:
+        make = getattr(import_module(module), function)
+    except (ImportError, AttributeError) as error:
+        raise RacinesError(f"anatomy {name!r} cannot be imported from {path}: {error}") from error
+    return make(seed)
+
+
+@cache
+def anatomy_views(name: str) -> tuple[str, ...]:
+    """Return the names of an anatomy's views, in label order.
+
+    Raises:
+        RacinesError: no such anatomy.
+    """
+    return ORGANS.get(name) or tuple(view.name for view in load_anatomy(name, 0).views)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from racines_data.geometry import Pose, euler_to_matrix, matrix_to_euler
 from racines_data.phantom.model import Phantom
 from racines_data.randomness import normal, sample_seeds
-from racines_data.views import RANDOM, RANDOM_LABEL, VIEW_TITLES
+from racines_data.views import RANDOM, VIEW_TITLES
 
 COLUMNS = 6
 CANDIDATES = 400
@@ -17,7 +17,8 @@ CANDIDATES = 400
 
 def contact_sheet(phantom: Phantom, out: Path, seed: int = 0) -> None:
     """Draw each view at its nominal pose and at poses of falling grade, and `Random` scans."""
-    rows = [(name, *_samples(phantom, name, seed)) for name in (*phantom.views, RANDOM)]
+    rows = [(name, *_samples(phantom, name, seed)) for name in phantom.labels]
+    titles = VIEW_TITLES | {name: title for name, title in phantom.titles.items() if title}
     figure = Figure(figsize=(COLUMNS * 1.75 + 1.2, len(rows) * 1.62 + 0.5), facecolor="black")
     axes = figure.subplots(len(rows), COLUMNS, squeeze=False)
     for row, (name, images, grades) in enumerate(rows):
@@ -28,7 +29,7 @@ def contact_sheet(phantom: Phantom, out: Path, seed: int = 0) -> None:
             label = "Random" if name == RANDOM else f"grade {grades[column]:.1f}"
             axis.set_title(label, color="white", fontsize=8, pad=2)
         axes[row, 0].text(
-            -0.12, 0.5, f"{name}\n{_wrapped(VIEW_TITLES.get(name, ''))}", color="white", fontsize=9,
+            -0.12, 0.5, f"{name}\n{_wrapped(titles.get(name, ''))}", color="white", fontsize=9,
             ha="right", va="center", transform=axes[row, 0].transAxes,
         )  # fmt: skip
     figure.subplots_adjust(left=0.14, right=0.995, top=0.97, bottom=0.01, wspace=0.03, hspace=0.14)
@@ -60,7 +61,7 @@ def _samples(phantom: Phantom, name: str, seed: int) -> tuple[np.ndarray, np.nda
     if name != RANDOM:
         pose = Pose(*(torch.cat([a, b]) for a, b in zip(start, pose, strict=True)))
     truth = phantom.judge(pose)
-    label = RANDOM_LABEL if name == RANDOM else phantom.views.index(name)
+    label = phantom.labels.index(name)
     hits = ((truth.view == label) & phantom.workspace.contains(pose)).nonzero().squeeze(1)
     grade = truth.grade[hits]
     if name == RANDOM:

@@ -16,6 +16,7 @@ from racines_data.phantom.scan import log_compress, scan_converter
 from racines_data.phantom.truth import Truth, make_oracle
 from racines_data.phantom.volume import bake
 from racines_data.randomness import sample_seeds
+from racines_data.views import labels_of
 
 CHUNK = 64
 """Frames rendered at once: bounds the memory of the polar grids (about 1 MB a frame)."""
@@ -57,6 +58,9 @@ class Phantom:
         self.surface_height = self.config.block.maximum[2]
         self._oracle = make_oracle(anatomy, self.surface_height, self.device)
         self.views = tuple(view.name for view in anatomy.views)
+        self.labels = labels_of(self.views)
+        self.titles = {view.name: view.title for view in anatomy.views}
+        self.home, self.wander = anatomy.home, anatomy.wander
         self.structures = tuple(structure.name for structure in anatomy.structures)
         self.workspace = _workspace(self.config.workspace, self.config.block, self.device)
 

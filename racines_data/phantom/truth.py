@@ -11,7 +11,6 @@ from torch import Tensor
 from racines_data.geometry import Pose, rotate
 from racines_data.phantom.anatomy import Anatomy, ViewSpec
 from racines_data.phantom.config import ProbeConfig
-from racines_data.views import RANDOM_LABEL
 
 MEMBERSHIP_CENTRE = 0.60
 MEMBERSHIP_WIDTH = 0.035
@@ -67,7 +66,7 @@ class Oracle(NamedTuple):
         view_grade = (10.0 * progress * clarity.clamp(0.0, 1.0).unsqueeze(-1)).clamp(0.0, 10.0)
         grade = view_grade.gather(-1, view.unsqueeze(-1)).squeeze(-1).clamp_min(1.0)
         return Truth(
-            view=torch.where(attained, view, RANDOM_LABEL),
+            view=torch.where(attained, view, membership.shape[-1]),  # Random
             grade=torch.where(attained, grade, 0.0),
             membership=membership,
             view_grade=view_grade,
