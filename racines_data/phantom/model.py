@@ -1,7 +1,7 @@
 """The phantom: poses in, images, forces and truth out; batched, on one device."""
 
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -141,9 +141,14 @@ def _workspace(config: WorkspaceConfig, block: BlockConfig, device: torch.device
     )
 
 
-@cache
 def shared_phantom(config: PhantomConfig | None = None, device: str = "cpu") -> Phantom:
-    """Return the one phantom of a configuration and device in this process."""
-    if config is None:
-        return shared_phantom(PhantomConfig(), device)
+    """Return the one phantom of a configuration and device in this process.
+
+    Only the last few are kept, so that work on many hearts does not fill the memory.
+    """
+    return _baked(config or PhantomConfig(), device)
+
+
+@lru_cache(maxsize=2)
+def _baked(config: PhantomConfig, device: str) -> Phantom:
     return Phantom(config, device)
