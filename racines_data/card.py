@@ -6,6 +6,7 @@ from typing import Any
 import yaml
 from datasets import Features
 
+from racines_data.load import manifest_labels
 from racines_data.records import features_of
 from racines_data.schema import trajectory_features
 
@@ -113,7 +114,9 @@ def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:
             {**config, "version": manifest["version"], "description": describe(manifest)}
         )
         features: Features = (
-            trajectory_features() if name == "trajectories" else features_of(manifest["source"])
+            trajectory_features()
+            if name == "trajectories"
+            else features_of(manifest["source"], manifest_labels(manifest))
         )
         infos.append({"config_name": name, "features": features._to_yaml_list()})
     return {

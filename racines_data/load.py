@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from racines_data.errors import RacinesError
+from racines_data.views import LABELS
 
 if TYPE_CHECKING:
     from datasets import Dataset, DatasetDict, IterableDataset, IterableDatasetDict
@@ -49,6 +50,11 @@ def read_manifest(root: Path) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError) as error:
         raise RacinesError(f"{path}: damaged ({error}); {rebuild_hint({})}") from error
     return manifest
+
+
+def manifest_labels(manifest: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the view labels of a dataset; older ones, which name none, have the cardiac ones."""
+    return tuple(manifest.get("labels") or LABELS)
 
 
 def check_split(split: str) -> str:

@@ -17,9 +17,9 @@ from racines_data.views import LABELS
 PIXELS = IMAGE_SIZE * IMAGE_SIZE
 
 
-def features_of(source: str) -> Features:
-    """Return the features of the `frames` config for one source, a third party's included."""
-    return frame_features(SOURCES if source in SOURCES else (*SOURCES, source))
+def features_of(source: str, labels: Sequence[str] = LABELS) -> Features:
+    """Return the features of `frames` for one source, a third party's included, and its labels."""
+    return frame_features(SOURCES if source in SOURCES else (*SOURCES, source), labels)
 
 
 def encode_png(image: np.ndarray) -> bytes:
@@ -29,10 +29,12 @@ def encode_png(image: np.ndarray) -> bytes:
     return buffer.getvalue()
 
 
-def trajectory_to_table(trajectory: Trajectory, source: str) -> pa.Table:
+def trajectory_to_table(
+    trajectory: Trajectory, source: str, labels: Sequence[str] = LABELS
+) -> pa.Table:
     """Return a trajectory as rows of the `frames` config, with the Hugging Face metadata."""
     count = len(trajectory)
-    features = features_of(source)
+    features = features_of(source, labels)
     columns: dict[str, pa.Array] = {"image": _images(trajectory)}
     for index, name in enumerate(PARAMETERS):
         columns[name] = pa.array(trajectory.parameters[:, index], pa.float32(), from_pandas=True)
@@ -89,8 +91,8 @@ def float_columns(table: pa.Table, names: Sequence[str]) -> np.ndarray:
     return np.stack([table[name].fill_null(np.nan).to_numpy() for name in names], -1)
 
 
-def check_trajectory(trajectory: Trajectory, unit: Unit) -> None:
-    """Check what a source has made of a unit.
+def check_trajectory(trajectory: Trajectory, unit: Unit, labels: Sequence[str] = LABELS) -> None:
+    """Check what a source with these view labels has made of a unit.
 
     Raises:
         RacinesError: wrong identity, image shape or type, a pose or time that is not finite, or a
@@ -100,9 +102,9 @@ def check_trajectory(trajectory: Trajectory, unit: Unit) -> None:
     made = (trajectory.id, trajectory.session, trajectory.target_view)
     if made != (unit.id, unit.session, unit.target_view):
         raise RacinesError(f"{where}: the source made {made} of it; names must stay the unit's")
-    if trajectory.target_view not in LABELS:
+    if trajectory.target_view not in labels:
         raise RacinesError(
-            f"{where}: unknown target view {trajectory.target_view!r}; one of {', '.join(LABELS)}"
+            f"{where}: unknown target view {trajectory.target_view!r}; one of {', '.join(labels)}"
         )
     shape = (len(trajectory), IMAGE_SIZE, IMAGE_SIZE)
     if trajectory.images.dtype != np.uint8 or trajectory.images.shape != shape or not shape[0]:
@@ -111,6 +113,8 @@ def check_trajectory(trajectory: Trajectory, unit: Unit) -> None:
             f"(T, {IMAGE_SIZE}, {IMAGE_SIZE}), T > 0"
         )
     _check_numbers(trajectory, where)
+    if ((trajectory.views < -1) | (trajectory.views >= len(labels))).any():
+        raise RacinesError(f"{where}: a view label lies outside -1 to {len(labels) - 1}")
 
 
 def _check_numbers(trajectory: Trajectory, where: str) -> None:
@@ -127,5 +131,3 @@ def _check_numbers(trajectory: Trajectory, where: str) -> None:
     grades = trajectory.grades[~np.isnan(trajectory.grades)]
     if ((grades < 0) | (grades > 10)).any():
         raise RacinesError(f"{where}: a grade lies outside 0-10")
-    if ((trajectory.views < -1) | (trajectory.views >= len(LABELS))).any():
-        raise RacinesError(f"{where}: a view label lies outside -1 to {len(LABELS) - 1}")

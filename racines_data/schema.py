@@ -32,15 +32,15 @@ SPLITS = ("train", "validation", "test")
 SOURCES = ("phantom", "release", "cactus", "tracked")
 
 
-def frame_features(sources: Sequence[str] = SOURCES) -> Features:
-    """Return the features of the `frames` config; `sources` names the labels of `source`."""
+def frame_features(sources: Sequence[str] = SOURCES, labels: Sequence[str] = LABELS) -> Features:
+    """Return the features of `frames`; `sources` and `labels` name the classes of source, view."""
     columns = {"image": Image(mode="L")}
     columns |= {name: Value("float32") for name in (*PARAMETERS, "timestamp", *CONTROLS)}
     columns["timestamp"] = Value("float64")
     columns |= {
-        "view": ClassLabel(names=list(LABELS)),
+        "view": ClassLabel(names=list(labels)),
         "grade": Value("float32"),
-        "view_predicted": ClassLabel(names=list(LABELS)),
+        "view_predicted": ClassLabel(names=list(labels)),
         "grade_predicted": Value("float32"),
         "target_view": Value("string"),
         "phantom": Value("int32"),
@@ -75,7 +75,7 @@ class Trajectory:
     id: str
     session: str
     target_view: str
-    """One of the five views, or `Random`."""
+    """One of the views, or `Random`."""
     images: np.ndarray
     """(T, 128, 128) uint8."""
     parameters: np.ndarray

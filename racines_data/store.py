@@ -20,7 +20,13 @@ from torch import Tensor
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.load import check_split, default_root, read_manifest, rebuild_hint
+from racines_data.load import (
+    check_split,
+    default_root,
+    manifest_labels,
+    read_manifest,
+    rebuild_hint,
+)
 from racines_data.records import PIXELS
 from racines_data.schema import CONTROLS, PARAMETERS
 
@@ -68,6 +74,8 @@ class FrameStore:
     """(N,) int64, the row's place in `trajectories`."""
     frame: Tensor
     """(N,) int64, the row's number in its trajectory."""
+    labels: tuple[str, ...]
+    """Names of the view labels, in label order; the last is `Random`."""
     trajectories: list[str]
     """Ids of the trajectories."""
     target_views: list[str]
@@ -78,6 +86,7 @@ class FrameStore:
     def __init__(self, root: Path | str | None = None) -> None:
         self.root = default_root(root)
         self.manifest = read_manifest(self.root)
+        self.labels = manifest_labels(self.manifest)
         files = self.manifest["files"]
         if STORE not in files:
             raise RacinesError(f"{self.root / 'manifest.json'}: names no {STORE}; rebuild")

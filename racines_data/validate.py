@@ -17,7 +17,7 @@ from racines_data.card import describe
 from racines_data.digest import content_digest, recipe_digest, trajectory_digest
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_data.load import CARD, read_manifest
+from racines_data.load import CARD, manifest_labels, read_manifest
 from racines_data.records import check_trajectory, features_of, table_to_trajectory
 from racines_data.schema import PARAMETERS, SPLITS, Trajectory
 from racines_data.sources import Unit
@@ -113,7 +113,7 @@ def _check_rows(root: Path, manifest: dict[str, Any]) -> str:
     counts: dict[str, int] = dict.fromkeys(SPLITS, 0)
     for split, trajectory in _trajectories(root, manifest):
         unit = Unit(trajectory.id, trajectory.session, trajectory.target_view, len(trajectory))
-        check_trajectory(trajectory, unit)
+        check_trajectory(trajectory, unit, manifest_labels(manifest))
         _check_ranges(trajectory)
         digests.append((split, trajectory.id, trajectory_digest(trajectory)))
         counts[split] += len(trajectory)
@@ -127,7 +127,7 @@ def _check_rows(root: Path, manifest: dict[str, Any]) -> str:
 
 def _trajectories(root: Path, manifest: dict[str, Any]) -> Iterator[tuple[str, Trajectory]]:
     """Yield every trajectory of the `frames` shards in order; one may cross shards."""
-    schema = features_of(manifest["source"]).arrow_schema
+    schema = features_of(manifest["source"], manifest_labels(manifest)).arrow_schema
     for split, names in manifest["configs"]["frames"].items():
         pending = schema.empty_table()
         for name in names:

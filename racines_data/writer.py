@@ -20,7 +20,7 @@ from racines_data.digest import content_digest, recipe_digest
 from racines_data.files import sha256_file
 from racines_data.load import CARD, MANIFEST
 from racines_data.schema import SPLITS, trajectory_features
-from racines_data.sources import Finding, Source, Unit
+from racines_data.sources import Finding, Source, Unit, labels_of_source
 from racines_data.splits import divide_shards, held_out_session, shard_bounds
 from racines_data.staging import open_unit, unit_path
 from racines_data.store import STORE, write_store
@@ -80,6 +80,7 @@ def write_dataset(
         "digest": content_digest((r["split"], r["trajectory"], r["digest"]) for r in rows),
         "recipe_digest": recipe_digest(recipe),
         "recipe": recipe,
+        "labels": list(labels_of_source(source)),
         "held_out_session": held,
         "counts": _counts(rows),
         "report": _report_counts(source.report),

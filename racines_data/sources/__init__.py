@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkable
 
 from racines_data.errors import RacinesError
+from racines_data.views import LABELS
 
 if TYPE_CHECKING:
     from racines_data.schema import Trajectory
@@ -41,7 +42,7 @@ class Unit:
     session: str
     """Name of the recording session."""
     target_view: str
-    """One of the five views, or `Random` where there was no target."""
+    """One of the source's views, or `Random` where there was no target."""
     frames: int
     """Number of frames expected; it balances the work and drives the progress bar."""
 
@@ -71,6 +72,7 @@ class Source(Protocol):
     """Filled by `plan`; empty where there is nothing to say."""
     Config: ClassVar[type]
     """Dataclass of settings. Fields `frames` and `seed`, if any, are set from the data section."""
+    # A source of other views than the five also has `labels: tuple[str, ...]`, `Random` last.
 
     @classmethod
     def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> Self:
@@ -95,6 +97,11 @@ class Source(Protocol):
         Its id, session and target view are the unit's.
         """
         ...
+
+
+def labels_of_source(source: Source) -> tuple[str, ...]:
+    """Return the view labels of a source: its `labels` attribute, or the cardiac ones."""
+    return tuple(getattr(source, "labels", LABELS))
 
 
 def source_names() -> tuple[str, ...]:

@@ -17,11 +17,13 @@ from racines_data.phantom.acquisition import (
     plan_targets,
     record,
 )
+from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PHANTOM_VERSION
 from racines_data.phantom.model import Phantom, shared_phantom
 from racines_data.randomness import derive, sample_seeds
 from racines_data.schema import Trajectory
 from racines_data.sources import Finding, Unit
+from racines_data.views import labels_of
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class PhantomSource:
     def __init__(self, config: AcquisitionConfig):
         self.config = config
         self.report: list[Finding] = []
+        self.labels = labels_of(anatomy_views(config.phantom.anatomy))
 
     @classmethod
     def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> Self:
