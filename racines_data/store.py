@@ -29,6 +29,7 @@ from racines_data.load import (
 )
 from racines_data.records import PIXELS
 from racines_data.schema import CONTROLS, PARAMETERS
+from racines_data.views import LABELS
 
 STORE = "store/frames.arrow"
 _METADATA = b"racines.store"
@@ -74,7 +75,7 @@ class FrameStore:
     """(N,) int64, the row's place in `trajectories`."""
     frame: Tensor
     """(N,) int64, the row's number in its trajectory."""
-    labels: tuple[str, ...]
+    labels: tuple[str, ...] = LABELS
     """Names of the view labels, in label order; the last is `Random`."""
     trajectories: list[str]
     """Ids of the trajectories."""

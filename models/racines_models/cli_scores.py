@@ -120,7 +120,7 @@ def eval_generator(
         )
     content: dict[str, Any] = {**scores.content, "weights": weights_sha256(folder) or None}
     content["dataset"]["board"] = values.get("board")
-    _write_scores(out, title, content, scores)
+    _write_scores(out, title, content, scores, len(store.labels) - 1)
     if as_json:
         typer.echo(json.dumps(content))
     else:
@@ -128,12 +128,14 @@ def eval_generator(
         typer.echo(f"{out / title}.json, {out / title}.png")
 
 
-def _write_scores(out: Path, name: str, content: dict[str, Any], scores: "Scores") -> None:
+def _write_scores(
+    out: Path, name: str, content: dict[str, Any], scores: "Scores", random: int
+) -> None:
     from racines_data.files import write_json
     from racines_models.pictures import pick_columns, write_strip
 
     frames = scores.sample.frames
-    columns = pick_columns(frames.views, frames.grades)
+    columns = pick_columns(frames.views, frames.grades, random)
     write_strip(out / f"{name}.png", [frames.images[columns], scores.images[columns]])
     write_json(out / f"{name}.json", content)
 

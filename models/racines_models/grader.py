@@ -5,6 +5,7 @@ alone; what it should have said is the oracle's, or the expert's.
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -84,7 +85,7 @@ class GraderConfig:
 class GraderNetwork(nn.Module):
     """Encoder and heads; owns the normalisation of (B, 128, 128) uint8 images."""
 
-    def __init__(self, input_size: int, width: float = 1.0) -> None:
+    def __init__(self, input_size: int, width: float = 1.0, labels: int = len(LABELS)) -> None:
         super().__init__()
         from monai.networks.nets.resnet import resnet18
 
@@ -97,7 +98,7 @@ class GraderNetwork(nn.Module):
             widen_factor=width,
         )
         self.features = int(FEATURES * width)
-        self.view_head = nn.Linear(self.features, len(LABELS))
+        self.view_head = nn.Linear(self.features, labels)
         self.grade_head = nn.Sequential(
             nn.Linear(self.features, 128), nn.ReLU(inplace=True), nn.Linear(128, 1)
         )
@@ -110,12 +111,12 @@ class GraderNetwork(nn.Module):
         return x.contiguous(memory_format=torch.channels_last)
 
     def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (B, 6) view logits and (B,) unclamped grades of (B, 512) features."""
+        """Return (B, labels) view logits and (B,) unclamped grades of (B, 512) features."""
         grade = self.grade_head(features).squeeze(-1)
         return self.view_head(features), GRADE_SCALE * grade.float()
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (B, 6) view logits and (B,) grades of normalised images."""
+        """Return (B, labels) view logits and (B,) grades of normalised images."""
         return self.heads(self.encoder(x))
 
 
@@ -126,9 +127,17 @@ class Grader:
         RacinesError: `load` finds no grader, or one of another kind.
     """
 
-    def __init__(self, network: GraderNetwork, config: GraderConfig, device: str = "cpu") -> None:
+    def __init__(
+        self,
+        network: GraderNetwork,
+        config: GraderConfig,
+        device: str = "cpu",
+        labels: Sequence[str] = LABELS,
+    ) -> None:
         self.network = network.to(device).eval().requires_grad_(False)
         self.config = config
+        self.labels = tuple(labels)
+        """Names of the view labels, in the order of its probabilities; the last is `Random`."""
         self.device = torch.device(device)
         self.sha256: str | None = None
         """Hash of the weights' file; None until saved or loaded."""
@@ -138,8 +147,8 @@ class Grader:
         """Judge (B, 128, 128) uint8 images.
 
         Returns:
-            (B, 6) float32 probabilities in the order of `racines_data.views.LABELS`, and (B,)
-            float32 grades in 0-10, on the grader's device.
+            (B, labels) float32 probabilities in the order of `labels`, and (B,) float32 grades in
+            0-10, on the grader's device.
         """
         with self._autocast():
             logits, grade = self.network(self._input(images))
@@ -186,7 +195,7 @@ class Grader:
         write_atomic(folder / WEIGHTS, save(state))
         self.sha256 = sha256_file(folder / WEIGHTS)
         described = {"schema": SCHEMA, "config": asdict(self.config), "sha256": self.sha256}
-        write_json(folder / CONFIG, described | provenance)
+        write_json(folder / CONFIG, described | {"labels": list(self.labels)} | provenance)
 
     @classmethod
     def load(cls, folder: Path | str, device: str = "cpu") -> "Grader":
@@ -199,11 +208,24 @@ class Grader:
         path = folder / WEIGHTS
         if not path.is_file() or sha256_file(path) != described["sha256"]:
             raise RacinesError(f"{path}: missing or damaged; run: racines train grader")
-        network = GraderNetwork(config.input_size, config.width)
+        labels = described.get("labels") or LABELS  # graders of old are cardiac
+        network = GraderNetwork(config.input_size, config.width, len(labels))
         network.load_state_dict(load_file(path))
-        grader = cls(network, config, device)
+        grader = cls(network, config, device, labels)
         grader.sha256 = described["sha256"]
         return grader
+
+    def check_labels(self, labels: Sequence[str], what: str) -> None:
+        """Check that the grader knows these labels, those of `what`, in this order.
+
+        Raises:
+            RacinesError: it was trained for other views.
+        """
+        if self.labels != tuple(labels):
+            raise RacinesError(
+                f"the grader knows {', '.join(self.labels)}, {what} has {', '.join(labels)}: train "
+                "a grader on a dataset of that anatomy: racines train grader"
+            )
 
     def _input(self, images: Tensor) -> Tensor:
         return self.network.normalise(images.to(self.device))

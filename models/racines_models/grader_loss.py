@@ -8,7 +8,6 @@ from torch.nn import functional
 
 from racines_data.randomness import normal
 from racines_data.store import FrameStore
-from racines_data.views import LABELS
 from racines_models.grader import GraderConfig
 
 WARM_UP = 0.1
@@ -16,7 +15,7 @@ WARM_UP = 0.1
 
 
 def view_loss(logits: Tensor, views: Tensor, weights: Tensor) -> Tensor:
-    """Return the weighted cross-entropy of (B, 6) logits over the frames with a view (not -1)."""
+    """Return the weighted cross-entropy of (B, L) logits over the frames with a view (not -1)."""
     loss = functional.cross_entropy(logits, views, weights, ignore_index=-1, reduction="sum")
     total = weights[views.clamp_min(0)].mul(views >= 0).sum()
     return loss / total.clamp_min(1e-6)
@@ -30,9 +29,9 @@ def grade_loss(grade: Tensor, target: Tensor) -> Tensor:
 
 
 def class_weights(store: FrameStore, power: float) -> Tensor:
-    """Return (6,) weights, the train frequencies to minus `power`, of mean one over frames."""
+    """Return (labels,) weights, the train frequencies to minus `power`, of mean one over frames."""
     views = store.views[store.split_indices("train")]
-    count = torch.bincount(views[views >= 0], minlength=len(LABELS)).float()
+    count = torch.bincount(views[views >= 0], minlength=len(store.labels)).float()
     weights = count.clamp_min(1.0).pow(-power)
     return weights * count.sum() / (weights * count).sum()
 

@@ -41,7 +41,8 @@ def train_grader(store: FrameStore, config: GraderConfig, run: Run) -> dict[str,
     training = _Training(store, config, run)
     with training.log:
         training.run()
-    grader = Grader(training.unwrapped(), config, training.accelerator.device.type)
+    device = training.accelerator.device.type
+    grader = Grader(training.unwrapped(), config, device, store.labels)
     made = {"dataset": dataset_card(store), "seed": run.seed, "code": code_version()}
     grader.save(run.folder, **made)
     metrics = {"schema": "racines.grader-metrics/1"} | made | report(grader, store)
@@ -74,7 +75,8 @@ class _Training:
         self.weights = class_weights(store, config.class_balance).to(self.accelerator.device)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(run.seed)
-            self.network = self.accelerator.prepare(GraderNetwork(config.input_size, config.width))
+            network = GraderNetwork(config.input_size, config.width, len(store.labels))
+            self.network = self.accelerator.prepare(network)
         identity = {"config": asdict(config), "seed": run.seed, "data": dataset_card(store)}
         self.checkpoint = Checkpoint(run.folder, identity)
         self.state = self.checkpoint.read(run.resume)

@@ -33,13 +33,13 @@ def write_strip(path: Path, rows: Sequence[Tensor], gap: int = 2) -> None:
     write_atomic(path, image_bytes(Image.fromarray(canvas.numpy())))
 
 
-def pick_columns(views: Tensor, grades: Tensor) -> Tensor:
+def pick_columns(views: Tensor, grades: Tensor, random: int = RANDOM_LABEL) -> Tensor:
     """Choose up to 8 of (N,) frames: the best of each view, then others at even distances.
 
-    Frames of unknown view (-1) are spread evenly.
+    `random` is the label of `Random`. Frames of unknown view (-1) are spread evenly.
     """
     chosen = []
-    for label in range(RANDOM_LABEL):
+    for label in range(random):
         rows = (views == label).nonzero()[:, 0]
         if len(rows):
             chosen.append(int(rows[grades[rows].nan_to_num(0.0).argmax()]))

@@ -178,9 +178,12 @@ class _Judge:
         The same figures of the true images (`…_truth`) say what the grader's own errors allow.
         """
         frames, figures = self.sample.frames, {}
+        grader.check_labels(self.store.labels, "the dataset")
+        random = len(grader.labels) - 1
         for suffix, sets in (("", self.drawn), ("_truth", [frames.images])):
             compared = [
-                compare(*grader.judge(images)[:2], frames.views, frames.grades) for images in sets
+                compare(*grader.judge(images)[:2], frames.views, frames.grades, random)
+                for images in sets
             ]
             for name, first in compared[0].items():
                 estimate = self._mean([each[name].values for each in compared])
