@@ -2,6 +2,7 @@
 
     source.plan() ─> staged units ─> groups by (split, held-out session) ─> Parquet shards
                                                                          └> training store
+    and, where there are many hearts, the same for them under `multi_phantom`, split by heart
                   ─> manifest.json, README.md, canonical frames, import report ─> swapped in place
 
 Nothing of the result depends on the time, the number of workers or the order they finish in.
@@ -9,6 +10,8 @@ Nothing of the result depends on the time, the number of workers or the order th
 
 import dataclasses
 import os
+import re
+import resource
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,13 +21,14 @@ from typing import Any
 from racines_data.config import fill
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
-from racines_data.load import MANIFEST
+from racines_data.load import MANIFEST, MULTI_PHANTOM
+from racines_data.shards import Part
 from racines_data.sources import Finding, Source, Unit, source_class, source_names
-from racines_data.splits import assign_splits
+from racines_data.splits import assign_group_splits, assign_splits, held_out_session
 from racines_data.staging import stage_units, staging_folder
 from racines_data.writer import write_dataset
 
-FORMAT = 2
+FORMAT = 3
 """Version of the layout of units, shards and store; part of every recipe."""
 
 
@@ -55,10 +59,12 @@ class DataConfig:
 def read_data_section(values: Mapping[str, Any]) -> tuple[DataConfig, dict[str, dict[str, Any]]]:
     """Split the `data` section of a params file into the builder's part and the sources' parts.
 
+    Beside the sources, `multi_phantom` has a section of its own.
+
     Raises:
         RacinesError: an unknown key, or a value of the wrong type.
     """
-    names = source_names()
+    names = (*source_names(), MULTI_PHANTOM)
     sections = {key: dict(value or {}) for key, value in values.items() if key in names}
     rest = {key: value for key, value in values.items() if key not in names}
     return fill(DataConfig, rest, "data"), sections
@@ -79,11 +85,32 @@ def make_source(
     return kind.from_config({**given, **(section or {})}, inputs)
 
 
+def make_multi_phantom(
+    source: Source, config: DataConfig, section: Mapping[str, Any] | None = None
+) -> Source | None:
+    """Make the source of many hearts that goes with the phantom; none if no hearts are asked for.
+
+    Other sources have no other hearts: the section is then left unread.
+
+    Raises:
+        RacinesError: unknown or impossible settings.
+    """
+    from racines_data.sources.multi_phantom import MultiPhantomSource
+    from racines_data.sources.phantom import PhantomSource
+
+    if not isinstance(source, PhantomSource):
+        return None
+    settings = {"seed": config.seed, **(section or {})}
+    many = MultiPhantomSource.from_config(settings, acquisition=source.config)
+    return many if many.config.hearts else None
+
+
 def build(
     source: Source,
     out: Path,
     config: DataConfig | None = None,
     progress: bool = False,
+    many: Source | None = None,
 ) -> dict[str, Any]:
     """Build a dataset and swap it into place; a build that was killed goes on where it stopped.
 
@@ -92,6 +119,7 @@ def build(
         out: Folder of the dataset. An older dataset there is replaced when the new one is whole.
         config: Splits, shards, workers, limits.
         progress: Show a progress bar on stderr.
+        many: Source of the config `multi_phantom`; each of its sessions is one heart.
 
     Returns:
         The manifest.
@@ -105,28 +133,60 @@ def build(
     _check_out(out)
     if config.workers < 1 or config.shards < 1:
         raise RacinesError("data.workers and data.shards must be one or more")
-    units = list(source.plan())
-    _check_report(source.report, units, config)
-    _check_units(units, source)
-    splits = assign_splits(units, config.validation, config.test, config.seed)
-    recipe = _recipe(source, config)
+    _check_version(source)
+    units = _plan(source, config)
+    many_units = [] if many is None else _plan(many, config)
+    recipe = _recipe(source, config, many)
     out.parent.mkdir(parents=True, exist_ok=True)
     with staging_folder(out, source, recipe_digest(recipe)) as folder:
-        stage_units(source, units, folder, config.workers, progress)
-        final = folder / "final"
-        shutil.rmtree(final, ignore_errors=True)
-        manifest = write_dataset(final, folder, source, units, splits, recipe, config.shards)
+        shares = config.validation, config.test, config.seed
+        splits = assign_splits(units, *shares)
+        held = held_out_session(units)
+        main = Part("frames", source, units, splits, folder / "frames", held)
+        stage_units(source, units, main.folder, config.workers, progress)
+        part = None
+        if many is not None:
+            splits = assign_group_splits(many_units, *shares)
+            part = Part(MULTI_PHANTOM, many, many_units, splits, folder / MULTI_PHANTOM)
+            stage_units(many, many_units, part.folder, config.workers, progress, by_session=True)
+        final = folder / f"final-{config.shards}"  # what is whole there has the same bounds
+        manifest = write_dataset(final, main, part, recipe, config.shards, progress)
         _swap(final, out)
     return manifest
 
 
-def _recipe(source: Source, config: DataConfig) -> dict[str, Any]:
+def peak_memory(workers: int) -> int:
+    """Return an upper bound of the bytes that this process and its workers held at once.
+
+    The most that this process has held, and as often as there are workers the most that any one
+    process that it has started and awaited has held; what they share is counted several times.
+    """
+    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    child = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    return 1024 * (own + (workers * child if workers > 1 else 0))
+
+
+def _plan(source: Source, config: DataConfig) -> list[Unit]:
+    units = list(source.plan())
+    _check_report(source.report, units, config)
+    _check_units(units, source)
+    return units
+
+
+def _check_version(source: Source) -> None:
+    if not re.fullmatch(r"\d+\.\d+\.\d+", source.version):
+        raise RacinesError(f"source {source.name}: version {source.version!r} is not x.y.z")
+
+
+def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str, Any]:
+    others = {} if many is None else {MULTI_PHANTOM: many.recipe()}
     return {
         "format": FORMAT,
         "source": source.name,
         "version": source.version,
         "splits": {"seed": config.seed, "validation": config.validation, "test": config.test},
         "settings": source.recipe(),
+        **others,
     }
 
 

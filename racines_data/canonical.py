@@ -14,30 +14,34 @@ import pyarrow as pa
 from PIL import Image
 
 from racines_data.errors import RacinesError
-from racines_data.load import read_manifest
+from racines_data.load import MULTI_PHANTOM, read_manifest
 from racines_data.schema import PARAMETERS
 
 TOLERANCE = 1
 """Gray levels."""
 
 
-def write_canonical(final: Path, tables: Iterable[pa.Table]) -> list[dict[str, Any]]:
+def write_canonical(
+    final: Path, tables: Iterable[pa.Table], folder: str = "canonical"
+) -> list[dict[str, Any]]:
     """Write the middle frame of the first trajectory of each target view.
 
     Args:
         final: Folder of the dataset.
         tables: Rows of `frames`, one table a trajectory, in the dataset's order.
+        folder: Where to write them in the dataset.
 
     Returns:
         File, trajectory, frame number, target view and the twelve parameters of each.
     """
+    (final / folder).mkdir(parents=True, exist_ok=True)
     chosen: dict[str, dict[str, Any]] = {}
     for table in tables:
         view = table["target_view"][0].as_py()
         if view in chosen:
             continue
         row = table.slice(len(table) // 2, 1).to_pylist()[0]
-        name = f"canonical/{view}.png"
+        name = f"{folder}/{view}.png"
         (final / name).write_bytes(row["image"]["bytes"])
         keys = "trajectory", "frame", "target_view"
         parameters = {key: row[key] for key in PARAMETERS}
@@ -55,10 +59,11 @@ def same_version(root: Path, other: Path) -> str:
     for key in ("source", "version", "recipe_digest"):
         if one[key] != two[key]:
             raise RacinesError(f"{key} is {one[key]} here and {two[key]} in {other}")
-    if one["digest"] == two["digest"]:
+    more = [manifest.get(MULTI_PHANTOM, {}) for manifest in (one, two)]
+    if one["digest"] == two["digest"] and more[0].get("digest") == more[1].get("digest"):
         return "equal, byte for byte"
     furthest = 0
-    for frame in one["canonical"]:
+    for frame in [*one["canonical"], *more[0].get("canonical", [])]:
         images = [np.asarray(Image.open(folder / frame["file"]), int) for folder in (root, other)]
         furthest = max(furthest, int(np.abs(images[0] - images[1]).max()))
     if furthest > TOLERANCE:

@@ -6,7 +6,7 @@ from typing import Any
 import yaml
 from datasets import Features
 
-from racines_data.load import manifest_labels
+from racines_data.load import config_digest, manifest_labels
 from racines_data.records import features_of
 from racines_data.schema import trajectory_features
 
@@ -90,7 +90,7 @@ def write_card(manifest: Mapping[str, Any]) -> str:
     return f"---\n{head}---\n{_body(manifest)}"
 
 
-def describe(manifest: Mapping[str, Any]) -> str:
+def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:
     """Return the description of a config.
 
     It carries the digest because `datasets` keys its cache of a local folder by the configs, not by
@@ -99,7 +99,7 @@ def describe(manifest: Mapping[str, Any]) -> str:
     origin = ORIGINS.get(manifest["source"], "a source of another package")
     return (
         f"source {manifest['source']} ({origin}); version {manifest['version']}; "
-        f"content sha256 {manifest['digest']}"
+        f"content sha256 {config_digest(manifest, config)}"
     )
 
 
@@ -111,7 +111,7 @@ def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:
         if name == "frames":
             config["default"] = True
         configs.append(
-            {**config, "version": manifest["version"], "description": describe(manifest)}
+            {**config, "version": manifest["version"], "description": describe(manifest, name)}
         )
         features: Features = (
             trajectory_features()

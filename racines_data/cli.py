@@ -34,10 +34,18 @@ def build(
     as_json: AsJson = False,
 ) -> None:
     """Acquire or import a dataset, and write it as shards, a training store and a card."""
+    import time
+
     from racines_data.build import build as build_dataset
-    from racines_data.build import make_source, read_data_section
+    from racines_data.build import (
+        make_multi_phantom,
+        make_source,
+        peak_memory,
+        read_data_section,
+    )
     from racines_data.config import read_params, section
 
+    start = time.perf_counter()
     if params is None and profile is None and Path("params.yaml").is_file():
         params = Path("params.yaml")
     values = section(read_params(params, profile), "data")
@@ -49,12 +57,18 @@ def build(
     if frames is not None:
         _check_frames_wanted(config.source)
     made = make_source(config, sections.get(config.source), inputs or [])
-    manifest = build_dataset(made, out, config, progress=not as_json)
+    many = make_multi_phantom(made, config, sections.get("multi_phantom"))
+    manifest = build_dataset(made, out, config, progress=not as_json, many=many)
     findings = [vars(finding) for finding in made.report]
     if as_json:
-        keys = ("source", "version", "digest", "recipe_digest", "counts", "report")
+        keys = ("source", "version", "digest", "recipe_digest", "tag", "counts", "report")
         summary = {key: manifest[key] for key in keys}
-        typer.echo(json.dumps({"out": str(out), **summary, "findings": findings}))
+        summary["multi_phantom"] = manifest.get("multi_phantom")
+        usage = {
+            "seconds": round(time.perf_counter() - start, 2),
+            "peak_memory": peak_memory(config.workers),
+        }
+        typer.echo(json.dumps({"out": str(out), **summary, "findings": findings, **usage}))
     else:
         _print_build(out, manifest, findings)
 

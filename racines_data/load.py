@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 MANIFEST = "manifest.json"
 CARD = "README.md"
+MULTI_PHANTOM = "multi_phantom"
+"""Name of the config of many simulated hearts."""
 DEFAULT_ROOT = Path("data/racines")
 ROOT_VARIABLE = "RACINES_DATA"
 
@@ -52,6 +54,11 @@ def read_manifest(root: Path) -> dict[str, Any]:
     return manifest
 
 
+def config_digest(manifest: Mapping[str, Any], config: str = "frames") -> str:
+    """Return the content digest of a config: `multi_phantom` has its own, the others share one."""
+    return manifest[MULTI_PHANTOM]["digest"] if config == MULTI_PHANTOM else manifest["digest"]
+
+
 def manifest_labels(manifest: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the view labels of a dataset; older ones, which name none, have the cardiac ones."""
     return tuple(manifest.get("labels") or LABELS)
@@ -81,7 +88,7 @@ def load(
 
     Args:
         version: The version wanted, x.y.z; any if absent.
-        config: `frames`, `trajectories` or `sessions`.
+        config: `frames`, `trajectories`, `sessions` or `multi_phantom`.
         split: `train`, `validation` or `test`; all if absent.
         root: The dataset's folder; default `RACINES_DATA` or `data/racines`.
         streaming: Read while iterating instead of through the cache.
@@ -111,5 +118,5 @@ def load(
     check_files(folder, {n: manifest["files"][n] for n in (CARD, *wanted)}, rebuild_hint(manifest))
     loaded = datasets.load_dataset(str(folder), config, split=split, streaming=streaming)
     for part in loaded.values() if isinstance(loaded, dict) else [loaded]:
-        part.info.description = describe(manifest)
+        part.info.description = describe(manifest, config)
     return loaded

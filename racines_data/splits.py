@@ -43,6 +43,20 @@ def assign_splits(
     return splits
 
 
+def assign_group_splits(
+    units: Sequence[Unit], validation: float, test: float, seed: int
+) -> dict[str, str]:
+    """Return the split of each trajectory id such that a session is in one split.
+
+    Raises:
+        RacinesError: the shares do not leave anything to train on.
+    """
+    sessions = dict.fromkeys(unit.session for unit in units)
+    wholes = [Unit(name, name, "", 0) for name in sessions]
+    splits = assign_splits(wholes, validation, test, seed)
+    return {unit.id: splits[unit.session] for unit in units}
+
+
 def _strata(units: Sequence[Unit]) -> list[list[Unit]]:
     by_view: dict[str, list[Unit]] = defaultdict(list)
     for unit in units:

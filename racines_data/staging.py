@@ -46,7 +46,7 @@ def staging_folder(out: Path, source: Source, recipe_digest: str) -> Iterator[Pa
     """
     key = hashlib.sha256(f"{recipe_digest}/{_code_digest(source)}".encode()).hexdigest()
     folder = out.parent / f".{out.name}.staging-{key[:16]}"
-    (folder / "units").mkdir(parents=True, exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     with (folder / "lock").open("w") as lock:
         if not _lock(lock):
             raise RacinesError(f"{out}: another build of it is running; wait for it")
@@ -91,23 +91,42 @@ def open_unit(path: Path) -> tuple[pa.Table, str]:
 
 
 def stage_units(
-    source: Source, units: Sequence[Unit], folder: Path, workers: int, progress: bool
+    source: Source,
+    units: Sequence[Unit],
+    folder: Path,
+    workers: int,
+    progress: bool,
+    by_session: bool = False,
 ) -> None:
     """Make the units that are not staged yet, in `workers` processes.
+
+    Args:
+        source: Makes the units.
+        units: All units, in order.
+        folder: Folder of this source's units.
+        workers: Number of processes.
+        progress: Show a progress bar on stderr.
+        by_session: Give a session's units to one worker, one after the other: for a source to
+            which a session costs something (a heart is baked once).
 
     Raises:
         RacinesError: the source refuses a unit, or a worker dies.
     """
+    (folder / "units").mkdir(parents=True, exist_ok=True)
     waiting = [index for index in range(len(units)) if not _is_staged(folder, index)]
-    with _progress(progress) as bar:
-        task = bar.add_task("frames", total=sum(unit.frames for unit in units))
+    tasks: dict[str | int, list[int]] = {}
+    for index in waiting:
+        tasks.setdefault(units[index].session if by_session else index, []).append(index)
+    with progress_bar(progress) as bar:
+        task = bar.add_task(f"{folder.name} frames", total=sum(unit.frames for unit in units))
         done = set(range(len(units))) - set(waiting)
         bar.advance(task, sum(units[index].frames for index in done))
-        for index in _produce(source, units, waiting, folder, workers):
-            bar.advance(task, units[index].frames)
+        for indices in _produce(source, units, list(tasks.values()), folder, workers):
+            bar.advance(task, sum(units[index].frames for index in indices))
 
 
-def _progress(shown: bool) -> Progress:
+def progress_bar(shown: bool) -> Progress:
+    """Return a progress bar on stderr, hidden where nobody looks."""
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
     console = Console(stderr=True)
     hidden = not (shown and console.is_terminal)
@@ -123,20 +142,25 @@ def _is_staged(folder: Path, index: int) -> bool:
 
 
 def _produce(
-    source: Source, units: Sequence[Unit], waiting: Sequence[int], folder: Path, workers: int
-) -> Iterator[int]:
-    if workers == 1 or len(waiting) < 2:
+    source: Source, units: Sequence[Unit], tasks: Sequence[list[int]], folder: Path, workers: int
+) -> Iterator[list[int]]:
+    if workers == 1 or len(tasks) < 2:
         threads = torch.get_num_threads()
         torch.set_num_threads(1)  # as in a worker: the number of threads may change last bits
         try:
-            for index in waiting:
-                yield _stage(source, units[index], folder, index)
+            for indices in tasks:
+                for index in indices:
+                    _stage(source, units[index], folder, index)
+                yield indices
         finally:
             torch.set_num_threads(threads)
         return
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, _start_worker, (source,)) as pool:
-        futures = [pool.submit(_work, units[index], folder, index) for index in waiting]
+        futures = [
+            pool.submit(_work, [units[index] for index in indices], folder, indices)
+            for indices in tasks
+        ]
         try:
             for future in as_completed(futures):
                 yield future.result()
@@ -163,12 +187,14 @@ def _die_with_parent() -> None:
         os._exit(1)
 
 
-def _work(unit: Unit, folder: Path, index: int) -> int:
+def _work(units: list[Unit], folder: Path, indices: list[int]) -> list[int]:
     assert _source is not None
-    return _stage(_source, unit, folder, index)
+    for unit, index in zip(units, indices, strict=True):
+        _stage(_source, unit, folder, index)
+    return indices
 
 
-def _stage(source: Source, unit: Unit, folder: Path, index: int) -> int:
+def _stage(source: Source, unit: Unit, folder: Path, index: int) -> None:
     trajectory = source.produce(unit)
     labels = labels_of_source(source)
     check_trajectory(trajectory, unit, labels)
@@ -181,4 +207,3 @@ def _stage(source: Source, unit: Unit, folder: Path, index: int) -> int:
     with pa.OSFile(str(aside), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
         writer.write_table(table)
     os.replace(aside, path)
-    return index

@@ -7,8 +7,7 @@ One record batch with the images as FixedSizeBinary(16384) is one contiguous run
 
 import json
 import mmap
-import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +20,9 @@ from racines_data.digest import check_files
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.load import (
+    MULTI_PHANTOM,
     check_split,
+    config_digest,
     default_root,
     manifest_labels,
     read_manifest,
@@ -29,10 +30,20 @@ from racines_data.load import (
 )
 from racines_data.records import PIXELS
 from racines_data.schema import CONTROLS, PARAMETERS
+from racines_data.store_writer import METADATA
 from racines_data.views import LABELS
 
-STORE = "store/frames.arrow"
-_METADATA = b"racines.store"
+STORES = ("frames", MULTI_PHANTOM)
+"""Configs that may have a store; `sessions` are the rows of `frames`."""
+
+
+def store_name(config: str) -> str:
+    """Return the file of a config's store in the dataset."""
+    return f"store/{config}.arrow"
+
+
+STORE = store_name("frames")
+"""The store of the default config."""
 
 
 class Batch(NamedTuple):
@@ -51,7 +62,7 @@ class Batch(NamedTuple):
 
 
 class FrameStore:
-    """All frames of a dataset, memory-mapped. Rows are in the order train, validation, test.
+    """All frames of a config, memory-mapped. Rows are in the order train, validation, test.
 
     Raises:
         RacinesError: no dataset at `root`, or its store is damaged.
@@ -84,22 +95,37 @@ class FrameStore:
     sessions: list[str]
     """Session of each trajectory."""
 
-    def __init__(self, root: Path | str | None = None) -> None:
+    phantoms: list[int | None]
+    """Seed of each trajectory's simulated anatomy; absent for recordings."""
+
+    def __init__(self, root: Path | str | None = None, config: str = "frames") -> None:
+        if config not in STORES:
+            raise RacinesError(f"config {config!r} has no store: choose one of {', '.join(STORES)}")
+        self.config = config
         self.root = default_root(root)
         self.manifest = read_manifest(self.root)
         self.labels = manifest_labels(self.manifest)
         files = self.manifest["files"]
-        if STORE not in files:
-            raise RacinesError(f"{self.root / 'manifest.json'}: names no {STORE}; rebuild")
-        check_files(self.root, {STORE: files[STORE]}, rebuild_hint(self.manifest))
+        name = store_name(config)
+        if name not in files:
+            raise RacinesError(
+                f"{self.root / 'manifest.json'}: names no {name}; rebuild"
+                + (f" with data.{MULTI_PHANTOM}.hearts set" if config == MULTI_PHANTOM else "")
+            )
+        check_files(self.root, {name: files[name]}, rebuild_hint(self.manifest))
         try:
-            self._read(self.root / STORE)
+            self._read(self.root / name)
         except (pa.ArrowInvalid, KeyError, ValueError) as error:
             hint = rebuild_hint(self.manifest)
-            raise RacinesError(f"{self.root / STORE}: damaged ({error}); {hint}") from error
+            raise RacinesError(f"{self.root / name}: damaged ({error}); {hint}") from error
 
     def __len__(self) -> int:
         return len(self.images)
+
+    @property
+    def digest(self) -> str:
+        """The content digest of this config."""
+        return config_digest(self.manifest, self.config)
 
     def _read(self, path: Path) -> None:
         # A private mapping is writable without touching the file, as torch wants its memory.
@@ -126,10 +152,11 @@ class FrameStore:
         self.timestamps = column("timestamp", torch.float64)
         self.trajectory_index = column("trajectory", torch.int64)
         self.frame = column("frame", torch.int64)
-        metadata = json.loads(table.schema.metadata[_METADATA])
+        metadata = json.loads(table.schema.metadata[METADATA])
         self.trajectories, self.sessions, self.target_views = (
             list(names) for names in metadata["trajectories"]
         )
+        self.phantoms = metadata.get("phantoms", [None] * len(self.trajectories))
         self._splits: dict[str, list[int]] = metadata["splits"]
 
     def split_indices(self, split: str) -> Tensor:
@@ -183,63 +210,6 @@ class FrameStore:
         return Batch(images, parameters, views, grades, index)
 
 
-def open_store(root: Path | str | None = None) -> FrameStore:
-    """Open the training store of a dataset (default: `data/racines`)."""
-    return FrameStore(root)
-
-
-def write_store(
-    path: Path,
-    tables: Iterable[pa.Table],
-    trajectories: Sequence[Mapping[str, Any]],
-    splits: Mapping[str, tuple[int, int]],
-) -> None:
-    """Write the store from tables of one trajectory each, in row order.
-
-    Pixels pass through a raw file that is then mapped, so that memory stays bounded.
-
-    Args:
-        path: The file to write.
-        tables: Rows of `frames` with a `pixels` column; one table a trajectory.
-        trajectories: `trajectory`, `session` and `target_view` of each.
-        splits: First and past-the-last row of each split.
-    """
-    raw = path.with_suffix(".raw")
-    columns: list[pa.Table] = []
-    with raw.open("wb") as file:
-        for index, table in enumerate(tables):
-            for chunk in table["pixels"].chunks:
-                first = chunk.offset * PIXELS
-                file.write(chunk.buffers()[1][first : first + len(chunk) * PIXELS])
-            columns.append(_store_columns(table, index))
-    table = pa.concat_tables(columns).combine_chunks()
-    images = pa.FixedSizeBinaryArray.from_buffers(
-        pa.binary(PIXELS), len(table), [None, pa.memory_map(str(raw)).read_buffer()]
-    )
-    keys = ("trajectory", "session", "target_view")
-    names = [[row[key] for row in trajectories] for key in keys]
-    metadata = json.dumps({"trajectories": names, "splits": splits}, sort_keys=True)
-    table = table.add_column(0, "image", images).replace_schema_metadata(
-        {_METADATA: metadata.encode()}
-    )
-    with pa.OSFile(str(path), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
-        writer.write_batch(table.to_batches()[0])
-    os.remove(raw)
-
-
-def _store_columns(table: pa.Table, index: int) -> pa.Table:
-    def stacked(names: Sequence[str]) -> pa.Array:
-        flat = np.stack([table[name].fill_null(np.nan).to_numpy() for name in names], -1).ravel()
-        return pa.FixedSizeListArray.from_arrays(pa.array(flat, pa.float32()), len(names))
-
-    return pa.table(
-        {
-            "parameters": stacked(PARAMETERS),
-            "controls": stacked(CONTROLS),
-            "view": table["view"].fill_null(-1).combine_chunks(),
-            "grade": table["grade"].fill_null(np.nan).combine_chunks(),
-            "timestamp": table["timestamp"].combine_chunks(),
-            "trajectory": pa.array(np.full(len(table), index, np.int64)),
-            "frame": table["frame"].cast(pa.int64()).combine_chunks(),
-        }
-    )
+def open_store(root: Path | str | None = None, config: str = "frames") -> FrameStore:
+    """Open the training store of a dataset (default: `data/racines`), of one of its configs."""
+    return FrameStore(root, config)

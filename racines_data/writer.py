@@ -1,118 +1,116 @@
-"""Packaging staged trajectories: shards, training store, card, manifest.
-
-Rows are grouped by split and by whether they belong to the held-out session, so that the configs
-`frames` and `sessions` name the same files.
-"""
+"""Packaging staged trajectories: shards, training stores, card, manifest."""
 
 import dataclasses
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from racines_data.canonical import write_canonical
 from racines_data.card import write_card
 from racines_data.digest import content_digest, recipe_digest
-from racines_data.files import sha256_file
-from racines_data.load import CARD, MANIFEST
-from racines_data.schema import SPLITS, trajectory_features
-from racines_data.sources import Finding, Source, Unit, labels_of_source
-from racines_data.splits import divide_shards, held_out_session, shard_bounds
-from racines_data.staging import open_unit, unit_path
-from racines_data.store import STORE, write_store
+from racines_data.files import sha256_file, write_once
+from racines_data.load import CARD, MANIFEST, MULTI_PHANTOM
+from racines_data.schema import SPLITS
+from racines_data.shards import (
+    Group,
+    Part,
+    group_bounds,
+    group_rows,
+    group_tables,
+    group_units,
+    write_parquet,
+    write_shards,
+    write_trajectories,
+)
+from racines_data.sources import Finding, labels_of_source
+from racines_data.staging import progress_bar
+from racines_data.store import store_name
+from racines_data.store_writer import write_store
 
 REPORT = "import_report.parquet"
-_ROW_GROUP = 256
-
-
-@dataclass(frozen=True)
-class _Group:
-    """Rows that shards must not mix: one split, and in or out of the held-out session."""
-
-    split: str
-    held_out: bool
-    members: list[int]
-    rows: list[int]
-
-    @property
-    def count(self) -> int:
-        return sum(self.rows)
 
 
 def write_dataset(
     final: Path,
-    folder: Path,
-    source: Source,
-    units: Sequence[Unit],
-    splits: Mapping[str, str],
+    main: Part,
+    many: Part | None,
     recipe: dict[str, Any],
     shards: int,
+    progress: bool = False,
 ) -> dict[str, Any]:
-    """Write a dataset of staged units to a new folder and return its manifest.
+    """Write a dataset of staged units and return its manifest.
 
     Args:
-        final: The folder to write.
-        folder: The staging folder that holds the units.
-        source: What made the units, for its name, version and report.
-        units: All units, in order.
-        splits: Split of each unit's id.
+        final: The folder to write; shards and stores that a killed run has left in it are kept.
+        main: The `frames`.
+        many: The `multi_phantom` config, if there is one.
         recipe: All that decided the bytes.
-        shards: Least number of `frames` shards.
+        shards: Least number of shards of a config.
+        progress: Show a progress bar on stderr.
     """
-    for name in ("data/frames", "data/trajectories", "store", "canonical"):
-        (final / name).mkdir(parents=True)
-    held = held_out_session(units)
-    groups = _group(units, splits, held, folder)
-    order = [index for group in groups for index in group.members]
-    rows = [_trajectory_row(units[index], splits, folder, index) for index in order]
-    configs = _write_configs(final, groups, rows, folder, shards)
-    _write_store(final, groups, rows, folder)
-    _write_report(final / REPORT, source.report)
-    manifest = {
+    _keep_finished(final)
+    groups = group_units(main)
+    rows = group_rows(groups)
+    source = main.source
+    manifest: dict[str, Any] = {
         "schema": "racines.manifest/1",
         "name": "racines",
         "source": source.name,
         "version": source.version,
-        "digest": content_digest((r["split"], r["trajectory"], r["digest"]) for r in rows),
+        "tag": f"{source.name}-v{source.version}",
+        "digest": _digest(rows),
         "recipe_digest": recipe_digest(recipe),
         "recipe": recipe,
         "labels": list(labels_of_source(source)),
-        "held_out_session": held,
+        "held_out_session": main.held_out,
         "counts": _counts(rows),
         "report": _report_counts(source.report),
-        "configs": configs,
-        "canonical": write_canonical(final, _tables(order, folder)),
+        "configs": _configs(_write_part(final, main, groups, shards, progress)),
+        "canonical": write_canonical(final, group_tables(groups)),
     }
+    manifest["configs"]["trajectories"] = write_trajectories(final, rows)
+    if many is not None:
+        manifest[MULTI_PHANTOM] = _write_many(final, many, manifest["configs"], shards, progress)
+    _write_report(final / REPORT, source.report)
     (final / CARD).write_text(write_card(manifest))
     manifest["files"] = _seal(final)
     (final / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
     return manifest
 
 
-def _seal(final: Path) -> dict[str, dict[str, Any]]:
-    paths = sorted(path for path in final.rglob("*") if path.is_file())
-    return {
-        path.relative_to(final).as_posix(): {
-            "sha256": sha256_file(path),
-            "bytes": path.stat().st_size,
-        }
-        for path in paths
-    }
+def _keep_finished(final: Path) -> None:
+    """Make the folder, or clear what a killed run has left there but for whole shards, stores."""
+    final.mkdir(parents=True, exist_ok=True)
+    for path in [path for path in final.rglob("*") if path.is_file()]:
+        whole = path.suffix in (".parquet", ".arrow")
+        if not whole or path.parent.name not in ("frames", MULTI_PHANTOM, "store"):
+            path.unlink()
 
 
-def _write_configs(
-    final: Path, groups: Sequence[_Group], rows: Sequence[dict[str, Any]], folder: Path, shards: int
-) -> dict[str, dict[str, list[str]]]:
-    """Write the Parquet files; return the paths of each config's splits."""
-    frames = _write_shards(final, groups, folder, shards)
-    configs = {
-        "frames": {split: [*others, *held] for split, (others, held) in frames.items()},
-        "trajectories": _write_trajectories(final, rows),
-    }
+def _write_part(
+    final: Path, part: Part, groups: Sequence[Group], shards: int, progress: bool
+) -> dict[str, tuple[list[str], list[str]]]:
+    """Write a config's shards and store; return each split's paths, not held out and held out."""
+    with progress_bar(progress) as bar:
+        total = sum(group.frames for group in groups)
+        task = bar.add_task(f"{part.config} shards", total=total)
+        paths = write_shards(final, part.config, groups, shards, lambda n: bar.advance(task, n))
+    write_once(
+        final / store_name(part.config),
+        lambda path: write_store(
+            path, lambda: group_tables(groups), group_rows(groups), group_bounds(groups)
+        ),
+    )
+    return paths
+
+
+def _configs(frames: dict[str, tuple[list[str], list[str]]]) -> dict[str, dict[str, list[str]]]:
+    """Return the paths of the splits of `frames`, and of `sessions` if a session is held out."""
+    configs = {"frames": {split: [*others, *held] for split, (others, held) in frames.items()}}
     held_out = [path for _, held in frames.values() for path in held]
     if held_out:
         others = [path for others, _ in frames.values() for path in others]
@@ -120,106 +118,46 @@ def _write_configs(
     return configs
 
 
-def _group(
-    units: Sequence[Unit], splits: Mapping[str, str], held: str | None, folder: Path
-) -> list[_Group]:
-    members: dict[tuple[str, bool], list[int]] = {
-        (split, side): [] for split in SPLITS for side in (False, True)
-    }
-    for index, unit in enumerate(units):
-        members[splits[unit.id], unit.session == held].append(index)
-    counts = {index: len(open_unit(unit_path(folder, index))[0]) for index in range(len(units))}
-    return [
-        _Group(*key, chosen, [counts[index] for index in chosen]) for key, chosen in members.items()
-    ]
-
-
-def _trajectory_row(
-    unit: Unit, splits: Mapping[str, str], folder: Path, index: int
+def _write_many(
+    final: Path, part: Part, configs: dict[str, dict[str, list[str]]], shards: int, progress: bool
 ) -> dict[str, Any]:
-    table, digest = open_unit(unit_path(folder, index))
+    """Write the config of many hearts, add its paths to `configs`; return what it holds."""
+    groups = group_units(part)
+    rows = group_rows(groups)
+    paths = _write_part(final, part, groups, shards, progress)
+    configs[part.config] = {split: others for split, (others, _) in paths.items()}
+    splits = {split: _count([row for row in rows if row["split"] == split]) for split in SPLITS}
+    canonical = write_canonical(final, group_tables(groups), f"canonical/{part.config}")
+    return {**_count(rows), "splits": splits, "digest": _digest(rows), "canonical": canonical}
+
+
+def _count(rows: Sequence[dict[str, Any]]) -> dict[str, int]:
     return {
-        "trajectory": unit.id,
-        "session": unit.session,
-        "target_view": unit.target_view,
-        "phantom": table["phantom"][0].as_py(),
-        "split": splits[unit.id],
-        "frames": len(table),
-        "duration": table["timestamp"][-1].as_py() - table["timestamp"][0].as_py(),
-        "digest": digest,
+        "hearts": len({row["session"] for row in rows}),
+        "trajectories": len(rows),
+        "frames": sum(row["frames"] for row in rows),
     }
 
 
-def _write_shards(
-    final: Path, groups: Sequence[_Group], folder: Path, shards: int
-) -> dict[str, tuple[list[str], list[str]]]:
-    """Write the `frames` shards; return each split's paths, not held out and held out."""
-    counts = divide_shards([group.count for group in groups], shards)
-    paths: dict[str, tuple[list[str], list[str]]] = {}
-    for split in SPLITS:
-        total = sum(n for group, n in zip(groups, counts, strict=True) if group.split == split)
-        sides: tuple[list[str], list[str]] = [], []
-        for group, count in zip(groups, counts, strict=True):
-            if group.split != split or not count:
-                continue
-            for start, stop in shard_bounds(group.count, count):
-                number = len(sides[0]) + len(sides[1])
-                name = f"data/frames/{split}-{number:05d}-of-{total:05d}.parquet"
-                _write_parquet(final / name, _slice(group, folder, start, stop))
-                sides[group.held_out].append(name)
-        if total:
-            paths[split] = sides
-    return paths
+def _digest(rows: Sequence[dict[str, Any]]) -> str:
+    return content_digest((row["split"], row["trajectory"], row["digest"]) for row in rows)
 
 
-def _slice(group: _Group, folder: Path, start: int, stop: int) -> pa.Table:
-    parts, first = [], 0
-    for index, rows in zip(group.members, group.rows, strict=True):
-        low, high = max(start - first, 0), min(stop - first, rows)
-        if low < high:
-            table, _ = open_unit(unit_path(folder, index))
-            parts.append(table.slice(low, high - low).drop_columns("pixels"))
-        first += rows
-    # Each unit's schema carries its own digest: what a shard says must be the features alone.
-    features = {b"huggingface": (parts[0].schema.metadata or {})[b"huggingface"]}
-    return pa.concat_tables([part.replace_schema_metadata(features) for part in parts])
-
-
-def _write_parquet(path: Path, table: pa.Table) -> None:
-    pq.write_table(table, path, row_group_size=_ROW_GROUP, compression="zstd")
-
-
-def _write_trajectories(final: Path, rows: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
-    paths = {}
-    for split in SPLITS:
-        chosen = [row for row in rows if row["split"] == split]
-        if chosen:
-            paths[split] = [f"data/trajectories/{split}-00000-of-00001.parquet"]
-            schema = trajectory_features().arrow_schema
-            _write_parquet(final / paths[split][0], pa.Table.from_pylist(chosen, schema))
-    return paths
-
-
-def _tables(order: Sequence[int], folder: Path) -> Iterator[pa.Table]:
-    return (open_unit(unit_path(folder, index))[0] for index in order)
-
-
-def _write_store(
-    final: Path, groups: Sequence[_Group], rows: Sequence[dict[str, Any]], folder: Path
-) -> None:
-    bounds, start = {}, 0
-    for split in SPLITS:
-        stop = start + sum(group.count for group in groups if group.split == split)
-        bounds[split], start = (start, stop), stop
-    order = [index for group in groups for index in group.members]
-    write_store(final / STORE, _tables(order, folder), rows, bounds)
+def _seal(final: Path) -> dict[str, dict[str, Any]]:
+    paths = sorted(path for path in final.rglob("*") if path.is_file())
+    with ThreadPoolExecutor(2) as pool:  # hashing leaves the interpreter free
+        digests = list(pool.map(sha256_file, paths))
+    return {
+        path.relative_to(final).as_posix(): {"sha256": digest, "bytes": path.stat().st_size}
+        for path, digest in zip(paths, digests, strict=True)
+    }
 
 
 def _write_report(path: Path, report: Sequence[Finding]) -> None:
     kinds = {"file": pa.string(), "item": pa.string(), "refused": pa.bool_()}
     schema = pa.schema({**kinds, "reason": pa.string(), "frames": pa.int32()})
     rows = [dataclasses.asdict(finding) for finding in report]
-    _write_parquet(path, pa.Table.from_pylist(rows, schema))
+    write_parquet(path, pa.Table.from_pylist(rows, schema))
 
 
 def _report_counts(report: Sequence[Finding]) -> dict[str, int]:

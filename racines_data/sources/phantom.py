@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from torch import Tensor
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
@@ -84,28 +85,38 @@ class PhantomSource:
     def produce(self, unit: Unit) -> Trajectory:
         """Acquire one sweep."""
         assert isinstance(unit, PhantomUnit)
-        phantom = self._phantom
         seed = derive(sample_seeds(self.config.seed, 1), unit.index, 1)
         session = int(unit.session.rpartition("-")[2]) - 1
-        sweep = make_sweep(phantom, self.config, unit.target_view, session, unit.frames, seed)
-        frames = sample_seeds(int(derive(seed, 3)), unit.frames)
-        truth = phantom.judge(sweep.pose)
-        return Trajectory(
-            id=unit.id,
-            session=unit.session,
-            target_view=unit.target_view,
-            images=phantom.render(sweep.pose, frames).numpy(),
-            parameters=record(phantom, self.config, sweep, seed).numpy(),
-            timestamps=sweep.times.numpy(),
-            controls=sweep.control.numpy(),
-            views=truth.view.numpy(),
-            grades=truth.grade.numpy().astype(np.float32),
-            phantom=self.config.phantom.anatomy_seed,
-        )
+        phantom = shared_phantom(self.config.phantom)
+        return acquire(phantom, self.config, unit, session, seed)
 
     def _session(self, index: int, count: int) -> int:
         return min(index * self.config.sessions // count, self.config.sessions - 1)
 
-    @property
-    def _phantom(self) -> Phantom:
-        return shared_phantom(self.config.phantom)
+
+def acquire(
+    phantom: Phantom, config: AcquisitionConfig, unit: Unit, session: int, seed: Tensor
+) -> Trajectory:
+    """Acquire the sweep of a unit.
+
+    Args:
+        phantom: What is scanned.
+        config: Operator and sensors.
+        unit: Names and length of the sweep.
+        session: Number of the session, which has its operator.
+        seed: (1,) int64; decides path and noise.
+    """
+    sweep = make_sweep(phantom, config, unit.target_view, session, unit.frames, seed)
+    truth = phantom.judge(sweep.pose)
+    return Trajectory(
+        id=unit.id,
+        session=unit.session,
+        target_view=unit.target_view,
+        images=phantom.render(sweep.pose, sample_seeds(int(derive(seed, 3)), unit.frames)).numpy(),
+        parameters=record(phantom, config, sweep, seed).numpy(),
+        timestamps=sweep.times.numpy(),
+        controls=sweep.control.numpy(),
+        views=truth.view.numpy(),
+        grades=truth.grade.numpy().astype(np.float32),
+        phantom=phantom.config.anatomy_seed,
+    )

@@ -102,7 +102,7 @@ def test_a_killed_build_goes_on_and_has_the_same_digest(built: Path, tmp_path: P
 
 
 def staged(folder: Path) -> list[Path]:
-    return sorted(folder.glob(".racines.staging-*/units/*.arrow"))
+    return sorted(folder.glob(".racines.staging-*/*/units/*.arrow"))
 
 
 def wait_for(condition, process: subprocess.Popen) -> None:
