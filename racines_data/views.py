@@ -23,7 +23,9 @@ VIEW_TITLES = {
 }
 
 
-ORGANS = {"heart": VIEWS}
+HEART = "heart"
+"""Name of the anatomy that everything takes where none is named."""
+ORGANS = {HEART: VIEWS}
 """Views of the anatomies that come with the package, known without building one."""
 
 

@@ -1,27 +1,44 @@
 """Environments and agents: the scanning tasks in Gymnasium and TorchRL, and their baselines.
 
-Importing registers `racines/<VIEW>-v0` with Gymnasium and does nothing else; torch is loaded when
-an environment is made.
+Importing registers `racines/<VIEW>-v0` for the heart and `racines/<organ>-<VIEW>-v0` for the other
+organs with Gymnasium and does nothing else; torch is loaded when an environment is made.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from racines_data.views import VIEWS
+from racines_data.views import ORGANS
+from racines_envs.names import task_id, task_name
 
 if TYPE_CHECKING:
     from racines_envs.torchrl_env import ScanEnv as ScanEnv
 
-__all__ = ["ScanEnv"]
+__all__ = ["ScanEnv", "register_tasks"]
 
-for _view in VIEWS:
-    gymnasium.register(
-        id=f"racines/{_view}-v0",
-        entry_point="racines_envs.gym_env:GymScanEnv",
-        vector_entry_point="racines_envs.gym_vector:VectorScanEnv",
-        kwargs={"view": _view},
-    )
+
+def register_tasks(anatomy: str, views: Sequence[str]) -> list[str]:
+    """Register the tasks of an anatomy with Gymnasium and return their ids.
+
+    For an organ of another package: call it where that package is imported.
+
+    Args:
+        anatomy: Its name in the entry points `racines.anatomies`.
+        views: The names of its views.
+    """
+    for view in views:
+        gymnasium.register(
+            id=task_id(view, anatomy),
+            entry_point="racines_envs.gym_env:GymScanEnv",
+            vector_entry_point="racines_envs.gym_vector:VectorScanEnv",
+            kwargs={"view": task_name(view, anatomy)},
+        )
+    return [task_id(view, anatomy) for view in views]
+
+
+for _anatomy, _views in ORGANS.items():
+    register_tasks(_anatomy, _views)
 
 
 def __getattr__(name: str) -> Any:

@@ -14,10 +14,9 @@ from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
 from racines_envs.backends import make_grader
 from racines_envs.core import ScanCore
-from racines_envs.making import make_core, make_phantom
+from racines_envs.making import check_grader, find_task, make_core, make_phantom
 from racines_envs.rollout import Episodes, rollout
 from racines_envs.starts import evaluation_seeds
-from racines_envs.tasks import get_task
 
 SCHEMA = "racines.agent-scores/1"
 RETURN_OF_A_HIT = 50.0
@@ -74,7 +73,7 @@ def evaluate(
         RacinesError: unknown names, missing weights, or an agent that was trained for another view.
     """
     began = time.perf_counter()
-    get_task(config.view)  # an unknown view is refused before anything is loaded
+    task = find_task(config.view, phantom)  # an unknown view is refused before anything is loaded
     if config.starts < 1:
         raise RacinesError(f"evaluation.starts is {config.starts}: give at least 1")
     agent = load_agent(name, run_dir, config.device)
@@ -84,9 +83,10 @@ def evaluate(
             f"{run_dir}: this policy was trained for {trained}, not {config.view}: train one with "
             f"`racines train agent {name} --view {config.view}`, or evaluate --view {trained}"
         )
-    phantom = make_phantom(phantom, config.device)
+    phantom = make_phantom(phantom, config.device, task.anatomy)
     if grader is None and config.grader:
         grader = make_grader(config.grader, config.device)
+    check_grader(grader, task)
     core = _core(config, agent.observation, phantom, grader)
     seeds = evaluation_seeds(config.starts, config.seed).to(core.device)
     episodes = rollout(core, agent, seeds)

@@ -8,6 +8,8 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
+from racines_data.phantom.anatomy import anatomy_views
+from racines_data.views import HEART, labels_of
 from racines_envs.backends import GRADER_FOLDER, make_backend, make_grader
 from racines_envs.core import ScanCore
 from racines_envs.rewards import RewardConfig
@@ -31,12 +33,12 @@ def make_core(
     """Build the batched core of a task.
 
     Args:
-        view: A target view, or a task of your own.
+        view: A target view of the phantom's anatomy, a task's name, or a task of your own.
         num_envs: Rows.
         backend: `phantom`, `generator`, or an object that makes images of parameters.
         observation: `image`, `params` or `multimodal`.
         reward: `paper` (by the grader), `oracle` (the same by the phantom's truth) or `shaped`.
-        phantom: A phantom or its configuration; the shared default by default.
+        phantom: A phantom or its configuration; the shared one of the task's anatomy by default.
         generator: Name, run folder or object, for the backend `generator`.
         grader: Run folder or object; models/runs/grader for reward `paper`.
         termination: Instead of the task's: `first_hit`, `k_hits` or `timeout`.
@@ -46,24 +48,52 @@ def make_core(
     Raises:
         RacinesError: any name that is unknown or any artefact that is not there.
     """
-    task = view if isinstance(view, Task) else get_task(view)
+    task = find_task(view, phantom)
     if termination is not None:
         task = dataclasses.replace(task, termination=termination)
     if reward == "paper" and grader is None:
         grader = GRADER_FOLDER
     if grader is not None:
         grader = make_grader(grader, device)
-    phantom = make_phantom(phantom, device)
+        check_grader(grader, task)
+    phantom = make_phantom(phantom, device, task.anatomy)
     images = make_backend(backend, phantom, generator, device)
     return ScanCore(task, phantom, images, grader, observation, reward, rewards, num_envs, device)
 
 
-def make_phantom(phantom: Any, device: torch.device | str = "cpu") -> Any:
+def find_task(view: str | Task, phantom: Any = None) -> Task:
+    """Return the task of a view, of the anatomy of a phantom or its configuration if one is given.
+
+    Raises:
+        RacinesError: no such view, or a task of another anatomy than the phantom's.
+    """
+    config = getattr(phantom, "config", phantom)
+    anatomy = getattr(config, "anatomy", None)
+    task = view if isinstance(view, Task) else get_task(view, anatomy or HEART)
+    if anatomy not in (None, task.anatomy):
+        raise RacinesError(
+            f"task {task.id} is the {task.anatomy}'s and the phantom holds the {anatomy}: give "
+            f"phantom=PhantomConfig(anatomy={task.anatomy!r})"
+        )
+    return task
+
+
+def check_grader(grader: Any, task: Task) -> None:
+    """Check that a grader knows the views of a task's anatomy, if it says which it knows.
+
+    Raises:
+        RacinesError: it was trained for other views.
+    """
+    if hasattr(grader, "check_labels"):
+        grader.check_labels(labels_of(anatomy_views(task.anatomy)), f"the {task.anatomy}")
+
+
+def make_phantom(phantom: Any, device: torch.device | str = "cpu", anatomy: str = HEART) -> Any:
     """Return a phantom: the one given, or the shared one of a configuration (baked once)."""
     from racines_data.phantom import PhantomConfig, shared_phantom
 
     if phantom is None or isinstance(phantom, PhantomConfig):
-        return shared_phantom(phantom or PhantomConfig(), str(device))
+        return shared_phantom(phantom or PhantomConfig(anatomy=anatomy), str(device))
     if isinstance(phantom, (str, Path)) or not hasattr(phantom, "truth"):
         raise RacinesError(f"phantom {phantom!r} is neither a Phantom nor a PhantomConfig")
     return phantom

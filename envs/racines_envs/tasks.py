@@ -1,9 +1,11 @@
-"""The tasks, as data: one a target view. A variant is `dataclasses.replace(task, …)`."""
+"""The tasks, as data: one a target view of an organ. A variant is `dataclasses.replace(…)`."""
 
 from dataclasses import dataclass
 
 from racines_data.errors import RacinesError
-from racines_data.views import VIEWS, view_index
+from racines_data.phantom.anatomy import anatomy_views
+from racines_data.views import HEART, ORGANS
+from racines_envs.names import task_id, task_name
 
 TERMINATIONS = ("first_hit", "k_hits", "timeout")
 
@@ -32,10 +34,14 @@ class Task:
     """Hits in a row that end an episode under `k_hits`."""
     max_steps: int = 200
     """Steps after which an episode is truncated."""
+    anatomy: str = HEART
+    """Whose view it is: a registered anatomy, or `module:function`."""
 
     def __post_init__(self) -> None:
         """Check names and signs."""
-        view_index(self.view)
+        views = anatomy_views(self.anatomy)
+        if self.view not in views:
+            raise RacinesError(f"unknown view {self.view!r}: choose one of {', '.join(views)}")
         if self.termination not in TERMINATIONS:
             raise RacinesError(
                 f"unknown termination {self.termination!r}: choose one of {', '.join(TERMINATIONS)}"
@@ -47,12 +53,12 @@ class Task:
     @property
     def id(self) -> str:
         """The Gymnasium id."""
-        return f"racines/{self.view}-v0"
+        return task_id(self.view, self.anatomy)
 
     @property
     def target(self) -> int:
         """The label of the target view."""
-        return view_index(self.view)
+        return anatomy_views(self.anatomy).index(self.view)
 
     @property
     def hits_to_end(self) -> int:
@@ -60,15 +66,19 @@ class Task:
         return {"first_hit": 1, "k_hits": self.hits, "timeout": 0}[self.termination]
 
 
-TASKS = {view: Task(view) for view in VIEWS}
-"""The five tasks by view."""
+TASKS = {
+    task_name(view, anatomy): Task(view, anatomy=anatomy)
+    for anatomy, views in ORGANS.items()
+    for view in views
+}
+"""The tasks of the organs that come with the package: `SC`, …, and `<organ>-<VIEW>`."""
 
 
-def get_task(view: str) -> Task:
-    """Return the task of a view.
+def get_task(name: str, anatomy: str = HEART) -> Task:
+    """Return a task by its name, or by the name of a view of an anatomy.
 
     Raises:
-        RacinesError: the name is not one of the five views.
+        RacinesError: no such anatomy, or it has no such view.
     """
-    view_index(view)
-    return TASKS[view]
+    view = name.removeprefix(f"{anatomy}-")
+    return TASKS.get(task_name(view, anatomy)) or Task(view, anatomy=anatomy)

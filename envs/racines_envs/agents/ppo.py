@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from racines_data.errors import RacinesError
 from racines_envs.agents.networks import KEYS, ObservationNetwork
 from racines_envs.agents.policy import PolicyAgent, make_actor
-from racines_envs.making import make_core, make_phantom
+from racines_envs.making import find_task, make_core, make_phantom
 from racines_envs.rewards import RewardConfig
 from racines_envs.rollout import rollout
 from racines_envs.starts import validation_seeds
@@ -123,6 +123,7 @@ class _Training:
                 f"({config.envs})"
             )
         self.config, self.folder, self.seed, self.progress = config, folder, seed, progress
+        anatomy = find_task(config.view, phantom).anatomy
         self.where = {
             "backend": config.backend,
             "observation": config.observation,
@@ -130,7 +131,7 @@ class _Training:
             "generator": config.generator or None,
             "grader": grader or config.grader or None,
             "rewards": RewardConfig(discount=config.gamma),
-            "phantom": make_phantom(phantom, config.device),
+            "phantom": make_phantom(phantom, config.device, anatomy),
             "device": config.device,
         }
         self.frames, self.best, self.history = 0, (-1.0, 0.0), []
