@@ -176,11 +176,14 @@ def _start_worker(source: Source) -> None:
     global _source
     _source = source
     torch.set_num_threads(1)
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    threading.Thread(target=die_with_parent, daemon=True).start()
 
 
-def _die_with_parent() -> None:
-    # A pool's workers outlive a parent that was killed, waiting for work that never comes.
+def die_with_parent() -> None:
+    """Wait for the parent of a worker to end, then end the worker; run it in a thread.
+
+    A pool's workers outlive a parent that was killed, waiting for work that never comes.
+    """
     parent = multiprocessing.parent_process()
     if parent is not None:
         multiprocessing.connection.wait([parent.sentinel])
