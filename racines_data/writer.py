@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from racines_data.canonical import write_canonical
 from racines_data.card import write_card
+from racines_data.croissant import add_croissant
 from racines_data.digest import content_digest, recipe_digest
 from racines_data.files import sha256_file, write_once
 from racines_data.load import CARD, MANIFEST, MULTI_PHANTOM
@@ -78,6 +79,7 @@ def write_dataset(
     _write_report(final / REPORT, source.report)
     (final / CARD).write_text(write_card(manifest))
     manifest["files"] = _seal(final)
+    add_croissant(manifest, final)
     (final / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
     return manifest
 
