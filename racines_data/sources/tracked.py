@@ -13,15 +13,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.geometry import Pose, pose_to_parameters
-from racines_data.imaging import IMAGE_SIZE
 from racines_data.schema import CONTROLS, Trajectory
 from racines_data.sources import Finding, Unit
+from racines_data.sources.images import square
 from racines_data.sources.mha import Recording, read_frames, read_header, upright
 from racines_data.views import RANDOM
 
@@ -239,17 +238,3 @@ def _parameters(matrices: np.ndarray) -> np.ndarray:
     pose = Pose(tensor[:, :3, 3], tensor[:, :3, :3])
     absent = torch.full((len(tensor), 6), torch.nan, dtype=torch.float64)
     return pose_to_parameters(pose, absent).to(torch.float32).numpy()
-
-
-def square(image: np.ndarray) -> np.ndarray:
-    """Return an upright (H, W) image as (128, 128): padded to a square, then Lanczos.
-
-    Padding goes to both sides, or to the bottom, so that the probe stays at the top centre.
-    """
-    height, width = image.shape
-    size = max(height, width)
-    padded = np.zeros((size, size), np.uint8)
-    left = (size - width) // 2
-    padded[:height, left : left + width] = image
-    resized = Image.fromarray(padded).resize((IMAGE_SIZE, IMAGE_SIZE), Image.Resampling.LANCZOS)
-    return np.asarray(resized)

@@ -1,0 +1,224 @@
+"""Any RACINES dataset in the layout of the published recordings, for other people's loaders.
+
+    Folder 1/A4C/images/img<N>.png      Folder 1/A4C/logs/PA_<N>.txt
+    Folder 1/SC/images_1/…  images_2/…  Folder 1/SC/logs_1/…  logs_2/…
+
+A session is a folder, in natural order of their names; a trajectory is an image folder, numbered
+where a session has several of one target view; `Random` is `Full`. N is the row's `frame`, from 0.
+PNGs are those of the shards, byte for byte. The layout has no place for views, grades and splits.
+"""
+
+import hashlib
+import os
+import shutil
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from racines_data.digest import check_files
+from racines_data.errors import RacinesError
+from racines_data.geometry import parameters_to_pose
+from racines_data.load import check_split, read_manifest, rebuild_hint
+from racines_data.records import float_columns
+from racines_data.schema import CONTROLS, PARAMETERS
+from racines_data.sources.release_log import CONTROL, POSE, TIME, WIDTH, WRENCH, format_log
+from racines_data.sources.release_tree import FULL, natural
+from racines_data.views import RANDOM
+
+_COLUMNS = ["image", *PARAMETERS, "timestamp", *CONTROLS, "trajectory", "frame"]
+_KNOWN_FOLDERS = 3
+
+
+class _Sweep(NamedTuple):
+    """One trajectory and where it goes."""
+
+    frames: int
+    folder: str
+    """Such as `Folder 1/A4C`."""
+    suffix: str
+    """Of its two folders: `_2`, or nothing."""
+
+
+def export(
+    root: Path,
+    out: Path,
+    split: str | None = None,
+    limit: int | None = None,
+    progress: bool = False,
+) -> dict[str, Any]:
+    """Write a dataset in the published layout; an export that was killed goes on where it stopped.
+
+    Args:
+        root: Folder of the dataset.
+        out: New folder to write.
+        split: One split only; default all, in the order train, validation, test.
+        limit: Frames to write, the first of that order.
+        progress: Show a progress bar on stderr.
+
+    Returns:
+        `out`, counts of frames and trajectories, and which session became which folder.
+
+    Raises:
+        RacinesError: `out` exists, there is no such dataset or split, or it has no poses.
+    """
+    if out.exists():
+        raise RacinesError(f"{out}: exists; name a new folder or remove it")
+    manifest = read_manifest(root)
+    shards = _shards(root, manifest, split)
+    wanted, sessions = _plan(shards, limit)
+    key = hashlib.sha256(f"{manifest['digest']}/{split}/{limit}".encode()).hexdigest()[:16]
+    staging = out.parent / f".{out.name}.{key}.part"
+    staging.mkdir(parents=True, exist_ok=True)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
+    console = Console(stderr=True)
+    hidden = not (progress and console.is_terminal)
+    total = sum(sweep.frames for sweep in wanted.values())
+    with Progress(*columns, TimeRemainingColumn(), console=console, disable=hidden) as bar:
+        task = bar.add_task("frames", total=total)
+        for sweep, table in _tables(shards, wanted):
+            _write_sweep(staging, sweep, table)
+            bar.advance(task, sweep.frames)
+    os.replace(staging, out)
+    return {
+        "out": str(out),
+        "format": "release",
+        "frames": total,
+        "trajectories": len(wanted),
+        "sessions": sessions,
+        "notes": _notes(sessions),
+    }
+
+
+def _shards(root: Path, manifest: Mapping[str, Any], split: str | None) -> list[Path]:
+    """Return the shards to read, in order, their digests checked."""
+    paths = manifest["configs"]["frames"]
+    if split is not None and check_split(split) not in paths:
+        raise RacinesError(f"{root}: split {split!r} is empty: too few trajectories")
+    names = [name for part in paths if split in (None, part) for name in paths[part]]
+    files = {name: manifest["files"][name] for name in names}
+    check_files(root, files, rebuild_hint(manifest))
+    return [root / name for name in names]
+
+
+def _plan(shards: Sequence[Path], limit: int | None) -> tuple[dict[str, _Sweep], dict[str, str]]:
+    """Say what goes where: the sweep of each trajectory id, and the folder of each session."""
+    columns = ["session", "target_view", "trajectory"]
+    table = pa.concat_tables([pq.read_table(path, columns=columns) for path in shards])
+    counts: dict[tuple[str, str, str], int] = defaultdict(int)
+    for batch in table.slice(0, limit).to_batches():
+        for row in zip(*(column.to_pylist() for column in batch.columns), strict=True):
+            counts[row] += 1
+    if not counts:
+        raise RacinesError(f"limit {limit}: nothing to export; give one frame or more")
+    sessions = {row[0] for row in counts}
+    folders = {
+        session: f"Folder {number + 1}"
+        for number, session in enumerate(sorted(sessions, key=natural))
+    }
+    members: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for session, view, trajectory in sorted(counts, key=lambda row: natural(row[2])):
+        members[session, view].append(trajectory)
+    sweeps = {}
+    for (session, view, trajectory), frames in counts.items():
+        place = f"{folders[session]}/{FULL if view == RANDOM else view}"
+        others = members[session, view]
+        suffix = f"_{others.index(trajectory) + 1}" if len(others) > 1 else ""
+        sweeps[trajectory] = _Sweep(frames, place, suffix)
+    return sweeps, folders
+
+
+def _tables(
+    shards: Sequence[Path], wanted: Mapping[str, _Sweep]
+) -> Iterator[tuple[_Sweep, pa.Table]]:
+    """Yield the rows of each trajectory; one may cross shards."""
+    pending: list[pa.RecordBatch] = []
+    name: str | None = None
+    for batch in _batches(shards):
+        if batch["trajectory"][0].as_py() != name and name is not None:
+            yield wanted[name], pa.Table.from_batches(pending)
+            pending = []
+        name = batch["trajectory"][0].as_py()
+        if name not in wanted:
+            return  # beyond the limit
+        pending.append(batch)
+    if name is not None:
+        yield wanted[name], pa.Table.from_batches(pending)
+
+
+def _batches(shards: Sequence[Path]) -> Iterator[pa.RecordBatch]:
+    """Yield batches of one trajectory each."""
+    for path in shards:
+        for batch in pq.ParquetFile(path).iter_batches(256, columns=_COLUMNS):
+            ids = batch["trajectory"].to_numpy(zero_copy_only=False)
+            starts = [0, *(np.flatnonzero(ids[1:] != ids[:-1]) + 1).tolist(), len(ids)]
+            for start, stop in pairwise(starts):
+                yield batch.slice(start, stop - start)
+
+
+def _write_sweep(staging: Path, sweep: _Sweep, table: pa.Table) -> None:
+    """Write the two folders of a trajectory, unless an earlier run has."""
+    images, logs = (staging / sweep.folder / f"{side}{sweep.suffix}" for side in ("images", "logs"))
+    if images.is_dir():
+        return
+    table = table.slice(0, sweep.frames)
+    numbers = table["frame"].to_pylist()
+    pngs = (png for chunk in table["image"].chunks for png in chunk.field("bytes"))
+    texts = (format_log(row) for row in _log_rows(table))
+    # The images come last: where they are, the trajectory is whole.
+    with _folder(logs) as aside:
+        for number, text in zip(numbers, texts, strict=True):
+            (aside / f"PA_{number}.txt").write_text(text)
+    with _folder(images) as aside:
+        for number, png in zip(numbers, pngs, strict=True):
+            (aside / f"img{number}.png").write_bytes(png.as_buffer())
+
+
+@contextmanager
+def _folder(path: Path) -> Iterator[Path]:
+    """Fill a folder under another name, then give it its own."""
+    aside = path.with_name(f".{path.name}")
+    for left in (aside, path):
+        shutil.rmtree(left, ignore_errors=True)
+    aside.mkdir(parents=True)
+    yield aside
+    os.replace(aside, path)
+
+
+def _log_rows(table: pa.Table) -> np.ndarray:
+    """Return (T, 29) numbers of the logs of a trajectory.
+
+    Raises:
+        RacinesError: a frame has no pose.
+    """
+    parameters = float_columns(table, PARAMETERS).astype(np.float64)
+    if not np.isfinite(parameters[:, 6:]).all():
+        name = table["trajectory"][0].as_py()
+        raise RacinesError(f"trajectory {name}: has no poses, which the published layout needs")
+    pose = parameters_to_pose(torch.from_numpy(parameters))
+    matrices = np.tile(np.eye(4), (len(table), 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = pose.rotation.numpy(), pose.position.numpy()
+    rows = np.empty((len(table), WIDTH))
+    rows[:, TIME] = table["timestamp"].to_numpy()
+    rows[:, WRENCH] = parameters[:, :6]
+    rows[:, POSE] = matrices.reshape(len(table), 16)
+    rows[:, CONTROL] = float_columns(table, CONTROLS)
+    return rows
+
+
+def _notes(sessions: Mapping[str, str]) -> list[str]:
+    if len(sessions) <= _KNOWN_FOLDERS:
+        return []
+    return [
+        f"{len(sessions)} sessions: a loader that knows only `Folder 1` to `Folder 3` will not "
+        "see the others"
+    ]
