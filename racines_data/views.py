@@ -25,7 +25,7 @@ VIEW_TITLES = {
 
 HEART = "heart"
 """Name of the anatomy that everything takes where none is named."""
-ORGANS = {HEART: VIEWS}
+ORGANS = {HEART: VIEWS, "abdomen": ("KLX", "KSX", "GB")}
 """Views of the anatomies that come with the package, known without building one."""
 
 

@@ -16,7 +16,10 @@ from racines_data.errors import RacinesError
 from racines_data.views import ORGANS
 
 ENTRY_POINTS = "racines.anatomies"
-_ANATOMIES = {"heart": "racines_data.phantom.heart:heart"}
+_ANATOMIES = {
+    "heart": "racines_data.phantom.heart:heart",
+    "abdomen": "racines_data.phantom.abdomen:abdomen",
+}
 
 
 @dataclass(frozen=True)
