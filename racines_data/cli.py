@@ -2,14 +2,11 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from racines_data.errors import RacinesError
-
-if TYPE_CHECKING:
-    from racines_data.validate import Validation
 
 data = typer.Typer(no_args_is_help=True, help="Build and check datasets.")
 
@@ -109,42 +106,22 @@ def validate(
     against: Annotated[
         Path | None, typer.Option(help="Another build that should be the same version.")
     ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes for a large dataset.")] = 2,
     as_json: AsJson = False,
 ) -> None:
-    """Check a dataset's files, digests, splits and ranges; exit 1 if anything is wrong."""
+    """Check files, digests, rows, splits, copies and statistics; exit 1 if anything is wrong."""
     from racines_data.load import default_root
     from racines_data.validate import to_json
     from racines_data.validate import validate as check
+    from racines_data.validate_report import print_validation
 
-    result = check(default_root(root), against)
+    result = check(default_root(root), against, workers, progress=not as_json)
     if as_json:
         typer.echo(json.dumps(to_json(result)))
     else:
-        _print_validation(result)
+        print_validation(result)
     if not result.ok:
-        faults = (f"{each.name}: {each.detail}" for each in result.checks if not each.ok)
-        broken = "; ".join(faults)
+        broken = "; ".join(
+            f"{each.name}: {each.detail}" for each in result.checks if each.binding and not each.ok
+        )
         raise RacinesError(f"{default_root(root)}: not valid: {broken}")
-
-
-def _print_validation(result: "Validation") -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    from racines_data.validate import has_paper
-    from racines_data.views import PAPER_STATISTICS
-
-    console = Console()
-    for check in result.checks:
-        mark = "[green]ok[/]" if check.ok else "[red]BROKEN[/]"
-        console.print(f"{mark}  {check.name}: {check.detail}", soft_wrap=True, highlight=False)
-    paper = PAPER_STATISTICS if has_paper(result.manifest) else {}
-    kinds = ("minimum", "maximum", "mean", "std")
-    table = Table("parameter", *kinds)
-    for name, values in result.statistics.items():
-        table.add_row(name, *(f"{getattr(values, kind):.4f}" for kind in kinds))
-        if name in paper:
-            reference = (f"{getattr(paper[name], kind):.4f}" for kind in kinds)
-            table.add_row("  paper, real", *reference, style="dim")
-    if result.statistics:
-        console.print(table)

@@ -1,31 +1,46 @@
-"""Checking a built dataset: files, digests, splits, ranges, and the parameters' statistics."""
+"""Checking a built dataset: every byte, every row, and what the rows say together.
 
-import math
-from collections.abc import Callable, Iterator
+manifest ──> files, card, recipe
+shards   ──> survey (each shard read once, in parallel) ──> rows, counts, content, splits,
+             store, times, rate, labels, views, annotation, duplicates, oracle, paper, modes
+"""
+
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
-import torch
 
 from racines_data.canonical import same_version
-from racines_data.card import describe
-from racines_data.digest import content_digest, recipe_digest, trajectory_digest
 from racines_data.errors import RacinesError
-from racines_data.files import sha256_file
-from racines_data.load import CARD, manifest_labels, read_manifest
-from racines_data.records import check_trajectory, features_of, table_to_trajectory
-from racines_data.schema import PARAMETERS, SPLITS, Trajectory
-from racines_data.sources import Unit
-from racines_data.store import FrameStore
+from racines_data.load import MULTI_PHANTOM, manifest_labels, read_manifest
+from racines_data.validate_duplicates import check_exact, check_near, find_duplicates
+from racines_data.validate_files import check_card, check_files, check_recipe
+from racines_data.validate_labels import check_annotation, check_labels, check_views, view_shares
+from racines_data.validate_oracle import check_rejudged, rejudge
+from racines_data.validate_splits import (
+    check_content,
+    check_counts,
+    check_rate,
+    check_splits,
+    check_times,
+)
+from racines_data.validate_statistics import (
+    Verdict,
+    check_modes,
+    check_paper,
+    has_paper,
+    must_meet_paper,
+    parameter_statistics,
+    statistics_of,
+    verdicts_of,
+)
+from racines_data.validate_survey import Survey, survey
 from racines_data.views import PAPER_STATISTICS, ParameterStatistics
 
-LIMITS = {"force": 200.0, "torque": 50.0, "position": 10.0, "rotation": math.pi + 1e-5}
-"""Largest absolute value of a parameter by its kind: N, N·m, m, rad."""
+__all__ = ["Check", "Validation", "has_paper", "parameter_statistics", "to_json", "validate"]
 
 
 @dataclass(frozen=True)
@@ -35,203 +50,154 @@ class Check:
     name: str
     ok: bool
     detail: str
+    binding: bool = True
+    """Whether the dataset is invalid without it; else it is told and no more."""
 
 
 @dataclass(frozen=True)
 class Validation:
-    """What was checked, and the statistics of the twelve parameters."""
+    """What was checked, and the figures behind it."""
 
     manifest: dict[str, Any]
     checks: list[Check] = field(default_factory=list)
     statistics: dict[str, ParameterStatistics] = field(default_factory=dict)
     """Of the parameters that were measured at all."""
+    verdicts: dict[str, Verdict] = field(default_factory=dict)
+    """Of the parameters beside the paper's table, where it is the measure."""
+    figures: dict[str, Any] = field(default_factory=dict)
+    """Views, duplicates and agreement with the oracle, by config."""
 
     @property
     def ok(self) -> bool:
-        """Whether every check holds."""
-        return all(check.ok for check in self.checks)
+        """Whether every binding check holds."""
+        return all(check.ok for check in self.checks if check.binding)
+
+    def add(self, name: str, check: Callable[[], str], binding: bool = True) -> bool:
+        """Run a check, which returns what it found or raises what is wrong."""
+        try:
+            self.checks.append(Check(name, True, check(), binding))
+        except (RacinesError, pa.ArrowException, OSError, LookupError, ValueError) as error:
+            reason = f"{error}" if isinstance(error, RacinesError) else f"{error!r}"
+            self.checks.append(Check(name, False, reason, binding))
+        return self.checks[-1].ok
 
 
-def validate(root: Path, against: Path | None = None) -> Validation:
+def validate(
+    root: Path, against: Path | None = None, workers: int = 1, progress: bool = False
+) -> Validation:
     """Check a dataset, reading every byte of it.
 
     Args:
         root: Folder of the dataset.
         against: Another build that should be the same version.
+        workers: Processes that decode the images of a large dataset.
+        progress: Show a progress bar on stderr.
 
     Raises:
         RacinesError: there is no dataset.
     """
     manifest = read_manifest(root)
     result = Validation(manifest)
-    checks: dict[str, Callable[[Path, dict[str, Any]], str]] = {
-        "files": _check_files,
-        "card": _check_card,
-        "recipe": _check_recipe,
-        "rows": _check_rows,
-        "splits": _check_splits,
-        "store": _check_store,
-    }
+    result.add("files", lambda: check_files(root, manifest, workers))
+    result.add("card", lambda: check_card(root, manifest))
+    result.add("recipe", lambda: check_recipe(manifest))
+    for config in ("frames", MULTI_PHANTOM):
+        if config in manifest["configs"]:
+            _check_config(result, root, config, workers, progress)
     if against is not None:
-        checks["same version"] = lambda root, _: same_version(root, against)
-    for name, check in checks.items():
-        try:
-            result.checks.append(Check(name, True, check(root, manifest)))
-        except (RacinesError, pa.ArrowException, OSError, KeyError, ValueError) as error:
-            result.checks.append(Check(name, False, f"{error}"))
-    if next(check.ok for check in result.checks if check.name == "store"):
-        result.statistics.update(parameter_statistics(FrameStore(root)))
+        result.add("same version", lambda: same_version(root, against))
     return result
 
 
-def _check_files(root: Path, manifest: dict[str, Any]) -> str:
-    for name, record in manifest["files"].items():
-        path = root / name
-        if not path.is_file():
-            raise RacinesError(f"{name} is missing")
-        if sha256_file(path) != record["sha256"]:
-            raise RacinesError(f"{name} is damaged: its sha256 differs")
-    size = sum(record["bytes"] for record in manifest["files"].values())
-    return f"{len(manifest['files'])} files, {size / 1e6:.1f} MB, every sha256 as recorded"
+def _check_config(
+    result: Validation, root: Path, config: str, workers: int, progress: bool
+) -> None:
+    """Read the rows of a config once, and run all checks of them."""
+    manifest = result.manifest
+    prefix = "" if config == "frames" else f"{config}, "
+    surveys: list[Survey] = []
+
+    def read() -> str:
+        surveys.append(survey(root, manifest, config, workers, progress))
+        surveys[0].raise_faults("rows")
+        return f"{len(surveys[0])} frames with the columns, types and ranges of the schema"
+
+    result.add(f"{prefix}rows", read)
+    if not surveys or not surveys[0].sweeps:
+        return  # without rows there is nothing more to say of them
+    found = surveys[0]
+    _check_identity(result, prefix, found, root)
+    _check_meaning(result, prefix, found)
+    if config == "frames":
+        _check_paper(result, found)
 
 
-def _check_card(root: Path, manifest: dict[str, Any]) -> str:
-    if describe(manifest) not in (root / CARD).read_text():
-        raise RacinesError(f"{CARD} describes another dataset: its digest or source differs")
-    return "names the source and the content digest"
+def _check_identity(result: Validation, prefix: str, found: Survey, root: Path) -> None:
+    manifest = result.manifest
+
+    def store() -> str:
+        found.raise_faults("store")
+        return f"{len(found)} frames, equal to the shards"
+
+    result.add(f"{prefix}counts", lambda: check_counts(found, manifest))
+    result.add(f"{prefix}content", lambda: check_content(found, manifest))
+    result.add(f"{prefix}splits", lambda: check_splits(found, root, manifest))
+    result.add(f"{prefix}store", store)
 
 
-def _check_recipe(root: Path, manifest: dict[str, Any]) -> str:
-    if recipe_digest(manifest["recipe"]) != manifest["recipe_digest"]:
-        raise RacinesError("the recipe does not have the recorded recipe digest")
-    return manifest["recipe_digest"][:16]
+def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
+    manifest, labels = result.manifest, manifest_labels(result.manifest)
+    simulated = manifest["source"] == "phantom"
+    moving = manifest["source"] != "cactus"  # single images, in no order
+    result.add(f"{prefix}times", lambda: check_times(found), binding=moving)
+    result.add(f"{prefix}rate", lambda: check_rate(found), binding=simulated)
+    result.add(f"{prefix}labels", lambda: check_labels(found, labels))
+    shares = view_shares(found, labels)
+    result.add(f"{prefix}views", lambda: check_views(shares), binding=False)
+    result.add(f"{prefix}annotation", lambda: check_annotation(found, manifest, labels))
+    copies = find_duplicates(found)
+    result.add(f"{prefix}copies", lambda: check_exact(copies))
+    result.add(f"{prefix}near-copies", lambda: check_near(copies), binding=simulated)
+    figures: dict[str, Any] = {"views": shares, "duplicates": vars(copies)}
+    if simulated:
+        judged: list[Any] = []
+
+        def oracle() -> str:
+            judged.append(rejudge(found, manifest))
+            return check_rejudged(judged[0])
+
+        result.add(f"{prefix}oracle", oracle)
+        if judged and not isinstance(judged[0], str):
+            figures["oracle"] = vars(judged[0])
+    result.figures[found.config] = figures
 
 
-def _check_rows(root: Path, manifest: dict[str, Any]) -> str:
-    """Check each row's schema, image and numbers, and that all together have the digest."""
-    digests: list[tuple[str, str, str]] = []
-    counts: dict[str, int] = dict.fromkeys(SPLITS, 0)
-    for split, trajectory in _trajectories(root, manifest):
-        unit = Unit(trajectory.id, trajectory.session, trajectory.target_view, len(trajectory))
-        check_trajectory(trajectory, unit, manifest_labels(manifest))
-        _check_ranges(trajectory)
-        digests.append((split, trajectory.id, trajectory_digest(trajectory)))
-        counts[split] += len(trajectory)
-    recorded = {name: count["frames"] for name, count in manifest["counts"]["splits"].items()}
-    if counts != recorded:
-        raise RacinesError(f"frames {counts}, recorded {recorded}")
-    if content_digest(digests) != manifest["digest"]:
-        raise RacinesError("the rows do not have the recorded content digest")
-    return f"{sum(counts.values())} frames, content {manifest['digest'][:16]}"
-
-
-def _trajectories(root: Path, manifest: dict[str, Any]) -> Iterator[tuple[str, Trajectory]]:
-    """Yield every trajectory of the `frames` shards in order; one may cross shards."""
-    schema = features_of(manifest["source"], manifest_labels(manifest)).arrow_schema
-    for split, names in manifest["configs"]["frames"].items():
-        pending = schema.empty_table()
-        for name in names:
-            table = pq.read_table(root / name)
-            if not table.schema.equals(schema):
-                raise RacinesError(f"{name}: columns differ from the schema of `frames`")
-            pending = pa.concat_tables([pending, table])
-            starts = [0, *_beginnings(pending)]
-            for start, stop in pairwise(starts):
-                yield split, table_to_trajectory(pending.slice(start, stop - start))
-            pending = pending.slice(starts[-1])
-        yield split, table_to_trajectory(pending)
-
-
-def _beginnings(table: pa.Table) -> list[int]:
-    """Return the rows at which another trajectory begins."""
-    ids = table["trajectory"].to_numpy()
-    return [int(row) for row in np.flatnonzero(ids[1:] != ids[:-1]) + 1]
-
-
-def _check_ranges(trajectory: Trajectory) -> None:
-    for index, name in enumerate(PARAMETERS):
-        limit = LIMITS[name.partition("_")[0]]
-        if (np.abs(trajectory.parameters[:, index]) > limit).any():
-            raise RacinesError(f"trajectory {trajectory.id}: {name} exceeds ±{limit:.4g}")
-
-
-def _check_splits(root: Path, manifest: dict[str, Any]) -> str:
-    seen: dict[str, str] = {}
-    for split, names in manifest["configs"]["frames"].items():
-        for name in names:
-            ids = pq.read_table(root / name, columns=["trajectory"])["trajectory"]
-            for trajectory in ids.unique().to_pylist():
-                if seen.setdefault(trajectory, split) != split:
-                    raise RacinesError(
-                        f"trajectory {trajectory} is in {split} and in {seen[trajectory]}"
-                    )
-    listed = {
-        row["trajectory"]: row["split"]
-        for names in manifest["configs"]["trajectories"].values()
-        for name in names
-        for row in pq.read_table(root / name).to_pylist()
-    }
-    if listed != seen:
-        raise RacinesError("configs `frames` and `trajectories` disagree on trajectories or splits")
-    return f"{len(seen)} trajectories, each in one split"
-
-
-def _check_store(root: Path, manifest: dict[str, Any]) -> str:
-    """Check that the training store holds the same rows as the shards."""
-    store, start = FrameStore(root), 0
-    for split, trajectory in _trajectories(root, manifest):
-        rows = slice(start, start + len(trajectory))
-        place = store.trajectory_index[rows]
-        same = (
-            store.trajectories[int(place[0])] == trajectory.id
-            and bool((place == place[0]).all())
-            and np.array_equal(store.images[rows].numpy(), trajectory.images)
-            and _equal(store.parameters[rows], trajectory.parameters)
-            and _equal(store.controls[rows], trajectory.controls)
-            and _equal(store.grades[rows], trajectory.grades)
-            and np.array_equal(store.views[rows].numpy(), trajectory.views)
-            and start in range(*store.bounds(split))
-        )
-        if not same:
-            raise RacinesError(f"trajectory {trajectory.id} differs between store and shards")
-        start = rows.stop
-    if start != len(store):
-        raise RacinesError(f"the store has {len(store)} frames, the shards {start}")
-    return f"{len(store)} frames, equal to the shards"
-
-
-def _equal(stored: torch.Tensor, column: np.ndarray) -> bool:
-    return np.array_equal(stored.numpy(), column, equal_nan=True)
-
-
-def parameter_statistics(store: FrameStore) -> dict[str, ParameterStatistics]:
-    """Return minimum, maximum, mean and standard deviation of each parameter that is there."""
-    statistics = {}
-    for index, name in enumerate(PARAMETERS):
-        values = store.parameters[:, index].to(torch.float64)
-        values = values[~values.isnan()]
-        if len(values):
-            moments = values.min(), values.max(), values.mean(), values.std(correction=0)
-            statistics[name] = ParameterStatistics(*(float(moment) for moment in moments))
-    return statistics
+def _check_paper(result: Validation, found: Survey) -> None:
+    parameters = found.column("parameters")
+    result.statistics.update(statistics_of(parameters))
+    if not has_paper(result.manifest):
+        return
+    result.verdicts.update(verdicts_of(result.statistics))
+    binding = must_meet_paper(result.manifest)
+    result.add("paper's table", lambda: check_paper(result.verdicts), binding)
+    result.add("rotation_x", lambda: check_modes(parameters), binding)
 
 
 def to_json(result: Validation) -> dict[str, Any]:
-    """Return a validation as JSON, the paper's statistics beside the phantom's."""
-    paper = PAPER_STATISTICS if has_paper(result.manifest) else {}
-    statistics = {
-        name: {**vars(value), "paper": vars(paper[name]) if name in paper else None}
-        for name, value in result.statistics.items()
-    }
+    """Return a validation as JSON, the paper's statistics and the verdict beside ours."""
+    statistics = {}
+    for name, value in result.statistics.items():
+        statistics[name] = {**vars(value), "paper": None, "verdict": None}
+        if name in result.verdicts:
+            verdict = result.verdicts[name]
+            statistics[name]["paper"] = vars(PAPER_STATISTICS[name])
+            statistics[name]["verdict"] = {**vars(verdict), "ok": not verdict.faults}
     keys = ("source", "version", "digest", "recipe_digest", "counts")
     return {
+        "schema": "racines.validation/1",
         **{key: result.manifest[key] for key in keys},
         "ok": result.ok,
-        "checks": [vars(check) for check in result.checks],
+        "checks": [dataclasses.asdict(check) for check in result.checks],
         "statistics": statistics,
+        "figures": result.figures,
     }
-
-
-def has_paper(manifest: dict[str, Any]) -> bool:
-    """Return whether the paper's statistics are the measure of this source."""
-    return manifest["source"] in ("phantom", "release")
