@@ -43,7 +43,7 @@ def trajectory_to_table(
     columns: dict[str, pa.Array] = {"image": _images(trajectory)}
     for index, name in enumerate(PARAMETERS):
         columns[name] = pa.array(trajectory.parameters[:, index], pa.float32(), from_pandas=True)
-    columns["timestamp"] = pa.array(trajectory.timestamps, pa.float64())
+    columns["timestamp"] = pa.array(trajectory.timestamps, pa.float64(), from_pandas=True)
     for index, name in enumerate(CONTROLS):
         columns[name] = pa.array(trajectory.controls[:, index], pa.float32(), from_pandas=True)
     columns["view"] = pa.array(trajectory.views, pa.int64(), mask=trajectory.views < 0)
@@ -83,7 +83,7 @@ def table_to_trajectory(table: pa.Table) -> Trajectory:
         target_view=table["target_view"][0].as_py(),
         images=np.stack(images),
         parameters=float_columns(table, PARAMETERS),
-        timestamps=table["timestamp"].to_numpy(),
+        timestamps=table["timestamp"].fill_null(np.nan).to_numpy(),
         controls=float_columns(table, CONTROLS),
         views=table["view"].fill_null(-1).to_numpy(),
         grades=float_columns(table, ["grade"])[:, 0],
@@ -96,8 +96,12 @@ def float_columns(table: pa.Table, names: Sequence[str]) -> np.ndarray:
     return np.stack([table[name].fill_null(np.nan).to_numpy() for name in names], -1)
 
 
-def check_trajectory(trajectory: Trajectory, unit: Unit, labels: Sequence[str] = LABELS) -> None:
+def check_trajectory(
+    trajectory: Trajectory, unit: Unit, labels: Sequence[str] = LABELS, poses: bool = True
+) -> None:
     """Check what a source with these view labels has made of a unit.
+
+    A source without poses (single images, labelled) has neither poses nor times: all NaN.
 
     Raises:
         RacinesError: wrong identity, image shape or type, a pose or time that is not finite, or a
@@ -117,7 +121,13 @@ def check_trajectory(trajectory: Trajectory, unit: Unit, labels: Sequence[str] =
             f"{where}: images are {trajectory.images.dtype} {trajectory.images.shape}; give uint8 "
             f"(T, {IMAGE_SIZE}, {IMAGE_SIZE}), T > 0"
         )
-    _check_numbers(trajectory, where)
+    if poses:
+        _check_numbers(trajectory, where)
+    elif not np.isnan(trajectory.parameters).all() or not np.isnan(trajectory.timestamps).all():
+        raise RacinesError(f"{where}: has poses or times, but its source says that it has none")
+    grades = trajectory.grades[~np.isnan(trajectory.grades)]
+    if ((grades < 0) | (grades > 10)).any():
+        raise RacinesError(f"{where}: a grade lies outside 0-10")
     if ((trajectory.views < -1) | (trajectory.views >= len(labels))).any():
         raise RacinesError(f"{where}: a view label lies outside -1 to {len(labels) - 1}")
 
@@ -133,6 +143,3 @@ def _check_numbers(trajectory: Trajectory, where: str) -> None:
     times = trajectory.timestamps
     if not np.isfinite(times).all() or (np.diff(times) < 0).any():
         raise RacinesError(f"{where}: timestamps must be finite seconds that do not decrease")
-    grades = trajectory.grades[~np.isnan(trajectory.grades)]
-    if ((grades < 0) | (grades > 10)).any():
-        raise RacinesError(f"{where}: a grade lies outside 0-10")

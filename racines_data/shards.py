@@ -75,9 +75,14 @@ def _trajectory_row(unit: Unit, split: str, path: Path) -> dict[str, Any]:
         "phantom": table["phantom"][0].as_py(),
         "split": split,
         "frames": len(table),
-        "duration": table["timestamp"][-1].as_py() - table["timestamp"][0].as_py(),
+        "duration": _duration(table),
         "digest": digest,
     }
+
+
+def _duration(table: pa.Table) -> float | None:
+    first, last = table["timestamp"][0].as_py(), table["timestamp"][-1].as_py()
+    return None if first is None else last - first
 
 
 def group_rows(groups: Sequence[Group]) -> list[dict[str, Any]]:

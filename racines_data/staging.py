@@ -29,7 +29,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from racines_data.digest import trajectory_digest
 from racines_data.errors import RacinesError
 from racines_data.records import check_trajectory, pixels_array, trajectory_to_table
-from racines_data.sources import Source, Unit, labels_of_source
+from racines_data.sources import Source, Unit, has_poses, labels_of_source
 
 _DIGEST = b"racines.digest"
 _source: Source | None = None  # a worker's own copy, set by its initialiser
@@ -200,7 +200,7 @@ def _work(units: list[Unit], folder: Path, indices: list[int]) -> list[int]:
 def _stage(source: Source, unit: Unit, folder: Path, index: int) -> None:
     trajectory = source.produce(unit)
     labels = labels_of_source(source)
-    check_trajectory(trajectory, unit, labels)
+    check_trajectory(trajectory, unit, labels, has_poses(source))
     table = trajectory_to_table(trajectory, source.name, labels)
     table = table.append_column("pixels", pixels_array(trajectory.images))
     metadata = {**(table.schema.metadata or {}), _DIGEST: trajectory_digest(trajectory).encode()}

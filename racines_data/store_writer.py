@@ -70,7 +70,7 @@ def _store_columns(table: pa.Table, index: int) -> pa.Table:
             "controls": stacked(CONTROLS),
             "view": table["view"].fill_null(-1).combine_chunks(),
             "grade": table["grade"].fill_null(np.nan).combine_chunks(),
-            "timestamp": table["timestamp"].combine_chunks(),
+            "timestamp": table["timestamp"].fill_null(np.nan).combine_chunks(),
             "trajectory": pa.array(np.full(len(table), index, np.int64)),
             "frame": table["frame"].cast(pa.int64()).combine_chunks(),
         }

@@ -27,7 +27,7 @@ from racines_data.shards import (
     write_shards,
     write_trajectories,
 )
-from racines_data.sources import Finding, labels_of_source
+from racines_data.sources import Finding, has_poses, labels_of_source
 from racines_data.staging import progress_bar
 from racines_data.store import store_name
 from racines_data.store_writer import write_store
@@ -67,6 +67,7 @@ def write_dataset(
         "recipe_digest": recipe_digest(recipe),
         "recipe": recipe,
         "labels": list(labels_of_source(source)),
+        "poses": has_poses(source),
         "held_out_session": main.held_out,
         "counts": _counts(rows),
         "report": _report_counts(source.report),
