@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 ENTRY_POINTS = "racines.sources"
 _SOURCES = {
     "phantom": "racines_data.sources.phantom:PhantomSource",
+    "release": "racines_data.sources.release:ReleaseSource",
+    "cactus": "racines_data.sources.cactus:CactusSource",
     "tracked": "racines_data.sources.tracked:TrackedSource",
 }
 
@@ -72,7 +74,8 @@ class Source(Protocol):
     """Filled by `plan`; empty where there is nothing to say."""
     Config: ClassVar[type]
     """Dataclass of settings. Fields `frames` and `seed`, if any, are set from the data section."""
-    # A source of other views than the five also has `labels: tuple[str, ...]`, `Random` last.
+    # A source of other views than the five also has `labels: tuple[str, ...]`, `Random` last. One
+    # of single images, without poses and times, has `poses = False`; both are then NaN.
 
     @classmethod
     def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> Self:
@@ -102,6 +105,11 @@ class Source(Protocol):
 def labels_of_source(source: Source) -> tuple[str, ...]:
     """Return the view labels of a source: its `labels` attribute, or the cardiac ones."""
     return tuple(getattr(source, "labels", LABELS))
+
+
+def has_poses(source: Source) -> bool:
+    """Return whether the frames of a source have poses and times."""
+    return bool(getattr(source, "poses", True))
 
 
 def source_names() -> tuple[str, ...]:
