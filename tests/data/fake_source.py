@@ -9,7 +9,7 @@ import numpy as np
 
 from racines_data.schema import Trajectory
 from racines_data.sources import Finding, Unit
-from racines_data.views import LABELS, VIEWS
+from racines_data.views import LABELS, RANDOM_LABEL, VIEWS
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,9 @@ class FakeSource:
         rng = np.random.default_rng([self.config.seed, int(unit.id[1:])])
         parameters = rng.normal(size=(n, 12)).astype(np.float32)
         parameters[n // 2 :, :6] = np.nan
+        views = rng.integers(-1, len(LABELS), n)
+        grades = np.where((rng.random(n) < 0.5) | (views < 0), np.nan, 5.0).astype(np.float32)
+        grades[views == RANDOM_LABEL] = 0.0
         return Trajectory(
             id=unit.id,
             session=unit.session,
@@ -63,6 +66,6 @@ class FakeSource:
             parameters=parameters,
             timestamps=np.arange(n) / 30.0,
             controls=np.full((n, 6), np.nan, np.float32),
-            views=rng.integers(-1, len(LABELS), n),
-            grades=np.where(rng.random(n) < 0.5, np.nan, 5.0).astype(np.float32),
+            views=views,
+            grades=grades,
         )
