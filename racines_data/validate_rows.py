@@ -34,6 +34,8 @@ class Piece:
     """File, first and past-the-last row; a second file where the last trajectory goes on."""
     start: int
     """Row of the store at which they begin."""
+    poses: bool = True
+    """Whether the dataset has poses and times at all."""
 
     @property
     def frames(self) -> int:
@@ -98,7 +100,7 @@ def read_piece(
             faults.append(f"trajectory {ids[first]}: its rows cannot be read: {error}")
             continue
         place = slice(piece.start + first, piece.start + stop)
-        sweeps.append(_sweep(piece.split, rows, trajectory, labels, store, place))
+        sweeps.append(_sweep(piece, rows, trajectory, labels, store, place))
     return sweeps, faults
 
 
@@ -112,7 +114,7 @@ def _read_part(path: Path, start: int, stop: int) -> pa.Table:
 
 
 def _sweep(
-    split: str,
+    piece: Piece,
     rows: pa.Table,
     trajectory: Trajectory,
     labels: Sequence[str],
@@ -121,16 +123,16 @@ def _sweep(
 ) -> Sweep:
     faults = []
     try:
-        _check_rows(rows, trajectory, labels)
+        _check_rows(rows, trajectory, labels, piece.poses)
     except RacinesError as error:
         faults.append(("rows", f"{error}"))
-    if store is not None and not _in_store(store, place, split, trajectory):
+    if store is not None and not _in_store(store, place, piece.split, trajectory):
         reason = f"trajectory {trajectory.id} differs between store and shards"
         faults.append(("store", reason))
     images = trajectory.images
     predicted = [rows[name].cast(pa.float32()) for name in ("view_predicted", "grade_predicted")]
     return Sweep(
-        split=split,
+        split=piece.split,
         id=trajectory.id,
         session=trajectory.session,
         target_view=trajectory.target_view,
@@ -147,9 +149,9 @@ def _sweep(
     )
 
 
-def _check_rows(rows: pa.Table, trajectory: Trajectory, labels: Sequence[str]) -> None:
+def _check_rows(rows: pa.Table, trajectory: Trajectory, labels: Sequence[str], poses: bool) -> None:
     unit = Unit(trajectory.id, trajectory.session, trajectory.target_view, len(trajectory))
-    check_trajectory(trajectory, unit, labels)
+    check_trajectory(trajectory, unit, labels, poses)
     where = f"trajectory {trajectory.id}"
     for index, name in enumerate(PARAMETERS):
         limit = LIMITS[name.partition("_")[0]]

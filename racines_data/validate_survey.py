@@ -80,7 +80,7 @@ def plan_pieces(root: Path, manifest: dict[str, Any], config: str) -> list[Piece
         runs = list(_runs(root, names))
         for _, group in groupby(runs, key=lambda run: run[0][0]):
             parts = _join([part for run in group for part in run])
-            pieces.append(Piece(split, parts, start))
+            pieces.append(Piece(split, parts, start, manifest.get("poses", True)))
             start += pieces[-1].frames
     return pieces
 

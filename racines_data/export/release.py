@@ -22,8 +22,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
@@ -33,6 +31,7 @@ from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS
 from racines_data.sources.release_log import CONTROL, POSE, TIME, WIDTH, WRENCH, format_log
 from racines_data.sources.release_tree import FULL, natural
+from racines_data.staging import progress_bar
 from racines_data.views import RANDOM
 
 _COLUMNS = ["image", *PARAMETERS, "timestamp", *CONTROLS, "trajectory", "frame"]
@@ -79,11 +78,8 @@ def export(
     key = hashlib.sha256(f"{manifest['digest']}/{split}/{limit}".encode()).hexdigest()[:16]
     staging = out.parent / f".{out.name}.{key}.part"
     staging.mkdir(parents=True, exist_ok=True)
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    console = Console(stderr=True)
-    hidden = not (progress and console.is_terminal)
     total = sum(sweep.frames for sweep in wanted.values())
-    with Progress(*columns, TimeRemainingColumn(), console=console, disable=hidden) as bar:
+    with progress_bar(progress) as bar:
         task = bar.add_task("frames", total=total)
         for sweep, table in _tables(shards, wanted):
             _write_sweep(staging, sweep, table)

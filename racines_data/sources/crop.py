@@ -1,4 +1,4 @@
-"""Finding the ultrasound sector on a scanner's screen: what moves is image, what stays is border."""
+"""Finding the ultrasound sector on a scanner's screen: what varies is image, what stays is not."""
 
 from collections.abc import Sequence
 
@@ -29,12 +29,10 @@ def sector_box(images: Sequence[np.ndarray]) -> Box:
     # Opening cuts ticks and text that touch the sector; closing joins speckle to one region.
     region = ndimage.binary_closing(lively, np.ones((5, 5), bool), border_value=0) | lively
     region = ndimage.binary_opening(region, np.ones((7, 7), bool))
-    labels, count = ndimage.label(region)
-    if not count:
+    labels = np.empty(region.shape, np.int32)
+    ndimage.label(region, output=labels)
+    sizes = np.bincount(labels.ravel())[1:]
+    if not len(sizes) or sizes.max() < _SMALLEST * height * width:
         return 0, 0, width, height
-    sizes = ndimage.sum_labels(region, labels, np.arange(1, count + 1))
-    largest = int(np.argmax(sizes)) + 1
-    if sizes[largest - 1] < _SMALLEST * height * width:
-        return 0, 0, width, height
-    rows, columns = ndimage.find_objects(labels)[largest - 1]
+    rows, columns = ndimage.find_objects(labels)[int(sizes.argmax())]
     return int(columns.start), int(rows.start), int(columns.stop), int(rows.stop)

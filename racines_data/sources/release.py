@@ -21,7 +21,6 @@ import torch
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, pose_to_parameters
-from racines_data.progress import track
 from racines_data.schema import Trajectory
 from racines_data.sources import Finding, Unit
 from racines_data.sources.images import read_gray, square
@@ -30,6 +29,7 @@ from racines_data.sources.release_kinds import Kind, flagged
 from racines_data.sources.release_log import CONTROL, POSE, TIME, WRENCH, parse_log
 from racines_data.sources.release_survey import Survey, Surveyor
 from racines_data.sources.release_tree import Pair, Recording, find_recordings
+from racines_data.staging import progress_bar
 from racines_data.views import RANDOM, VIEWS
 
 READER = 1
@@ -49,6 +49,8 @@ class ReleaseConfig:
     """Largest error of a rotation's orthonormality, per element of R Rᵀ - 1."""
     allow_absent: bool = False
     """Read a force or control effort that is all NaN as not measured, instead of refusing it."""
+    allow_repeats: bool = False
+    """Keep a frame whose time is that of the frame before: a coarse clock, or a stale log."""
     label_views: bool = False
     """Take the folder as the view of each of its frames. Frames on the way to a view are then
     labelled as that view, which they are not."""
@@ -118,10 +120,11 @@ class ReleaseSource:
         """
         self.report = []
         recordings = find_recordings(self.root, self.config.views, self.report)
-        with ThreadPoolExecutor(_THREADS) as pool:
+        surveys: list[Survey] = []
+        with ThreadPoolExecutor(_THREADS) as pool, progress_bar(self.progress) as bar:
             surveyor = Surveyor(self.root, self.config, self.report, pool)
-            steps = track(recordings, "checking", self.progress)
-            surveys = [surveyor.survey(recording) for recording in steps]
+            for recording in bar.track(recordings, description="checking folders"):
+                surveys.append(surveyor.survey(recording))
         self._inputs = hashlib.sha256(b"".join(survey.digest for survey in surveys)).hexdigest()
         found = [pair for pair in zip(recordings, surveys, strict=True) if pair[1].pairs]
         self._check_units(len(found))

@@ -1,6 +1,6 @@
 """Are the numbers of a recording poses of a probe in metres, forces, and a clock that runs on?"""
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
@@ -34,6 +34,8 @@ class Limits(Protocol):
     def tolerance(self) -> float: ...  # noqa: D102
     @property
     def allow_absent(self) -> bool: ...  # noqa: D102
+    @property
+    def allow_repeats(self) -> bool: ...  # noqa: D102
 
 
 def check_numbers(rows: np.ndarray, limits: Limits) -> list[Fault | None]:
@@ -86,17 +88,19 @@ def _wrong_unit(position: np.ndarray, unit: str, reach: float) -> Fault | None:
     return Fault(Kind.OUT_OF_REACH, FIELDS[2], f"{read}; its reach is {reach:g} m")
 
 
-def backward(times: Sequence[float]) -> list[int]:
-    """Return the fewest frames without which the clock never runs backwards.
+def backward(times: Sequence[float], allow_repeats: bool) -> list[int]:
+    """Return the fewest frames without which the clock only runs forwards.
 
-    All but a longest non-decreasing run: one wrong time costs one frame, wherever it lies.
+    All but a longest increasing run: one wrong time costs one frame, wherever it lies. With
+    `allow_repeats` the clock may stand still.
     Patience sorting: Aldous and Diaconis, Longest increasing subsequences, 1999.
     """
+    find = bisect_right if allow_repeats else bisect_left
     tails: list[float] = []
     places: list[int] = []
     before: list[int] = []
     for index, time in enumerate(times):
-        pile = bisect_right(tails, time)
+        pile = find(tails, time)
         before.append(places[pile - 1] if pile else -1)
         tails[pile : pile + 1] = [time]
         places[pile : pile + 1] = [index]

@@ -127,11 +127,11 @@ class Surveyor:
     def _in_time(
         self, recording: Recording, pairs: Sequence[Pair], kept: Sequence[int], times: np.ndarray
     ) -> list[int]:
-        """Keep the frames in whose order the clock does not run backwards; flag when it stops."""
-        lost = backward(times.tolist())
+        """Keep the frames in whose order the clock runs on; flag where it may stand still."""
+        lost = backward(times.tolist(), self.limits.allow_repeats)
         for place in lost:
             file = self._log(recording, pairs[kept[place]])
-            detail = f"{times[place]:.6f} s is out of order among its neighbours"
+            detail = f"{times[place]:.6f} s does not go on from its neighbours' times"
             self.report.append(refused(Kind.CLOCK, file, detail, "Time"))
         stopped = int((np.diff(np.delete(times, lost)) == 0).sum())
         if stopped:
