@@ -57,11 +57,12 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
         if 0 < self.config.frames < len(frames):
             frames = frames[torch.arange(self.config.frames) * len(frames) // self.config.frames]
         kept = store.take(frames)
-        self.keys = self._embed(kept.parameters).to(self.device)
+        self.keys = self.embed(kept.parameters).to(self.device)
         self.images = kept.images.to(self.device)
         return {"images": len(frames)}
 
-    def _embed(self, parameters: Tensor) -> Tensor:
+    def embed(self, parameters: Tensor) -> Tensor:
+        """Return (B, 12) keys of (B, 12) parameters: Euclidean distance is that of the poses, m."""
         pose = parameters_to_pose(parameters)
         weight = self.config.metres_per_radian / math.sqrt(2.0)
         return torch.cat([pose.position, weight * pose.rotation.flatten(-2)], -1)
@@ -70,7 +71,7 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
         """Return the (B,) index of the nearest training frame and the (B,) distance, m."""
         assert self.keys is not None
         found = []
-        for queries in self._embed(parameters).split(QUERIES):
+        for queries in self.embed(parameters).split(QUERIES):
             # The exact form, not the matrix product: equal poses have distance 0, and a row's
             # result ignores its batch. argmin returns the first of equal minima.
             distance = torch.cdist(queries, self.keys, compute_mode="donot_use_mm_for_euclid_dist")
