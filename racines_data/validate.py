@@ -148,9 +148,9 @@ def _check_identity(result: Validation, prefix: str, found: Survey, root: Path) 
 def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
     manifest, labels = result.manifest, manifest_labels(result.manifest)
     simulated = manifest["source"] == "phantom"
-    moving = manifest["source"] != "cactus"  # single images, in no order
-    result.add(f"{prefix}times", lambda: check_times(found), binding=moving)
-    result.add(f"{prefix}rate", lambda: check_rate(found), binding=simulated)
+    if manifest.get("poses", True):  # single images have neither poses nor times
+        result.add(f"{prefix}times", lambda: check_times(found))
+        result.add(f"{prefix}rate", lambda: check_rate(found), binding=simulated)
     result.add(f"{prefix}labels", lambda: check_labels(found, labels))
     shares = view_shares(found, labels)
     result.add(f"{prefix}views", lambda: check_views(shares), binding=False)
