@@ -9,10 +9,8 @@ Nothing of the result depends on the time, the number of workers or the order th
 """
 
 import dataclasses
-import os
 import re
 import resource
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +19,7 @@ from typing import Any
 from racines_data.config import fill
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
+from racines_data.files import recover_folder, swap_folder
 from racines_data.load import MANIFEST, MULTI_PHANTOM
 from racines_data.shards import Part
 from racines_data.sources import Finding, Source, Unit, source_class, source_names
@@ -151,7 +150,7 @@ def build(
             stage_units(many, many_units, part.folder, config.workers, progress, by_session=True)
         final = folder / f"final-{config.shards}"  # what is whole there has the same bounds
         manifest = write_dataset(final, main, part, recipe, config.shards, progress)
-        _swap(final, out)
+        swap_folder(final, out)
     return manifest
 
 
@@ -191,9 +190,7 @@ def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str
 
 
 def _check_out(out: Path) -> None:
-    old = _aside(out)
-    if old.exists() and not out.exists():
-        os.replace(old, out)  # killed between the two renames of a swap
+    recover_folder(out)
     if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
         raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
 
@@ -221,16 +218,3 @@ def _check_report(report: Sequence[Finding], units: Sequence[Unit], config: Data
             f"{lost} of {total} frames refused, more than max_refused {config.max_refused}; "
             f"first: {first}"
         )
-
-
-def _aside(out: Path) -> Path:
-    return out.parent / f".{out.name}.old"
-
-
-def _swap(final: Path, out: Path) -> None:
-    old = _aside(out)
-    shutil.rmtree(old, ignore_errors=True)
-    if out.exists():
-        os.replace(out, old)
-    os.replace(final, out)
-    shutil.rmtree(old, ignore_errors=True)

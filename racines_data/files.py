@@ -4,6 +4,7 @@ import hashlib
 import io
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -35,6 +36,27 @@ def write_once(path: Path, write: Callable[[Path], None]) -> None:
     aside = path.with_name(f"{path.name}.part")
     write(aside)
     os.replace(aside, path)
+
+
+def swap_folder(new: Path, out: Path) -> None:
+    """Put a finished folder in the place of another; `recover_folder` undoes half a swap."""
+    old = _aside(out)
+    shutil.rmtree(old, ignore_errors=True)
+    if out.exists():
+        os.replace(out, old)
+    os.replace(new, out)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def recover_folder(out: Path) -> None:
+    """Put back the folder that a process killed between the two renames of a swap moved aside."""
+    old = _aside(out)
+    if old.exists() and not out.exists():
+        os.replace(old, out)
+
+
+def _aside(out: Path) -> Path:
+    return out.parent / f".{out.name}.old"
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
