@@ -9,7 +9,7 @@ import yaml
 
 from racines_data.errors import RacinesError
 
-PROFILES = ("smoke", "default", "paper")
+PROFILES = ("smoke", "default", "paper", "abdomen")
 T = TypeVar("T")
 
 

@@ -8,7 +8,9 @@ import typer
 RUNS = Path("envs/runs")
 
 Params = Annotated[Path | None, typer.Option(help="Settings; ./params.yaml if it is there.")]
-Profile = Annotated[str | None, typer.Option(help="Packaged settings: smoke, default or paper.")]
+Profile = Annotated[
+    str | None, typer.Option(help="Packaged settings: smoke, default, paper or abdomen.")
+]
 
 
 def register(train: typer.Typer, evaluate: typer.Typer) -> None:

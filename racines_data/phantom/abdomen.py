@@ -35,7 +35,7 @@ TISSUES = (
     Tissue("vessel wall", 2.0, 0.70, 1600.0, 1102.0),
     Tissue("gallbladder wall", 3.0, 0.70, 1600.0, 1090.0),
     Tissue("bile", -55.0, 0.05, 1534.0, 1015.0),
-    Tissue("stone", 14.0, 5.00, 1900.0, 1400.0),
+    Tissue("stone", 0.0, 5.00, 1600.0, 1150.0),
 )
 (GEL, LIVER, CORTEX, PYRAMID, SINUS, CAPSULE, DIAPHRAGM, BLOOD, WALL, GALLBLADDER_WALL, BILE,
  STONE) = range(len(TISSUES))  # fmt: skip
@@ -198,8 +198,8 @@ def _paint_gallbladder(tissue: Tensor, p: Tensor, varied: Variation) -> None:
     tissue[lumen < 0.0] = BILE
     if varied.stone:
         # It lies where it falls: on the lower wall, near the middle.
-        lowest = _between(0.6)[2] - 12.0 * varied.gallbladder + varied.stone
-        centre = (*_between(0.6)[:2], lowest + 0.5)
+        u, v, w = _between(0.6)
+        centre = (u, v, w - 13.5 * varied.gallbladder + varied.stone)
         tissue[(p - p.new_tensor(centre)).norm(dim=-1) < varied.stone] = STONE
 
 
@@ -237,7 +237,7 @@ def _structures(varied: Variation, kidney: Tensor) -> dict[str, tuple[Tensor, fl
         "liver over the kidney": (centre - 42.0 * beam, 20.0),
         "gallbladder neck": (neck, 13.0),
         "gallbladder body": (middle, 13.0),
-        "gallbladder fundus": (fundus, 13.0),
+        "gallbladder fundus": (fundus + 0.1 * (fundus - neck), 13.0),
         "liver over the gallbladder": (middle + torch.tensor([0.0, 0.0, 30.0]), 20.0),
     }
 
