@@ -1,11 +1,14 @@
-"""What this package adds to the verbs `racines train` and `racines eval`."""
+"""What this package adds to the verbs `racines train`, `racines eval` and `racines data`."""
 
 import typer
 
+from racines_data.cli import data
+
 
 def register(train: typer.Typer, evaluate: typer.Typer) -> None:
-    """Add the commands for graders and generators."""
-    from racines_models import cli_generators, cli_scores
+    """Add the commands for graders and generators, and those that use them on a dataset."""
+    from racines_models import cli_data, cli_generators, cli_scores
 
     cli_generators.register(train)
     cli_scores.register(train, evaluate)
+    cli_data.register(data)
