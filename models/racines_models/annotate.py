@@ -1,6 +1,6 @@
 """Writing a grader's view and grade into the `frames` of a dataset.
 
-    store ──> grader ──> opinions/*.npy ──> new shards, card, croissant, manifest ──> swapped in place
+    store ──> grader ──> opinions/*.npy ──> new shards, card, manifest ──> swapped in place
 
 The opinions go into `view_predicted` and `grade_predicted` alone: `view` and `grade` stay what the
 source says, or null. All other bytes of the rows stay as they were, and with them the content
@@ -15,7 +15,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -146,12 +146,22 @@ def _staging(out: Path, manifest: dict[str, Any], grader: Grader) -> Iterator[Pa
     folder = out.parent / name
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / "lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise RacinesError(f"{out}: it is being annotated already; wait for it") from error
+        if not _lock(lock):
+            raise RacinesError(f"{out}: it is being annotated already; wait for it")
+        for other in set(out.parent.glob(f".{out.name}.annotating-*")) - {folder}:
+            with (other / "lock").open("w") as abandoned:
+                if _lock(abandoned):  # killed, and nothing will go on from it
+                    shutil.rmtree(other)
         yield folder
         shutil.rmtree(folder)
+
+
+def _lock(file: IO[str]) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
 
 
 def _judge_all(

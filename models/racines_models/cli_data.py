@@ -6,8 +6,6 @@ from typing import Annotated, Any
 
 import typer
 
-from racines_data.errors import RacinesError
-
 Root = Annotated[Path | None, typer.Argument(help="Folder of the dataset.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print figures as JSON on stdout.")]
 
