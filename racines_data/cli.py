@@ -11,7 +11,9 @@ from racines_data.errors import RacinesError
 data = typer.Typer(no_args_is_help=True, help="Build and check datasets.")
 
 Params = Annotated[Path | None, typer.Option(help="Params file; its `data` section is used.")]
-Profile = Annotated[str | None, typer.Option(help="Packaged settings: smoke, default or paper.")]
+Profile = Annotated[
+    str | None, typer.Option(help="Packaged settings: smoke, default, paper or abdomen.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print figures as JSON on stdout.")]
 
 
