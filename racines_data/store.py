@@ -16,6 +16,7 @@ import pyarrow as pa
 import torch
 from torch import Tensor
 
+from racines_data.batch_memory import BatchMemory
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
@@ -145,6 +146,8 @@ class FrameStore:
             return flat.view(len(array), *shape)
 
         self.images = column("image", torch.uint8, IMAGE_SIZE, IMAGE_SIZE)
+        self._memory = BatchMemory()
+        self._words = self.images.view(-1, PIXELS).view(torch.int64)
         self.parameters = column("parameters", torch.float32, len(PARAMETERS))
         self.controls = column("controls", torch.float32, len(CONTROLS))
         self.views = column("view", torch.int64)
@@ -183,8 +186,17 @@ class FrameStore:
         seed: int,
         shuffle: bool = True,
         drop_last: bool = False,
+        device: torch.device | str | None = None,
     ) -> Iterator[Batch]:
         """Yield one pass over a split in batches; the order depends on the seed alone.
+
+        Args:
+            split: `train`, `validation` or `test`.
+            batch_size: Frames of a batch.
+            seed: Decides the order.
+            shuffle: Draw the order; otherwise that of the store.
+            drop_last: Leave out a last batch that is not full.
+            device: Where the batch is wanted; in main memory if absent.
 
         Raises:
             RacinesError: no such split, or a batch size below one.
@@ -197,17 +209,22 @@ class FrameStore:
             rows = rows[torch.randperm(len(rows), generator=generator)]
         last = len(rows) - len(rows) % batch_size if drop_last else len(rows)
         for start in range(0, last, batch_size):
-            yield self.take(rows[start : min(start + batch_size, last)])
+            index = rows[start : min(start + batch_size, last)]
+            batch = self.take(index, self._memory.get(len(index), batch_size))
+            yield batch if device is None else Batch(*(part.to(device) for part in batch))
+            del batch  # so that its memory can serve again
 
-    def take(self, index: Tensor) -> Batch:
-        """Return the frames of (B,) int64 rows."""
+    def take(self, index: Tensor, out: Tensor | None = None) -> Batch:
+        """Return the frames of (B,) int64 rows; `out` is (B, 2048) int64 memory for the images."""
         columns = self.parameters, self.views, self.grades
         # Rows of int64 words: a row copy moves 8 bytes at a time whatever the element.
-        words = self.images.view(len(self), PIXELS).view(torch.int64)
-        images = words.index_select(0, index).view(torch.uint8)
+        images = torch.index_select(self._words, 0, index, out=out).view(torch.uint8)
         images = images.view(-1, IMAGE_SIZE, IMAGE_SIZE)
         parameters, views, grades = (column.index_select(0, index) for column in columns)
         return Batch(images, parameters, views, grades, index)
+
+    def __reduce__(self) -> tuple[type["FrameStore"], tuple[Path, str]]:
+        return FrameStore, (self.root, self.config)
 
 
 def open_store(root: Path | str | None = None, config: str = "frames") -> FrameStore:
