@@ -10,10 +10,10 @@ SHELL := /bin/bash
 READY := $(VENV)/.ready
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 
-.PHONY: help repro test test-fast lint types bench docs clean
+.PHONY: help repro test test-fast test-exports lint types bench docs clean
 
 help: ## list the targets
-	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
 
 $(READY): pyproject.toml constraints.txt
 	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
@@ -28,10 +28,19 @@ endif
 	dvc repro
 
 test: $(READY) ## run all tests
-	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks
+	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs
 
 test-fast: $(READY) ## run the tests that take seconds
-	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks -m "not slow"
+	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs -m "not slow"
+
+test-exports: $(READY) .venv-lerobot/.ready .venv-minari/.ready ## open exports with the real libraries
+	OMP_NUM_THREADS=1 pytest -n 0 tests/export_envs
+
+# The libraries that read our exports do not fit beside ours: each has an environment of its own.
+.venv-%/.ready: tests/export_envs/%.txt
+	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
+	.venv-$*/bin/python -m pip install -q -r $<
+	touch $@
 
 lint: $(READY) ## check style, format and spelling
 	ruff check .

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 import racines_data.cli
+import racines_data.cli_export
 import racines_data.cli_import
 import racines_data.cli_phantom
 import racines_envs.cli

@@ -1,0 +1,128 @@
+"""Reading a dataset's trajectories for an exporter; writing a new folder whole or not at all."""
+
+import io
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+from PIL import Image
+
+from racines_data.digest import check_files
+from racines_data.errors import RacinesError
+from racines_data.load import check_split, read_manifest, rebuild_hint
+
+_BATCH = 1024
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One trajectory of T frames, and its split."""
+
+    split: str
+    table: pa.Table
+    """T rows of the `frames` config, in order."""
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    def first(self, column: str) -> Any:
+        """Return a column's value in the first row."""
+        return self.table[column][0].as_py()
+
+    @property
+    def id(self) -> str:
+        """Name of the trajectory."""
+        return self.first("trajectory")
+
+    def pngs(self) -> list[bytes]:
+        """Return the images as they are stored."""
+        return self.table["image"].combine_chunks().field("bytes").to_pylist()
+
+    def images(self) -> np.ndarray:
+        """Return (T, 128, 128) uint8."""
+        return np.stack([np.asarray(Image.open(io.BytesIO(png))) for png in self.pngs()])
+
+
+def read_sweeps(
+    root: Path, split: str | None = None, limit: int | None = None, config: str = "frames"
+) -> Iterator[Sweep]:
+    """Yield the trajectories of a dataset in its order, their files' digests checked first.
+
+    Args:
+        root: The dataset.
+        split: One split only.
+        limit: Frames to read at most; the last trajectory may be cut short.
+        config: `frames` or `multi_phantom`.
+
+    Raises:
+        RacinesError: no such dataset, config or split, a damaged file, or a limit below one.
+    """
+    if limit is not None and limit < 1:
+        raise RacinesError(f"limit {limit}: give one frame or more")
+    manifest = read_manifest(root)
+    if config not in manifest["configs"]:
+        raise RacinesError(f"{root}: unknown config {config!r}")
+    shards = manifest["configs"][config]
+    if split is not None and check_split(split) not in shards:
+        raise RacinesError(f"{root}: config {config!r} has no split {split!r}: too few rows")
+    wanted = {name: paths for name, paths in shards.items() if split in (None, name)}
+    files = {path: manifest["files"][path] for paths in wanted.values() for path in paths}
+    check_files(root, files, rebuild_hint(manifest))
+    left = limit
+    for name, paths in wanted.items():
+        for table in _trajectories(root, paths):
+            part = table if left is None else table.slice(0, left)
+            if len(part):
+                yield Sweep(name, part)
+            left = None if left is None else left - len(part)
+            if left == 0:
+                return
+
+
+def _trajectories(root: Path, paths: list[str]) -> Iterator[pa.Table]:
+    """Yield one table a trajectory; it may begin in one file and go on in the next."""
+    held: list[pa.Table] = []
+    for path in paths:
+        with pq.ParquetFile(root / path) as file:
+            for batch in file.iter_batches(_BATCH):
+                for part in _runs(pa.Table.from_batches([batch])):
+                    if held and not part["trajectory"][0].equals(held[0]["trajectory"][0]):
+                        yield pa.concat_tables(held).combine_chunks()
+                        held = []
+                    held.append(part)
+    if held:
+        yield pa.concat_tables(held).combine_chunks()
+
+
+def _runs(table: pa.Table) -> Iterator[pa.Table]:
+    encoded = pc.run_end_encode(table["trajectory"].combine_chunks())
+    ends = pa.array(encoded.run_ends).to_pylist()
+    for start, stop in pairwise([0, *ends]):
+        yield table.slice(start, stop - start)
+
+
+@contextmanager
+def new_folder(out: Path) -> Iterator[Path]:
+    """Give a folder beside `out` to write in; it becomes `out` when the block ends without error.
+
+    What a killed run has left there is written again.
+
+    Raises:
+        RacinesError: `out` exists.
+    """
+    if out.exists():
+        raise RacinesError(f"{out}: exists; name a new folder or remove it")
+    aside = out.parent / f".{out.name}.part"
+    shutil.rmtree(aside, ignore_errors=True)
+    aside.mkdir(parents=True)
+    yield aside
+    os.replace(aside, out)
