@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from PIL import Image
 
@@ -104,9 +103,9 @@ def _trajectories(root: Path, paths: list[str]) -> Iterator[pa.Table]:
 
 
 def _runs(table: pa.Table) -> Iterator[pa.Table]:
-    encoded = pc.run_end_encode(table["trajectory"].combine_chunks())
-    ends = pa.array(encoded.run_ends).to_pylist()
-    for start, stop in pairwise([0, *ends]):
+    names = table["trajectory"].to_numpy()
+    ends = np.flatnonzero(names[1:] != names[:-1]) + 1
+    for start, stop in pairwise([0, *ends.tolist(), len(table)]):
         yield table.slice(start, stop - start)
 
 
