@@ -7,7 +7,8 @@ neighbours in time of every test frame are in the training set, and it hands bac
     the same test frames ─┬─ training frames of other trajectories ──> retrieved ──> SSIM, PSNR
                           └─ as many training frames drawn at random ─> retrieved ──> SSIM, PSNR
 
-Only what may be looked up differs, so that the difference is the leak.
+They are test frames under both splits. Only what may be looked up differs, so that the difference
+is the leak.
 """
 
 import time
@@ -25,7 +26,7 @@ from racines_models import metrics
 from racines_models.bootstrap import bootstrap_mean
 from racines_models.generators.nearest_pose import NearestPose, NearestPoseConfig
 from racines_models.provenance import code_version, dataset_card, environment
-from racines_models.sample import Progress, Sample, take_sample
+from racines_models.sample import Progress, Sample, spread_sample
 
 SCHEMA = "racines.leakage/1"
 CHUNK = 256
@@ -37,9 +38,9 @@ class LeakageConfig:
     """How the leak is measured."""
 
     samples: int = 2000
-    """Test frames, spread evenly over the trajectories of the test split."""
+    """At most so many test frames, spread evenly over the trajectories of the test split."""
     seed: int = 0
-    """Draws the training frames of the random split."""
+    """Draws the random split of frames."""
     resamples: int = 1000
     """Bootstrap resamples, by trajectory."""
 
@@ -85,11 +86,14 @@ def measure_leakage(
     config = config or LeakageConfig()
     if not bool(store.parameters[:, 6:].isfinite().all()):
         raise RacinesError(f"the {store.manifest['source']} dataset has no poses to look up")
-    sample = take_sample(store, "test", config.samples)
     train = store.split_indices("train")
-    if not len(train):
-        raise RacinesError("the dataset has no train frames: rebuild it with more trajectories")
-    drawn = _random_rows(len(store.images), len(train), sample, config.seed)
+    order = torch.randperm(len(store.images), generator=torch.Generator().manual_seed(config.seed))
+    drawn = order[: len(train)].sort().values  # what a random split of frames would train on
+    rows = store.split_indices("test")
+    rows = rows[~torch.isin(rows, drawn)]
+    if not len(train) or not len(rows):
+        raise RacinesError("too few frames in train and test: rebuild with more trajectories")
+    sample = spread_sample(store, rows, config.samples)
     retrievals = {
         "trajectory": _retrieve(store, sample, train, progress),
         "frame": _retrieve(store, sample, drawn, progress),
@@ -116,25 +120,10 @@ def measure_leakage(
     return Leakage(content, retrievals)
 
 
-def _random_rows(total: int, count: int, sample: Sample, seed: int) -> Tensor:
-    """Return `count` rows drawn from all frames but the sample's: what a split of frames trains on.
-
-    As many as the trajectory split has, where the frames suffice.
-    """
-    free = torch.ones(total, dtype=torch.bool)
-    free[sample.frames.index] = False
-    rows = free.nonzero()[:, 0]
-    order = torch.randperm(len(rows), generator=torch.Generator().manual_seed(seed))
-    return rows[order[:count]].sort().values
-
-
 def _session(store: FrameStore, held: str, config: LeakageConfig) -> tuple[Sample, Tensor]:
     """Return frames of the held-out session, evenly spread, and the rows of the others."""
     out = torch.tensor([session == held for session in store.sessions])[store.trajectory_index]
-    rows = out.nonzero()[:, 0]
-    count = min(config.samples, len(rows))
-    rows = rows[(torch.arange(count) * len(rows) + len(rows) // 2) // count]
-    sample = Sample(store.take(rows), store.trajectory_index[rows].numpy())
+    sample = spread_sample(store, out.nonzero()[:, 0], config.samples)
     return sample, (~out).nonzero()[:, 0]
 
 

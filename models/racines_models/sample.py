@@ -49,6 +49,11 @@ def take_sample(store: FrameStore, split: str, size: int) -> Sample:
         raise RacinesError(
             f"split {split} has {len(rows)} frames: scores need 2 or more; set scores.split"
         )
+    return spread_sample(store, rows, size)
+
+
+def spread_sample(store: FrameStore, rows: Tensor, size: int) -> Sample:
+    """Take at most `size` of some rows at even distances, sweep after sweep."""
     rows = rows[torch.argsort(store.trajectory_index[rows], stable=True)]
     if len(rows) > size:
         rows = rows[(torch.arange(size) * len(rows) + len(rows) // 2) // size]
