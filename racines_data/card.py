@@ -6,6 +6,10 @@ from typing import Any
 import yaml
 from datasets import Features
 
+from racines_data import card_sections as sections
+from racines_data.card_realism import realism_section
+from racines_data.croissant_rai import rai_fields
+from racines_data.datasheet import datasheet
 from racines_data.load import config_digest, manifest_labels
 from racines_data.records import features_of
 from racines_data.schema import trajectory_features
@@ -16,78 +20,36 @@ ORIGINS = {
     "cactus": "the published CACTUS images, imported; labels and grades without poses",
     "tracked": "tracked freehand ultrasound, imported; poses of the tracked probe, no forces",
 }
+OTHER_ORIGIN = "a source of another package"
 LICENSES = {"phantom": "cc-by-4.0", "cactus": "cc-by-4.0"}
-
-_TEXT = """\
-**Source: `{source}` — {origin}.**
-
-# RACINES, {source} {version}
-
-Ultrasound frames with the probe's pose, force and torque, the view they show and its grade.
-Research data, not for clinical use.
-
-| | |
-| --- | --- |
-| version | {source} {version} |
-| content digest | `{digest}` |
-| recipe digest | `{recipe_digest}` |
-| frames | {frames} |
-| trajectories | {trajectories} |
-| sessions | {sessions} |
-
-| split | trajectories | frames |
-| --- | --- | --- |
-{splits}
-
-The *content* digest is of the pixels and numbers; it is equal for rebuilds on one platform. The
-*recipe* digest is of what they are made from. The frames in `canonical/` tell whether a rebuild on
-another processor is the same version: within one gray level.
-
-## Load
-
-```python
-import datasets
-frames = datasets.load_dataset("racines")          # in the repository root
-import racines_data
-frames = racines_data.load(split="train")          # anywhere, digests checked
-store = racines_data.open_store()                  # memory-mapped batches for training
-```
-
-## Configs
-
-- `frames` (default): one row a frame; splits by trajectory, stratified by target view.
-- `trajectories`: one row a trajectory, in the same splits, with its digest.
-{session_note}
-
-## Columns
-
-Robot base frame; metres, radians (extrinsic xyz Euler angles), newtons, newton-metres, seconds.
-`force_*`, `torque_*`, `control_*`, `view` and `grade` are null where they are not known.
-`target_view` is what the sweep aimed at, `view` what the frame shows; `Random` means none.
-
-## Limits
-
-{limits}
-"""
-
-_LIMITS = {
-    "phantom": (
-        "The images are simulated. They are never to be mixed with, or presented as, recordings "
-        "of the real block."
-    ),
-    "tracked": (
-        "A recording is one sweep. It is cut into contiguous segments, which stand as trajectories "
-        "so that splits exist; frames on both sides of a cut are neighbours in time, so scores on "
-        "such splits are optimistic. Poses are those of the tracked probe marker in the tracker's "
-        "frame, not of the image plane; there are no forces, views or grades."
-    ),
-}
+TAGS = {"phantom": ["simulation", "synthetic"]}
+_SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"))
 
 
 def write_card(manifest: Mapping[str, Any]) -> str:
-    """Return README.md of a dataset: YAML front matter, then the card."""
+    """Return README.md of a dataset: YAML front matter, the card, the datasheet.
+
+    Figures and pictures are those that the manifest names (`statistics`, `pictures`, `realism`);
+    without them their sections are left out.
+    """
     head = yaml.safe_dump(_front_matter(manifest), sort_keys=False, allow_unicode=True, width=1000)
-    return f"---\n{head}---\n{_body(manifest)}"
+    origin, rai = ORIGINS.get(manifest["source"], OTHER_ORIGIN), rai_fields(manifest)
+    parts = [
+        sections.summary(manifest, origin),
+        sections.rows(manifest),
+        sections.configs(manifest),
+        sections.loading(manifest),
+        sections.contents(manifest),
+        sections.making(manifest, rai["rai:dataCollection"]),
+        sections.statistics(manifest),
+        sections.shares(manifest),
+        realism_section(manifest),
+        sections.limits(manifest, rai["rai:dataUseCases"][0]),
+        "## Datasheet",
+        datasheet(manifest),
+    ]
+    body = "\n\n".join(part.strip() for part in parts if part.strip())
+    return f"---\n{head}---\n{body}\n"
 
 
 def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:
@@ -97,7 +59,7 @@ def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:
     the content of the files: without it a rebuilt dataset would be served stale. So it does the
     grader's hash, where one has annotated the frames.
     """
-    origin = ORIGINS.get(manifest["source"], "a source of another package")
+    origin = ORIGINS.get(manifest["source"], OTHER_ORIGIN)
     annotation = manifest.get("annotation") if config in ("frames", "sessions") else None
     return (
         f"source {manifest['source']} ({origin}); version {manifest['version']}; "
@@ -122,54 +84,25 @@ def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:
             else features_of(manifest["source"], manifest_labels(manifest))
         )
         infos.append({"config_name": name, "features": features._to_yaml_list()})
+    source = manifest["source"]
     return {
-        "license": LICENSES.get(manifest["source"], "other"),
-        "pretty_name": f"RACINES ({manifest['source']} {manifest['version']})",
-        "tags": ["ultrasound", "echocardiography", "robotics", manifest["source"]],
+        "pretty_name": f"RACINES ({source} {manifest['version']})",
+        "license": LICENSES.get(source, "other"),
+        "language": ["zxx"],  # ISO 639-2: no linguistic content
+        "annotations_creators": ["machine-generated" if source == "phantom" else "other"],
+        "task_categories": _tasks(manifest),
+        "size_categories": [_size(manifest["counts"]["frames"])],
+        "tags": ["ultrasound", "echocardiography", "robotics", "medical", source]
+        + TAGS.get(source, []),
         "configs": configs,
         "dataset_info": infos,
     }
 
 
-def _body(manifest: Mapping[str, Any]) -> str:
-    source, counts = manifest["source"], manifest["counts"]
-    rows = [
-        f"| {split} | {count['trajectories']} | {count['frames']} |"
-        for split, count in counts["splits"].items()
-    ]
-    return _TEXT.format(
-        source=source,
-        origin=ORIGINS.get(source, "a source of another package"),
-        version=manifest["version"],
-        digest=manifest["digest"],
-        recipe_digest=manifest["recipe_digest"],
-        frames=counts["frames"],
-        trajectories=counts["trajectories"],
-        sessions=len(counts["sessions"]),
-        splits="\n".join(rows),
-        session_note=_session_note(manifest),
-        limits=_limits(manifest),
-    )
+def _tasks(manifest: Mapping[str, Any]) -> list[str]:
+    poses, labels = manifest.get("poses", True), manifest["source"] != "tracked"
+    return ["image-classification"] * labels + ["reinforcement-learning", "robotics"] * poses
 
 
-def _session_note(manifest: Mapping[str, Any]) -> str:
-    held = manifest["held_out_session"]
-    if held is None:
-        return "- No `sessions` config: there is only one session, so none can be held out."
-    return (
-        f"- `sessions`: the same rows with the whole session `{held}` as test, the rest as train."
-    )
-
-
-def _limits(manifest: Mapping[str, Any]) -> str:
-    lines = [_LIMITS.get(manifest["source"], "See the source.")]
-    report = manifest["report"]
-    if report["refused_frames"] or report["flagged"]:
-        lines.append(
-            f"{report['refused_frames']} frames were refused and {report['flagged']} inputs "
-            "flagged; `import_report.parquet` gives each with its reason."
-        )
-    empty = [split for split, count in manifest["counts"]["splits"].items() if not count["frames"]]
-    if empty:
-        lines.append(f"Too few trajectories for the split(s) {', '.join(empty)}.")
-    return "\n\n".join(lines)
+def _size(frames: int) -> str:
+    return next((name for limit, name in _SIZES if frames < limit), "1M<n<10M")

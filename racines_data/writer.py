@@ -11,6 +11,7 @@ import pyarrow as pa
 
 from racines_data.canonical import write_canonical
 from racines_data.card import write_card
+from racines_data.card_pictures import write_pictures
 from racines_data.croissant import add_croissant
 from racines_data.digest import content_digest, recipe_digest
 from racines_data.files import sha256_file, write_once
@@ -78,6 +79,7 @@ def write_dataset(
     if many is not None:
         manifest[MULTI_PHANTOM] = _write_many(final, many, manifest["configs"], shards, progress)
     _write_report(final / REPORT, source.report)
+    write_pictures(final, manifest)
     (final / CARD).write_text(write_card(manifest))
     manifest["files"] = _seal(final)
     add_croissant(manifest, final)
