@@ -8,7 +8,9 @@ from typing import Annotated
 import typer
 
 import racines_data.cli
+import racines_data.cli_card
 import racines_data.cli_export
+import racines_data.cli_hub
 import racines_data.cli_import
 import racines_data.cli_phantom
 import racines_envs.cli
