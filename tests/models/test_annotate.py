@@ -45,8 +45,19 @@ def root(made: Path, tmp_path: Path) -> Path:
 
 
 def new_grader(folder: Path, seed: int) -> Grader:
+    """A grader of random weights that tells random images apart."""
     torch.manual_seed(seed)
-    Grader(GraderNetwork(32, 0.125), CONFIG).save(folder)
+    grader = Grader(GraderNetwork(32, 0.125), CONFIG)
+    features = grader.features(torch.randint(0, 256, (200, 128, 128), dtype=torch.uint8))
+    mean, std = features.mean(0), features.std(0) + 1e-6
+    head = grader.network.view_head
+    head.weight.copy_(torch.randn(6, len(mean)) / std)
+    head.bias.copy_(-head.weight @ mean)
+    layers = grader.network.grade_head
+    layers[0].weight.copy_(0.1 * torch.randn(128, len(mean)) / std)
+    layers[0].bias.copy_(-layers[0].weight @ mean)
+    layers[2].bias.fill_(0.5)
+    grader.save(folder)
     return Grader.load(folder)
 
 
@@ -68,6 +79,7 @@ def test_every_frame_gets_the_graders_view_and_grade(root: Path, grader: Grader)
     after = rows(root)
     view, grade, _ = grader.judge(open_store(root).images)
     assert [row["view_predicted"] for row in after] == view.tolist()
+    assert len(set(view.tolist())) > 3 and grade.std() > 0.1
     found = torch.tensor([row["grade_predicted"] for row in after])
     assert torch.allclose(found, grade, atol=1e-5)
     for row in (*before, *after):
