@@ -14,6 +14,8 @@ HELP = [
     ("data",),
     ("data", "build"),
     ("data", "validate"),
+    ("data", "annotate"),
+    ("data", "leakage"),
     ("phantom", "sheet"),
     ("train",),
     ("train", "grader"),
