@@ -83,15 +83,17 @@ def load(
     split: str | None = None,
     root: Path | str | None = None,
     streaming: bool = False,
+    repo_id: str | None = None,
 ) -> "Dataset | DatasetDict | IterableDataset | IterableDatasetDict":
     """Load a dataset through `datasets`, after checking the digests of the files it reads.
 
     Args:
-        version: The version wanted, x.y.z; any if absent.
+        version: The version wanted, x.y.z, or its tag; any if absent, of the Hub the newest.
         config: `frames`, `trajectories`, `sessions` or `multi_phantom`.
         split: `train`, `validation` or `test`; all if absent.
         root: The dataset's folder; default `RACINES_DATA` or `data/racines`.
         streaming: Read while iterating instead of through the cache.
+        repo_id: `OWNER/NAME` on the Hugging Face Hub, to fetch the dataset from instead.
 
     Raises:
         RacinesError: no dataset, another version, no such config or split, or a damaged file.
@@ -101,9 +103,13 @@ def load(
     from racines_data.card import describe
     from racines_data.digest import check_files
 
+    if repo_id is not None:
+        from racines_data.hub import download
+
+        root = download(repo_id, version)
     folder = default_root(root)
     manifest = read_manifest(folder)
-    if version is not None and version != manifest["version"]:
+    if version not in (None, manifest["version"], manifest.get("tag")):
         raise RacinesError(
             f"{folder}: holds {manifest['source']} {manifest['version']}, not {version}; point "
             f"root or {ROOT_VARIABLE} at that version, or build it with the code that made it"
