@@ -36,9 +36,11 @@ def parameters_figure(frames: Frames, statistics: dict[str, Any], paper: bool) -
             Patch(color=PAPER, alpha=0.13, label="paper's mean ± std"),
             Line2D([], [], color=PAPER, lw=1.0, ls=(0, (3, 2)), label="paper's min and max"),
         ]
-    top = 1.0 - 0.36 / figure.get_figheight()
+    height = figure.get_figheight()
     figure.legend(handles=handles, loc="upper center", ncols=len(handles), columnspacing=1.6)
-    figure.tight_layout(rect=(0, 0, 1, top), w_pad=1.6, h_pad=1.0)
+    figure.subplots_adjust(0.05, 0.42 / height, 0.99, 1.0 - 0.62 / height, wspace=0.21, hspace=0.45)
+    for axis in figure.axes[len(names) :]:
+        axis.set_visible(False)
     return figure
 
 
@@ -78,7 +80,8 @@ def shares_figure(frames: Frames, statistics: dict[str, Any], cactus: bool) -> F
     else:
         classes = figure.subplots()
     _classes(classes, statistics["views"], frames.labels, cactus)
-    figure.tight_layout(w_pad=2.0)
+    left = 0.6 / figure.get_figwidth()
+    figure.subplots_adjust(left, 0.15, 0.99, 0.9, wspace=0.24)
     return figure
 
 

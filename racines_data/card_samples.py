@@ -3,47 +3,64 @@
 import textwrap
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from racines_data.card_frames import Frames
-from racines_data.card_style import MUTED, evenly, show_image
+from racines_data.card_style import MUTED, evenly
 from racines_data.views import VIEW_TITLES
 
 COLUMNS = 6
 HEARTS = 24
 HEARTS_ACROSS = 8
-_IMAGE, _MARGIN = 1.42, 1.18
-"""Edge of a sample and width of the names' column, inches."""
+_IMAGE, _STEP, _MARGIN, _LINE = 1.42, 1.47, 1.18, 0.125
+"""Inches: edge of a sample, from one to the next, column of the names, line of text."""
 _LOOKED_AT = 400
 """Frames of no view among which those drawn are chosen by their brightness."""
 
 
 def samples_figure(frames: Frames) -> Figure:
     """Draw a row of frames for each view, from the best grade to the worst, with their values."""
-    rows = _sample_rows(frames)
-    lines = max((len(_values(frames, row)) for _, chosen in rows for row in chosen), default=0)
-    text = 0.04 + 0.125 * lines  # inches below an image
-    width, height = 10.0, (_IMAGE + text + 0.08) * len(rows)
-    figure = Figure(figsize=(width, height))
-    for line, (name, chosen) in enumerate(rows):
-        top = 1.0 - ((_IMAGE + text + 0.08) * line + 0.04) / height
-        for column, row in enumerate(chosen):
-            left = (_MARGIN + column * (width - _MARGIN) / COLUMNS) / width
-            box = (left, top - _IMAGE / height, _IMAGE / width, _IMAGE / height)
-            axis = figure.add_axes(box)
-            show_image(axis, frames.images[row])
-            middle = left + _IMAGE / width / 2
-            for number, value in enumerate(_values(frames, row)):
-                figure.text(
-                    middle, box[1] - (0.03 + 0.125 * number) / height, value, ha="center",
-                    va="top", size=7.2, weight="bold" if value.startswith("grade") else "normal",
-                )  # fmt: skip
-        edge = (_MARGIN - 0.1) / width
-        figure.text(edge, top, name, size=12, weight="bold", ha="right", va="top")
+    rows = [
+        (name, [(frames.images[row], _values(frames, row)) for row in chosen])
+        for name, chosen in _sample_rows(frames)
+    ]
+    text = _LINE * max((len(values) for _, line in rows for _, values in line), default=0)
+    step = _IMAGE + text + 0.12
+    figure, axis = _sheet(_MARGIN + COLUMNS * _STEP, step * len(rows))
+    for number, (name, line) in enumerate(rows):
+        top = step * number + 0.04
+        axis.text(_MARGIN - 0.1, top, name, size=12, weight="bold", ha="right", va="top")
         title = textwrap.fill(VIEW_TITLES.get(name, ""), 16, break_on_hyphens=False)
-        below = top - 0.24 / height
-        figure.text(edge, below, title, size=7.5, color=MUTED, ha="right", va="top")
+        axis.text(_MARGIN - 0.1, top + 0.24, title, size=7.5, color=MUTED, ha="right", va="top")
+        for column, (image, values) in enumerate(line):
+            left = _MARGIN + column * _STEP
+            _place(axis, image, left, top, _IMAGE)
+            for index, value in enumerate(values):
+                weight = "bold" if value.startswith("grade") else "normal"
+                below = top + _IMAGE + 0.03 + _LINE * index
+                axis.text(
+                    left + _IMAGE / 2, below, value, size=7.2, weight=weight, ha="center", va="top"
+                )
     return figure
+
+
+def _sheet(width: float, height: float) -> tuple[Figure, Axes]:
+    """Return a figure and axes over the whole of it, in inches from its upper left corner."""
+    figure = Figure(figsize=(width, height))
+    axis = figure.add_axes((0, 0, 1, 1))
+    axis.set_axis_off()
+    axis.set_xlim(0, width)
+    axis.set_ylim(height, 0)
+    axis.set_autoscale_on(False)
+    return figure, axis
+
+
+def _place(axis: Axes, image: np.ndarray, left: float, top: float, edge: float) -> None:
+    place = (left, left + edge, top + edge, top)
+    axis.imshow(
+        image, cmap="gray", vmin=0, vmax=255, extent=place, interpolation="bilinear", aspect="auto"
+    )
 
 
 def _sample_rows(frames: Frames) -> list[tuple[str, np.ndarray]]:
@@ -93,16 +110,14 @@ def hearts_figure(frames: Frames) -> Figure | None:
         best.append((each, rows[frames.grades[rows].argmax()]))
     if not best:
         return None
-    best = [best[i] for i in evenly(len(best), HEARTS)]
-    lines = -(-len(best) // HEARTS_ACROSS)
-    figure = Figure(figsize=(10.0, 1.44 * lines))
-    axes = figure.subplots(lines, HEARTS_ACROSS, squeeze=False).flat
-    for axis in axes:
-        axis.set_axis_off()
-    for axis, (each, row) in zip(axes, best, strict=False):
-        show_image(axis, frames.images[row])
+    whole = max(len(best) // HEARTS_ACROSS * HEARTS_ACROSS, min(len(best), HEARTS_ACROSS))
+    best = [best[i] for i in evenly(len(best), min(whole, HEARTS))]  # full rows
+    across = min(HEARTS_ACROSS, len(best))
+    edge, gap, head = 1.22, 0.03, 0.17
+    figure, axis = _sheet(across * (edge + gap), -(-len(best) // across) * (edge + head))
+    for number, (each, row) in enumerate(best):
+        left, top = number % across * (edge + gap), number // across * (edge + head) + head
+        _place(axis, frames.images[row], left, top, edge)
         title = f"heart {each}, grade {frames.grades[row]:.1f}"
-        axis.set_title(title, size=7.5, loc="center", pad=2, weight="normal")
-    top = 1.0 - 0.17 / figure.get_figheight()
-    figure.subplots_adjust(0.002, 0.004, 0.998, top, wspace=0.03, hspace=0.15)
+        axis.text(left + edge / 2, top - 0.03, title, size=7.5, ha="center", va="bottom")
     return figure

@@ -9,7 +9,6 @@ from contextlib import contextmanager
 
 import matplotlib
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
@@ -73,12 +72,6 @@ def encode(figure: Figure, gray: bool = False) -> bytes:
     buffer = io.BytesIO()
     few.save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
-
-
-def show_image(axis: Axes, image: np.ndarray) -> None:
-    """Show one (H, W) uint8 image without ticks."""
-    axis.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="bilinear")
-    axis.set_axis_off()
 
 
 def evenly(count: int, wanted: int) -> np.ndarray:
