@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from racines_data.views import ORGANS
-from racines_envs.names import task_id, task_name
+from racines_data.views import HEART, ORGANS
+from racines_envs.names import task_id
 
 if TYPE_CHECKING:
     from racines_envs.torchrl_env import ScanEnv as ScanEnv
@@ -32,7 +32,7 @@ def register_tasks(anatomy: str, views: Sequence[str]) -> list[str]:
             id=task_id(view, anatomy),
             entry_point="racines_envs.gym_env:GymScanEnv",
             vector_entry_point="racines_envs.gym_vector:VectorScanEnv",
-            kwargs={"view": task_name(view, anatomy)},
+            kwargs={"view": view} | ({"anatomy": anatomy} if anatomy != HEART else {}),
         )
     return [task_id(view, anatomy) for view in views]
 

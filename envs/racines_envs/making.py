@@ -24,6 +24,7 @@ def make_core(
     observation: str = "image",
     reward: str = "paper",
     phantom: Any = None,
+    anatomy: str | None = None,
     generator: Any = None,
     grader: Any = None,
     termination: str | None = None,
@@ -38,7 +39,8 @@ def make_core(
         backend: `phantom`, `generator`, or an object that makes images of parameters.
         observation: `image`, `params` or `multimodal`.
         reward: `paper` (by the grader), `oracle` (the same by the phantom's truth) or `shaped`.
-        phantom: A phantom or its configuration; the shared one of the task's anatomy by default.
+        phantom: A phantom or its configuration; the shared one of the anatomy by default.
+        anatomy: Whose view it is; the phantom's anatomy by default, or else the heart.
         generator: Name, run folder or object, for the backend `generator`.
         grader: Run folder or object; models/runs/grader for reward `paper`.
         termination: Instead of the task's: `first_hit`, `k_hits` or `timeout`.
@@ -48,7 +50,7 @@ def make_core(
     Raises:
         RacinesError: any name that is unknown or any artefact that is not there.
     """
-    task = find_task(view, phantom)
+    task = find_task(view, phantom, anatomy)
     if termination is not None:
         task = dataclasses.replace(task, termination=termination)
     if reward == "paper" and grader is None:
@@ -61,18 +63,18 @@ def make_core(
     return ScanCore(task, phantom, images, grader, observation, reward, rewards, num_envs, device)
 
 
-def find_task(view: str | Task, phantom: Any = None) -> Task:
-    """Return the task of a view, of the anatomy of a phantom or its configuration if one is given.
+def find_task(view: str | Task, phantom: Any = None, anatomy: str | None = None) -> Task:
+    """Return the task of a view: of an anatomy, or else of that of a phantom or its configuration.
 
     Raises:
         RacinesError: no such view, or a task of another anatomy than the phantom's.
     """
     config = getattr(phantom, "config", phantom)
-    anatomy = getattr(config, "anatomy", None)
-    task = view if isinstance(view, Task) else get_task(view, anatomy or HEART)
-    if anatomy not in (None, task.anatomy):
+    held = getattr(config, "anatomy", None)
+    task = view if isinstance(view, Task) else get_task(view, anatomy or held or HEART)
+    if held not in (None, task.anatomy):
         raise RacinesError(
-            f"task {task.id} is the {task.anatomy}'s and the phantom holds the {anatomy}: give "
+            f"task {task.id} is the {task.anatomy}'s and the phantom holds the {held}: give "
             f"phantom=PhantomConfig(anatomy={task.anatomy!r})"
         )
     return task

@@ -97,7 +97,7 @@ def _variation(seed: int) -> Variation:
         return Variation()
     draw = uniform(sample_seeds(seed, 1), 7)[0].tolist()
     return Variation(
-        kidney=0.90 + 0.22 * draw[0],
+        kidney=0.90 + 0.20 * draw[0],
         sinus=0.90 + 0.20 * draw[1],
         gallbladder=0.80 + 0.45 * draw[2],
         turn=0.35 * (draw[3] - 0.5),

@@ -20,7 +20,8 @@ from tests.envs.fakes import FakePhantom
 def test_one_task_a_view_is_registered():
     assert tuple(name for name, task in TASKS.items() if task.anatomy == "heart") == VIEWS
     for name, task in TASKS.items():
-        assert gymnasium.spec(task.id).kwargs == {"view": name}
+        organ = {} if task.anatomy == "heart" else {"anatomy": task.anatomy}
+        assert gymnasium.spec(task.id).kwargs == {"view": task.view} | organ
         assert get_task(name) == get_task(task.view, task.anatomy) == task
         assert (task.termination, task.hits, task.max_steps) == ("k_hits", 3, 200)
 
