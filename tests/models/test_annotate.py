@@ -1,5 +1,6 @@
 """A grader's opinion written into a dataset: complete, consistent, and not served stale."""
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -14,6 +15,8 @@ from typer.testing import CliRunner
 from racines_data.build import DataConfig, build
 from racines_data.errors import RacinesError
 from racines_data.load import read_manifest
+from racines_data.schema import Trajectory
+from racines_data.sources import Unit
 from racines_data.store import open_store
 from racines_data.validate import validate
 from racines_leaderboard.cli import app
@@ -180,6 +183,32 @@ def test_agreement_where_the_truth_is_known(root: Path, grader: Grader):
     assert told["test"]["view_agreement"]["value"] == pytest.approx(right)
     assert told["test"]["view_agreement"]["n"] == known.sum()
     assert told["test"]["grade_error"]["unit"] == "grades of 10"
+
+
+class Recordings(FakeSource):
+    """Images without poses, times, views or grades."""
+
+    name = "cactus"
+    poses = False
+
+    def produce(self, unit: Unit) -> Trajectory:
+        made = super().produce(unit)
+        unknown = {"views": np.full(len(made), -1), "grades": np.full(len(made), np.nan)}
+        absent = {
+            "parameters": np.full_like(made.parameters, np.nan),
+            "timestamps": np.full(len(made), np.nan),
+        }
+        return dataclasses.replace(made, **unknown, **absent)
+
+
+def test_frames_without_poses_or_labels(tmp_path: Path, grader: Grader):
+    root = tmp_path / "images"
+    build(Recordings(FakeConfig(frames=60, trajectories=6)), root, DataConfig(workers=1))
+    annotation = annotate(root, grader)["annotation"]
+    assert annotation["frames"] == 60 and annotation["agreement"] == {}
+    result = validate(root)
+    assert result.ok and "times" not in {check.name for check in result.checks}
+    assert None not in [row["grade_predicted"] for row in rows(root)]
 
 
 def test_what_cannot_be_annotated_is_refused(root: Path, tmp_path: Path, grader: Grader):
