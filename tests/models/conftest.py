@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from racines_data.batch_memory import BatchMemory
 from racines_data.geometry import parameters_to_pose
 from racines_data.store import Batch, FrameStore
 
@@ -56,9 +57,10 @@ class FakeStore(FrameStore):
         }
         bounds = (0, train, train + VALIDATION, count)
         names = ("train", "validation", "test")
+        self._memory = BatchMemory()
         self._splits = {name: list(bounds[i : i + 2]) for i, name in enumerate(names)}
 
-    def take(self, index: Tensor) -> Batch:
+    def take(self, index: Tensor, out: Tensor | None = None) -> Batch:
         images, parameters = self.images[index], self.parameters[index]
         return Batch(images, parameters, self.views[index], self.grades[index], index)
 

@@ -3,6 +3,7 @@
 import torch
 from torch import Tensor
 
+from racines_data.batch_memory import BatchMemory
 from racines_data.store import Batch, FrameStore
 from racines_data.views import RANDOM_LABEL
 from tests.models.conftest import random_parameters
@@ -25,13 +26,14 @@ class LabelledStore(FrameStore):
         self.trajectories = [f"sweep-{i}" for i in range(trajectories)]
         self.manifest = {"source": "phantom", "version": "0.0.1"}
         self.manifest |= {"digest": f"labelled-{seed}-{count}", "recipe_digest": "recipe-0"}
+        self._memory = BatchMemory()
         self._splits, start = {}, 0
         for split, share in SHARES.items():
             stop = min(start + round(share * trajectories) * length, count)
             self._splits[split] = [start, stop]
             start = stop
 
-    def take(self, index: Tensor) -> Batch:
+    def take(self, index: Tensor, out: Tensor | None = None) -> Batch:
         images, parameters = self.images[index], self.parameters[index]
         return Batch(images, parameters, self.views[index], self.grades[index], index)
 
