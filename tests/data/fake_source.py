@@ -1,5 +1,6 @@
 """A source for tests: small, deterministic, picklable; can be slow and can be wrong."""
 
+import os
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +22,7 @@ class FakeConfig:
     views: tuple[str, ...] = VIEWS
     delay: float = 0.0
     journal: str = ""
-    """Folder in which every unit made leaves a mark."""
+    """Folder in which every unit made leaves a mark, with its process and session."""
 
 
 @dataclass
@@ -50,7 +51,8 @@ class FakeSource:
     def produce(self, unit: Unit) -> Trajectory:
         time.sleep(self.config.delay)
         if self.config.journal:
-            (Path(self.config.journal) / f"{unit.id}-{time.monotonic_ns()}").touch()
+            mark = Path(self.config.journal) / f"{unit.id}-{time.monotonic_ns()}"
+            mark.write_text(f"{os.getpid()} {unit.session}")
         n = unit.frames
         rng = np.random.default_rng([self.config.seed, int(unit.id[1:])])
         parameters = rng.normal(size=(n, 12)).astype(np.float32)

@@ -1,8 +1,4 @@
 import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -70,48 +66,8 @@ def test_tiny_datasets_have_as_many_shards_as_rows(tmp_path: Path, trajectories:
     assert len(manifest["configs"]["frames"]) == trajectories
 
 
-KILLED = """
-from pathlib import Path
-from tests.data.fake_source import FakeConfig, FakeSource
-from racines_data.build import DataConfig, build
-build(FakeSource(FakeConfig(delay=0.3, journal={journal!r})), Path({out!r}), DataConfig(workers=2))
-"""
-
-
-@pytest.mark.slow
-def test_a_killed_build_goes_on_and_has_the_same_digest(built: Path, tmp_path: Path):
-    journal, out = tmp_path / "journal", tmp_path / "racines"
-    journal.mkdir()
-    code = KILLED.format(journal=str(journal), out=str(out))
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    process = subprocess.Popen([sys.executable, "-c", code], env=environment)
-    wait_for(lambda: len(staged(tmp_path)) >= 4, process)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert not out.exists()
-    time.sleep(1.0)  # its workers notice and end
-    kept, made = staged(tmp_path), len(list(journal.iterdir()))
-    assert 4 <= len(kept) < 20
-
-    source = FakeSource(FakeConfig(journal=str(journal)))
-    manifest = build(source, out, DataConfig(workers=1))
-    assert len(list(journal.iterdir())) - made == 20 - len(kept)
-    assert manifest["digest"] == read_manifest(built)["digest"]
-    assert files(out) == files(built)
-    assert staged(tmp_path) == []
-
-
 def staged(folder: Path) -> list[Path]:
     return sorted(folder.glob(".racines.staging-*/*/units/*.arrow"))
-
-
-def wait_for(condition, process: subprocess.Popen) -> None:
-    for _ in range(600):
-        if condition():
-            return
-        assert process.poll() is None, "the build ended before it was killed"
-        time.sleep(0.1)
-    raise AssertionError("nothing was staged within a minute")
 
 
 def test_a_damaged_staged_unit_is_made_again(built: Path, tmp_path: Path):
