@@ -13,6 +13,7 @@ from racines_data.datasheet import datasheet
 from racines_data.load import config_digest, manifest_labels
 from racines_data.records import features_of
 from racines_data.schema import trajectory_features
+from racines_data.views import LABELS
 
 ORIGINS = {
     "phantom": "simulated ultrasound of the RACINES phantom; no frame comes from a scanner",
@@ -92,11 +93,16 @@ def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:
         "annotations_creators": ["machine-generated" if source == "phantom" else "other"],
         "task_categories": _tasks(manifest),
         "size_categories": [_size(manifest["counts"]["frames"])],
-        "tags": ["ultrasound", "echocardiography", "robotics", "medical", source]
-        + TAGS.get(source, []),
+        "tags": _tags(manifest),
         "configs": configs,
         "dataset_info": infos,
     }
+
+
+def _tags(manifest: Mapping[str, Any]) -> list[str]:
+    source, heart = manifest["source"], manifest_labels(manifest) == LABELS
+    organ = ["echocardiography"] if heart and source != "tracked" else []
+    return ["ultrasound", *organ, "robotics", "medical", source, *TAGS.get(source, [])]
 
 
 def _tasks(manifest: Mapping[str, Any]) -> list[str]:

@@ -50,8 +50,8 @@ class Frames:
 
     def rows_of(self, trajectory: int) -> slice:
         """Return the rows of one trajectory; they are neighbours."""
-        rows = np.flatnonzero(self.trajectory == trajectory)
-        return slice(int(rows[0]), int(rows[-1]) + 1)
+        low, high = np.searchsorted(self.trajectory, (trajectory, trajectory + 1))
+        return slice(int(low), int(high))
 
 
 def read_frames(path: Path, manifest: Mapping[str, Any]) -> Frames:

@@ -187,7 +187,10 @@ def shares(manifest: Mapping[str, Any]) -> str:
     found = manifest.get("statistics")
     if not found or not any(sum(c.values()) - c["unknown"] for c in found["views"].values()):
         return ""
-    parts = ["## Classes and grades", card_tables.classes_table(manifest)]
+    note = "A frame that shows no standard view is `Random`, also on the way to one."
+    if has_paper(manifest):
+        note += " CACTUS: shares of its 37,736 images of such a block, chosen by its authors."
+    parts = ["## Classes and grades", note, card_tables.classes_table(manifest)]
     if any(sum(each["counts"]) for each in found["grades"].values()):
         parts.append("Rounded grades of the frames that show a view:")
         parts.append(card_tables.grades_table(manifest))

@@ -96,6 +96,7 @@ def test_classes_and_grades_are_counted_by_split(scanned: Path):
         assert found[4] == f"{100 * sum(counts) / known:.1f} %"
         total += sum(counts)
     assert total == known
+    assert "37,736" in card
     assert row(card.partition("## Classes")[2], "A4C")[5] == "19.7 %"  # CACTUS: 7,422 of 37,736
     low, high = store.bounds("train")
     views, grades = store.views[low:high].numpy(), store.grades[low:high].numpy()
