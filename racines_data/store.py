@@ -179,6 +179,15 @@ class FrameStore:
         start, stop = self._splits[check_split(split)]
         return start, stop
 
+    def order(self, split: str, seed: int) -> Tensor:
+        """Return the (n,) int64 rows of a split, shuffled.
+
+        Raises:
+            RacinesError: no such split.
+        """
+        rows = self.split_indices(split)
+        return rows[torch.randperm(len(rows), generator=torch.Generator().manual_seed(seed))]
+
     def batches(
         self,
         split: str,
@@ -203,10 +212,7 @@ class FrameStore:
         """
         if batch_size < 1:
             raise RacinesError(f"batch_size {batch_size}: give one or more")
-        rows = self.split_indices(split)
-        if shuffle:
-            generator = torch.Generator().manual_seed(seed)
-            rows = rows[torch.randperm(len(rows), generator=generator)]
+        rows = self.order(split, seed) if shuffle else self.split_indices(split)
         last = len(rows) - len(rows) % batch_size if drop_last else len(rows)
         for start in range(0, last, batch_size):
             index = rows[start : min(start + batch_size, last)]
