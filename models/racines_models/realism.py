@@ -19,7 +19,6 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.store import FrameStore
-from racines_data.views import view_index
 from racines_models.features import Extractor, Progress
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.realism_figures import RULES, Sector, Summary, description, differences
@@ -88,9 +87,16 @@ def take_phantom(store: FrameStore, config: RealismConfig) -> Tensor:
     """Return (n, 128, 128) frames of the view, of all splits, at even distances.
 
     Raises:
-        RacinesError: the dataset has fewer than two frames of the view and grade.
+        RacinesError: the dataset is of another organ, or has fewer than two frames of the view and
+            grade.
     """
-    chosen = (store.views == view_index(config.view)) & (store.grades >= config.grade)
+    if config.view not in store.labels:
+        raise RacinesError(
+            f"realism.view {config.view}: the dataset's views are {', '.join(store.labels)}; name "
+            "no real frames where there are none of this organ (realism: {})"
+        )
+    label = store.labels.index(config.view)
+    chosen = (store.views == label) & (store.grades >= config.grade)
     rows = chosen.nonzero()[:, 0]
     if len(rows) < 2:
         raise RacinesError(

@@ -12,6 +12,7 @@ from racines_models.grader_loss import class_weights
 from racines_models.grader_report import report
 from racines_models.grader_training import train_grader
 from racines_models.pictures import pick_columns
+from racines_models.realism import RealismConfig, take_phantom
 from racines_models.sample import take_sample
 from racines_models.scoring import ScoresConfig, _Judge
 from tests.models.labelled import LabelledStore
@@ -74,6 +75,12 @@ def test_a_grader_refuses_a_dataset_of_other_views(organ, folder):
     mine = take_sample(organ, "test", 8)
     judge = _Judge(ScoresConfig(resamples=10), organ, mine, [mine.frames.images], None, None)
     assert judge.agreement(grader)["view_agreement"]["n"] == 8
+
+
+def test_realism_refuses_the_frames_of_another_organ(organ):
+    with pytest.raises(RacinesError, match="A4C: the dataset's views are KLX"):
+        take_phantom(organ, RealismConfig())
+    assert len(take_phantom(organ, RealismConfig(view="GB", frames=4))) == 4
 
 
 def test_the_strip_of_pictures_shows_each_view_of_the_organ(organ):
