@@ -1,4 +1,4 @@
-"""A source for tests whose frames look like recordings: smooth poses of a probe, forces, a clock."""
+"""A source for tests whose numbers look like recordings: poses in reach, forces, a clock."""
 
 from dataclasses import dataclass, field
 from typing import Any
