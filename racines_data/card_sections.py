@@ -28,19 +28,6 @@ _LIMITS = {
         "frame, not of the image plane; there are no forces, views or grades."
     ),
 }
-_CAPTIONS = {
-    "samples": (
-        "Frames with their values: a row for each view, from the best grade to the worst; "
-        "position in mm, rotation in degrees, force in N"
-    ),
-    "parameters": "Distribution of the measured parameters",
-    "shares": "Shares of classes and grades, by split",
-    "trajectories": (
-        "Paths of the probe's tip over the block, by target view, and the grade along one sweep "
-        "of each view (shaded: the view is attained)"
-    ),
-    "hearts": "The best frame of the first view in several of the hearts of multi_phantom",
-}
 
 
 def summary(manifest: Mapping[str, Any], origin: str) -> str:
@@ -216,4 +203,24 @@ def picture(manifest: Mapping[str, Any], name: str) -> str:
     """Return a picture with its caption, empty if it was not drawn."""
     if name not in manifest.get("pictures", []):
         return ""
-    return f"![{_CAPTIONS[name]}](card/{name}.png)\n\n*{_CAPTIONS[name]}.*"
+    caption = _captions(manifest)[name]
+    return f"![{caption}](card/{name}.png)\n\n*{caption}.*"
+
+
+def _captions(manifest: Mapping[str, Any]) -> dict[str, str]:
+    found = manifest["statistics"]
+    measured = found["parameters"]
+    graded = any(sum(each["counts"]) for each in found["grades"].values())
+    values = ["grade"] * graded
+    values += ["position (mm)", "rotation (degrees)"] * ("position_x" in measured)
+    values += ["force (N)"] * ("force_x" in measured)
+    order = "from the best grade to the worst" if graded else "from bright to dark"
+    over = " over the block" if manifest["source"] == "phantom" else ""
+    sweeps = "; the grade along one sweep of each view (shaded: the view is attained)"
+    return {
+        "samples": f"Frames of each view, {order}, with {', '.join(values) or 'nothing measured'}",
+        "parameters": "Distribution of the measured parameters",
+        "shares": "Shares of the classes" + ", and of the grades, by split" * graded,
+        "trajectories": f"Paths of the probe{over}, by target view{sweeps * graded}",
+        "hearts": f"The best frame of the first view in several hearts of `{MULTI_PHANTOM}`",
+    }

@@ -105,6 +105,8 @@ def test_only_what_there_is_is_drawn(source, drawn: set[str], tmp_path: Path):
     assert ("## Statistics" in card) == ("parameters" in drawn)
     assert ("## Classes and grades" in card) == ("shares" in drawn)
     assert "CACTUS |" not in card or source is Still
+    assert ("rotation (degrees)" in card) == ("parameters" in drawn)
+    assert ("from the best grade" in card) == (source is not Bare)
     assert validate(root).manifest == manifest
 
 
