@@ -14,7 +14,13 @@ from torch import Tensor
 
 from racines_data.geometry import Pose
 from racines_data.phantom.config import ProbeConfig
-from racines_data.phantom.volume import ATTENUATION_STEP, SCATTERER_STEP, Volume
+from racines_data.phantom.volume import (
+    ALONG_SHEETS,
+    ATTENUATION_STEP,
+    SCATTERER_STEP,
+    SHEET,
+    Volume,
+)
 from racines_data.randomness import derive, normal, sample_seeds
 
 SPECKLE_GAIN = 0.68
@@ -25,6 +31,14 @@ SPECULAR_LOSS = 0.02
 """One-way loss at an interface, dB per unit of packed gradient."""
 AIR_LOSS = 60.0
 """One-way loss a centimetre outside the block, dB."""
+LOOK_STEP = 1.6
+"""Phase between sub-bands over one standard deviation of the pulse, rad: little correlation left."""
+RINGING_DEPTH = 0.035
+"""Depth at which reverberation has lost a factor e of its power, m."""
+NEAR_FIELD = 0.025
+"""Depth at which the near field's gain is a factor e closer to that in depth, m."""
+VEIL_ANGLE, VEIL_DEPTH = 0.20, 0.020
+"""How far around multiple scattering gathers its echoes: standard deviation, rad and m."""
 NOISE_BANK = 1 << 20
 REVERBERATION_SEED = 977
 
@@ -44,10 +58,19 @@ class Beams(NamedTuple):
     lateral_far: Tensor
     """(L, L) beam profile at the focus with its side lobes, from the left."""
     lateral_near: Tensor
+    veil_across: Tensor
+    """(L, L) and (S, S): the mean echo power around, from the left and from the right."""
+    veil_along: Tensor
     near: Tensor
     """(S,) share of the near profile."""
+    turn: Tensor
+    """(S,) phase by which a neighbouring sub-band differs, rad."""
     tgc: Tensor
     """(S,) dB that undo the attenuation of gel, both ways."""
+    ringing: Tensor
+    """(S,) power of what bounces between the layers under the probe."""
+    aside: Tensor
+    """(L, S) dB that a steered beam loses, and the near field by its gain."""
     clutter: Tensor
     """(2, L, S) reverberation of the face, fixed to the probe."""
     noise: Tensor
@@ -73,8 +96,14 @@ def make_beams(probe: ProbeConfig, gel_attenuation: float, device: torch.device)
         axial=_profile(probe.samples, probe.axial_sigma / step),
         lateral_far=_profile(probe.beams, sigma) + lobes,
         lateral_near=_profile(probe.beams, 2.2 * sigma) + lobes,
+        veil_across=_mean_over(probe.beams, VEIL_ANGLE / spacing) * 10.0 ** (probe.haze / 10.0),
+        veil_along=_mean_over(probe.samples, VEIL_DEPTH / step).T.contiguous(),
         near=((probe.focus - depth) / probe.focus).clamp(0.0, 1.0),
+        turn=depth * (LOOK_STEP / probe.axial_sigma),
         tgc=2.0 * gel_attenuation * probe.frequency * 100.0 * depth,
+        ringing=10.0 ** (probe.reverberation / 10.0) * torch.exp(-depth / RINGING_DEPTH),
+        aside=probe.near_gain * torch.exp(-depth / NEAR_FIELD)
+        - probe.directivity * (angle / probe.half_angle).square().unsqueeze(1),
         clutter=_clutter(probe, depth),
         noise=normal(sample_seeds(2, 1), NOISE_BANK)[0],
     )
@@ -87,6 +116,13 @@ def _profile(size: int, sigma: float) -> Tensor:
     matrix = torch.exp(-0.5 * (offset / sigma) ** 2)
     matrix[offset.abs() > math.ceil(4 * sigma)] = 0.0
     return matrix / matrix.square().sum(1, keepdim=True).sqrt()
+
+
+def _mean_over(size: int, sigma: float) -> Tensor:
+    """Return the matrix of a Gaussian mean over neighbours; rows sum to one."""
+    offset = torch.arange(size).unsqueeze(0) - torch.arange(size).unsqueeze(1)
+    matrix = torch.exp(-0.5 * (offset / sigma) ** 2)
+    return matrix / matrix.sum(1, keepdim=True)
 
 
 def _clutter(probe: ProbeConfig, depth: Tensor) -> Tensor:
@@ -119,14 +155,16 @@ def sample_echoes(volume: Volume, beams: Beams, probe: ProbeConfig, pose: Pose) 
     loss = torch.where(attenuation >= 255.0, AIR_LOSS * step_cm, loss)
     loss += SPECULAR_LOSS * incidence.abs()
     travelled = loss.cumsum(-1) - loss
-    received = torch.exp((beams.tgc - 2.0 * travelled) * (math.log(10.0) / 20.0))
+    received = torch.exp((beams.tgc + beams.aside - 2.0 * travelled) * (math.log(10.0) / 20.0))
     # A gradient seen at an angle loses to its cosine; the packed incidence is |g| cos θ already,
     # and the square makes the echo directional, as from a surface rough on a wavelength's scale.
     specular = incidence * incidence.abs() * (SPECULAR_GAIN * SPECULAR_GAIN / SCATTERER_STEP)
     received *= SCATTERER_STEP
+    across = incidence.abs_().mul_((1.0 - ALONG_SHEETS) / SHEET).clamp_max_(1.0 - ALONG_SHEETS)
+    across += ALONG_SHEETS
     echoes = torch.empty((len(index), 2, *index.shape[1:]), device=index.device)
-    torch.mul(scatterers[..., 0].to(torch.float32) + specular, received, out=echoes[:, 0])
-    torch.mul(scatterers[..., 1].to(torch.float32), received, out=echoes[:, 1])
+    torch.mul(specular.addcmul_(scatterers[..., 0].to(torch.float32), across), received, out=echoes[:, 0])
+    torch.mul(scatterers[..., 1].to(torch.float32) * across, received, out=echoes[:, 1])
     return echoes
 
 
@@ -147,8 +185,19 @@ def _voxel_index(
     return index
 
 
-def form_image(echoes: Tensor, beams: Beams) -> Tensor:
-    """Blur (B, 2, L, S) echoes with the point spread function."""
+def form_image(echoes: Tensor, beams: Beams, look: int = 0) -> Tensor:
+    """Blur (B, 2, L, S) echoes with the point spread function, heard in one sub-band.
+
+    A sub-band that lies apart by the inverse of the pulse's length hears the same scatterers with
+    phases turned along the beam, hence another, independent speckle.
+    """
+    if look:
+        turn = beams.turn * look
+        cos, sin = turn.cos(), turn.sin()
+        real, imaginary = echoes.unbind(1)
+        echoes = torch.stack(
+            [real * cos - imaginary * sin, real * sin + imaginary * cos], 1
+        )
     field = echoes.flatten(0, 1)
     field = torch.bmm(field, beams.axial.expand(len(field), -1, -1))
     far = torch.bmm(beams.lateral_far.expand(len(field), -1, -1), field)
@@ -164,5 +213,10 @@ def add_face(
     size = field[0].numel()
     start = derive(seeds, 11).remainder(NOISE_BANK - size)
     noise = beams.noise.unfold(0, size, 1).index_select(0, start).view(field.shape)
-    level = 10.0 ** ((probe.noise + 0.62 * beams.tgc) / 20.0)
-    return field * gain + beams.clutter * (1.0 - 0.65 * gain) + noise * level
+    level = 10.0 ** ((probe.noise + 0.62 * beams.tgc) / 10.0) + beams.ringing
+    field = field * gain
+    # What is scattered many times comes from all around and has lost its phase, as noise has.
+    around = torch.bmm(field.square().sum(1), beams.veil_along.expand(len(field), -1, -1))
+    around = torch.bmm(beams.veil_across.expand(len(field), -1, -1), around)
+    noise = noise * (around + level).mul_(0.5).sqrt_().unsqueeze(1)
+    return field + beams.clutter * (1.0 - 0.65 * gain) + noise

@@ -37,6 +37,11 @@ class Tissue:
     """kg/m³."""
     texture: float = 0.0
     """Standard deviation of slow (centimetre) variation of the backscatter, dB."""
+    grain: float = 0.0
+    """Standard deviation of fine (2-3 mm) variation of the backscatter, dB."""
+
+    sheets: bool = False
+    """Whether it lies in sheets along its surface, which scatter less along than across."""
 
     @property
     def impedance(self) -> float:

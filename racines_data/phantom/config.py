@@ -17,6 +17,8 @@ class BlockConfig:
     """Edge of a voxel of the baked volume, m."""
     seed: int = 0
     """Draws the scatterers; the same block has the same scatterers for ever."""
+    cover: float = 0.0
+    """Unevenness of what lies over the organ, dB/cm/MHz over 8 mm: it throws soft shadows."""
 
 
 @dataclass(frozen=True)
@@ -32,29 +34,41 @@ class ProbeConfig:
     """Samples along a beam."""
     frequency: float = 2.5
     """Centre frequency, MHz."""
-    axial_sigma: float = 0.0007
+    axial_sigma: float = 0.0006
     """Standard deviation of the pulse envelope, m."""
-    lateral_sigma: float = 0.0145
+    lateral_sigma: float = 0.012
     """Standard deviation of the beam at the focus, rad (about half of λ/D)."""
     focus: float = 0.075
     """Focal depth, m; the beam widens towards the probe."""
-    side_lobes: float = 0.06
+    side_lobes: float = 0.05
     """Amplitude of the side lobes relative to the main lobe: bright walls haze the chambers."""
     side_lobe_sigma: float = 0.22
     """Angular spread of the side lobes, rad."""
+    directivity: float = 7.0
+    """Two-way loss of a beam steered to the sector's edge, dB: elements hear less from aside."""
     elevation_sigma: float = 0.012
     """Half-thickness of the slice, m per m of depth."""
     aperture: float = 0.020
     """Width of the probe's face along x, m."""
     thickness: float = 0.012
     """Width of the face along y, m."""
-    gain: float = -21.0
+    gain: float = -7.5
     """Gain, dB: moves the gray of myocardium."""
-    dynamic_range: float = 58.0
+    dynamic_range: float = 68.0
     """Log compression, dB from black to white."""
-    smoothing: tuple[float, float] = (0.6, 0.9)
+    gray_map: float = 2.2
+    """Exponent of the gray map after log compression: above 1 it calms the dark, as scanners do."""
+    looks: int = 2
+    """Frequency compounding: sub-bands whose compressed pictures are averaged."""
+    smoothing: tuple[float, float] = (0.3, 0.8)
     """Speckle reduction on the compressed picture, as scanners do: samples along a beam, beams."""
-    noise: float = -54.0
+    near_gain: float = -7.0
+    """Gain at the face against that in depth, dB, as operators turn the near field down."""
+    haze: float = -26.0
+    """Multiple scattering, dB below the mean echo around: a fine veil over chambers and walls."""
+    reverberation: float = -24.0
+    """Echoes that bounced in the layers under the probe, dB below myocardium at the face."""
+    noise: float = -50.0
     """Electronic noise at the face, dB below myocardium; TGC lifts it with depth."""
 
 

@@ -12,6 +12,7 @@ and Szabo, Diagnostic Ultrasound Imaging (2014), tables of speed, density and at
 """
 
 import math
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -22,12 +23,13 @@ from racines_data.randomness import sample_seeds, uniform
 
 TISSUES = (
     Tissue("gel", -13.0, 0.50, 1540.0, 1040.0, 1.0),
-    Tissue("myocardium", 0.0, 0.52, 1561.0, 1081.0, 2.5),
+    Tissue("myocardium", 0.0, 0.52, 1561.0, 1081.0, 3.5, 4.5, True),
     Tissue("blood", -34.0, 0.14, 1578.0, 1050.0),
-    Tissue("vessel wall", 2.0, 0.70, 1600.0, 1102.0, 2.0),
-    Tissue("pericardium", 7.0, 1.20, 1665.0, 1120.0, 2.0),
+    Tissue("vessel wall", 2.0, 0.70, 1600.0, 1102.0, 3.0, 4.5, True),
+    Tissue("pericardium", 5.0, 1.20, 1665.0, 1120.0, 3.0, 4.5, True),
+    Tissue("connective tissue", 6.0, 0.90, 1610.0, 1090.0, 4.0, 4.5, True),
 )
-GEL, MYOCARDIUM, BLOOD, WALL, PERICARDIUM = range(5)
+GEL, MYOCARDIUM, BLOOD, WALL, PERICARDIUM, CONNECTIVE = range(6)
 
 Triple = tuple[float, float, float]
 MM = 1e-3
@@ -48,14 +50,47 @@ REFERENCE_DEPTH = 0.0575
 """Depth of the reference point under the surface at z = 0.065, m."""
 
 
+@dataclass(frozen=True)
+class _Form:
+    """What varies from heart to heart; the defaults are the canonical heart."""
+
+    size: float = 1.0
+    wall: float = 1.0
+    """Thickness of the walls."""
+    turn: float = 0.0
+    """Rotation about the vertical, rad."""
+    ventricle: float = 1.0
+    """Width of the left ventricle against its length."""
+    right: float = 1.0
+    """Width of the right ventricle."""
+    atria: float = 1.0
+    """Radius of the atria."""
+    gel: float = -13.0
+    """Backscatter of the surroundings, dB, and how unevenly they scatter, dB."""
+    unevenness: float = 1.0
+    blood: float = -34.0
+    """Backscatter of blood, dB."""
+    patchiness: float = 3.5
+    """Slow variation of the walls' backscatter, dB."""
+    grain: float = 0.0
+    """Fine variation of the surroundings' backscatter, dB."""
+    layers: float = 0.0
+    """Share of the surroundings that is layers of connective tissue; a gel block has none."""
+    layer_seed: int = 0
+
+
 def heart(seed: int = 0) -> Anatomy:
-    """Build a heart; seed 0 is the canonical one, others vary size, walls and orientation."""
-    size, wall, turn = _variation(seed)
-    axes, origin = _placement(turn)
+    """Build a heart; seed 0 is the canonical one.
+
+    Others vary size, walls, chambers, orientation and the echogenicity of blood and surroundings.
+    """
+    form = _form(seed)
+    size = form.size
+    axes, origin = _placement(form.turn)
     return Anatomy(
         name="heart",
-        tissues=TISSUES,
-        paint=lambda points: _paint(points / (MM * size), wall),
+        tissues=_tissues(form),
+        paint=lambda points: _paint(points / (MM * size), form),
         structures=tuple(
             Structure(name, _scaled(centre, size), radius * MM * size)
             for name, (centre, radius) in _STRUCTURES.items()
@@ -66,11 +101,27 @@ def heart(seed: int = 0) -> Anatomy:
     )
 
 
-def _variation(seed: int) -> tuple[float, float, float]:
+def _form(seed: int) -> _Form:
     if seed == 0:
-        return 1.0, 1.0, 0.0
-    draw = uniform(sample_seeds(seed, 1), 3)[0].tolist()
-    return 0.90 + 0.18 * draw[0], 0.85 + 0.4 * draw[1], 0.35 * (draw[2] - 0.5)
+        return _Form()
+    draw = uniform(sample_seeds(seed, 1), 12)[0].tolist()
+    low_high = (
+        (0.90, 1.08), (0.80, 1.20), (-0.175, 0.175), (0.86, 1.12), (0.85, 1.10), (0.85, 1.12),
+        (-11.0, 1.0), (3.0, 7.0), (-36.0, -28.0), (2.5, 6.0),
+        (2.0, 6.0), (0.2, 0.8),
+    )  # fmt: skip
+    values = (a + (b - a) * x for x, (a, b) in zip(draw, low_high, strict=True))
+    return _Form(*values, layer_seed=seed)
+
+
+def _tissues(form: _Form) -> tuple[Tissue, ...]:
+    gel, myocardium, blood, *rest = TISSUES
+    return (
+        replace(gel, echogenicity=form.gel, texture=form.unevenness, grain=form.grain),
+        replace(myocardium, texture=form.patchiness),
+        replace(blood, echogenicity=form.blood),
+        *rest,
+    )
 
 
 def _scaled(point: tuple[float, float, float], size: float) -> tuple[float, float, float]:
@@ -95,19 +146,20 @@ _OUTFLOW_RADII = (12.0, 14.0, 13.0, 11.5, 11.0)
 _PULMONARY = (_OUTFLOW[-1], _along(-4.0, 42.0, -34.0))
 
 
-def _paint(p: Tensor, wall: float) -> Tensor:
-    """Return the tissue of (M, 3) points, mm of the canonical heart; `wall` scales thickness."""
-    lv_wall, rv_wall, atrial_wall = 9.5 * wall, 4.0 * wall, 2.5 * wall
+def _paint(p: Tensor, form: _Form) -> Tensor:
+    """Return the tissue of (M, 3) points, mm of a heart of size 1."""
+    lv_wall, rv_wall, atrial_wall = 9.5 * form.wall, 4.0 * form.wall, 2.5 * form.wall
+    wide, right = 22.5 * form.ventricle, 36.0 * form.right
     u, v, w = p.unbind(-1)
-    lv = torch.maximum(ellipsoid(p, (0, 0, 16.0), (22.5, 22.5, 60.0)), -w)
+    lv = torch.maximum(ellipsoid(p, (0, 0, 16.0), (wide, wide, 60.0)), -w)
     lv_outer = torch.maximum(
-        ellipsoid(p, (0, 0, 16.0), (22.5 + lv_wall, 22.5 + lv_wall, 60.0 + lv_wall)), -w - 4.0
+        ellipsoid(p, (0, 0, 16.0), (wide + lv_wall, wide + lv_wall, 60.0 + lv_wall)), -w - 4.0
     )
-    la = ellipsoid(p, _LA, (21.0, 19.0, 22.0))
-    ra = ellipsoid(p, _RA, (19.0, 22.0, 22.0))
+    la = ellipsoid(p, _LA, tuple(form.atria * r for r in (21.0, 19.0, 22.0)))
+    ra = ellipsoid(p, _RA, tuple(form.atria * r for r in (19.0, 22.0, 22.0)))
     aorta = tube(p, _AORTA, _AORTA_RADII)
     # The RV body wraps the septum: an ellipsoid on the septal side, less the LV and its septum.
-    rv_body = torch.maximum(ellipsoid(p, (-27.0, 8.0, 19.0), (36.0, 36.0, 50.0)), -w + 1.0)
+    rv_body = torch.maximum(ellipsoid(p, (-27.0, 8.0, 19.0), (right, right, 50.0)), -w + 1.0)
     outflow = tube(p, _OUTFLOW, _OUTFLOW_RADII)
     rv = smooth_union(rv_body, outflow, 6.0)
     pulmonary = tube(p, _PULMONARY, (11.0, 9.0))
@@ -133,6 +185,8 @@ def _paint(p: Tensor, wall: float) -> Tensor:
     heart_outer = union(muscle, atria, vessels)
 
     tissue = torch.full_like(u, GEL, dtype=torch.int64)
+    if form.layers:
+        tissue[_layers(p, form) & (heart_outer > 3.0)] = CONNECTIVE
     tissue[heart_outer < 1.4] = PERICARDIUM
     tissue[(heart_outer < 0.0)] = MYOCARDIUM
     tissue[torch.minimum(vessels, atria) < 0.0] = WALL
@@ -143,6 +197,14 @@ def _paint(p: Tensor, wall: float) -> Tensor:
     in_root = (root < 0.0) & (aorta > 0.0) & (mitral > 0.0)
     tissue[in_septum | in_root] = WALL
     return tissue
+
+
+def _layers(p: Tensor, form: _Form) -> Tensor:
+    """Return where (M, 3) points lie in a layer: the nodes of a few random plane waves."""
+    draw = uniform(sample_seeds(form.layer_seed, 1), 6 * 4, 7)[0].view(6, 4)
+    way = torch.nn.functional.normalize(draw[:, :3] - 0.5, dim=1)
+    wave = torch.sin(p @ (way * (0.10 + 0.10 * draw[:, 3:])).T + 2.0 * math.pi * draw[:, 3])
+    return wave.mean(1).abs() < 0.3 * form.layers
 
 
 def _signed_gap(a: Tensor, b: Tensor) -> Tensor:

@@ -1,5 +1,6 @@
 """The phantom: poses in, images, forces and truth out; batched, on one device."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,7 +16,7 @@ from racines_data.phantom.config import BlockConfig, PhantomConfig, WorkspaceCon
 from racines_data.phantom.scan import log_compress, scan_converter
 from racines_data.phantom.truth import Truth, make_oracle
 from racines_data.phantom.volume import bake
-from racines_data.randomness import sample_seeds
+from racines_data.randomness import derive, sample_seeds
 from racines_data.views import labels_of
 
 CHUNK = 64
@@ -84,17 +85,24 @@ class Phantom:
         return parts[0] if len(parts) == 1 else torch.cat(parts)
 
     def envelope(self, pose: Pose, seeds: Tensor) -> Tensor:
-        """Return the (B, beams, samples) envelope before log compression; 1 is myocardium."""
+        """Return the (B, beams, samples) envelope of one look, uncompressed; 1 is myocardium."""
+        return next(self._looks(pose, seeds)).sqrt()
+
+    def _looks(self, pose: Pose, seeds: Tensor) -> Iterator[Tensor]:
+        """Yield the (B, beams, samples) echo power of each look."""
         probe = self.config.probe
         echoes = acoustics.sample_echoes(self._volume, self._beams, probe, pose)
-        field = acoustics.form_image(echoes, self._beams)
-        field = acoustics.add_face(field, self._beams, probe, self.coupling(pose), seeds)
-        return field.square().sum(1).sqrt()
+        coupling = self.coupling(pose)
+        for look in range(probe.looks):
+            field = acoustics.form_image(echoes, self._beams, look)
+            noise = seeds if look == 0 else derive(seeds, look)
+            field = acoustics.add_face(field, self._beams, probe, coupling, noise)
+            yield field.square().sum(1)
 
     def _render_chunk(self, pose: Pose, seeds: Tensor) -> Tensor:
         probe = self.config.probe
-        gray = log_compress(self.envelope(pose, seeds), probe.gain, probe.dynamic_range)
-        return self._converter.convert(gray)
+        looks = [log_compress(power, probe) for power in self._looks(pose, seeds)]
+        return self._converter.convert(sum(looks[1:], looks[0]) / len(looks))
 
     def coupling(self, pose: Pose) -> Tensor:
         """Return (B, beams) acoustic coupling in 0-1."""

@@ -93,7 +93,8 @@ def sector_mask(probe: ProbeConfig) -> Tensor:
     return (torch.atan2(lateral, axial).abs() <= probe.half_angle) & (radius <= probe.depth)
 
 
-def log_compress(envelope: Tensor, gain: float, dynamic_range: float) -> Tensor:
-    """Map an envelope (1 is myocardium) to gray levels 0-255."""
-    decibels = 20.0 * torch.log10(envelope.clamp_min(1e-6)) + gain
-    return ((decibels + dynamic_range) * (255.0 / dynamic_range)).clamp(0.0, 255.0)
+def log_compress(power: Tensor, probe: ProbeConfig) -> Tensor:
+    """Map echo power (1 is myocardium's) to gray levels 0-255: log compression, then gray map."""
+    shade = torch.log10(power.clamp_min(1e-12)).mul_(10.0 / probe.dynamic_range)
+    shade = shade.add_(1.0 + probe.gain / probe.dynamic_range).clamp_(0.0, 1.0)
+    return shade.pow_(probe.gray_map).mul_(255.0) if probe.gray_map != 1.0 else shade.mul_(255.0)

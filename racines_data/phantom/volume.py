@@ -15,8 +15,18 @@ ATTENUATION_STEP = 0.02
 """dB/cm/MHz of one unit of the packed attenuation byte."""
 SCATTERER_STEP = 5e-4
 """Amplitude of one unit of a packed scatterer; myocardium has 1, blood 0.02."""
+SCATTER_BLUR = 0.5
+"""Correlation of scatterers, voxels."""
 REFLECTOR_STEP = 0.002
 """Impedance difference (MRayl a voxel) of one unit of a packed gradient byte."""
+
+
+SHEET = 5.0
+"""Length of a sheet's normal, in units of the packed gradient: too short to shine as a mirror."""
+ALONG_SHEETS = 0.5
+"""Amplitude of a sheet's echo along it against across (Mottley & Miller 1988: 5 to 6 dB)."""
+COVER = 0.006, 0.014
+"""Depth at which the cover lies, m."""
 
 
 class Volume(NamedTuple):
@@ -43,18 +53,24 @@ def bake(anatomy: Anatomy, block: BlockConfig) -> Volume:
     impedance = torch.tensor([t.impedance for t in anatomy.tissues])[tissue]
     echogenicity = torch.tensor([t.echogenicity for t in anatomy.tissues])[tissue]
 
-    gradient = _gradient(_blur(impedance, 0.8))
+    gradient = _gradient(_blur(impedance, 0.8)) / REFLECTOR_STEP
+    sheets = torch.tensor([t.sheets for t in anatomy.tissues])[tissue]
+    gradient += _sheet_normals(gradient, sheets)
     scatter = _scatterers(inner, block.seed)
     texture = torch.tensor([t.texture for t in anatomy.tissues])[tissue]
     echogenicity = echogenicity + texture * _slow_field(inner, block.seed)
+    grain = torch.tensor([t.grain for t in anatomy.tissues])[tissue]
+    echogenicity = echogenicity + grain * _slow_field(inner, block.seed + 1, 2.5)
     amplitude = 10.0 ** (_blur(echogenicity, 0.6) / 20.0)
+    amplitude[~sheets] /= ALONG_SHEETS  # what has no direction is never seen along one
+    attenuation += _cover(attenuation.shape, block)
     shape = (inner[0] + 2, inner[1] + 2, inner[2] + 2)
     packed = torch.zeros((*shape, 8), dtype=torch.uint8)
     packed[..., 7] = 255  # outside: air, nothing passes
     core = packed[1:-1, 1:-1, 1:-1]
     echoes = (scatter * amplitude / SCATTERER_STEP).round().clamp(-32767, 32767).to(torch.int16)
     core[..., 0:4] = echoes.movedim(0, -1).contiguous().view(torch.uint8)
-    bytes_ = (gradient / REFLECTOR_STEP).round().clamp(-127, 127).to(torch.int8)
+    bytes_ = gradient.round().clamp(-127, 127).to(torch.int8)
     core[..., 4:7] = bytes_.movedim(0, -1).contiguous().view(torch.uint8)
     core[..., 7] = (attenuation / ATTENUATION_STEP).round().clamp(0, 254).to(torch.uint8)
     origin = low - 0.5 * block.voxel
@@ -102,13 +118,13 @@ def _scatterers(shape: list[int], seed: int) -> Tensor:
     noise = torch.stack(
         [normal(seeds[i : i + 1], shape[1] * shape[2])[0] for i in range(len(seeds))]
     )
-    field = _blur(noise.reshape(2, *shape), 0.8)
+    field = _blur(noise.reshape(2, *shape), SCATTER_BLUR)
     return field / (field.std() * math.sqrt(2.0))
 
 
-def _slow_field(shape: list[int], seed: int) -> Tensor:
-    """Draw an (X, Y, Z) standard normal field that varies over about a centimetre."""
-    coarse = [max(2, n // 8) for n in shape]
+def _slow_field(shape: list[int], seed: int, scale: float = 8.0) -> Tensor:
+    """Draw an (X, Y, Z) standard normal field that varies over `scale` voxels."""
+    coarse = [max(2, round(n / scale)) for n in shape]
     noise = normal(sample_seeds(seed + 1, 1), math.prod(coarse)).view(1, 1, *coarse)
     field = functional.interpolate(noise, shape, mode="trilinear", align_corners=True)[0, 0]
     return field / field.std()
@@ -118,15 +134,47 @@ def _blur(grid: Tensor, sigma: float) -> Tensor:
     """Blur the last three axes with a Gaussian of `sigma` voxels, edges replicated."""
     radius = max(1, math.ceil(2.5 * sigma))
     taps = torch.exp(-0.5 * (torch.arange(-radius, radius + 1) / sigma) ** 2)
-    taps = taps / taps.sum()
-    field = grid.reshape(-1, 1, *grid.shape[-3:])
-    for axis in range(3):
-        size, pad = [1, 1, 1], [0] * 6
-        size[axis] = len(taps)
-        pad[4 - 2 * axis] = pad[5 - 2 * axis] = radius
-        padded = functional.pad(field, pad, mode="replicate")
-        field = functional.conv3d(padded, taps.reshape(1, 1, *size))
-    return field.reshape(grid.shape)
+    weights = (taps / taps.sum()).tolist()
+    # Shifted sums: a convolution would hold several copies of a grid that fills half a gigabyte.
+    for axis in range(-3, 0):
+        size = grid.shape[axis]
+        first, last = grid.narrow(axis, 0, 1), grid.narrow(axis, size - 1, 1)
+        padded = torch.cat([*[first] * radius, grid, *[last] * radius], axis)
+        grid = padded.narrow(axis, 0, size) * weights[0]
+        for shift, weight in enumerate(weights[1:], 1):
+            grid.add_(padded.narrow(axis, shift, size), alpha=weight)
+    return grid
+
+
+def _cover(shape: torch.Size, block: BlockConfig) -> Tensor:
+    """Return the (X, Y, Z) attenuation that an uneven cover adds, dB/cm/MHz."""
+    extra = torch.zeros(shape)
+    if block.cover > 0:
+        patches = _slow_field([*shape[:2], 1], block.seed + 2, 12.0)
+        top, bottom = (shape[2] - round(depth / block.voxel) for depth in COVER)
+        extra[:, :, bottom:top] = (block.cover * patches).clamp_min(0.0)
+    return extra
+
+
+def _sheet_normals(gradient: Tensor, sheets: Tensor) -> Tensor:
+    """Return (3, X, Y, Z) normals of the walls inside anisotropic tissue, `SHEET` long, else 0.
+
+    Muscle lies in sheets along the walls that it makes. A voxel's sheet is normal to the interfaces
+    around it: the first axis of their structure tensor, on a grid of half the resolution.
+    """
+    pairs = [gradient[i] * gradient[j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    coarse = torch.cat([functional.avg_pool3d(p[None, None], 2, ceil_mode=True)[0] for p in pairs])
+    coarse = _blur(coarse, 2.0)
+    where = sheets.nonzero() // 2
+    xx, yy, zz, xy, xz, yz = coarse[:, where[:, 0], where[:, 1], where[:, 2]]
+    tensor = torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).view(-1, 3, 3)
+    axis = torch.ones(len(where), 3, 1)
+    for _ in range(8):  # power iteration
+        axis = functional.normalize(tensor @ axis, dim=1)
+    axis = axis[..., 0].T
+    normals = torch.zeros_like(gradient)
+    normals[:, sheets] = axis * torch.where((axis * gradient[:, sheets]).sum(0) < 0, -SHEET, SHEET)
+    return normals
 
 
 def _gradient(grid: Tensor) -> Tensor:
