@@ -19,7 +19,7 @@ RANGE_LIMIT = 0.10
 """How far a value may lie beyond the paper's range, as a share of the range's width."""
 FULL_SIZE = 100_000
 """Frames from which the table has to hold; a smaller acquisition is a rough sample of it."""
-MODE_WIDTH = 0.6
+MODE_WIDTH = math.pi / 4
 """Distance from ±π, rad, within which a frame belongs to a mode of rotation_x."""
 MODE_SHARE = 0.20
 """Least share of frames in each mode."""

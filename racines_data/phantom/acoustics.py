@@ -163,7 +163,9 @@ def sample_echoes(volume: Volume, beams: Beams, probe: ProbeConfig, pose: Pose) 
     across = incidence.abs_().mul_((1.0 - ALONG_SHEETS) / SHEET).clamp_max_(1.0 - ALONG_SHEETS)
     across += ALONG_SHEETS
     echoes = torch.empty((len(index), 2, *index.shape[1:]), device=index.device)
-    torch.mul(specular.addcmul_(scatterers[..., 0].to(torch.float32), across), received, out=echoes[:, 0])
+    torch.mul(
+        specular.addcmul_(scatterers[..., 0].to(torch.float32), across), received, out=echoes[:, 0]
+    )
     torch.mul(scatterers[..., 1].to(torch.float32) * across, received, out=echoes[:, 1])
     return echoes
 
@@ -195,9 +197,7 @@ def form_image(echoes: Tensor, beams: Beams, look: int = 0) -> Tensor:
         turn = beams.turn * look
         cos, sin = turn.cos(), turn.sin()
         real, imaginary = echoes.unbind(1)
-        echoes = torch.stack(
-            [real * cos - imaginary * sin, real * sin + imaginary * cos], 1
-        )
+        echoes = torch.stack([real * cos - imaginary * sin, real * sin + imaginary * cos], 1)
     field = echoes.flatten(0, 1)
     field = torch.bmm(field, beams.axial.expand(len(field), -1, -1))
     far = torch.bmm(beams.lateral_far.expand(len(field), -1, -1), field)

@@ -19,6 +19,7 @@ from torch import Tensor
 from racines_data.geometry import Pose, euler_to_matrix, matrix_to_euler
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PhantomConfig
+from racines_data.phantom.contact import deepest
 from racines_data.phantom.model import Phantom
 from racines_data.randomness import derive, normal, sample_seeds, uniform
 from racines_data.views import RANDOM
@@ -62,7 +63,7 @@ class Sweep(NamedTuple):
     """(T,) float64 seconds."""
 
 
-DWELL = 0.62
+DWELL = 0.53
 """Share of a trajectory's frames in which the view is held."""
 
 
@@ -163,7 +164,7 @@ def _view_points(phantom: Phantom, view: str, draw: _Draw) -> tuple[Tensor, Tens
     start = torch.lerp(target, home, 0.25 + 0.6 * draw.uniform(1)[0])
     touch = _around(start, 7.0, draw)
     above = touch.clone()
-    above[:, 2] = phantom.surface_height + 0.008 + 0.06 * draw.uniform(1)
+    above[:, 2] = phantom.surface_height + 0.008 + 0.061 * draw.uniform(1)
     overshoot = _around(target + 0.18 * (target - start), 5.0, draw)
     holds = _around(target, 1.7, draw, 5)
     holds[0] = _around(target, 3.5, draw)[0]
@@ -207,9 +208,12 @@ def _tremor(length: int, config: AcquisitionConfig, draw: _Draw) -> Tensor:
 
 
 def _limit(path: Tensor, phantom: Phantom) -> Tensor:
-    """Hold a path within the workspace, as the robot's safety limits do."""
-    space = phantom.workspace
-    position = torch.clamp(path[:, :3], space.position_min.cpu(), space.position_max.cpu())
+    """Hold a path within the workspace and the force limit, as the robot's safety does."""
+    space, config = phantom.workspace, phantom.config
+    low = space.position_min.cpu().clone()
+    floor = deepest(config.workspace.press, phantom.surface_height, config.contact)
+    low[2] = max(float(low[2]), floor)
+    position = torch.clamp(path[:, :3], low, space.position_max.cpu())
     lean = path[:, 3:5]
     size = lean.norm(dim=-1, keepdim=True)
     lean = lean * (0.98 * space.tilt_max / size.clamp_min(1e-6)).clamp_max(1.0)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-PHANTOM_VERSION = "0.1.0"
+PHANTOM_VERSION = "1.0.0"
 """Part of every recipe digest: raise it whenever an image, a force or a truth changes."""
 
 
@@ -10,8 +10,8 @@ PHANTOM_VERSION = "0.1.0"
 class BlockConfig:
     """The gel block, axis-aligned in the robot base frame."""
 
-    minimum: tuple[float, float, float] = (0.400, -0.066, -0.075)
-    maximum: tuple[float, float, float] = (0.580, 0.086, 0.065)
+    minimum: tuple[float, float, float] = (0.400, -0.060, -0.075)
+    maximum: tuple[float, float, float] = (0.580, 0.092, 0.065)
     """The top face is the scanned surface; 18 x 15.2 x 14 cm."""
     voxel: float = 0.001
     """Edge of a voxel of the baked volume, m."""
@@ -94,6 +94,8 @@ class ContactConfig:
     """Weight left after the sensor is zeroed looking down, N."""
     tool_centre: float = 0.09
     """Height of that weight above the tip, m."""
+    offset: tuple[float, float, float, float, float, float] = (0.6, -1.5, -0.9, -0.22, 0.29, 0.1)
+    """What the sensor reads beside contact and weight: the cable's pull and drift, N and N·m."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +106,8 @@ class WorkspaceConfig:
     """Distance of the tip from the block's edges, m."""
     lowest: float = 0.040
     highest: float = 0.134
+    press: float = 17.0
+    """Normal force at which the robot's protective limit holds an operator back, N."""
     """Height of the tip, m (the paper's range of position_z)."""
     tilt_max: float = 1.0
     """Angle between the beam axis and straight down, rad."""

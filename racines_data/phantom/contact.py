@@ -1,5 +1,7 @@
 """Contact of the probe with the gel: how well it couples, and what the wrist sensor feels."""
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -31,6 +33,12 @@ def normal_force(position: Tensor, surface: float, config: ContactConfig) -> Ten
     """Return the (B,) normal force of the gel, N: stiffening with depth, never pulling."""
     depth = (surface - position[:, 2]).clamp_min(0.0)
     return config.stiffness * depth + config.hardening * depth.square()
+
+
+def deepest(force: float, surface: float, config: ContactConfig) -> float:
+    """Return the height of the tip, m, at which the gel pushes back with a force, N."""
+    a, b = config.hardening, config.stiffness
+    return surface - 2.0 * force / (b + math.sqrt(b * b + 4.0 * a * force))
 
 
 def wrench(pose: Pose, velocity: Tensor | None, surface: float, config: ContactConfig) -> Tensor:
@@ -65,7 +73,7 @@ def wrench(pose: Pose, velocity: Tensor | None, surface: float, config: ContactC
         ],
         -1,
     )
-    return torch.cat([force + weight, torque], -1)
+    return torch.cat([force + weight, torque], -1) + force.new_tensor(config.offset)
 
 
 def _spin(pose: Pose, velocity: Tensor) -> Tensor:

@@ -40,10 +40,12 @@ W = (0.0, 0.0, 1.0)
 # Up in the organ frame: apex, anterior and right side face the scanned surface, so that the
 # apical, subcostal and parasternal windows all lie on one flat top.
 DOWN = (0.45, -0.60, -0.66)
-HEADING = 3.88
+HEADING = 3.83
 """Rotation of the heart about the vertical, rad."""
-ORIGIN = (0.4665, -0.0045, 0.0)
+ORIGIN = (0.4673, 0.0013, 0.0)
 """x and y of the heart's reference point in the base frame, m; z comes from APEX_DEPTH."""
+HOME = (0.4830, 0.0595, 0.0, -0.116, 0.070, 1.98)
+WANDER = (0.5070, 0.0350, 1.80)
 REFERENCE = (0.0, 0.0, 35.0)
 """The reference point: the middle of the LV, organ frame, mm."""
 REFERENCE_DEPTH = 0.0575
@@ -98,6 +100,8 @@ def heart(seed: int = 0) -> Anatomy:
         views=tuple(_view(size, *row) for row in _VIEWS),
         axes=axes,
         origin=origin,
+        home=HOME,
+        wander=WANDER,
     )
 
 

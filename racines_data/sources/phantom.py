@@ -38,7 +38,7 @@ class PhantomSource:
     """Acquires trajectories from the phantom; every one depends on its index and the seed alone."""
 
     name = "phantom"
-    version = "0.1.0"
+    version = "1.0.0"
     Config = AcquisitionConfig
 
     def __init__(self, config: AcquisitionConfig):
