@@ -32,7 +32,7 @@ SPECULAR_LOSS = 0.02
 AIR_LOSS = 60.0
 """One-way loss a centimetre outside the block, dB."""
 LOOK_STEP = 1.6
-"""Phase between sub-bands over one standard deviation of the pulse, rad: little correlation left."""
+"""Phase between sub-bands over one standard deviation of the pulse, rad: nearly uncorrelated."""
 RINGING_DEPTH = 0.035
 """Depth at which reverberation has lost a factor e of its power, m."""
 NEAR_FIELD = 0.025
@@ -213,7 +213,8 @@ def add_face(
     size = field[0].numel()
     start = derive(seeds, 11).remainder(NOISE_BANK - size)
     noise = beams.noise.unfold(0, size, 1).index_select(0, start).view(field.shape)
-    level = 10.0 ** ((probe.noise + 0.62 * beams.tgc) / 10.0) + beams.ringing
+    level = 10.0 ** ((probe.noise + 0.62 * beams.tgc) / 10.0)
+    level = level + beams.ringing * coupling.square().unsqueeze(-1)
     field = field * gain
     # What is scattered many times comes from all around and has lost its phase, as noise has.
     around = torch.bmm(field.square().sum(1), beams.veil_along.expand(len(field), -1, -1))

@@ -1,7 +1,8 @@
 """The phantom: poses in, images, forces and truth out; batched, on one device."""
 
+import copy
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import torch
@@ -12,7 +13,7 @@ from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.imaging import check_parameters
 from racines_data.phantom import acoustics, contact
 from racines_data.phantom.anatomy import load_anatomy
-from racines_data.phantom.config import BlockConfig, PhantomConfig, WorkspaceConfig
+from racines_data.phantom.config import BlockConfig, PhantomConfig, ProbeConfig, WorkspaceConfig
 from racines_data.phantom.scan import log_compress, scan_converter
 from racines_data.phantom.truth import Truth, make_oracle
 from racines_data.phantom.volume import bake
@@ -53,9 +54,8 @@ class Phantom:
         self._volume = volume._replace(
             packed=volume.packed.to(self.device), origin=volume.origin.to(self.device)
         )
-        probe = self.config.probe
-        self._beams = acoustics.make_beams(probe, anatomy.tissues[0].attenuation, self.device)
-        self._converter = scan_converter(probe, self.device)
+        self._gel_attenuation = anatomy.tissues[0].attenuation
+        self._set_probe()
         self.surface_height = self.config.block.maximum[2]
         self._oracle = make_oracle(anatomy, self.surface_height, self.device)
         self.views = tuple(view.name for view in anatomy.views)
@@ -64,6 +64,18 @@ class Phantom:
         self.home, self.wander = anatomy.home, anatomy.wander
         self.structures = tuple(structure.name for structure in anatomy.structures)
         self.workspace = _workspace(self.config.workspace, self.config.block, self.device)
+
+    def _set_probe(self) -> None:
+        probe = self.config.probe
+        self._beams = acoustics.make_beams(probe, self._gel_attenuation, self.device)
+        self._converter = scan_converter(probe, self.device)
+
+    def with_probe(self, probe: ProbeConfig) -> "Phantom":
+        """Return this phantom under another probe or other settings; the baked block is shared."""
+        other = copy.copy(self)
+        other.config = replace(self.config, probe=probe)
+        other._set_probe()
+        return other
 
     def generate(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 images of (B, 12) parameters; see `ImageSource`.
