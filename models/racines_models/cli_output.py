@@ -43,7 +43,8 @@ def show_metrics(title: str, metrics: dict[str, Any]) -> None:
 
 def show_realism(content: dict[str, Any]) -> None:
     """Print each realism figure of the phantom beside that of two halves of the real frames."""
-    title = f"{content['view']}, {content['n']} frames a set, {content['splits']} splits"
+    title = f"{content['config']}, {content['view']}, {content['n']} frames a set"
+    title += f", {content['splits']} splits"
     table = Table("figure", title=title, title_justify="left")
     for column in ("phantom, real", "real, real", "ratio"):
         table.add_column(column, justify="right")
@@ -51,6 +52,18 @@ def show_realism(content: dict[str, Any]) -> None:
         ours, real = figure["phantom"], figure["real"]
         ratio = f"{ours['value'] / real['value']:.3g}" if real["low"] > 0 else "-"
         table.add_row(name, _ranged(ours), _ranged(real), ratio)
+    Console().print(table)
+
+
+def show_ablation(content: dict[str, Any]) -> None:
+    """Print the KID of the phantom without each of its parts."""
+    title = f"{content['view']}, {content['n']} frames a set, {content['splits']} splits"
+    table = Table("variant", title=title, title_justify="left")
+    for column in ("KID (range over splits)", "change"):
+        table.add_column(column, justify="right")
+    for row in (content["base"], *content["ablation"]):
+        change = f"{row['change']:+.4f}" if "change" in row else ""
+        table.add_row(row["name"], _ranged({"value": row["kid"], **row}), change)
     Console().print(table)
 
 

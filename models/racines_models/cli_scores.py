@@ -1,4 +1,4 @@
-"""Commands: train grader, eval generator, realism. Heavy imports stand inside."""
+"""Commands: train grader, eval generator. Heavy imports stand inside."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,6 @@ import typer
 from racines_data.errors import RacinesError
 
 if TYPE_CHECKING:
-    from racines_models.realism import RealFrames, RealismConfig
     from racines_models.scoring import Scores
 
 Data = Annotated[Path, typer.Option(help="Folder of the dataset.")]
@@ -24,15 +23,9 @@ GRADER = Path("models/runs/grader")
 
 
 def register(train: typer.Typer, evaluate: typer.Typer) -> None:
-    """Add `grader` to `racines train`, `generator` and `realism` to `racines eval`."""
+    """Add `grader` to `racines train`, `generator` to `racines eval`."""
     train.command("grader")(train_grader)
     evaluate.command("generator")(eval_generator)
-    evaluate.command("realism")(realism)
-
-
-def register_realism(app: typer.Typer) -> None:
-    """Add `realism` to an app."""
-    app.command("realism")(realism)
 
 
 def train_grader(
@@ -59,7 +52,7 @@ def train_grader(
     from racines_models.grader import GraderConfig
     from racines_models.protocol import Run
 
-    values = _values(params, profile)
+    values = read_values(params, profile)
     config = fill(GraderConfig, section(values, "grader"), "grader")
     chosen = values.get("seed", 0) if seed is None else seed
     run = Run(out, chosen, device, resume, progress=not as_json)
@@ -98,11 +91,11 @@ def eval_generator(
     from racines_models.registry import generator_class, load_generator
     from racines_models.scoring import ScoresConfig, score
 
-    values = _values(params, profile)
+    values = read_values(params, profile)
     settings = section(values, "scores")
     settings |= {k: v for k, v in (("split", split), ("samples", samples)) if v is not None}
     config = fill(ScoresConfig, settings, "scores")
-    store, device, title = open_store(data), _device(device), generator_class(name).name
+    store, device, title = open_store(data), pick_device(device), generator_class(name).name
     folder = run or Path("models/runs") / title
     if not no_grader and not grader.is_dir():
         raise RacinesError(f"{grader}: no grader; run: racines train grader, or give --no-grader")
@@ -142,81 +135,8 @@ def _write_scores(
     write_json(out / f"{name}.json", content)
 
 
-def realism(
-    real: Annotated[
-        Path | None, typer.Option(help="Parquet of real frames. Default: realism.real.")
-    ] = None,
-    frames: Annotated[int | None, typer.Option(min=2, help="Default: realism.frames.")] = None,
-    data: Data = DATA,
-    out: Annotated[Path, typer.Option(help="Writes OUT.json and OUT.png.")] = Path(
-        "models/runs/realism"
-    ),
-    optional: Annotated[
-        bool, typer.Option("--optional", help="Without real frames, say so and exit 0.")
-    ] = False,
-    params: Params = None,
-    profile: Profile = None,
-    device: Device = "auto",
-    as_json: AsJson = False,
-) -> None:
-    """Hold the phantom's A4C frames beside real ones: figures, and one picture."""
-    from racines_data.config import fill, section
-    from racines_models.cli_output import show_realism
-    from racines_models.realism import RealismConfig, read_real
-
-    settings = section(_values(params, profile), "realism")
-    if frames is not None:
-        settings["frames"] = frames
-    config = fill(RealismConfig, settings, "realism")
-    path = real or (Path(config.real) if config.real else None)
-    if path is None or (optional and not path.is_file()):
-        _without_real(path, out, optional)
-        return
-    content = _realism(read_real(path), data, config, out, _device(device), hidden=as_json)
-    if as_json:
-        typer.echo(json.dumps(content))
-        return
-    show_realism(content)
-    typer.echo(f"{out}.json, {out}.png (above real, below phantom)")
-
-
-def _without_real(path: Path | None, out: Path, optional: bool) -> None:
-    from racines_data.files import write_json
-
-    told = f"{path}: no such file" if path else "no real frames named"
-    told = f"{told}; give --real PATH.parquet (docs/scores.md): THE PHANTOM IS NOT COMPARED"
-    if not optional:
-        raise RacinesError(told)
-    typer.echo(f"racines: {told}", err=True)
-    write_json(out.with_suffix(".json"), {"schema": "racines.realism/1", "compared": False})
-
-
-def _realism(
-    real: "RealFrames", data: Path, config: "RealismConfig", out: Path, device: str, hidden: bool
-) -> dict[str, Any]:
-    import torch
-
-    from racines_data.files import write_json
-    from racines_data.store import open_store
-    from racines_models.cli_output import progress_bar
-    from racines_models.inception import InceptionFeatures
-    from racines_models.pictures import COLUMNS, write_strip
-    from racines_models.realism import compare_with_real
-
-    total = min(len(real.images), 2 * config.frames) + config.frames
-    with progress_bar("realism", total, hidden) as advance:
-        extractor = InceptionFeatures(device)
-        result = compare_with_real(real, open_store(data), config, extractor, advance)
-    rows = []
-    for images in (result.real, result.phantom):
-        count = min(COLUMNS, len(result.phantom))
-        rows.append(images[(2 * torch.arange(count) + 1) * len(images) // (2 * count)])
-    write_strip(out.with_suffix(".png"), rows)
-    write_json(out.with_suffix(".json"), result.content)
-    return result.content
-
-
-def _values(params: Path | None, profile: str | None) -> dict[str, Any]:
+def read_values(params: Path | None, profile: str | None) -> dict[str, Any]:
+    """Return the settings of a command: the file's or profile's, else ./params.yaml's."""
     from racines_data.config import read_params
 
     if params is None and profile is None and Path("params.yaml").is_file():
@@ -224,7 +144,8 @@ def _values(params: Path | None, profile: str | None) -> dict[str, Any]:
     return read_params(params, profile)
 
 
-def _device(device: str) -> str:
+def pick_device(device: str) -> str:
+    """Return the device that `auto` stands for, or the one named."""
     import torch
 
     if device == "auto":

@@ -18,6 +18,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.imaging import IMAGE_SIZE
+from racines_data.load import MULTI_PHANTOM
 from racines_data.store import FrameStore
 from racines_models.features import Extractor, Progress
 from racines_models.provenance import code_version, dataset_card, environment
@@ -84,7 +85,14 @@ def read_real(path: Path) -> RealFrames:
 
 
 def take_phantom(store: FrameStore, config: RealismConfig) -> Tensor:
-    """Return (n, 128, 128) frames of the view, of all splits, at even distances.
+    """Return (n, 128, 128) frames of the view; see `choose_rows`."""
+    return store.take(choose_rows(store, config)).images
+
+
+def choose_rows(store: FrameStore, config: RealismConfig) -> Tensor:
+    """Return the (n,) rows of the frames of the view to compare, of all splits.
+
+    Hearts have equal shares, as far as each has frames; the frames of one are at even distances.
 
     Raises:
         RacinesError: the dataset is of another organ, or has fewer than two frames of the view and
@@ -103,8 +111,30 @@ def take_phantom(store: FrameStore, config: RealismConfig) -> Tensor:
             f"realism: {len(rows)} frames of {config.view} with grade >= {config.grade:g} in the "
             "dataset; lower realism.grade or build more frames"
         )
-    count = min(config.frames, len(rows))
-    return store.take(rows[torch.arange(count) * len(rows) // count]).images
+    return _spread(rows, _hearts(store)[rows], min(config.frames, len(rows)))
+
+
+def _hearts(store: FrameStore) -> Tensor:
+    """Return the (N,) int64 heart of each frame: the anatomy's seed, 0 in a set of one heart."""
+    if store.config != MULTI_PHANTOM:
+        return torch.zeros(len(store.views), dtype=torch.int64)
+    seeds = torch.tensor([seed or 0 for seed in store.phantoms], dtype=torch.int64)
+    return seeds[store.trajectory_index]
+
+
+def _spread(rows: Tensor, heart: Tensor, count: int) -> Tensor:
+    """Pick `count` of (R,) rows: from each heart as many, within a heart at even distances."""
+    groups = [rows[heart == seed] for seed in heart.unique()]
+    shares = torch.zeros(len(groups), dtype=torch.int64)
+    sizes = torch.tensor([len(group) for group in groups])
+    while (left := count - int(shares.sum())) > 0:
+        open_ = (shares < sizes).nonzero()[:, 0]
+        number = min(left, len(open_))
+        shares[open_[torch.arange(number) * len(open_) // number]] += 1
+    parts = []
+    for group, share in zip(groups, shares.tolist(), strict=True):
+        parts.append(group[torch.arange(share) * len(group) // max(share, 1)])
+    return torch.cat(parts)
 
 
 def common_sector(real: Tensor, phantom: Tensor, support: float) -> Tensor:
@@ -117,6 +147,11 @@ def common_sector(real: Tensor, phantom: Tensor, support: float) -> Tensor:
     if int(inside.sum()) < 1000:
         raise RacinesError("realism: the sectors of real and phantom frames do not overlap")
     return inside
+
+
+def not_compared(config: str, reason: str) -> dict[str, Any]:
+    """Return the report on a config of which there is nothing to compare."""
+    return {"schema": SCHEMA, "compared": False, "config": config, "reason": reason}
 
 
 def compare_with_real(
@@ -132,7 +167,8 @@ def compare_with_real(
         RacinesError: too few frames of either, or sectors that do not overlap.
     """
     began = time.perf_counter()
-    phantom = take_phantom(store, config)
+    rows = choose_rows(store, config)
+    phantom = store.take(rows).images
     real = one_each(real, 2 * config.frames)
     mask = common_sector(real.images, phantom, config.support)
     sector = Sector.of(mask)
@@ -143,11 +179,13 @@ def compare_with_real(
     content = {
         "schema": SCHEMA,
         "compared": True,
-        "dataset": dataset_card(store),
+        "config": store.config,
+        "dataset": dataset_card(store) | {"digest": store.digest},
         "real": {"sha256": real.sha256, "frames": len(theirs), "patients": len(set(real.patient))},
         "view": config.view,
         "grade_at_least": config.grade,
         "phantom_frames": len(ours),
+        "phantom_hearts": len(_hearts(store)[rows].unique()),
         "n": n,
         "splits": config.splits,
         "mask": {"pixels": int(mask.sum()), "support": config.support},

@@ -17,6 +17,7 @@ class LabelledStore(FrameStore):
     def __init__(self, trajectories: int = 20, length: int = 12, seed: int = 0):
         count = trajectories * length
         generator = torch.Generator().manual_seed(seed)
+        self.config = "frames"
         self.parameters = random_parameters(count, seed)
         self.views = torch.arange(count) % 6
         grades = 1 + 9 * torch.rand(count, generator=generator)

@@ -1,0 +1,41 @@
+"""Hearts that lack one thing: anatomies for `racines eval ablation`, named `module:function`."""
+
+from dataclasses import replace
+from typing import Any
+
+from torch import Tensor
+
+from racines_data.phantom.anatomy import Anatomy
+from racines_data.phantom.heart import CONNECTIVE, GEL, heart
+
+
+def no_sheets(seed: int) -> Anatomy:
+    """Return a heart whose walls scatter alike along and across them."""
+    return _with_tissues(seed, sheets=False)
+
+
+def no_grain(seed: int) -> Anatomy:
+    """Return a heart without fine (2-3 mm) variation of the backscatter."""
+    return _with_tissues(seed, grain=0.0)
+
+
+def no_texture(seed: int) -> Anatomy:
+    """Return a heart without slow (centimetre) variation of the backscatter."""
+    return _with_tissues(seed, texture=0.0)
+
+
+def no_layers(seed: int) -> Anatomy:
+    """Return a heart whose surroundings hold no layers of connective tissue."""
+    anatomy = heart(seed)
+
+    def paint(points: Tensor) -> Tensor:
+        tissue = anatomy.paint(points)
+        return tissue.masked_fill(tissue == CONNECTIVE, GEL)
+
+    return replace(anatomy, paint=paint)
+
+
+def _with_tissues(seed: int, **changes: Any) -> Anatomy:
+    anatomy = heart(seed)
+    tissues = tuple(replace(tissue, **changes) for tissue in anatomy.tissues)
+    return replace(anatomy, tissues=tissues)
