@@ -167,6 +167,15 @@ def test_every_stage_is_a_plain_command_of_ours():
     ]
 
 
+def test_realism_reports_on_both_configs():
+    stage = yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"]["realism"]
+    reports = ("models/runs/realism.json", "models/runs/realism-multi_phantom.json")
+    assert stage["metrics"] == [{report: {"cache": False}} for report in reports]
+    shown = [report.replace(".json", ".png") for report in reports]
+    done = subprocess.run(["git", "check-ignore", *shown], cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.split() == shown
+
+
 def test_what_dvc_caches_is_ignored_by_git():
     """DVC writes .gitignore lines for what it caches; they are committed, so repro adds none."""
     cached = [out for stage in stages(ROOT).values() for out in stage["cached"]]

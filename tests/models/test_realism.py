@@ -13,6 +13,7 @@ from racines_data.errors import RacinesError
 from racines_models.realism import (
     RealFrames,
     RealismConfig,
+    choose_rows,
     common_sector,
     compare_with_real,
     one_each,
@@ -100,8 +101,39 @@ def test_only_frames_of_the_view_and_grade_are_taken(phantom_like):
     assert len(taken) == 10 and int(taken.min()) >= 96
     with pytest.raises(RacinesError, match="SC with grade >= 5"):
         take_phantom(phantom_like, RealismConfig(view="SC"))
-    with pytest.raises(RacinesError, match="unknown view"):
+    with pytest.raises(RacinesError, match="the dataset's views are"):
         take_phantom(phantom_like, RealismConfig(view="XX"))
+
+
+def test_frames_of_many_hearts_are_taken_evenly_over_the_hearts(phantom_like):
+    store = phantom_like
+    store.config = "multi_phantom"
+    store.manifest["multi_phantom"] = {"digest": "of many"}
+    store.phantoms = [3, 3, 3, 3, 3, 3, 1, 7, 9, 9]  # of the trajectories, 12 frames each
+    store.images[:] = torch.arange(120, dtype=torch.uint8).view(-1, 1, 1)
+
+    def of_heart(count: int) -> list[int]:
+        rows = choose_rows(store, RealismConfig(frames=count, grade=0.0))
+        assert len(rows.unique()) == count
+        taken = take_phantom(store, RealismConfig(frames=count, grade=0.0))
+        assert taken[:, 0, 0].tolist() == rows.tolist()
+        seeds = torch.tensor(store.phantoms)[store.trajectory_index[rows]]
+        return [int((seeds == seed).sum()) for seed in (1, 3, 7, 9)]
+
+    assert of_heart(8) == [2, 2, 2, 2]
+    assert sorted(of_heart(2)) == [0, 0, 1, 1]
+    assert of_heart(80) == [12, 32, 12, 24], "a heart of few frames gives all that it has"
+
+
+def test_the_report_on_many_hearts_names_its_config_and_digest(real_file, phantom_like):
+    plain = compare_with_real(read_real(real_file), phantom_like, CONFIG, Coarse()).content
+    assert plain["config"] == "frames" and plain["phantom_hearts"] == 1
+    phantom_like.config = "multi_phantom"
+    phantom_like.manifest["multi_phantom"] = {"digest": "of many"}
+    phantom_like.phantoms = list(range(1, 11))
+    many = compare_with_real(read_real(real_file), phantom_like, CONFIG, Coarse()).content
+    assert many["config"] == "multi_phantom" and many["phantom_hearts"] == 5
+    assert many["dataset"]["digest"] == "of many" != plain["dataset"]["digest"]
 
 
 def test_the_mask_is_where_both_sets_show_something():

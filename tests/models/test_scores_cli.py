@@ -89,13 +89,31 @@ def test_realism_compares_or_says_loudly_that_it_did_not(here):
     assert "absent.parquet: no such file" in refused("eval", "realism", "--real", "absent.parquet")
     invoke("eval", "realism", "--optional", "--real", "absent.parquet")
     report = here / "models/runs/realism.json"
-    assert json.loads(report.read_text()) == {"schema": "racines.realism/1", "compared": False}
+    of_many = here / "models/runs/realism-multi_phantom.json"
+    for path, config in ((report, "frames"), (of_many, "multi_phantom")):
+        told = json.loads(path.read_text())
+        assert told == {
+            "schema": "racines.realism/1",
+            "compared": False,
+            "config": config,
+            "reason": "the named file of real frames is absent",
+        }
 
     store = open_store(here / "data/racines")
     images = [png(image.numpy()) for image in store.images[store.views == 0][:8]]
     patients = [f"patient{i // 2}" for i in range(len(images))]
     pl.DataFrame({"patient": patients, "image": images}).write_parquet(here / "real.parquet")
-    content = json.loads(invoke("eval", "realism", "--real", "real.parquet", "--json"))
-    assert json.loads(report.read_text()) == content
+    both = json.loads(invoke("eval", "realism", "--real", "real.parquet", "--json"))
+    content = both["frames"]
+    assert json.loads(report.read_text()) == content and content["config"] == "frames"
     assert content["compared"] and content["figures"]["kid"]["phantom"]["value"] is not None
     assert report.with_suffix(".png").is_file()
+    many = json.loads(of_many.read_text())
+    assert many == both["multi_phantom"] and not many["compared"]
+    assert many["reason"] == "the dataset has no config multi_phantom"
+    assert not of_many.with_suffix(".png").exists()
+
+
+def test_ablation_says_what_it_lacks(here):
+    assert "NOT COMPARED" in refused("eval", "ablation")
+    assert "absent.parquet: no such file" in refused("eval", "ablation", "--real", "absent.parquet")
