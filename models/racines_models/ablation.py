@@ -45,7 +45,7 @@ GAINS = (-40.0, 0.0)
 class AblationConfig:
     """How much is rendered of each variant."""
 
-    hearts: int = 16
+    hearts: int = 12
     """Hearts 1 … of the population."""
     poses: int = 8
     """Poses of each."""

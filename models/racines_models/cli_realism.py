@@ -65,7 +65,7 @@ def realism(
 
 def ablation(
     real: Real = None,
-    hearts: Annotated[int, typer.Option(min=1, help="Hearts 1 … of the population.")] = 16,
+    hearts: Annotated[int, typer.Option(min=1, help="Hearts 1 … of the population.")] = 12,
     poses: Annotated[int, typer.Option(min=2, help="Poses of each heart.")] = 8,
     variant: Annotated[
         list[str] | None, typer.Option(help="Only this variant; repeat for several.")
