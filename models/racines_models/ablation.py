@@ -139,7 +139,7 @@ def merge_into(report: Path, ablation: dict[str, Any]) -> None:
         raise RacinesError(f"{report}: no readable JSON ({error})") from error
     if not isinstance(content, dict) or not content.get("compared"):
         raise RacinesError(f"{report}: holds no comparison; run: racines eval realism --real FILE")
-    keys = ("name", "kid", "low", "high", "change")
+    keys = ("name", "kid", "low", "high", "change", "change_low", "change_high")
     content["ablation"] = [{key: row[key] for key in keys} for row in ablation["ablation"]]
     write_json(report, content)
 
@@ -216,7 +216,7 @@ def _calibrate(real: Tensor, probed: list[Phantom], setting: Setting) -> tuple[T
 # --- figures -------------------------------------------------------------------------------------
 
 
-def _halves(real: Tensor, ours: Tensor | None, config: RealismConfig) -> dict[str, float]:
+def _halves(real: Tensor, ours: Tensor | None, config: RealismConfig) -> dict[str, Any]:
     """Return KID to random halves of the real set at equal n; of the other halves without ours."""
     random = np.random.default_rng(config.seed)
     n = min(len(real) // 2, config.frames, len(real) if ours is None else len(ours))
@@ -228,7 +228,8 @@ def _halves(real: Tensor, ours: Tensor | None, config: RealismConfig) -> dict[st
         else:
             other = ours[torch.from_numpy(random.permutation(len(ours))[:n])]
         values.append(metrics.kid(other, real[order[:n]]))
-    return {"kid": sum(values) / len(values), "low": min(values), "high": max(values)}
+    mean = sum(values) / len(values)
+    return {"kid": mean, "low": min(values), "high": max(values), "values": values}
 
 
 def _head(
@@ -273,8 +274,13 @@ def _done(out: Path, digests: dict[str, str]) -> dict[str, dict[str, Any]]:
 
 
 def _report(content: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    base = {key: done[BASE][key] for key in ("name", "kid", "low", "high", "digest")}
-    rows = [
-        {**row, "change": row["kid"] - base["kid"]} for row in done.values() if row["name"] != BASE
-    ]
+    base = done[BASE]
+    rows = [_beside(row, base) for row in done.values() if row["name"] != BASE]
     return {**content, "base": base, "ablation": sorted(rows, key=lambda row: -row["change"])}
+
+
+def _beside(row: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
+    """Return a row with its change from the full phantom, and the range of that over the halves."""
+    changes = [a - b for a, b in zip(row["values"], base["values"], strict=True)]
+    change = row["kid"] - base["kid"]
+    return {**row, "change": change, "change_low": min(changes), "change_high": max(changes)}

@@ -59,10 +59,13 @@ def show_ablation(content: dict[str, Any]) -> None:
     """Print the KID of the phantom without each of its parts."""
     title = f"{content['view']}, {content['n']} frames a set, {content['splits']} splits"
     table = Table("variant", title=title, title_justify="left")
-    for column in ("KID (range over splits)", "change"):
+    for column in ("KID (range over splits)", "change (range over the same splits)"):
         table.add_column(column, justify="right")
     for row in (content["base"], *content["ablation"]):
-        change = f"{row['change']:+.4f}" if "change" in row else ""
+        change = ""
+        if "change" in row:
+            reach = f"({row['change_low']:+.4f} to {row['change_high']:+.4f})"
+            change = f"{row['change']:+.4f} {reach}"
         table.add_row(row["name"], _ranged({"value": row["kid"], **row}), change)
     Console().print(table)
 

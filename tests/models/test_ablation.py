@@ -101,6 +101,7 @@ def test_two_variants_are_measured_and_kept(real, baked, tmp_path):
     assert {row["name"] for row in content["ablation"]} == set(NAMES)
     for row in content["ablation"]:
         assert row["change"] == pytest.approx(row["kid"] - content["base"]["kid"])
+        assert row["change_low"] <= row["change"] <= row["change_high"]
         assert row["change"] != 0 and row["low"] <= row["kid"] <= row["high"]
     assert content["ablation"][0]["change"] >= content["ablation"][1]["change"]
     assert -30 < content["gain_without_gray_map"] < -1
@@ -123,7 +124,8 @@ def test_without_gray_map_the_mean_gray_stays(real):
 
 
 def test_the_list_goes_into_a_report_that_compares(tmp_path):
-    row = {"name": "no grain", "kid": 0.2, "low": 0.1, "high": 0.3, "change": 0.05, "digest": "x"}
+    row = {"name": "no grain", "kid": 0.2, "low": 0.1, "high": 0.3, "digest": "x"}
+    row |= {"change": 0.05, "change_low": 0.04, "change_high": 0.06}
     report = tmp_path / "realism.json"
     with pytest.raises(RacinesError, match="no readable JSON"):
         merge_into(report, {"ablation": [row]})
