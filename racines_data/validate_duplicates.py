@@ -23,7 +23,7 @@ NEAR_FLOOR = 0.02
 """A share of near-copies that is never too large."""
 REST = (0.0005, 0.0087)
 """The probe is at rest if it moves less between two frames: m, rad (0.5 mm, 0.5 degrees)."""
-EMPTY = 0.25
+EMPTY = 0.5
 """A frame darker than this share of the upper quartile of brightness shows no tissue."""
 COMPARED = 4096
 """Held-out frames of the random frame split that is given for comparison."""

@@ -144,7 +144,7 @@ def check_modes(parameters: np.ndarray) -> str:
         RacinesError: a mode is missing, or probes look upwards.
     """
     up, down, between = rotation_modes(parameters)
-    said = f"{100 * up:.1f} % within {MODE_WIDTH} rad of +π, {100 * down:.1f} % of -π"
+    said = f"{100 * up:.1f} % within 45° of +π, {100 * down:.1f} % of -π"
     if min(up, down) < MODE_SHARE:
         raise RacinesError(f"{said}; each mode needs {100 * MODE_SHARE:.0f} %")
     if between > BETWEEN_SHARE:
