@@ -5,6 +5,7 @@ It is written after the build, from reports of `racines eval realism`; the manif
 """
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 from racines_data.card_tables import number, table
@@ -62,7 +63,7 @@ def realism_section(manifest: Mapping[str, Any]) -> str:
     for content in reports:
         parts += [_measured(content), _figures(content), *_ablation(content)]
     for name in manifest.get("realism_pictures", []):
-        parts.append(f"![Simulated frames beside real ones]({name})")
+        parts.append(f"![{Path(name).stem}]({name})")
     return "\n\n".join(parts)
 
 
