@@ -18,6 +18,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic, write_json
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.views import LABELS
+from racines_models.grader_augment import Augmentation
 
 WEIGHTS = "grader.safetensors"
 CONFIG = "config.json"
@@ -52,8 +53,8 @@ class GradeStageConfig(StageConfig):
 
 
 @dataclass(frozen=True)
-class GraderConfig:
-    """The grader and its training."""
+class GraderConfig(Augmentation):
+    """The grader and its training, with the augmentation of its images."""
 
     input_size: int = 64
     """Images are averaged down to this height and width: 32, 64 or 128."""
@@ -67,10 +68,6 @@ class GraderConfig:
     weight_decay: float = 0.01
     class_balance: float = 0.5
     """A view weighs its frequency to minus this power: 0 none, 1 full balance."""
-    gain: float = 0.1
-    """Augmentation: standard deviation of the log of a gain, one an image."""
-    noise: float = 0.02
-    """Augmentation: standard deviation of pixel noise, 1 = white. Images are never flipped."""
     bf16: bool = True
     """Train and grade in bfloat16 autocast (twice as fast on recent CPUs)."""
     checkpoint_seconds: float = 30.0

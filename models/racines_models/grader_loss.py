@@ -1,4 +1,4 @@
-"""What the grader's training minimises: masked losses, class weights, augmentation, schedule."""
+"""What the grader's training minimises: masked losses, class weights, schedule."""
 
 import math
 
@@ -6,9 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from racines_data.randomness import normal
 from racines_data.store import FrameStore
-from racines_models.grader import GraderConfig
 
 WARM_UP = 0.1
 """Share of a stage in which the learning rate rises."""
@@ -34,15 +32,6 @@ def class_weights(store: FrameStore, power: float) -> Tensor:
     count = torch.bincount(views[views >= 0], minlength=len(store.labels)).float()
     weights = count.clamp_min(1.0).pow(-power)
     return weights * count.sum() / (weights * count).sum()
-
-
-def augment(x: Tensor, seeds: Tensor, config: GraderConfig) -> Tensor:
-    """Vary gain and noise of (B, 1, S, S) images in [-1, 1], by (B,) seeds; black stays black."""
-    gain = (config.gain * normal(seeds, 1)).exp().view(-1, 1, 1, 1)
-    noise = normal(seeds, x[0].numel(), stream=1).view(x.shape)
-    light = (x + 1.0) / 2.0
-    light = light * gain + config.noise * noise * (light > 0)
-    return (light.clamp(0.0, 1.0) * 2.0 - 1.0).contiguous(memory_format=torch.channels_last)
 
 
 def learning_rate(peak: float, progress: float) -> float:

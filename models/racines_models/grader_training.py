@@ -19,7 +19,8 @@ from racines_data.files import write_json
 from racines_data.randomness import derive
 from racines_data.store import Batch, FrameStore
 from racines_models.grader import Grader, GraderConfig, GraderNetwork, StageConfig
-from racines_models.grader_loss import augment, class_weights, grade_loss, learning_rate, view_loss
+from racines_models.grader_augment import augment
+from racines_models.grader_loss import class_weights, grade_loss, learning_rate, view_loss
 from racines_models.grader_report import report
 from racines_models.protocol import Run
 from racines_models.provenance import code_version, dataset_card, environment
@@ -112,7 +113,7 @@ class _Training:
             {"params": list(self.network.view_head.parameters()), "scale": 1.0},
             {"params": list(self.network.grade_head.parameters()), "scale": 1.0},
         ]
-        adam = torch.optim.AdamW(groups, lr=0.0, weight_decay=self.config.weight_decay)
+        adam = torch.optim.AdamW(groups, lr=0.0, weight_decay=self.config.weight_decay, fused=True)
         self.optimizer = self.accelerator.prepare(adam)
         if self.state and self.state["stage"] == index:
             self.optimizer.load_state_dict(self.state["optimizer"])

@@ -7,13 +7,8 @@ from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.randomness import sample_seeds
 from racines_models.grader import Grader, GraderConfig, GraderNetwork, StageConfig
-from racines_models.grader_loss import (
-    augment,
-    class_weights,
-    grade_loss,
-    learning_rate,
-    view_loss,
-)
+from racines_models.grader_augment import augment
+from racines_models.grader_loss import class_weights, grade_loss, learning_rate, view_loss
 from racines_models.grader_report import compare, confusion_counts
 from racines_models.grader_training import train_grader
 from racines_models.protocol import Run
