@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 from abc import ABC, abstractmethod
 from importlib.metadata import version
 from pathlib import Path
@@ -18,6 +19,7 @@ from racines_data.imaging import check_parameters
 from racines_data.store import FrameStore
 from racines_models.protocol import Card, Run
 from racines_models.training.checkpoint import discard_checkpoint
+from racines_models.training.processes import is_main_process
 from racines_models.training.validation import Validation
 
 SCHEMA = "racines.generator/1"
@@ -27,13 +29,17 @@ C = TypeVar("C")
 def resolve_device(device: str) -> str:
     """Return the device that `auto` stands for, or the one named.
 
+    Of several processes on a machine each has its own CUDA device, by its local rank.
+
     Raises:
         RacinesError: CUDA is asked for and absent.
     """
     if device == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
+        device = "cuda" if torch.cuda.is_available() else "cpu"
     if device.startswith("cuda") and not torch.cuda.is_available():
         raise RacinesError("--device cuda: no CUDA device here; use --device cpu")
+    if device == "cuda" and "LOCAL_RANK" in os.environ:
+        return f"cuda:{os.environ['LOCAL_RANK']}"
     return device
 
 
@@ -73,7 +79,10 @@ class BaseGenerator(ABC, Generic[C]):
         """Take back what `tensors` returned, onto `self.device`."""
 
     def fit(self, store: FrameStore, run: Run) -> dict[str, Any]:
-        """Learn from the train split, save into `run.folder`, and return the metrics."""
+        """Learn from the train split, save into `run.folder`, and return the metrics.
+
+        Of several processes (see `Processes`), the first saves.
+        """
         if len(store.split_indices("train")) == 0:
             raise RacinesError("the dataset has no train frames: rebuild it with more trajectories")
         self.device = resolve_device(run.device)
@@ -83,6 +92,8 @@ class BaseGenerator(ABC, Generic[C]):
         self.data = {key: store.manifest.get(key) for key in keys}
         metrics: dict[str, Any] = {"schema": "racines.training/1", "generator": self.name}
         metrics |= self.learn(store, run)
+        if not is_main_process():
+            return metrics
         validation = Validation(store, run.seed)
         drawn = validation.draw(self)
         validation.grid(drawn, run.folder / "samples.png")

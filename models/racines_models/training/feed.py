@@ -17,14 +17,23 @@ class Feed:
     """The train split as one endless stream: a fresh permutation an epoch, no batch cut short.
 
     Order and seeds are functions of (seed, position), so a resumed run needs no saved state.
+    `share` is the part of each batch that this process takes; None takes all of it.
     """
 
-    def __init__(self, store: FrameStore, batch_size: int, seed: int, device: torch.device | str):
+    def __init__(
+        self,
+        store: FrameStore,
+        batch_size: int,
+        seed: int,
+        device: torch.device | str,
+        share: slice | None = None,
+    ):
         self._store = store
         self._frames = store.split_indices("train")
         self._batch_size = batch_size
         self._seed = torch.tensor(seed)
         self._device = device
+        self._share = share or slice(None)
         self._epoch: tuple[int, Tensor] = (-1, self._frames)
 
     def _permutation(self, epoch: int) -> Tensor:
@@ -48,6 +57,7 @@ class Feed:
         for position in range(start, stop, self._batch_size):
             index = self._indices(position)
             seeds = derive(self._seed, NOISE, torch.arange(len(index)) + position)
+            index, seeds = index[self._share], seeds[self._share]
             frames = self._store.take(index)
             columns = (frames.images, frames.parameters, seeds)
             yield TrainBatch(*(column.to(self._device) for column in columns))

@@ -14,13 +14,20 @@ CURVES = "dvclive"
 
 
 class TrainingLog:
-    """Collects scalars between two rows of the curves, without waiting for the device."""
+    """Collects scalars between two rows of the curves, without waiting for the device.
 
-    def __init__(self, folder: Path, name: str, start: int, stop: int, visible: bool):
-        curves = folder / CURVES
-        _forget_after(curves, start)
-        # Only files: no experiment is saved, no dvc.yaml written.
-        self._live = Live(str(curves), resume=start > 0, save_dvc_exp=False, dvcyaml=None)
+    Of several processes one `writes`; the others collect, so that all hold the same state.
+    """
+
+    def __init__(
+        self, folder: Path, name: str, start: int, stop: int, visible: bool, writes: bool = True
+    ):
+        self._live: Live | None = None
+        if writes:
+            curves = folder / CURVES
+            _forget_after(curves, start)
+            # Only files: no experiment is saved, no dvc.yaml written.
+            self._live = Live(str(curves), resume=start > 0, save_dvc_exp=False, dvcyaml=None)
         self._sums: dict[str, Tensor] = {}
         self._steps = 0
         self.last: dict[str, float] = {}
@@ -32,7 +39,7 @@ class TrainingLog:
             TimeRemainingColumn(),
             TextColumn("{task.fields[losses]}"),
             console=Console(stderr=True),
-            disable=not visible,
+            disable=not (visible and writes),
         )
         self._task = self._progress.add_task(name, total=stop, completed=start, losses="")
 
@@ -47,7 +54,8 @@ class TrainingLog:
         trace: TracebackType | None,
     ) -> None:
         self._progress.stop()
-        self._live.end()
+        if self._live:
+            self._live.end()
 
     def add(self, scalars: Mapping[str, Tensor]) -> None:
         """Add one step's scalars to the row under way."""
@@ -68,6 +76,8 @@ class TrainingLog:
 
     def metrics(self, seen: int, values: Mapping[str, float], group: str = "") -> None:
         """Write values at an image count."""
+        if self._live is None:
+            return
         self._live.step = seen
         for name, value in values.items():
             self._live.log_metric(f"{group}{name}", value)

@@ -19,6 +19,7 @@ class Training:
     images: int = 24_000
     """Budget: training images seen, counted with repetition."""
     batch_size: int = 16
+    """Images a step, over all processes together."""
     precision: str = "auto"
     """`fp32`; mixed `bf16` or `fp16`; or `auto`: bf16 where the processor has units for it (CUDA;
     AMX on a CPU, 1.8 times the images a second), else fp32."""
@@ -26,6 +27,10 @@ class Training:
     """Decay of the averaged weights that draw and are saved, warmed up; 0 switches it off."""
     gradient_clip: float = 0.0
     """Largest gradient norm of a network's step; 0 clips nothing."""
+    schedule: str = "constant"
+    """Of all learning rates, after the warm-up: `constant`, or `cosine` down to 0 at the end."""
+    warmup_images: int = 0
+    """Images over which the learning rates rise linearly from 0."""
     log_every: int = 1_000
     """Images between two rows of the loss curves."""
     sample_every: int = 6_000
@@ -43,6 +48,10 @@ class Training:
             raise RacinesError(
                 f"training.precision: {self.precision!r}: use auto, fp32, bf16 or fp16"
             )
+        if self.schedule not in ("constant", "cosine"):
+            raise RacinesError(f"training.schedule: {self.schedule!r}: use constant or cosine")
+        if not 0 <= self.warmup_images < self.images:
+            raise RacinesError("training.warmup_images: 0 or more, and fewer than images")
         if not 0.0 <= self.ema < 1.0:
             raise RacinesError("training.ema: a decay lies in [0, 1)")
 
