@@ -17,6 +17,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_atomic, write_json
 from racines_data.imaging import check_parameters
 from racines_data.store import FrameStore
+from racines_models.onnx_module import OnnxModule
 from racines_models.protocol import Card, Run
 from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.processes import is_main_process
@@ -77,6 +78,17 @@ class BaseGenerator(ABC, Generic[C]):
     @abstractmethod
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Take back what `tensors` returned, onto `self.device`."""
+
+    def onnx_module(self) -> OnnxModule:
+        """Return the fitted network as `racines export generator` writes it; override to allow it.
+
+        Raises:
+            RacinesError: this method has no such network.
+        """
+        raise RacinesError(
+            f"{self.name} cannot be an ONNX file: its method is no network of pose and noise; "
+            "export its predictions instead: racines export predictions"
+        )
 
     def fit(self, store: FrameStore, run: Run) -> dict[str, Any]:
         """Learn from the train split, save into `run.folder`, and return the metrics.

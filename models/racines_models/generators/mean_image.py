@@ -4,10 +4,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from racines_data.store import FrameStore
 from racines_models.generators.base import BaseGenerator
+from racines_models.onnx_module import OnnxModule
 from racines_models.protocol import Run
 
 
@@ -50,3 +51,19 @@ class MeanImage(BaseGenerator[MeanImageConfig]):
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Take the mean image."""
         self.image = tensors["image"]
+
+    def onnx_module(self) -> OnnxModule:
+        """Return a network that repeats the mean."""
+        assert self.image is not None
+        return OnnxModule(_Repeat(self.image))
+
+
+class _Repeat(nn.Module):
+    image: Tensor
+
+    def __init__(self, image: Tensor):
+        super().__init__()
+        self.register_buffer("image", image)
+
+    def forward(self, parameters: Tensor) -> Tensor:
+        return self.image.expand(len(parameters), -1, -1)

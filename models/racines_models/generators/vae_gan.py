@@ -16,7 +16,9 @@ from racines_models.conditioning import Conditioning
 from racines_models.generators.base import BaseGenerator
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.convolution import frozen, to_gray, to_range
+from racines_models.networks.painting import Painter
 from racines_models.networks.vae_gan import Decoder, Discriminator, Encoder
+from racines_models.onnx_module import NoiseInput, OnnxModule
 from racines_models.protocol import Run
 from racines_models.trainer import train
 from racines_models.training.objective import TrainBatch, Training, Update
@@ -164,6 +166,11 @@ class VaeGan(BaseGenerator[VaeGanConfig]):
             return to_gray(decoder(noise, conditioning(parameters)))
 
         return in_fixed_batches(decode, parameters, seeds)
+
+    def onnx_module(self) -> OnnxModule:
+        """Return conditioning and decoder."""
+        painter = Painter(self._net("conditioning"), self._net("decoder"))
+        return OnnxModule(painter, NoiseInput(self.config.latent, (DRAW,)))
 
     def tensors(self) -> dict[str, Tensor]:
         """Return encoder, decoder and conditioning; the discriminator stays behind."""
