@@ -95,7 +95,7 @@ def score(
         extractors["grader"] = GraderFeatures(grader)
         figures |= judge.distances("_grader", extractors["grader"]) | judge.agreement(grader)
     figures |= judge.variety()
-    if config.speed:
+    if config.speed and hasattr(generator, "generate"):
         figures |= {f"images_per_second_{n}": _rate(generator, sample, n) for n in (1, 64)}
     content = {
         "schema": SCHEMA,

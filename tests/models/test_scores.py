@@ -154,6 +154,19 @@ def test_speed_is_reported_at_batch_1_and_64(labelled, coarse):
         assert metrics["metrics"][f"images_per_second_{batch}"]["value"] > 0
 
 
+def test_images_made_beforehand_are_found_by_frame_and_have_no_speed(labelled, coarse):
+    class Stored:
+        def draw_frames(self, frames, seed):
+            return labelled.images[frames.index] + seed
+
+    config = ScoresConfig(samples=8)
+    scores = score(Stored(), labelled, config, "stored", seeds=[0])
+    assert scores.content["metrics"]["psnr"]["value"] == 100.0
+    assert not any("per_second" in name for name in scores.content["metrics"])
+    other = score(Stored(), labelled, config, "stored", seeds=[9])
+    assert torch.equal(other.images, scores.images + 9)
+
+
 def test_the_sample_spreads_over_all_trajectories(labelled):
     sample = take_sample(labelled, "test", 30)
     rows = labelled.split_indices("test")
