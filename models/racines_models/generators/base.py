@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import torch
-from safetensors.torch import load_file, save
+from safetensors.torch import save
 from torch import Tensor
 
 from racines_data.config import fill
@@ -19,6 +19,7 @@ from racines_data.imaging import check_parameters
 from racines_data.store import FrameStore
 from racines_models.onnx_module import OnnxModule
 from racines_models.protocol import Card, Run
+from racines_models.publish import load_weights
 from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.processes import is_main_process
 from racines_models.training.validation import Validation
@@ -158,7 +159,7 @@ class BaseGenerator(ABC, Generic[C]):
         generator.device = resolve_device(device)
         generator.seed, generator.data = content["seed"], content["data"]
         try:
-            generator.restore(load_file(folder / "model.safetensors", device=generator.device))
+            generator.restore(load_weights(folder / "model.safetensors", generator.device))
         except Exception as error:
             raise RacinesError(
                 f"{folder}/model.safetensors: cannot be read: {error}; train {cls.name} again"

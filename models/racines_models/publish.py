@@ -1,0 +1,90 @@
+"""Weights to hand out: a run's model in half precision, with its hashes and how it was trained."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.files import sha256_file, write_atomic, write_json
+from racines_models.provenance import sha256_bytes
+
+SMALL = 4_096
+"""Tensors of at most so many entries stay as they are: normalisation and biases weigh nothing, and
+half a unit in the last place of a position's mean is a tenth of a millimetre."""
+LEFT_OUT = ("schema", "generator")
+"""Keys of `metrics.json` that `config.json` has already."""
+
+
+def publish(run: Path, out: Path) -> dict[str, Any]:
+    """Write a half-precision copy of a run: `config.json` and each `*.safetensors`.
+
+    Large float32 tensors become float16, the rest stays. `config.json` is the run's, with
+    `weights_files` (dtype, bytes and sha256 by file) and `training` (the run's metrics) added. The files
+    come first, so that a folder with a `config.json` is whole.
+
+    Returns:
+        The written `config.json`.
+
+    Raises:
+        RacinesError: no trained model in the folder, or a weight that float16 cannot hold.
+    """
+    run, out = Path(run), Path(out)
+    files = sorted(run.glob("*.safetensors"))
+    if not files or not (run / "config.json").is_file():
+        raise RacinesError(f"{run}: no config.json with *.safetensors; train a model there first")
+    if out.resolve() == run.resolve():
+        raise RacinesError(f"{out}: is the run itself; name another folder")
+    content = json.loads((run / "config.json").read_text())
+    described = {}
+    for file in files:
+        data = save(_halved(load_weights(file), file))
+        write_atomic(out / file.name, data)
+        described[file.name] = {"bytes": len(data), "sha256": sha256_bytes(data)}
+    content["weights_files"] = {"dtype": "float16", "files": described}
+    metrics = run / "metrics.json"
+    if metrics.is_file():
+        values = json.loads(metrics.read_text())
+        content["training"] = {key: value for key, value in values.items() if key not in LEFT_OUT}
+    write_json(out / "config.json", content)
+    return content
+
+
+def load_weights(path: Path, device: str = "cpu") -> dict[str, Tensor]:
+    """Read the tensors of a model file, half-precision ones as float32.
+
+    Raises:
+        RacinesError: the file is damaged, or not the one that `config.json` beside it names.
+    """
+    _check_digest(path)
+    try:
+        tensors = load_file(path, device=device)
+    except (SafetensorError, OSError) as error:
+        raise RacinesError(f"{path}: cannot be read: {error}") from error
+    half = (torch.float16, torch.bfloat16)
+    return {key: each.float() if each.dtype in half else each for key, each in tensors.items()}
+
+
+def _halved(tensors: dict[str, Tensor], file: Path) -> dict[str, Tensor]:
+    halved = {}
+    for key, tensor in tensors.items():
+        if tensor.dtype == torch.float32 and tensor.numel() > SMALL:
+            tensor = tensor.half()
+            if not bool(tensor.isfinite().all()):
+                raise RacinesError(f"{file}: {key} is NaN or too large for half precision")
+        halved[key] = tensor.contiguous()
+    return halved
+
+
+def _check_digest(path: Path) -> None:
+    config = path.parent / "config.json"
+    if not (config.is_file() and path.is_file()):
+        return
+    files = json.loads(config.read_text()).get("weights_files", {}).get("files", {})
+    wanted = files.get(path.name, {}).get("sha256")
+    if wanted and sha256_file(path) != wanted:
+        raise RacinesError(f"{path}: is not the file that config.json names (sha256); get it again")
