@@ -1,4 +1,4 @@
-"""One training loop for every learned generator; it knows no method."""
+"""One training loop for every learned generator, and the pose regressor; it knows no method."""
 
 import time
 from typing import Any
@@ -9,6 +9,7 @@ from accelerate.state import AcceleratorState
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.imaging import ImageSource
 from racines_data.store import FrameStore
 from racines_models.protocol import Run
 from racines_models.training.average import Average
@@ -16,13 +17,13 @@ from racines_models.training.checkpoint import Checkpoint
 from racines_models.training.feed import Feed
 from racines_models.training.guard import Guard
 from racines_models.training.log import TrainingLog
-from racines_models.training.objective import Trainable, TrainBatch, Training
+from racines_models.training.objective import Learner, TrainBatch, Training
 from racines_models.training.processes import Processes
 from racines_models.training.schedule import Schedule
 from racines_models.training.validation import Validation
 
 
-def train(generator: Trainable, store: FrameStore, config: Training, run: Run) -> dict[str, Any]:
+def train(generator: Learner, store: FrameStore, config: Training, run: Run) -> dict[str, Any]:
     """Train until the budget is spent; leave the averaged weights in the networks.
 
     On the CPU, a run that was killed and resumed ends in the same bits as an undisturbed one.
@@ -62,7 +63,7 @@ def _intervals(config: Training) -> tuple[int, int, int]:
 class _Trainer:
     """The state of one run: networks, optimizers, average, curves, and how far it has come."""
 
-    def __init__(self, generator: Trainable, store: FrameStore, config: Training, run: Run):
+    def __init__(self, generator: Learner, store: FrameStore, config: Training, run: Run):
         self.generator, self.config, self.folder = generator, config, run.folder
         self.accelerator = accelerator = _accelerator(config, run)
         self.processes = Processes(accelerator, config.batch_size)
@@ -125,8 +126,8 @@ class _Trainer:
         self.log.row(self.seen)
 
     def sample(self) -> None:
-        """Draw the validation frames with the averaged weights."""
-        if not self.processes.main:
+        """Draw the validation frames with the averaged weights, if it is images that it makes."""
+        if not self.processes.main or not isinstance(self.generator, ImageSource):
             return
         with self.average.applied():
             drawn = self.validation.draw(self.generator)

@@ -76,8 +76,8 @@ class Update(NamedTuple):
     """Scalars for the curves."""
 
 
-class Trainable(ImageSource, Protocol):
-    """A generator that the trainer can train."""
+class Learner(Protocol):
+    """Whatever the trainer can train."""
 
     @property
     def card(self) -> Card:
@@ -104,3 +104,7 @@ class Trainable(ImageSource, Protocol):
         cleared in between.
         """
         ...
+
+
+class Trainable(ImageSource, Learner, Protocol):
+    """A generator that the trainer can train, and draw with to show how far it has come."""
