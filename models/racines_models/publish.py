@@ -24,8 +24,8 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
     """Write a half-precision copy of a run: `config.json` and each `*.safetensors`.
 
     Large float32 tensors become float16, the rest stays. `config.json` is the run's, with
-    `weights_files` (dtype, bytes and sha256 by file) and `training` (the run's metrics) added. The files
-    come first, so that a folder with a `config.json` is whole.
+    `weights_files` (dtype, bytes and sha256 by file) and `training` (the run's metrics) added. It
+    is written last, so that a folder which has one is whole.
 
     Returns:
         The written `config.json`.
