@@ -65,7 +65,9 @@ def train_grader(
 
 
 def eval_generator(
-    name: Annotated[str, typer.Argument(help="A registered generator, or module:Class.")],
+    name: Annotated[
+        str, typer.Argument(help="A registered generator, module:Class, FILE.onnx or FILE.parquet.")
+    ],
     data: Data = DATA,
     run: Annotated[
         Path | None, typer.Option(help="Folder of the trained run.  [default: models/runs/NAME]")
@@ -82,29 +84,29 @@ def eval_generator(
     device: Device = "auto",
     as_json: AsJson = False,
 ) -> None:
-    """Score a trained generator on held-out poses; write NAME.json and a picture NAME.png."""
+    """Score a generator on held-out poses; write NAME.json and a picture NAME.png."""
     from racines_data.config import fill, section
     from racines_data.store import open_store
     from racines_models.cli_output import progress_bar, show_metrics
     from racines_models.grader import Grader
-    from racines_models.provenance import weights_sha256
-    from racines_models.registry import generator_class, load_generator
+    from racines_models.registry import open_generator, weights_of
     from racines_models.scoring import ScoresConfig, score
 
     values = read_values(params, profile)
     settings = section(values, "scores")
     settings |= {k: v for k, v in (("split", split), ("samples", samples)) if v is not None}
     config = fill(ScoresConfig, settings, "scores")
-    store, device, title = open_store(data), pick_device(device), generator_class(name).name
-    folder = run or Path("models/runs") / title
+    store, device = open_store(data), pick_device(device)
     if not no_grader and not grader.is_dir():
         raise RacinesError(f"{grader}: no grader; run: racines train grader, or give --no-grader")
     judge = None if no_grader else Grader.load(grader, device)
+    generator: Any = open_generator(name, run, device, store=store, split=config.split)
+    title: str = generator.name
     total = min(config.samples, len(store.split_indices(config.split)))
     total *= 1 + 2 * len(config.seeds)
     with progress_bar(f"scoring {title}", total, hidden=as_json) as advance:
         scores = score(
-            load_generator(name, folder, device),
+            generator,
             store,
             config,
             title,
@@ -113,7 +115,7 @@ def eval_generator(
             device=device,
             progress=advance,
         )
-    content: dict[str, Any] = {**scores.content, "weights": weights_sha256(folder) or None}
+    content: dict[str, Any] = {**scores.content, "weights": weights_of(name, run) or None}
     content["dataset"]["board"] = values.get("board")
     _write_scores(out, title, content, scores, len(store.labels) - 1)
     if as_json:

@@ -1,5 +1,6 @@
 """What a generator hands over to be exported: one network, and the noise that it takes."""
 
+import importlib
 from dataclasses import dataclass
 
 from torch import Tensor, nn
@@ -36,15 +37,15 @@ class OnnxModule:
     """None: the image follows from the pose alone."""
 
 
-def import_onnx() -> None:
-    """Check that the optional packages are there.
+def import_onnx(*packages: str) -> None:
+    """Check that optional packages are there.
 
     Raises:
         RacinesError: one is missing; names the extra that brings them.
     """
-    for name in ("onnx", "onnxruntime", "onnxscript"):
+    for name in packages:
         try:
-            __import__(name)
+            importlib.import_module(name)
         except ImportError as error:
             raise RacinesError(
                 f"ONNX needs the package {name}, which is not installed: "

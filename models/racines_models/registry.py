@@ -1,15 +1,24 @@
-"""Generators by name: entry points of the group `racines.generators`, or `module:Class`."""
+"""Generators by entry point of the group `racines.generators`, `module:Class`, or file."""
 
 import importlib
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from typing import Any
 
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
+from racines_data.imaging import ImageSource
+from racines_data.store import FrameStore
 from racines_models.protocol import Generator
+from racines_models.provenance import weights_sha256
 
 GROUP = "racines.generators"
 MEMBERS = ("name", "Config", "card", "fit", "generate", "save", "load")
 """What a class needs to be a generator."""
+RUNS = Path("models/runs")
+"""Where trained generators lie, each in a folder of its name."""
+FILES = (".onnx", ".parquet")
+"""Endings of the files that are generators."""
 
 
 def _points() -> dict[str, EntryPoint]:
@@ -44,7 +53,7 @@ def generator_class(spec: str) -> type[Generator]:
     else:
         raise RacinesError(
             f"unknown generator {spec!r}: choose one of {', '.join(sorted(points))}, "
-            "or give module:Class"
+            "or give module:Class, FILE.onnx or FILE.parquet"
         )
     cls = _import(target)
     missing = [member for member in MEMBERS if not hasattr(cls, member)]
@@ -70,3 +79,62 @@ def load_generator(spec: str, run_dir: Path | str, device: str = "cpu") -> Gener
         RacinesError: unknown name, or no such model in the folder.
     """
     return generator_class(spec).load(Path(run_dir), device)
+
+
+def open_generator(
+    spec: str,
+    folder: Path | str | None = None,
+    device: str = "cpu",
+    *,
+    store: FrameStore | None = None,
+    split: str | None = None,
+) -> ImageSource:
+    """Return the generator that a spec names, whichever way it comes.
+
+    Args:
+        spec: A registered name, `module:Class`, `FILE.onnx` or `FILE.parquet`.
+        folder: Of a name or class: the folder of its run; default `models/runs/NAME`.
+        device: `cpu` or `cuda`.
+        store: Of a Parquet file: the dataset that its images must be made for.
+        split: Of a Parquet file: the split that they must be made for.
+
+    Returns:
+        A generator; of a Parquet file one with `draw_frames` alone, which `sample.draw` asks.
+
+    Raises:
+        RacinesError: unknown, absent or refused, by name or file.
+    """
+    if not is_file(spec):
+        return load_generator(spec, run_folder(spec, folder), device)
+    if folder is not None:
+        raise RacinesError(f"{spec} is a file: it has no run folder ({folder}); give one of them")
+    if Path(spec).suffix.lower() == ".onnx":
+        from racines_models.onnx_generator import OnnxGenerator
+
+        return OnnxGenerator(Path(spec), device)
+    if store is None:
+        raise RacinesError(
+            f"{spec}: a predictions file holds the images of some frames and draws no other pose: "
+            "score it, or name a generator or an ONNX file"
+        )
+    from racines_models.predictions_reader import Predictions
+
+    predictions: Any = Predictions(Path(spec), store, split)
+    return predictions
+
+
+def is_file(spec: str) -> bool:
+    """Return whether a spec is a file, by its ending; else it is a name or `module:Class`."""
+    return Path(spec).suffix.lower() in FILES
+
+
+def run_folder(spec: str, folder: Path | str | None = None) -> Path:
+    """Return the run's folder of a name or class: the one given, else `models/runs/NAME`."""
+    return RUNS / generator_class(spec).name if folder is None else Path(folder)
+
+
+def weights_of(spec: str, folder: Path | str | None = None) -> dict[str, str]:
+    """Return the SHA-256 of the file, or of the weights in the run's folder, by file name."""
+    if is_file(spec):
+        return {Path(spec).name: sha256_file(Path(spec))}
+    return weights_sha256(run_folder(spec, folder))
