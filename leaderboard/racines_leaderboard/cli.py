@@ -15,6 +15,7 @@ import racines_data.cli_import
 import racines_data.cli_phantom
 import racines_envs.cli
 import racines_models.cli
+import racines_models.cli_export
 from racines_data.errors import RacinesError
 from racines_leaderboard import commands
 
@@ -32,6 +33,7 @@ app.add_typer(racines_data.cli.data, name="data")
 app.add_typer(racines_data.cli_phantom.phantom, name="phantom")
 app.add_typer(train, name="train")
 app.add_typer(evaluate, name="eval")
+app.add_typer(racines_models.cli_export.export, name="export")
 racines_models.cli.register(train, evaluate)
 racines_envs.cli.register(train, evaluate)
 commands.register(app)
