@@ -1,32 +1,33 @@
 """The grader: one ResNet-18 that says which view an image shows, and how good it is.
 
 After CACTUS (the paper's reference): one encoder, a view head and a grade head. It judges images
-alone; what it should have said is the oracle's, or the expert's.
+alone; what it should have said is the oracle's, or the expert's. Its student (see `student`) is
+opened by the same `Grader.load` and asked the same way.
 """
 
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, NamedTuple, cast
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic, write_json
-from racines_data.imaging import IMAGE_SIZE
 from racines_data.views import LABELS
 from racines_models.grader_augment import Augmentation
+from racines_models.networks.grading import GRADE_SCALE, GraderNetwork, GradingNetwork
 
 WEIGHTS = "grader.safetensors"
 CONFIG = "config.json"
 SCHEMA = "racines.grader/1"
-FEATURES = 512
-"""Width of the encoder's output at width 1."""
-GRADE_SCALE = 10.0
-"""Grades lie in 0-10."""
+ARCHITECTURES = {"resnet18": "racines_models.grader:Grader"}
+ARCHITECTURES["student"] = "racines_models.student:Student"
+"""Who reads a folder, by the architecture that its config names."""
 
 
 @dataclass(frozen=True)
@@ -79,42 +80,15 @@ class GraderConfig(Augmentation):
             raise RacinesError(f"grader.input_size {self.input_size}: choose 32, 64 or 128")
 
 
-class GraderNetwork(nn.Module):
-    """Encoder and heads; owns the normalisation of (B, 128, 128) uint8 images."""
+class Reading(NamedTuple):
+    """What a grader makes of (N, 128, 128) images."""
 
-    def __init__(self, input_size: int, width: float = 1.0, labels: int = len(LABELS)) -> None:
-        super().__init__()
-        from monai.networks.nets.resnet import resnet18
-
-        self.factor = IMAGE_SIZE // input_size
-        self.encoder = resnet18(
-            spatial_dims=2,
-            n_input_channels=1,
-            conv1_t_stride=2,
-            feed_forward=False,
-            widen_factor=width,
-        )
-        self.features = int(FEATURES * width)
-        self.view_head = nn.Linear(self.features, labels)
-        self.grade_head = nn.Sequential(
-            nn.Linear(self.features, 128), nn.ReLU(inplace=True), nn.Linear(128, 1)
-        )
-        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-    def normalise(self, images: Tensor) -> Tensor:
-        """Turn (B, 128, 128) gray levels, any type, into (B, 1, S, S) in [-1, 1]."""
-        x = images.unsqueeze(1).to(torch.float32) / 127.5 - 1.0
-        x = nn.functional.avg_pool2d(x, self.factor) if self.factor > 1 else x
-        return x.contiguous(memory_format=torch.channels_last)
-
-    def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (B, labels) view logits and (B,) unclamped grades of (B, 512) features."""
-        grade = self.grade_head(features).squeeze(-1)
-        return self.view_head(features), GRADE_SCALE * grade.float()
-
-    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (B, labels) view logits and (B,) grades of normalised images."""
-        return self.heads(self.encoder(x))
+    logits: Tensor
+    """(N, labels) float32, before the temperature."""
+    grades: Tensor
+    """(N,) float32 in 0-10."""
+    features: Tensor
+    """(N, D) float32, the encoder's output."""
 
 
 class Grader:
@@ -124,62 +98,70 @@ class Grader:
         RacinesError: `load` finds no grader, or one of another kind.
     """
 
+    architecture: ClassVar[str] = "resnet18"
+    Config: ClassVar[type] = GraderConfig
+    network: GradingNetwork
+
     def __init__(
         self,
-        network: GraderNetwork,
-        config: GraderConfig,
+        network: GradingNetwork,
+        config: Any,
         device: str = "cpu",
         labels: Sequence[str] = LABELS,
+        temperature: float = 1.0,
     ) -> None:
         self.network = network.to(device).eval().requires_grad_(False)
         self.config = config
         self.labels = tuple(labels)
         """Names of the view labels, in the order of its probabilities; the last is `Random`."""
+        self.temperature = temperature
+        """Divides the logits of the views, so that the probabilities are calibrated."""
         self.device = torch.device(device)
         self.sha256: str | None = None
         """Hash of the weights' file; None until saved or loaded."""
+
+    @classmethod
+    def build(cls, config: Any, labels: int) -> GradingNetwork:
+        """Return an untrained network."""
+        return GraderNetwork(config.input_size, config.width, labels)
 
     @torch.inference_mode()
     def probabilities_and_grade(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Judge (B, 128, 128) uint8 images.
 
         Returns:
-            (B, labels) float32 probabilities in the order of `labels`, and (B,) float32 grades in
-            0-10, on the grader's device.
+            (B, labels) float32 calibrated probabilities in the order of `labels`, and (B,) float32
+            grades in 0-10, on the grader's device.
         """
-        with self._autocast():
-            logits, grade = self.network(self._input(images))
-        return logits.float().softmax(-1), grade.clamp(0.0, GRADE_SCALE)
+        logits, grades, _ = self._read(images)
+        return (logits / self.temperature).softmax(-1), grades
 
     @torch.inference_mode()
     def features(self, images: Tensor) -> Tensor:
-        """Return the encoder's (B, 512) float32 output on (B, 128, 128) uint8 images."""
-        with self._autocast():
-            return self.network.encoder(self._input(images)).float()
+        """Return the encoder's (B, D) float32 output on (B, 128, 128) uint8 images."""
+        return self._read(images).features
 
     @torch.inference_mode()
+    def read(self, images: Tensor, batch_size: int = 256) -> Reading:
+        """Return logits, grades and features of (N, 128, 128) uint8 images, on the CPU."""
+        parts = [[t.cpu() for t in self._read(batch)] for batch in images.split(batch_size)]
+        return Reading(*(torch.cat(column) for column in zip(*parts, strict=True)))
+
     def judge(self, images: Tensor, batch_size: int = 256) -> tuple[Tensor, Tensor, Tensor]:
-        """Return (N,) labels, (N,) grades and (N, 512) features on the CPU, in one pass."""
-        parts = []
-        for batch in images.split(batch_size):
-            with self._autocast():
-                features = self.network.encoder(self._input(batch))
-                logits, grade = self.network.heads(features)
-            grade = grade.clamp(0.0, GRADE_SCALE)
-            parts.append((logits.argmax(-1).cpu(), grade.cpu(), features.float().cpu()))
-        if not parts:
+        """Return (N,) labels, (N,) grades and (N, D) features on the CPU, in one pass."""
+        if not len(images):
             return torch.empty(0, dtype=torch.int64), torch.empty(0), torch.empty(0, 0)
-        labels, grades, features = (torch.cat(column) for column in zip(*parts, strict=True))
-        return labels, grades, features
+        logits, grades, features = self.read(images, batch_size)
+        return logits.argmax(-1), grades, features
 
     @property
     def settings(self) -> dict[str, Any]:
         """What its features depend on, for a scores file."""
         return {
-            "id": "racines-grader-resnet18",
+            "id": f"racines-grader-{self.architecture}",
             "sha256": self.sha256,
             "layer": f"encoder, {self.network.features}",
-            "resizer": f"area average, {IMAGE_SIZE} to {self.config.input_size}",
+            "resizer": f"area average, 128 to {self.config.input_size}",
             "range": "gray 0-255, x / 127.5 - 1",
             "precision": "bfloat16 autocast" if self.config.bf16 else "float32",
         }
@@ -191,25 +173,33 @@ class Grader:
         state = {k: v.contiguous().cpu() for k, v in self.network.state_dict().items()}
         write_atomic(folder / WEIGHTS, save(state))
         self.sha256 = sha256_file(folder / WEIGHTS)
-        described = {"schema": SCHEMA, "config": asdict(self.config), "sha256": self.sha256}
-        write_json(folder / CONFIG, described | {"labels": list(self.labels)} | provenance)
+        described = {"schema": SCHEMA, "architecture": self.architecture}
+        described |= {"config": asdict(self.config), "sha256": self.sha256}
+        described |= {"labels": list(self.labels), "temperature": self.temperature}
+        write_json(folder / CONFIG, described | provenance)
 
     @classmethod
     def load(cls, folder: Path | str, device: str = "cpu") -> "Grader":
-        """Read what `save` wrote; the weights must have the hash that the config names."""
-        from safetensors.torch import load_file
+        """Read what `save` wrote, of either architecture, or its half-precision copy.
+
+        The weights must have the hash that the config names.
+        """
+        from racines_models.publish import load_weights
 
         folder = Path(folder)
-        described = _read_config(folder)
-        config = fill(GraderConfig, described["config"], f"{folder / CONFIG}: config")
+        described = read_config(folder)
+        kind = _architecture(described.get("architecture", cls.architecture), folder)
+        config = fill(kind.Config, described["config"], f"{folder / CONFIG}: config")
         path = folder / WEIGHTS
-        if not path.is_file() or sha256_file(path) != described["sha256"]:
+        published = described.get("weights_files", {}).get("files", {}).get(WEIGHTS, {})
+        digest = published.get("sha256", described["sha256"])
+        if not path.is_file() or sha256_file(path) != digest:
             raise RacinesError(f"{path}: missing or damaged; run: racines train grader")
         labels = described.get("labels") or LABELS  # graders of old are cardiac
-        network = GraderNetwork(config.input_size, config.width, len(labels))
-        network.load_state_dict(load_file(path))
-        grader = cls(network, config, device, labels)
-        grader.sha256 = described["sha256"]
+        network = kind.build(config, len(labels))
+        network.load_state_dict(load_weights(path))
+        grader = kind(network, config, device, labels, described.get("temperature", 1.0))
+        grader.sha256 = digest
         return grader
 
     def check_labels(self, labels: Sequence[str], what: str) -> None:
@@ -224,14 +214,20 @@ class Grader:
                 "a grader on a dataset of that anatomy: racines train grader"
             )
 
-    def _input(self, images: Tensor) -> Tensor:
-        return self.network.normalise(images.to(self.device))
+    def _read(self, images: Tensor) -> Reading:
+        x = self.network.normalise(images.to(self.device))
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16):
+            features = self.network.encoder(x)
+            logits, grades = self.network.heads(features)
+        return Reading(logits.float(), grades.clamp(0.0, GRADE_SCALE), features.float())
 
-    def _autocast(self) -> torch.autocast:
-        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16)
 
+def read_config(folder: Path) -> dict[str, Any]:
+    """Return what a grader's `config.json` says.
 
-def _read_config(folder: Path) -> dict[str, Any]:
+    Raises:
+        RacinesError: it is absent, no JSON, or of another schema.
+    """
     path = folder / CONFIG
     if not path.is_file():
         raise RacinesError(f"{folder}: no grader there; run: racines train grader --out {folder}")
@@ -242,3 +238,12 @@ def _read_config(folder: Path) -> dict[str, Any]:
     if described.get("schema") != SCHEMA:
         raise RacinesError(f"{path}: schema {described.get('schema')!r}, expected {SCHEMA!r}")
     return described
+
+
+def _architecture(name: str, folder: Path) -> type[Grader]:
+    if name not in ARCHITECTURES:
+        raise RacinesError(
+            f"{folder / CONFIG}: architecture {name!r}, expected {' or '.join(ARCHITECTURES)}"
+        )
+    module, kind = ARCHITECTURES[name].split(":")
+    return cast(type[Grader], getattr(import_module(module), kind))

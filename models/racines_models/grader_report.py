@@ -1,14 +1,17 @@
 """How the grader's labels and grades compare with the truth, on held-out trajectories."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from racines_data.store import FrameStore
+from racines_data.store import Batch, FrameStore
 from racines_data.views import LABELS, RANDOM_LABEL
 from racines_models.bootstrap import bootstrap_mean
-from racines_models.grader import Grader
+from racines_models.grader import Grader, Reading
+from racines_models.grader_calibration import calibration_error
 
 CLOSE = 1.0
 """Grades that differ by no more agree."""
@@ -50,41 +53,107 @@ def compare(
     return {k: each for k, each in compared.items() if bool(each.values.isfinite().any())}
 
 
+class Examination(NamedTuple):
+    """A grader's answers on a split, and what they come to."""
+
+    reading: Reading
+    labels: Tensor
+    """(N,) labels given."""
+    views: Tensor
+    """(N,) true labels, -1 where unknown."""
+    grades: Tensor
+    """(N,) true grades, NaN where unknown."""
+    names: tuple[str, ...]
+    """Names of the labels; the last is `Random`."""
+    temperature: float
+    content: dict[str, Any]
+    """The report, see `report`."""
+
+
 def report(grader: Grader, store: FrameStore, split: str = "test") -> dict[str, Any]:
     """Judge a split and compare with its labels.
 
     Returns:
         `split`; `metrics`: `view_accuracy`, `grade_mae` (frames of a view), `grade_mae_all`,
         `grade_agreement`, each with value, low, high, n; `views`: the accuracy on each label's
-        frames; `confusion`: counts, rows the truth.
+        frames; `grades`: `mae` and `bias` on each view's frames; `calibration`: the temperature and
+        the expected calibration error `before` and `after` it; `confusion`: counts, rows the truth.
 
     Raises:
         RacinesError: the grader was trained for other views.
     """
+    return examine(grader, store, split).content
+
+
+def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examination:
+    """Judge a split, as `report`, and keep the answers for the plots."""
     grader.check_labels(store.labels, "the dataset")
     rows = store.split_indices(split)
     frames = store.take(rows)
-    label, grade, _ = grader.judge(frames.images)
-    trajectory = store.trajectory_index[rows].numpy()
+    reading = grader.read(frames.images)
+    label, trajectory = reading.logits.argmax(-1), store.trajectory_index[rows].numpy()
+    random = len(store.labels) - 1
+    compared = compare(label, reading.grades, frames.views, frames.grades, random)
+    counts = confusion_counts(label, frames.views, len(store.labels))
+    content = {
+        "split": split,
+        "metrics": _metrics(compared, trajectory),
+        "views": _by_view(compared, frames, store.labels, trajectory),
+        "grades": _grades_by_view(reading.grades, frames, store.labels[:random], trajectory),
+        "calibration": _calibration(grader, reading, frames.views, trajectory),
+        "confusion": {"labels": list(store.labels), "counts": counts},
+    }
+    answers = (reading, label, frames.views, frames.grades)
+    return Examination(*answers, store.labels, grader.temperature, content)
+
+
+def _metrics(compared: dict[str, Comparison], trajectory: np.ndarray) -> dict[str, Any]:
     names = {"view_agreement": "view_accuracy", "grade_error": "grade_mae"}
     names |= {"grade_error_all": "grade_mae_all"}
-    random = len(store.labels) - 1
-    compared = compare(label, grade, frames.views, frames.grades, random)
-    metrics = {
+    return {
         names.get(name, name): bootstrap_mean(each.values.numpy(), trajectory).to_json(
             each.unit, rule=each.rule
         )
         for name, each in compared.items()
     }
+
+
+def _by_view(
+    compared: dict[str, Comparison], frames: Batch, labels: Sequence[str], trajectory: np.ndarray
+) -> dict[str, Any]:
     views = {}
-    for index, name in enumerate(store.labels):
+    for index, name in enumerate(labels):
         chosen = (frames.views == index).numpy()
         if chosen.any():
             right = compared["view_agreement"].values.numpy()[chosen]
             views[name] = bootstrap_mean(right, trajectory[chosen]).to_json()
-    counts = confusion_counts(label, frames.views, len(store.labels))
-    confusion = {"labels": list(store.labels), "counts": counts}
-    return {"split": split, "metrics": metrics, "views": views, "confusion": confusion}
+    return views
+
+
+def _grades_by_view(
+    grades: Tensor, frames: Batch, labels: Sequence[str], trajectory: np.ndarray
+) -> dict[str, Any]:
+    views, difference = {}, (grades - frames.grades).double().numpy()
+    for index, name in enumerate(labels):
+        chosen = ((frames.views == index) & frames.grades.isfinite()).numpy()
+        if chosen.any():
+            signed, clusters = difference[chosen], trajectory[chosen]
+            views[name] = {
+                "mae": bootstrap_mean(np.abs(signed), clusters).to_json("grades of 10"),
+                "bias": bootstrap_mean(signed, clusters).to_json("grades of 10"),
+            }
+    return views
+
+
+def _calibration(
+    grader: Grader, reading: Reading, views: Tensor, trajectory: np.ndarray
+) -> dict[str, Any]:
+    content: dict[str, Any] = {"temperature": grader.temperature}
+    if bool((views >= 0).any()):
+        for name, temperature in (("before", 1.0), ("after", grader.temperature)):
+            probabilities = (reading.logits / temperature).softmax(-1)
+            content[name] = calibration_error(probabilities, views, trajectory)
+    return content
 
 
 def confusion_counts(label: Tensor, truth: Tensor, labels: int = len(LABELS)) -> list[list[int]]:

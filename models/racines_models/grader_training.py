@@ -15,13 +15,13 @@ from accelerate import Accelerator
 from accelerate.state import AcceleratorState
 
 from racines_data.errors import RacinesError
-from racines_data.files import write_json
 from racines_data.randomness import derive
 from racines_data.store import Batch, FrameStore
 from racines_models.grader import Grader, GraderConfig, GraderNetwork, StageConfig
 from racines_models.grader_augment import augment
+from racines_models.grader_calibration import calibrate
+from racines_models.grader_evaluation import write_report
 from racines_models.grader_loss import class_weights, grade_loss, learning_rate, view_loss
-from racines_models.grader_report import report
 from racines_models.protocol import Run
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
@@ -44,11 +44,11 @@ def train_grader(store: FrameStore, config: GraderConfig, run: Run) -> dict[str,
         training.run()
     device = training.accelerator.device.type
     grader = Grader(training.unwrapped(), config, device, store.labels)
+    calibrated = {"split": "validation", "frames": calibrate(grader, store)}
     made = {"dataset": dataset_card(store), "seed": run.seed, "code": code_version()}
-    grader.save(run.folder, **made)
-    metrics = {"schema": "racines.grader-metrics/1"} | made | report(grader, store)
-    metrics |= {"training": training.figures(), "environment": environment(str(grader.device))}
-    write_json(run.folder / "metrics.json", metrics)
+    grader.save(run.folder, calibrated=calibrated, **made)
+    made |= {"training": training.figures(), "environment": environment(str(grader.device))}
+    metrics = write_report(run.folder, grader, store, **made)
     discard_checkpoint(run.folder)
     return metrics
 
