@@ -105,3 +105,11 @@ def rotation_6d(rotation: Tensor) -> Tensor:
     Source: Zhou et al., On the Continuity of Rotation Representations in Neural Networks, 2019.
     """
     return torch.cat([rotation[..., 0], rotation[..., 1]], -1)
+
+
+def matrix_from_6d(encoded: Tensor) -> Tensor:
+    """Turn (…, 6) encoded rotations, exact or not, into (…, 3, 3) matrices by Gram-Schmidt."""
+    x = torch.nn.functional.normalize(encoded[..., :3], dim=-1)
+    y = encoded[..., 3:] - (encoded[..., 3:] * x).sum(-1, keepdim=True) * x
+    y = torch.nn.functional.normalize(y, dim=-1)
+    return torch.stack([x, y, torch.linalg.cross(x, y)], -1)

@@ -71,6 +71,36 @@ def bootstrap_mean(
     return Estimate(float(values.mean()), low, high, len(values), len(count), method)
 
 
+def bootstrap_median(
+    values: np.ndarray, clusters: np.ndarray, seed: int = 0, resamples: int = 1000
+) -> Estimate:
+    """Estimate the median of (N,) values, resampling their (N,) clusters with replacement.
+
+    NaN values are absent measurements and are left out.
+
+    Raises:
+        ValueError: no value is present.
+    """
+    present = np.isfinite(values)
+    values, clusters = np.asarray(values, np.float64)[present], clusters[present]
+    if not len(values):
+        raise ValueError("no values to take the median of")
+    _, cluster = np.unique(clusters, return_inverse=True)
+    count = int(cluster.max()) + 1
+    order = np.argsort(values, kind="stable")
+    low = high = None
+    if count > 1:
+        generator = np.random.default_rng(seed)
+        medians = []
+        for _ in range(resamples):
+            draws = generator.multinomial(count, np.full(count, 1 / count))
+            reached = np.cumsum(draws[cluster[order]])
+            medians.append(values[order[np.searchsorted(reached, reached[-1] / 2)]])
+        low, high = (float(q) for q in np.quantile(medians, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]))
+    method = f"median, percentile bootstrap by trajectory, {resamples} resamples"
+    return Estimate(float(np.median(values)), low, high, len(values), count, method)
+
+
 def jackknife(
     statistic: Callable[[np.ndarray], float],
     clusters: np.ndarray,

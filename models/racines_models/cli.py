@@ -7,10 +7,18 @@ from racines_data.cli import data
 
 def register(train: typer.Typer, evaluate: typer.Typer) -> None:
     """Add the commands for graders and generators, and those that use them on a dataset."""
-    from racines_models import cli_data, cli_gallery, cli_generators, cli_realism, cli_scores
+    from racines_models import (
+        cli_data,
+        cli_gallery,
+        cli_generators,
+        cli_pose,
+        cli_realism,
+        cli_scores,
+    )
 
     cli_generators.register(train)
     cli_scores.register(train, evaluate)
+    cli_pose.register(train)
     cli_gallery.register(evaluate)
     cli_realism.register(evaluate)
     cli_data.register(data)

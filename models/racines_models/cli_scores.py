@@ -20,6 +20,7 @@ Device = Annotated[str, typer.Option(help="cpu, cuda or auto.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print figures as JSON on stdout.")]
 DATA = Path("data/racines")
 GRADER = Path("models/runs/grader")
+POSE = Path("models/runs/pose")
 
 
 def register(train: typer.Typer, evaluate: typer.Typer) -> None:
