@@ -9,9 +9,11 @@ def register(train: typer.Typer, evaluate: typer.Typer) -> None:
     """Add the commands for graders and generators, and those that use them on a dataset."""
     from racines_models import (
         cli_data,
+        cli_export,
         cli_gallery,
         cli_generators,
         cli_pose,
+        cli_publish,
         cli_realism,
         cli_scores,
     )
@@ -22,3 +24,4 @@ def register(train: typer.Typer, evaluate: typer.Typer) -> None:
     cli_gallery.register(evaluate)
     cli_realism.register(evaluate)
     cli_data.register(data)
+    cli_publish.register(cli_export.export)
