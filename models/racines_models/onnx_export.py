@@ -43,6 +43,8 @@ def export_generator(generator: Any, path: Path) -> dict[str, Any]:
             f"{name} has no onnx_module(): it cannot be an ONNX file; "
             "export its predictions instead: racines export predictions"
         )
+    if not getattr(generator, "tensors", lambda: True)():
+        raise RacinesError(f"{generator.name} is not fitted: call fit, or load a trained folder")
     module: OnnxModule = hook()
     model = _trace(module)
     _strip(model)

@@ -29,13 +29,16 @@ def read_model(path: Path) -> tuple[bytes, Any, int]:
         model = onnx.load_model_from_string(content)
     except Exception as error:
         raise RacinesError(f"{path}: not an ONNX model: {error}; export it again") from error
+    if not model.graph.output:
+        raise RacinesError(f"{path}: not an ONNX model: it has no output; export it again")
     # Before anything else looks at the file: the checker and the runtime would follow the link.
     _check_inside(model, path)
+    opset = _check_operators(model, path, onnx.defs.onnx_opset_version())
     try:
         onnx.checker.check_model(model)
     except Exception as error:
         raise RacinesError(f"{path}: not a valid ONNX model: {error}") from error
-    return content, model, _check_operators(model, path, onnx.defs.onnx_opset_version())
+    return content, model, opset
 
 
 def _read(path: Path) -> bytes:

@@ -46,8 +46,8 @@ class Predictions:
         self.path = Path(path)
         self._check_size()
         with self._opened() as file:
-            self._check_columns(file)
             self.metadata = _read_metadata(file.schema_arrow.metadata or {}, self.path)
+            self._check_columns(file)
             self.rows: int = file.metadata.num_rows
         self.name = check_name(self.metadata["generator"], f"{self.path}: racines.generator")
         self.sha256 = sha256_file(self.path)
