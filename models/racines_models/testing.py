@@ -27,6 +27,8 @@ class GeneratorContract:
     generator_class: ClassVar[type[Generator]]
     config: ClassVar[Any] = None
     """A configuration that fits within seconds; None takes the defaults."""
+    exportable: ClassVar[bool] = False
+    """It has an `onnx_module`, to be checked; needs the packages of the extra `onnx`."""
 
     def fitted(self, store: FrameStore, folder: Path) -> Generator:
         """Return a generator fitted in a folder."""
@@ -79,6 +81,20 @@ class GeneratorContract:
             loaded = self.generator_class.load(folder)
             assert torch.equal(loaded.generate(poses, 5), generator.generate(poses, 5))
             assert loaded.card == generator.card
+
+    def test_exported_file_draws_the_same(self, store: FrameStore, tmp_path: Path) -> None:
+        """Where exportable: within 1 gray level, and in at most 1 pixel of 1,000, with no force."""
+        if not self.exportable:
+            return
+        from racines_models.onnx_export import export_generator
+        from racines_models.onnx_generator import OnnxGenerator
+
+        generator, poses = self.fitted(store, tmp_path), self.parameters(store).clone()
+        poses[:2, :6] = float("nan")
+        export_generator(generator, tmp_path / "model.onnx")
+        drawn = OnnxGenerator(tmp_path / "model.onnx").generate(poses, 5)
+        apart = (drawn.int() - generator.generate(poses, 5).int()).abs()
+        assert int(apart.max()) <= 1 and int((apart > 0).sum()) * 1000 <= apart.numel()
 
     def test_broken_pose_is_refused(self, store: FrameStore, tmp_path: Path) -> None:
         """NaN in a pose, and parameters of a wrong shape, are errors that name the column."""
