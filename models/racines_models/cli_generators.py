@@ -2,9 +2,12 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from racines_models.protocol import Run
 
 
 def register(train: typer.Typer) -> None:
@@ -26,6 +29,9 @@ def train_generator(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed; default: the params file's.")] = None,
     device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
+    processes: Annotated[
+        int, typer.Option(min=1, help="Processes on this machine that share each batch.")
+    ] = 1,
     resume: Annotated[
         bool | None,
         typer.Option(
@@ -36,8 +42,7 @@ def train_generator(
     as_json: Annotated[bool, typer.Option("--json", help="Print figures as JSON.")] = False,
 ) -> None:
     """Train a generator on the train split; leaves model, config, metrics and samples."""
-    from racines_data.config import fill, read_params, section
-    from racines_data.store import open_store
+    from racines_data.config import read_params, section
     from racines_models.protocol import Run
     from racines_models.registry import generator_class
 
@@ -47,7 +52,6 @@ def train_generator(
     values = read_params(params, profile)
     # A module:Class has dots of its own, so the section is not looked up by a dotted path.
     settings = section(values, "generators").get(cls.name) or {}
-    generator = cls(fill(cls.Config, settings, f"generators.{cls.name}"))
     run = Run(
         folder=out or Path("models/runs") / cls.name,
         seed=values.get("seed", 0) if seed is None else seed,
@@ -55,11 +59,37 @@ def train_generator(
         resume=resume,
         progress=not as_json,
     )
-    metrics = generator.fit(open_store(data), run)
+    metrics = _started(processes, name, settings, data, run)
+    if metrics is None:
+        return
     if as_json:
         typer.echo(json.dumps({"out": str(run.folder), **metrics}))
     else:
         _print(run.folder, metrics)
+
+
+def _started(processes: int, *fit: Any) -> dict[str, Any] | None:
+    """Return the metrics, or None in a process whose word is not needed."""
+    from racines_models.training.launch import in_processes
+    from racines_models.training.processes import is_main_process, leave
+
+    if processes > 1:
+        return in_processes(processes, _fit, *fit)
+    try:
+        metrics = _fit(*fit)
+        return metrics if is_main_process() else None
+    finally:
+        leave()
+
+
+def _fit(name: str, settings: dict[str, Any], data: Path, run: "Run") -> dict[str, Any]:
+    from racines_data.config import fill
+    from racines_data.store import open_store
+    from racines_models.registry import generator_class
+
+    cls = generator_class(name)
+    generator = cls(fill(cls.Config, settings, f"generators.{cls.name}"))
+    return generator.fit(open_store(data), run)
 
 
 def _print(folder: Path, metrics: dict[str, Any]) -> None:

@@ -1,0 +1,189 @@
+"""Flow matching from noise to image, conditioned on the probe; drawn in one to four steps."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import mse_loss, pixel_shuffle, pixel_unshuffle
+from torch.optim import Adam, Optimizer
+
+from racines_data.errors import RacinesError
+from racines_data.randomness import derive, normal, sample_seeds, uniform
+from racines_data.store import FrameStore
+from racines_models.conditioning import Conditioning
+from racines_models.generators.base import BaseGenerator
+from racines_models.networks.batching import in_fixed_batches
+from racines_models.networks.convolution import to_gray, to_range
+from racines_models.networks.unet import CELL, GRID, PlacedUNet
+from racines_models.protocol import Run
+from racines_models.trainer import train
+from racines_models.training.objective import TrainBatch, Training, Update
+
+NOISE, TIME, DRAW = 1, 2, 3
+"""Random streams: noise and time in training, noise at drawing."""
+SOLVERS = ("euler", "heun")
+PIXELS = (GRID * CELL) ** 2
+
+
+def _training() -> Training:
+    return Training(schedule="cosine", warmup_images=1_000)
+
+
+@dataclass(frozen=True)
+class FlowConfig:
+    """Network, path and solver; docs/flow.md says what each choice brings."""
+
+    width: int = 64
+    """Channels at 32×32 cells; twice as many at 16×16, four times at 8×8. A multiple of 8."""
+    octaves: int = 6
+    """Sines and cosines of each cell's place, from 0.32 m down to 0.32 / 2^(octaves - 1) m."""
+    extent: float = 0.219
+    """Side of the image, m: what the place of a cell is computed with."""
+    conditioning: str = "continuous"
+    """`continuous`, or `euler` for the raw twelve columns."""
+    learning_rate: float = 1e-3
+    pure_noise: float = 0.5
+    """Share of the training samples at time 0, where the first step starts; the rest is uniform."""
+    steps: int = 1
+    """Steps from noise to image at drawing, 1 to 4."""
+    solver: str = "euler"
+    """`euler`, or `heun`: a second look a step, but for the last, which always is Euler's."""
+    training: Training = field(default_factory=_training)
+
+    def __post_init__(self) -> None:
+        """Refuse settings that cannot train or draw."""
+        if self.width < 8 or self.width % 8:
+            raise RacinesError("flow.width: a multiple of 8, for group norm")
+        if not 1 <= self.octaves <= 10 or self.extent <= 0:
+            raise RacinesError("flow: octaves lie in 1-10 and extent is above 0")
+        if self.learning_rate <= 0 or not 0.0 <= self.pure_noise <= 1.0:
+            raise RacinesError("flow: learning_rate is above 0 and pure_noise in [0, 1]")
+        if not 1 <= self.steps <= 4 or self.solver not in SOLVERS:
+            raise RacinesError(f"flow: steps are 1 to 4 and solver is {' or '.join(SOLVERS)}")
+
+
+class Flow(BaseGenerator[FlowConfig]):
+    """Straight paths from noise to image, followed by a network that foresees their end."""
+
+    name = "flow"
+    Config = FlowConfig
+    title = "Flow matching"
+    summary = "A U-Net that sees each cell's place in the block moves noise to an image."
+    source = (
+        "Lipman et al., Flow Matching for Generative Modeling, 2023; "
+        "Liu et al., Flow Straight and Fast (rectified flow), 2023"
+    )
+    stochastic = True
+    limits = (
+        "one step draws nearly the mean of what a pose may look like: speckle is smooth",
+        "several steps draw speckle that looks right but is not that of the place",
+    )
+
+    nets: nn.ModuleDict | None = None
+
+    def _build(self) -> nn.ModuleDict:
+        config = self.config
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.seed)
+            conditioning = Conditioning(config.conditioning)
+            net = PlacedUNet(config.width, config.octaves, config.extent, conditioning)
+        return nn.ModuleDict({"unet": net}).to(memory_format=torch.channels_last)  # pyright: ignore
+
+    def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
+        """Fit the conditioning, then train."""
+        self.nets = self._build()
+        self._unet.fit(store.parameters[store.split_indices("train")])
+        self.nets.to(self.device)
+        return train(self, store, self.config.training, run)
+
+    @property
+    def _unet(self) -> PlacedUNet:
+        assert self.nets is not None
+        unet = self.nets["unet"]
+        assert isinstance(unet, PlacedUNet)
+        return unet
+
+    def modules(self) -> dict[str, nn.Module]:
+        """Return the U-Net."""
+        return {"unet": self._unet}
+
+    def averaged(self) -> tuple[str, ...]:
+        """Name the U-Net."""
+        return ("unet",)
+
+    def optimizers(self) -> dict[str, Optimizer]:
+        """Return one Adam."""
+        return {"unet": Adam(self._unet.parameters(), self.config.learning_rate, (0.9, 0.99))}
+
+    def updates(self, nets: Mapping[str, nn.Module], batch: TrainBatch) -> Iterator[Update]:
+        """Yield one step: foresee the image from a point on the way to it.
+
+        The path is x(t) = (1 - t) · noise + t · image, its velocity (image - x) / (1 - t). The
+        squared error of the foreseen image is that of the velocity times (1 - t)²: it weighs the
+        early times, at which few steps are taken.
+        """
+        image = _fold(to_range(batch.images))
+        time = uniform(derive(batch.seeds, TIME), 2)
+        time = time[:, 0].where(time[:, 1] >= self.config.pure_noise, 0.0)
+        noise = _noise(derive(batch.seeds, NOISE))
+        at = time[:, None, None, None]
+        foreseen = nets["unet"](noise.lerp(image, at), time, batch.parameters)
+        loss = mse_loss(foreseen.float(), image)
+        early = (foreseen.detach().float() - image).square().mean((1, 2, 3))
+        pure = (time == 0.0).float()
+        first = (early * pure).sum() / pure.sum().clamp_min(1.0)
+        yield Update("unet", loss, {"loss": loss, "first_step": first})
+
+    def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
+        """Follow the flow from each sample's noise."""
+        seeds = sample_seeds(seed, len(parameters), parameters.device)
+        self._unet.eval()
+        return in_fixed_batches(self._follow, parameters, seeds)
+
+    def _follow(self, parameters: Tensor, seeds: Tensor) -> Tensor:
+        noise = _noise(derive(seeds, DRAW))
+        images = follow(self._unet, noise, parameters, self.config.steps, self.config.solver)
+        return to_gray(pixel_shuffle(images, CELL))
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return the U-Net's weights and the conditioning's statistics."""
+        return {} if self.nets is None else self.nets.state_dict()
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Take the weights back."""
+        self.nets = self._build().to(self.device)
+        self.nets.load_state_dict(tensors)
+
+
+def follow(unet: nn.Module, x: Tensor, parameters: Tensor, steps: int, solver: str) -> Tensor:
+    """Return the (B, 16, 32, 32) images at the end of the flow from noise `x`, in equal steps.
+
+    Heun's second slope would divide by 0 at the end of the last step, where Euler's step is the
+    foreseen image itself.
+    """
+    for step in range(steps):
+        now, then = step / steps, (step + 1) / steps
+        slope = _slope(unet, x, now, parameters)
+        moved = x + (then - now) * slope
+        if solver == "heun" and step + 1 < steps:
+            moved = x + (then - now) * 0.5 * (slope + _slope(unet, moved, then, parameters))
+        x = moved
+    return x
+
+
+def _slope(unet: nn.Module, x: Tensor, time: float, parameters: Tensor) -> Tensor:
+    foreseen = unet(x, x.new_full((len(x),), time), parameters)
+    return (foreseen.float() - x) / (1.0 - time)
+
+
+def _fold(images: Tensor) -> Tensor:
+    folded = pixel_unshuffle(images, CELL)
+    return folded.contiguous(memory_format=torch.channels_last)
+
+
+def _noise(seeds: Tensor) -> Tensor:
+    """Return (B, 16, 32, 32) standard normal noise of (B,) seeds."""
+    noise = normal(seeds, PIXELS).view(-1, GRID, GRID, CELL * CELL)
+    return noise.permute(0, 3, 1, 2)  # channels last
