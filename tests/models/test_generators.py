@@ -31,6 +31,7 @@ TINY = VaeGanConfig(
 
 class TestMeanImage(GeneratorContract):
     generator_class = MeanImage
+    exportable = True
 
     def test_it_is_the_mean_of_train(self, store, tmp_path):
         image = self.fitted(store, tmp_path).generate(self.parameters(store, 1), 0)[0]
@@ -93,6 +94,7 @@ class TestNearestPose(GeneratorContract):
 
 class TestVaeGan(GeneratorContract):
     generator_class = VaeGan
+    exportable = True
     config = TINY
 
     def test_posterior_and_prior_noise_differ_by_sample(self, store, tmp_path):
