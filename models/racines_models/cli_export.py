@@ -59,12 +59,13 @@ def export_poses(
     as_json: AsJson = False,
 ) -> None:
     """Write the poses that generators are scored on, for a program outside to draw."""
-    from racines_models.predictions import write_poses
+    from racines_models.predictions import POSES, write_poses
 
     _check_ending(out, ".parquet")
     task = _task(data, split, samples, params, profile)
     rows = write_poses(out, task)
-    _tell({"out": str(out), "rows": rows, **task.metadata("")}, as_json, f"{out}: {rows} rows")
+    made = {"out": str(out), "rows": rows, **task.metadata(POSES)}
+    _tell(made, as_json, f"{out}: {rows} rows")
 
 
 @export.command("predictions")
@@ -84,7 +85,7 @@ def export_predictions(
     """Draw the poses that generators are scored on and write the images to a file."""
     from racines_models.cli_output import progress_bar
     from racines_models.cli_scores import pick_device
-    from racines_models.predictions import write_predictions
+    from racines_models.predictions import PREDICTIONS, write_predictions
     from racines_models.registry import open_generator
 
     _check_ending(out, ".parquet")
@@ -95,7 +96,11 @@ def export_predictions(
     total = len(task.sample.frames.index) * len(task.seeds)
     with progress_bar(f"drawing {generator.name}", total, hidden=as_json) as advance:
         rows = write_predictions(out, task, generator, generator.name, text, advance)
-    _tell({"out": str(out), "rows": rows, **task.metadata("")}, as_json, f"{out}: {rows} rows")
+    _tell(
+        {"out": str(out), "rows": rows, **task.metadata(PREDICTIONS)},
+        as_json,
+        f"{out}: {rows} rows",
+    )
 
 
 def _task(

@@ -78,10 +78,16 @@ class Predictions:
         if size > MAX_BYTES:
             raise RacinesError(f"{self.path}: {size:,} bytes: at most {MAX_BYTES:,} are read")
 
-    def _opened(self) -> pq.ParquetFile:
+    def _opened(self, dictionary: tuple[str, ...] = ()) -> pq.ParquetFile:
         try:
             # Pages as they come: no column is read ahead, so memory holds one page and one batch.
-            return pq.ParquetFile(self.path, memory_map=False, buffer_size=2**20, pre_buffer=False)
+            return pq.ParquetFile(
+                self.path,
+                memory_map=False,
+                buffer_size=2**20,
+                pre_buffer=False,
+                read_dictionary=list(dictionary),
+            )
         except Exception as error:
             raise RacinesError(
                 f"{self.path}: not readable as Parquet: {error}; write it again"
@@ -133,7 +139,9 @@ class Predictions:
     def _batches(self) -> Iterator[tuple[int, np.ndarray, np.ndarray, Any]]:
         """Yield the first row's number, samples, seeds, and a function from place to PNG bytes."""
         row = 0
-        with self._opened() as file:
+        # One image of 1 GiB may stand in many rows of a small file. Held as a dictionary, it is
+        # there once, and its size is looked at before it is taken out.
+        with self._opened(("image",)) as file:
             reader = file.iter_batches(BATCH, columns=PREDICTION_COLUMNS.names, use_threads=False)
             while True:
                 try:
@@ -159,7 +167,7 @@ class Predictions:
 
 def _png_of(column: Any) -> Any:
     def png(place: int, where: str) -> bytes:
-        buffer = column[place].as_buffer()
+        buffer = column[place].value.as_buffer()
         if buffer.size > MAX_PNG:
             raise RacinesError(f"{where}: {buffer.size:,} bytes: a PNG has at most {MAX_PNG:,}")
         return buffer.to_pybytes()

@@ -250,7 +250,7 @@ def _external_in_branch(graph):
         (_input("parameters", TensorProto.DOUBLE, ["B", 12]), "ONNX type 11"),
         (_with_noise, "noise has 0 numbers"),
         (lambda g: setattr(g, "metadata", {"racines.name": "../x"}), "'../x' is refused"),
-        (lambda g: setattr(g, "metadata", {"racines.nam": "x"}), "racines.nam: unknown"),
+        (lambda g: setattr(g, "metadata", {"racines.color": "x"}), "racines.color: unknown"),
         (lambda g: setattr(g, "metadata", {"racines.output": "unit"}), "set it to 'gray'"),
         (lambda g: setattr(g, "metadata", {"racines.stochastic": "true"}), "no noise input"),
         (lambda g: setattr(g, "metadata", {"racines.noise": '{"size": 9}'}), "racines.noise: give"),

@@ -1,5 +1,6 @@
 """Predictions files: what is written, and what is refused of a stranger's file."""
 
+import dataclasses
 import io
 import struct
 import zlib
@@ -14,6 +15,7 @@ from PIL import Image
 from racines_data.errors import RacinesError
 from racines_data.records import encode_png
 from racines_data.schema import PARAMETERS
+from racines_models import predictions_reader
 from racines_models.png import decode_gray
 from racines_models.predictions import Task, write_poses, write_predictions
 from racines_models.predictions_reader import Predictions
@@ -58,11 +60,11 @@ def written(task, tmp_path_factory):
 def edited(written, tmp_path):
     """Write the file again, with its table changed by a function, and return its path."""
 
-    def edit(change=lambda table: table, metadata=None):
+    def edit(change=lambda table: table, metadata=None, **options):
         table = pq.read_table(written)
         table = change(table).replace_schema_metadata(table.schema.metadata | (metadata or {}))
         path = tmp_path / "edited.parquet"
-        pq.write_table(table, path)
+        pq.write_table(table, path, **options)
         return path
 
     return edit
@@ -288,3 +290,37 @@ def test_scores_refuse_black_images(task, tmp_path):
 def test_a_file_draws_no_pose_of_its_own(written):
     with pytest.raises(RacinesError, match="draws no other pose"):
         open_generator(str(written))
+
+
+def test_a_file_that_unpacks_to_too_much_is_refused(task, edited, monkeypatch):
+    """A few kilobytes of zeros: the size that the file declares is looked at, nothing is read."""
+    values = [bytes([i]) + bytes(10**5) for i in range(2 * COUNT)]
+    path = edited(_column("image", lambda t: pa.array(values, pa.binary())))
+    assert path.stat().st_size < 10**6
+    monkeypatch.setattr("racines_models.predictions_reader.MAX_BYTES", 10**6)
+    assert "bytes unpacked: at most" in refusal(path, task)
+
+
+def test_one_huge_value_in_many_rows_is_not_multiplied(task, edited):
+    """Parquet keeps equal values once: a kilobyte in the file, 1.3 GB in a batch of 64 rows."""
+    indices, value = np.zeros(2 * COUNT, np.int32), pa.array([bytes(20_000_000)], pa.binary())
+    images = pa.DictionaryArray.from_arrays(pa.array(indices), value)
+    path = edited(_column("image", lambda t: images), store_schema=False, compression="zstd")
+    assert path.stat().st_size < 10_000
+    before = pa.default_memory_pool().max_memory()
+    assert "20,000,000 bytes: a PNG has at most 65,536" in refusal(path, task)
+    assert pa.default_memory_pool().max_memory() < before + 200_000_000
+
+
+def test_memory_is_bounded_by_one_seed(task, tmp_path, monkeypatch):
+    """Only a batch of rows is held beside the images that are asked for."""
+    path, many = tmp_path / "many.parquet", dataclasses.replace(task, seeds=tuple(range(9)))
+    write_predictions(path, many, Noisy(), "noisy")
+    predictions = Predictions(path, task.store)
+    sizes = []
+    monkeypatch.setattr(
+        "racines_models.predictions_reader._png_of",
+        lambda column, made=predictions_reader._png_of: sizes.append(len(column)) or made(column),
+    )
+    predictions.draw_frames(task.sample.frames, 3)
+    assert max(sizes) <= 64 and sum(sizes) == 9 * COUNT
