@@ -5,7 +5,7 @@ A mean gets a percentile bootstrap that resamples whole trajectories. A distance
 a set, which inflates the distance itself, and leaving out does not.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -112,15 +112,31 @@ def jackknife(
     `statistic` takes a (N,) boolean mask of the samples to keep. The interval is the value ± t
     times the standard error, t with blocks - 1 degrees of freedom, cut at `minimum`.
     """
+    both = jackknife_all(lambda keep: {"": statistic(keep)}, clusters, blocks, minimum)
+    return both[""]
+
+
+def jackknife_all(
+    statistics: Callable[[np.ndarray], Mapping[str, float]],
+    clusters: np.ndarray,
+    blocks: int = 20,
+    minimum: float = -np.inf,
+) -> dict[str, Estimate]:
+    """Estimate several statistics that are computed together; see `jackknife`."""
     unique, cluster = np.unique(clusters, return_inverse=True)
     blocks = min(blocks, len(unique))
-    value = float(statistic(np.ones(len(clusters), bool)))
-    low = high = None
+    values = statistics(np.ones(len(clusters), bool))
+    parts = []
     if blocks > 1:
-        block = cluster % blocks
-        parts = np.array([statistic(block != b) for b in range(blocks)])
-        error = np.sqrt((blocks - 1) / blocks * np.square(parts - parts.mean()).sum())
-        half = float(stats.t.ppf(0.5 + LEVEL / 2, blocks - 1) * error)
-        low, high = max(value - half, minimum), value + half
+        parts = [statistics(cluster % blocks != block) for block in range(blocks)]
     method = f"jackknife by trajectory, {blocks} blocks, Student t"
-    return Estimate(value, low, high, len(clusters), len(unique), method)
+    estimates = {}
+    for name, value in values.items():
+        low = high = None
+        if parts:
+            of_blocks = np.array([each[name] for each in parts])
+            error = np.sqrt((blocks - 1) / blocks * np.square(of_blocks - of_blocks.mean()).sum())
+            half = float(stats.t.ppf(0.5 + LEVEL / 2, blocks - 1) * error)
+            low, high = max(value - half, minimum), value + half
+        estimates[name] = Estimate(float(value), low, high, len(clusters), len(unique), method)
+    return estimates

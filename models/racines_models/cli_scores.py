@@ -77,6 +77,13 @@ def eval_generator(
     no_grader: Annotated[
         bool, typer.Option("--no-grader", help="Leave out what needs a grader.")
     ] = False,
+    pose: Annotated[
+        Path | None,
+        typer.Option(help=f"Folder of the pose regressor's run.  [default: {POSE}, if there]"),
+    ] = None,
+    no_pose: Annotated[
+        bool, typer.Option("--no-pose", help="Leave out what needs a pose regressor.")
+    ] = False,
     out: Annotated[Path, typer.Option(help="Folder of the scores.")] = Path("models/runs/scores"),
     split: Annotated[str | None, typer.Option(help="Split; default: scores.split.")] = None,
     samples: Annotated[int | None, typer.Option(min=2, help="Default: scores.samples.")] = None,
@@ -103,6 +110,8 @@ def eval_generator(
     judge = None if no_grader else Grader.load(grader, device)
     generator: Any = open_generator(name, run, device, store=store, split=config.split)
     title: str = generator.name
+    pose = None if no_pose else pose or (POSE if POSE.is_dir() else None)
+    regressor = None if pose is None else PoseRegressor.load(pose, device)
     total = min(config.samples, len(store.split_indices(config.split)))
     total *= 1 + 2 * len(config.seeds)
     with progress_bar(f"scoring {title}", total, hidden=as_json) as advance:
@@ -112,6 +121,7 @@ def eval_generator(
             config,
             title,
             grader=judge,
+            pose=regressor,
             cache=out / "reference",
             device=device,
             progress=advance,

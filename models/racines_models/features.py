@@ -53,18 +53,32 @@ def reference_features(
 
     The file's name is a hash of `key` (which images) and of the extractor's settings.
     """
-    if folder is None:
+    key = [*key, extractor.settings, len(images), torch.__version__]
+    made = []
+
+    def make() -> Tensor:
+        made.append(True)
         return extractor(images, progress)
-    named = json.dumps([key, extractor.settings, len(images), torch.__version__], sort_keys=True)
-    path = folder / f"{sha256_bytes(named.encode())[:32]}.safetensors"
+
+    features = kept(folder, key, make)
+    if not made and progress is not None:
+        progress(len(images))
+    return features
+
+
+def kept(folder: Path | None, key: list[Any], make: Callable[[], Tensor]) -> Tensor:
+    """Return a tensor from `folder` if a former run left it there, else make it and leave it.
+
+    The file's name is a hash of `key`, which says all that the tensor depends on.
+    """
+    if folder is None:
+        return make()
+    path = folder / f"{sha256_bytes(json.dumps(key, sort_keys=True).encode())[:32]}.safetensors"
     if path.is_file():
         try:
-            features = load_file(path)["features"]
-            if progress is not None:
-                progress(len(images))
-            return features
+            return load_file(path)["features"]
         except (SafetensorError, KeyError, OSError):
             pass  # a damaged cache is made again
-    features = extractor(images, progress)
-    write_atomic(path, save({"features": features.contiguous()}))
-    return features
+    tensor = make()
+    write_atomic(path, save({"features": tensor.contiguous()}))
+    return tensor

@@ -1,10 +1,10 @@
-"""Image metrics: SSIM and PSNR per image (torchmetrics), FID and KID of features."""
+"""Image metrics: SSIM, MS-SSIM and PSNR per image (torchmetrics), FID and KID of features."""
 
 import math
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 from racines_models.frechet import frechet_distance
@@ -24,6 +24,16 @@ SSIM_SETTINGS: dict[str, Any] = {
     "border": f"{BORDER} pixels left out",
     "library": "torchmetrics",
 }
+SCALES = (0.0448, 0.2856, 0.3001, 0.2363)
+"""Weights of the first four scales of Wang et al., 2003, fine to coarse. The fifth would be 8 x 8
+pixels at this image size, less than the 11 x 11 window."""
+MS_SSIM_SETTINGS: dict[str, Any] = SSIM_SETTINGS | {
+    "scales": len(SCALES),
+    "weights": "the first four of Wang et al. 2003, divided by their sum",
+    "between scales": "2 x 2 mean",
+    "negative": "counts as 0",
+    "border": f"{BORDER} pixels left out at each scale",
+}
 PSNR_SETTINGS: dict[str, Any] = {
     "data_range": DATA_RANGE,
     "average": "of per-image values",
@@ -39,14 +49,41 @@ KID_SETTINGS: dict[str, Any] = {
 
 def ssim(images: Tensor, truth: Tensor) -> Tensor:
     """Return the SSIM (Wang et al., 2004) of (N, H, W) uint8 image pairs, (N,) in [-1, 1]."""
+    return _pairwise(ssim_of, images, truth)
+
+
+def ssim_of(a: Tensor, b: Tensor) -> Tensor:
+    """Return the SSIM of (N, 1, H, W) float image pairs of gray levels, (N,)."""
     from torchmetrics.functional.image import structural_similarity_index_measure
 
+    _, full = structural_similarity_index_measure(
+        a, b, data_range=DATA_RANGE, reduction="none", return_full_image=True
+    )
+    # torchmetrics averages over its reflected border too; the definition does not.
+    return full[..., BORDER:-BORDER, BORDER:-BORDER].mean((1, 2, 3))
+
+
+def ms_ssim(images: Tensor, truth: Tensor) -> Tensor:
+    """Return the multi-scale SSIM of (N, H, W) uint8 image pairs, (N,) in [0, 1].
+
+    Contrast and structure at each scale but the coarsest, SSIM there; torchmetrics' own function
+    averages the latter over its reflected border, which is most of a 16 x 16 image.
+
+    Source: Wang et al., Multi-scale structural similarity for image quality assessment, 2003.
+    """
+    from torchmetrics.functional.image import structural_similarity_index_measure
+
+    weights = torch.tensor(SCALES) / sum(SCALES)
+
     def chunk(a: Tensor, b: Tensor) -> Tensor:
-        _, full = structural_similarity_index_measure(
-            a, b, data_range=DATA_RANGE, reduction="none", return_full_image=True
-        )
-        # torchmetrics averages over its reflected border too; the definition does not.
-        return full[..., BORDER:-BORDER, BORDER:-BORDER].mean((1, 2, 3))
+        product = torch.ones(len(a), device=a.device)
+        for weight in weights[:-1].tolist():
+            _, contrast = structural_similarity_index_measure(
+                a, b, data_range=DATA_RANGE, reduction="none", return_contrast_sensitivity=True
+            )
+            product *= contrast.clamp_min(0.0).pow(weight)
+            a, b = (nn.functional.avg_pool2d(x, 2) for x in (a, b))
+        return product * ssim_of(a, b).clamp_min(0.0).pow(float(weights[-1]))
 
     return _pairwise(chunk, images, truth)
 

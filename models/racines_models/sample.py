@@ -20,6 +20,8 @@ DRAW = 31
 """Random stream of the generators' seeds."""
 FAINT = 1.0
 """An image whose gray levels have a smaller standard deviation shows nothing."""
+FEW = 8
+"""A set of images with fewer gray levels was scaled wrongly: -1 to 1 cast to uint8 leaves three."""
 
 Progress = Callable[[int], None]
 
@@ -93,12 +95,20 @@ def check_drawn(images: Tensor) -> Tensor:
     """
     if images.is_floating_point() and not bool(images.isfinite().all()):
         raise RacinesError("images hold NaN or infinity: give uint8 gray levels 0-255")
+    if images.dtype == torch.uint8 and images.numel() and int(images.max()) == 0:
+        raise RacinesError("images are all black: nothing was drawn")
     check_images(images)
     spread = torch.cat([chunk.float().flatten(1).std(1) for chunk in images.split(CHUNK)])
     if float(spread.median()) < FAINT:
         raise RacinesError(
             f"half of the images are near-constant (standard deviation below {FAINT:g} gray "
             "level): nothing was drawn, or 0-1 images were cast to uint8"
+        )
+    levels = int(torch.bincount(images.flatten(), minlength=256).count_nonzero())
+    if levels < FEW:
+        raise RacinesError(
+            f"images hold only {levels} gray levels: 0-1 or -1 to 1 images were cast to uint8; "
+            "scale them to 0-255"
         )
     return images
 

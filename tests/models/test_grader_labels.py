@@ -14,7 +14,7 @@ from racines_models.grader_training import train_grader
 from racines_models.pictures import pick_columns
 from racines_models.realism import RealismConfig, take_phantom
 from racines_models.sample import take_sample
-from racines_models.scoring import ScoresConfig, _Judge
+from racines_models.judge import Judge, ScoresConfig
 from tests.models.labelled import LabelledStore
 from tests.models.test_grader import SHORT, run
 
@@ -69,11 +69,11 @@ def test_a_grader_refuses_a_dataset_of_other_views(organ, folder):
     with pytest.raises(RacinesError, match=r"KLX.*A4C.*train a grader"):
         report(grader, heart)
     sample = take_sample(heart, "test", 8)
-    judge = _Judge(ScoresConfig(resamples=10), heart, sample, [sample.frames.images], None, None)
+    judge = Judge(ScoresConfig(resamples=10), heart, sample, [sample.frames.images], None, None)
     with pytest.raises(RacinesError, match="the dataset has A4C"):
         judge.agreement(grader)
     mine = take_sample(organ, "test", 8)
-    judge = _Judge(ScoresConfig(resamples=10), organ, mine, [mine.frames.images], None, None)
+    judge = Judge(ScoresConfig(resamples=10), organ, mine, [mine.frames.images], None, None)
     assert judge.agreement(grader)["view_agreement"]["n"] == 8
 
 
