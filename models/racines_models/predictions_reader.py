@@ -18,6 +18,7 @@ from racines_models.naming import check_name
 from racines_models.png import MAX_PNG, decode_gray
 from racines_models.predictions import KEYS, MAX_TEXT, POSES, PREDICTION_COLUMNS, PREDICTIONS
 from racines_models.provenance import sha256_bytes
+from racines_models.sample import check_drawn
 
 MAX_BYTES = 2**30
 """Largest file, and largest size of its columns once unpacked."""
@@ -58,7 +59,8 @@ class Predictions:
 
         Raises:
             RacinesError: the file was made for other frames; a sample is missing, stands twice or
-                is none of the frames; or an image is no 8-bit gray PNG of 128 × 128 pixels.
+                is none of the frames; an image is no 8-bit gray PNG of 128 × 128 pixels; or the
+                images show nothing (see `check_drawn`).
         """
         self._check_sample(frames.index)
         finder = _Finder(self.path, frames.index.numpy(), seed)
@@ -69,7 +71,10 @@ class Predictions:
                 where = f"{self.path}, row {row + i}, sample {samples[i]}"
                 images[place] = torch.from_numpy(decode_gray(pngs(int(i), where), where).copy())
         finder.check_complete()
-        return images
+        try:
+            return check_drawn(images)
+        except RacinesError as error:
+            raise RacinesError(f"{self.path}, seed {seed}: {error}") from error
 
     def _check_size(self) -> None:
         if not self.path.is_file():

@@ -287,6 +287,13 @@ def test_scores_refuse_black_images(task, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(("level", "message"), [(0, "all black"), (90, "constant")])
+def test_images_that_show_nothing_are_refused(task, edited, level, message):
+    png = encode_png(np.full((128, 128), level, np.uint8))
+    path = edited(_column("image", lambda t: pa.array([png] * len(t), pa.binary())))
+    assert message in refusal(path, task)
+
+
 def test_a_file_draws_no_pose_of_its_own(written):
     with pytest.raises(RacinesError, match="draws no other pose"):
         open_generator(str(written))
