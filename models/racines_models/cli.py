@@ -12,6 +12,7 @@ def register(train: typer.Typer, evaluate: typer.Typer) -> None:
         cli_export,
         cli_gallery,
         cli_generators,
+        cli_grader,
         cli_pose,
         cli_publish,
         cli_realism,
@@ -20,6 +21,7 @@ def register(train: typer.Typer, evaluate: typer.Typer) -> None:
 
     cli_generators.register(train)
     cli_scores.register(train, evaluate)
+    cli_grader.register(train, evaluate)
     cli_pose.register(train)
     cli_gallery.register(evaluate)
     cli_realism.register(evaluate)

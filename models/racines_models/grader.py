@@ -215,7 +215,10 @@ class Grader:
             )
 
     def _read(self, images: Tensor) -> Reading:
-        x = self.network.normalise(images.to(self.device))
+        return self.answer(self.network.normalise(images.to(self.device)))
+
+    def answer(self, x: Tensor) -> Reading:
+        """Return logits, grades and features of normalised (B, 1, S, S) images."""
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16):
             features = self.network.encoder(x)
             logits, grades = self.network.heads(features)

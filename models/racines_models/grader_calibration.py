@@ -24,8 +24,8 @@ LIMIT = 10.0
 class Reliability(NamedTuple):
     """Confidence and accuracy by bin of confidence."""
 
-    count: Tensor
-    """(BINS,) float64 frames."""
+    frames: Tensor
+    """(BINS,) float64, how many."""
     confidence: Tensor
     """(BINS,) float64 mean confidence, 0 where a bin is empty."""
     accuracy: Tensor
@@ -34,8 +34,8 @@ class Reliability(NamedTuple):
     @property
     def error(self) -> float:
         """The expected calibration error: the gap between the two, averaged over frames."""
-        gap = (self.confidence - self.accuracy).abs() * self.count
-        return float(gap.sum() / self.count.sum().clamp_min(1.0))
+        gap = (self.confidence - self.accuracy).abs() * self.frames
+        return float(gap.sum() / self.frames.sum().clamp_min(1.0))
 
 
 def fit_temperature(logits: Tensor, views: Tensor) -> float:

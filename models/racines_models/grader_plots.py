@@ -72,12 +72,12 @@ def reliability_figure(examined: Examination) -> Figure:
     )
     for key, temperature, name, colour, marker in looks:
         table = reliability((examined.reading.logits / temperature).softmax(-1), examined.views)
-        filled = table.count > 0
+        filled = table.frames > 0
         x, y = table.confidence[filled], table.accuracy[filled]
         error = examined.content["calibration"][key]["value"]
         label = f"{name}: ECE {100 * error:.2f} %"
         upper.plot(x, y, color=colour, marker=marker, markersize=4, linewidth=1.2, label=label)
-        lower.step(x, table.count[filled], color=colour, where="mid", linewidth=1.2)
+        lower.step(x, table.frames[filled], color=colour, where="mid", linewidth=1.2)
     upper.set_ylabel("accuracy")
     upper.set_ylim(0.0, 1.02)
     upper.set_title(f"Calibration, {examined.content['split']} split")

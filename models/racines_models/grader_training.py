@@ -72,7 +72,7 @@ class _Training:
         self.stages = (config.view_stage, config.grade_stage)
         frames = len(store.split_indices("train"))
         self.steps_per_epoch = max(frames // config.batch_size, 1)
-        self.accelerator = _accelerator(config, run)
+        self.accelerator = grader_accelerator(config.bf16, run.device, "grader")
         self.weights = class_weights(store, config.class_balance).to(self.accelerator.device)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(run.seed)
@@ -170,14 +170,18 @@ class _Training:
         }
 
 
-def _accelerator(config: GraderConfig, run: Run) -> Accelerator:
+def grader_accelerator(bf16: bool, device: str, section: str) -> Accelerator:
+    """Return an accelerator of one process for the settings of a params section.
+
+    Raises:
+        RacinesError: the device has no bfloat16, or several processes were launched.
+    """
     # Accelerate keeps one state a process and refuses a second run with another precision.
     AcceleratorState._reset_state(reset_partial_state=True)
-    precision = "bf16" if config.bf16 else "no"
     try:
-        accelerator = Accelerator(cpu=run.device == "cpu", mixed_precision=precision)
+        accelerator = Accelerator(cpu=device == "cpu", mixed_precision="bf16" if bf16 else "no")
     except ValueError as error:
-        raise RacinesError(f"grader.bf16: {error}; set it to false") from error
+        raise RacinesError(f"{section}.bf16: {error}; set it to false") from error
     if accelerator.num_processes > 1:
         raise RacinesError("training runs in one process: start it without accelerate launch")
     return accelerator

@@ -24,8 +24,9 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
     """Write a half-precision copy of a run: `config.json` and each `*.safetensors`.
 
     Large float32 tensors become float16, the rest stays. `config.json` is the run's, with
-    `weights_files` (dtype, bytes and sha256 by file) and `training` (the run's metrics) added. It
-    is written last, so that a folder which has one is whole.
+    `weights_files` (dtype, bytes and sha256 by file) and `training` (the run's metrics) added, and
+    the `plots` that the metrics name beside it. It is written last, so that a folder which has one
+    is whole.
 
     Returns:
         The written `config.json`.
@@ -50,6 +51,9 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
     if metrics.is_file():
         values = json.loads(metrics.read_text())
         content["training"] = {key: value for key, value in values.items() if key not in LEFT_OUT}
+        for name in values.get("plots", ()):
+            if (run / name).is_file():
+                write_atomic(out / name, (run / name).read_bytes())
     write_json(out / "config.json", content)
     return content
 

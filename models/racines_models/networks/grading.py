@@ -30,10 +30,10 @@ class GradingNetwork(nn.Module):
         """Turn (B, 128, 128) gray levels, any type, into (B, 1, S, S) in [-1, 1]."""
         step = self.factor
         # Adding strided slices is several times as quick as pooling an image of one channel.
-        total = images[:, ::step, ::step].to(torch.float32)
+        total = images[:, ::step, ::step].to(torch.float32, copy=True)
         for place in range(1, step * step):
-            total = total + images[:, place // step :: step, place % step :: step]
-        x = total / (step * step * 127.5) - 1.0
+            total += images[:, place // step :: step, place % step :: step]
+        x = total.mul_(1.0 / (step * step * 127.5)).sub_(1.0)
         return x.unsqueeze(1).contiguous(memory_format=torch.channels_last)
 
     def heads(self, features: Tensor) -> tuple[Tensor, Tensor]:
