@@ -35,6 +35,7 @@ def leaderboard(
     readme: Annotated[
         Path | None, typer.Option(help="Renew the tables between the marks of this file.")
     ] = None,
+    details: Annotated[bool, typer.Option("--details", help="Show the further figures.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
 ) -> None:
     """Collect scores into a board, rank it, and show it."""
@@ -58,7 +59,7 @@ def leaderboard(
         if not readme.is_file():
             raise RacinesError(f"{readme}: no such file")
         write_atomic(readme, with_tables(readme.read_text(), results, str(readme)))
-    _show({name: results_of.read_board(results, name) for name in names}, as_json)
+    _show({name: results_of.read_board(results, name) for name in names}, as_json, details)
 
 
 def submit(
@@ -91,7 +92,7 @@ def _board_of(params: Path, board: str | None) -> str:
     return named
 
 
-def _show(content: dict[str, dict], as_json: bool) -> None:
+def _show(content: dict[str, dict], as_json: bool, details: bool) -> None:
     from rich.console import Console
 
     from racines_leaderboard.table import board_tables, plain, published, show
@@ -103,5 +104,5 @@ def _show(content: dict[str, dict], as_json: bool) -> None:
         return
     console = Console()
     for name, records in content.items():
-        for table in board_tables(name, records):
+        for table in board_tables(name, records, details):
             show(table, console)

@@ -21,16 +21,17 @@ artefacts), *reproduced* (trained again).
 """
 
 
-def board_markdown(results: Path, board: str) -> str:
-    """Return the tables of a board as Markdown."""
-    return "\n\n".join(markdown(table) for table in board_tables(board, read_board(results, board)))
+def board_markdown(results: Path, board: str, details: bool = False) -> str:
+    """Return the tables of a board as Markdown, with `details` also of the further figures."""
+    tables = board_tables(board, read_board(results, board), details)
+    return "\n\n".join(markdown(table) for table in tables)
 
 
 def write_page(page: Path, results: Path) -> None:
     """Write the page of all boards, and beside each board's results its charts."""
     parts = [HEAD]
     for board in boards(results):
-        parts.append(f"## {board}\n\n{board_markdown(results, board)}\n")
+        parts.append(f"## {board}\n\n{board_markdown(results, board, details=True)}\n")
         parts.extend(_chart_links(page, results, board))
     page.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(page, "\n".join(parts))

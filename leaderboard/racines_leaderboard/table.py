@@ -1,5 +1,6 @@
 """Boards as tables: for the terminal, as Markdown, and as plain data for `--json`."""
 
+import dataclasses
 import functools
 import json
 from collections.abc import Sequence
@@ -26,14 +27,27 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...]
 
+    def bare(self) -> "Table":
+        """Return the table without its notes, to follow one that has them."""
+        return dataclasses.replace(self, notes=())
 
-def board_tables(board: str, content: dict[str, list[Record]]) -> list[Table]:
-    """Return the tables of a board: its tracks (agents by task), then the paper's figures."""
+
+def board_tables(
+    board: str, content: dict[str, list[Record]], details: bool = False
+) -> list[Table]:
+    """Return the tables of a board: its tracks (agents by task), then the paper's figures.
+
+    With `details`, each table is followed by one of the further figures, in the same order.
+    """
     tables = []
     for track in TRACKS:
         for task, records in by_task(content[track.name]).items():
             title = " · ".join(part for part in (board, track.name, task) if part)
-            tables.append(_table(title, track, rank(track, records)))
+            ranking = rank(track, records)
+            tables.append(_table(title, track, ranking))
+            if details and _shown(track.details, ranking):
+                further = dataclasses.replace(track, columns=track.details)
+                tables.append(_table(f"{title} · in detail", further, ranking).bare())
         if content[track.name]:
             tables.append(_reported(track))
     return tables
@@ -115,7 +129,7 @@ def cell(record: Record, column: Column, usual_n: int) -> str:
 
 
 def _table(title: str, track: Track, ranking: list[Ranked]) -> Table:
-    columns = [c for c in track.columns if any(figure(r.record, c.key) for r in ranking)]
+    columns = _shown(track.columns, ranking)
     rows = []
     for ranked in ranking:
         usual = _usual_n(ranked.record, columns)
@@ -128,6 +142,11 @@ def _table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     basis = " ".join(filter(None, (basis, _basis(ranking), _ceiling(ranking))))
     notes = (track.rule, basis, _methods(ranking))
     return Table(title, head, tuple(rows), tuple(filter(None, notes)))
+
+
+def _shown(columns: tuple[Column, ...], ranking: list[Ranked]) -> list[Column]:
+    """Return the columns that any of the results fills."""
+    return [c for c in columns if any(figure(r.record, c.key) for r in ranking)]
 
 
 def _methods(ranking: list[Ranked]) -> str:
@@ -162,9 +181,15 @@ def _basis(ranking: list[Ranked]) -> str:
 
 
 def _ceiling(ranking: list[Ranked]) -> str:
-    """Say how often the grader is right where the images are the true ones."""
-    truth = figure(ranking[0].record, "view_agreement_truth")
-    return f"On the true frames the view agrees in {100 * truth['value']:.1f} %." if truth else ""
+    """Say how right the judges are where the images are the true ones."""
+    record, told = ranking[0].record, []
+    if view := figure(record, "view_agreement_truth"):
+        told.append(f"the view agrees in {100 * view['value']:.1f} %")
+    error = [figure(record, f"pose_error_{unit}_truth") for unit in ("mm", "deg")]
+    if error[0] and error[1]:
+        millimetres, degrees = (each["value"] for each in error if each)
+        told.append(f"the pose is read with an error of {millimetres:.1f} mm and {degrees:.1f}°")
+    return f"On the true frames {' and '.join(told)}." if told else ""
 
 
 def _reported(track: Track) -> Table:

@@ -39,6 +39,8 @@ class Track:
     rule: str
     counted: str
     """What n counts."""
+    details: tuple[Column, ...] = ()
+    """Further figures, for a second table."""
 
 
 GENERATORS = Track(
@@ -50,16 +52,32 @@ GENERATORS = Track(
         Column("psnr", "PSNR", "higher", 2, unit="dB"),
         Column("fid", "FID", "lower", 1),
         Column("kid", "KID", "lower"),
+        Column("pose_error_mm", "Pose error", "lower", 1, unit="mm"),
+        Column("pose_error_deg", "Pose error", "lower", 1, unit="°"),
         Column("view_agreement", "View agreement", "higher", 1, 100.0, "%"),
     ),
-    ranked_by=("ssim", "psnr", "fid", "kid"),
+    ranked_by=("ssim", "psnr", "fid", "kid", "pose_error_mm"),
     mean_rank=True,
     rule=(
-        "Ranked by the mean of the ranks in SSIM, PSNR, FID and KID: two figures of likeness to "
-        "the frame at the same pose, two of likeness of the whole set. A missing figure ranks "
-        "last. Equal means share a rank."
+        "Ranked by the mean of the ranks in SSIM, PSNR, FID, KID and pose error (mm): two figures "
+        "of likeness to the frame at the same pose, two of likeness of the whole set, one of what "
+        "the image says of the pose. A missing figure ranks last. Equal means share a rank."
     ),
     counted="frames of the test split",
+    details=(
+        Column("ms_ssim", "MS-SSIM", "higher"),
+        Column("fid_grader", "FID, grader", "lower", 2),
+        Column("kid_grader", "KID, grader", "lower"),
+        Column("precision", "Precision", "higher", 2),
+        Column("recall", "Recall", "higher", 2),
+        Column("density", "Density", "higher", 2),
+        Column("coverage", "Coverage", "higher", 2),
+        Column("grade_error", "Grade error", "lower", 2),
+        Column("diversity", "Diversity", "none", 1, unit="gray"),
+        Column("copies", "Copies", "lower", 1, 100.0, "%"),
+        Column("images_per_second_1", "Images/s, one", "none", 0),
+        Column("images_per_second_64", "Images/s, 64", "none", 0),
+    ),
 )
 
 AGENTS = Track(

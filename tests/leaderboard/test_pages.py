@@ -49,6 +49,23 @@ def test_tables_show_figures_intervals_n_and_the_papers_figures_apart(results):
     assert tables[3].head[2] == "Sees" and tables[3].rows[0][2] == "image"
 
 
+def test_further_figures_stand_in_a_table_of_their_own(tmp_path, write_scores):
+    truth = {"pose_error_mm_truth": 1.25, "pose_error_deg_truth": 2.5}
+    scores = generator_scores("vae-gan", ms_ssim=0.75, pose_error_mm=4.5, **truth)
+    collect([write_scores("g", scores)], tmp_path / "results", tmp_path, "b")
+    content = read_board(tmp_path / "results", "b")
+    main, further, _ = board_tables("b", content, details=True)
+    assert [table.title for table in (main, further)] == [
+        "b · generators",
+        "b · generators · in detail",
+    ]
+    assert "Pose error (mm) ↓" in main.head and "MS-SSIM ↑" not in main.head
+    assert "MS-SSIM ↑" in further.head and "Density ↑" not in further.head
+    assert "0.750" in markdown(further)
+    assert "the pose is read with an error of 1.2 mm and 2.5°" in markdown(main)
+    assert len(board_tables("b", content)) == 2
+
+
 def test_a_terminal_gets_every_cell(results):
     out = io.StringIO()
     for table in board_tables("phantom-smoke", read_board(results, "phantom-smoke")):
