@@ -84,7 +84,7 @@ class _Trainer:
         state = self.checkpoint.read(run.resume)
         self.seen: int = state["seen"] if state else 0
         self.seconds: float = state["seconds"] if state else 0.0
-        self.guard = Guard(card.name, accelerator.device)
+        self.guard = Guard(card.name, accelerator.device, self.seen)
         writes = self.processes.main
         self.log = TrainingLog(run.folder, card.name, self.seen, self.stop, run.progress, writes)
         if state:

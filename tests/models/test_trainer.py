@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 
 import pytest
 import torch
@@ -14,8 +15,11 @@ from racines_models.generators.base import BaseGenerator
 from racines_models.protocol import Run
 from racines_models.trainer import resolve_precision, train
 from racines_models.training.average import Average
+from racines_models.training.checkpoint import Checkpoint
 from racines_models.training.feed import Feed
+from racines_models.training.guard import Guard
 from racines_models.training.objective import Training, Update
+from racines_models.training.schedule import Schedule
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,6 +126,67 @@ def test_run_leaves_no_checkpoint_and_no_partial_file(store, run_dir):
     assert not list(run_dir.rglob("*.partial"))
 
 
+def rates(config: Training) -> list[float]:
+    """The learning rate at each step of a run, for an optimizer of rate 1."""
+    optimizer = SGD([nn.Parameter(torch.zeros(1))], 1.0)
+    schedule = Schedule({"a": optimizer}, config, config.images)
+    found = []
+    for seen in range(0, config.images, config.batch_size):
+        schedule.apply(seen)
+        found.append(optimizer.param_groups[0]["lr"])
+    return found
+
+
+def test_schedule_warms_up_and_falls():
+    assert rates(Training(images=40, batch_size=4)) == [1.0] * 10
+    warm = rates(Training(images=40, batch_size=4, warmup_images=16))
+    assert warm == [0.25, 0.5, 0.75, *[1.0] * 7]
+    cosine = rates(Training(images=40, batch_size=4, schedule="cosine", warmup_images=8))
+    wanted = [0.5 * (1 + math.cos(math.pi * step / 8)) for step in range(8)]
+    assert cosine == pytest.approx([0.5, 1.0, *wanted])
+
+
+def test_schedule_moves_every_optimizer(store, run_dir):
+    toy, _ = fit(store, run_dir, warmup_images=16)
+    # Steps of 2 and 3 at a quarter, half, three quarters, then whole.
+    assert float(toy.nets["a"].weight.detach()) == -2.0 * (1.5 + 7)
+    assert float(toy.nets["b"].weight.detach()) == -3.0 * (1.5 + 7)
+
+
+class Breaks(Toy):
+    """Its second loss is no number from image 28 on."""
+
+    bad = float("nan")
+
+    def updates(self, nets, batch):
+        for update in super().updates(nets, batch):
+            broken = update.optimizer == "b" and len(self.batches) == 7
+            yield update._replace(loss=update.loss * self.bad) if broken else update
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_loss_that_is_no_number_stops_and_keeps_the_checkpoint(store, run_dir, bad):
+    config = ToyConfig(dataclasses.replace(ToyConfig().training, checkpoint_every=12))
+    toy = Breaks(config)
+    toy.bad = bad
+    with pytest.raises(
+        RacinesError, match=r"toy: loss 'b' is -?(nan|inf) between images 24 and 28"
+    ):
+        toy.fit(store, Run(run_dir, device="cpu", progress=False))
+    state = Checkpoint(run_dir, {}).read(None)
+    assert state is not None and state["seen"] == 24
+    assert not (run_dir / "model.safetensors").exists()
+
+
+def test_on_an_accelerator_losses_are_read_with_the_curves_only():
+    guard = Guard("toy", torch.device("cuda"))
+    assert not guard.every_step and Guard("toy", torch.device("cpu")).every_step
+    for loss in (1.0, float("nan"), 1.0):
+        guard.add({"a": torch.tensor(loss), "b": torch.tensor(1.0)})
+    with pytest.raises(RacinesError, match="loss 'a' is nan between images 0 and 30"):
+        guard.check(30)
+
+
 @pytest.mark.parametrize("ema", [0.0, 0.9])
 def test_averaging_can_be_switched(store, run_dir, ema):
     toy, _ = fit(store, run_dir, ema=ema)
@@ -185,8 +250,17 @@ def test_mixed_precision_trains_and_half_on_a_cpu_is_refused(store, tmp_path):
 
 @pytest.mark.parametrize(
     "change",
-    [{"images": 0}, {"batch_size": 1}, {"precision": "int4"}, {"ema": 1.0}, {"log_every": 0}],
-    ids=lambda change: next(iter(change)),
+    [
+        {"images": 0},
+        {"batch_size": 1},
+        {"precision": "int4"},
+        {"ema": 1.0},
+        {"log_every": 0},
+        {"schedule": "linear"},
+        {"warmup_images": -1},
+        {"warmup_images": 24_000},
+    ],
+    ids=str,
 )
 def test_impossible_settings_are_refused(change):
     with pytest.raises(RacinesError, match="training"):

@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from racines_data.errors import RacinesError
+from racines_models.generators.flow import Flow, FlowConfig
 from racines_models.generators.vae_gan import VaeGan, VaeGanConfig
 from racines_models.protocol import Run
 from racines_models.training.objective import Training
@@ -39,21 +40,23 @@ class Killed(Exception):
     """Stands for whatever ends a process."""
 
 
-class Mortal(VaeGan):
-    """Dies when it is asked for a given step."""
+def mortal(generator, dies_at: int):
+    """Let a generator die when it is asked for a given step."""
+    inner, steps = generator.updates, iter(range(1, 10**9))
 
-    dies_at = 0
-
-    def updates(self, nets, batch):
-        self.dies_at -= 1
-        if self.dies_at == 0:
+    def updates(nets, batch):
+        if next(steps) == dies_at:
             raise Killed
-        yield from super().updates(nets, batch)
+        yield from inner(nets, batch)
+
+    generator.updates = updates
+    return generator
 
 
-def fit(folder: Path, config=CONFIG, resume=None, dies_at=0, seed=0, store=None) -> dict:
-    generator = Mortal(config)
-    generator.dies_at = dies_at
+def fit(
+    folder: Path, make=VaeGan, config=CONFIG, resume=None, dies_at=0, seed=0, store=None
+) -> dict:
+    generator = mortal(make(config), dies_at)
     run = Run(folder, seed=seed, device="cpu", resume=resume, progress=False)
     return generator.fit(store or FakeStore(train=60), run)
 
@@ -138,18 +141,24 @@ from pathlib import Path
 import torch
 from tests.models import test_trainer_resume as here
 torch.set_num_threads(1)
-here.fit(Path(sys.argv[1]), config=here.LONG)
+here.fit(Path(sys.argv[2]), *here.LONG[sys.argv[1]])
 """
-LONG = dataclasses.replace(
-    CONFIG, training=dataclasses.replace(CONFIG.training, images=480, checkpoint_every=80)
+TRAINING = dataclasses.replace(
+    CONFIG.training, images=480, checkpoint_every=80, schedule="cosine", warmup_images=64
 )
+LONG = {
+    "vae-gan": (VaeGan, dataclasses.replace(CONFIG, training=TRAINING)),
+    "flow": (Flow, FlowConfig(width=8, octaves=2, training=TRAINING)),
+}
+"""One with two optimizers, batch norm and a frozen network; one with group norm and one of each."""
 
 
 @pytest.mark.slow
-def test_sigkill_at_any_moment(tmp_path):
+@pytest.mark.parametrize("name", LONG)
+def test_sigkill_at_any_moment(tmp_path, name):
     """The process is killed once its first checkpoint stands, wherever it is by then."""
     torch.set_num_threads(1)
-    command = [sys.executable, "-c", SCRIPT, str(tmp_path / "killed")]
+    command = [sys.executable, "-c", SCRIPT, name, str(tmp_path / "killed")]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE)
     deadline = time.monotonic() + 120
     while not (tmp_path / "killed/checkpoint/last.pt").exists():
@@ -158,8 +167,8 @@ def test_sigkill_at_any_moment(tmp_path):
     process.kill()
     assert process.wait() == -signal.SIGKILL
     assert not (tmp_path / "killed/model.safetensors").exists()
-    fit(tmp_path / "killed", config=LONG, resume=True)
-    fit(tmp_path / "whole", config=LONG)
+    fit(tmp_path / "killed", *LONG[name], resume=True)
+    fit(tmp_path / "whole", *LONG[name])
     assert weights(tmp_path / "killed") == weights(tmp_path / "whole")
     assert curves(tmp_path / "killed") == curves(tmp_path / "whole")
     config = json.loads((tmp_path / "killed/config.json").read_text())

@@ -16,11 +16,11 @@ class Guard:
     or infinity is one.
     """
 
-    def __init__(self, name: str, device: torch.device):
+    def __init__(self, name: str, device: torch.device, start: int = 0):
         self._name = name
         self.every_step = device.type == "cpu"
         self._sums: dict[str, Tensor] = {}
-        self._checked_at = 0
+        self._checked_at = start
 
     def add(self, losses: Mapping[str, Tensor]) -> None:
         """Add one step's losses by the name of their optimizer."""

@@ -12,8 +12,8 @@ class Schedule:
     """Scales each optimizer's own learning rate; a resumed run needs no saved state."""
 
     def __init__(self, optimizers: Mapping[str, Optimizer], config: Training, stop: int):
-        groups = [group for each in optimizers.values() for group in each.param_groups]
-        self._rates = [(group, group["lr"]) for group in groups]
+        self._optimizers = list(optimizers.values())
+        self._rates = [[group["lr"] for group in each.param_groups] for each in self._optimizers]
         self._cosine = config.schedule == "cosine"
         self._warmup, self._stop = config.warmup_images, stop
         self._step = config.batch_size
@@ -33,7 +33,10 @@ class Schedule:
 
     def apply(self, seen: int) -> None:
         """Set the learning rates of the step that starts after `seen` images."""
-        if self._cosine or self._warmup:
-            factor = self.factor(seen)
-            for group, rate in self._rates:
+        if not (self._cosine or self._warmup):
+            return
+        factor = self.factor(seen)
+        for optimizer, rates in zip(self._optimizers, self._rates, strict=True):
+            # Looked up each time: a restored optimizer has new groups.
+            for group, rate in zip(optimizer.param_groups, rates, strict=True):
                 group["lr"] = rate * factor
