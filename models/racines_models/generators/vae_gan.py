@@ -6,25 +6,34 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import binary_cross_entropy_with_logits, mse_loss, softplus
+from torch.nn.functional import mse_loss
 from torch.optim import Adam, Optimizer
 
 from racines_data.errors import RacinesError
 from racines_data.randomness import derive, normal, sample_seeds
 from racines_data.store import FrameStore
+from racines_models.adversary import Adversary
 from racines_models.conditioning import Conditioning
 from racines_models.generators.base import BaseGenerator
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.convolution import frozen, to_gray, to_range
+from racines_models.networks.discriminator import Discriminator
+from racines_models.networks.injection import check_injection
 from racines_models.networks.painting import Painter
-from racines_models.networks.vae_gan import Decoder, Discriminator, Encoder
+from racines_models.networks.pyramid import Pyramid
+from racines_models.networks.vae_gan import Encoder
 from racines_models.onnx_module import NoiseInput, OnnxModule
 from racines_models.protocol import Run
 from racines_models.trainer import train
 from racines_models.training.objective import TrainBatch, Training, Update
 
-POSTERIOR, PRIOR, DRAW = 1, 2, 3
-"""Random streams: noise of the posterior, of the prior in training, of the prior at drawing."""
+POSTERIOR, PRIOR, DRAW, AUGMENT = 1, 2, 3, 4
+"""Random streams: noise of the posterior, of the prior in training, of the prior at drawing, and
+changes of the augmentation."""
+
+
+def _adversary() -> Adversary:
+    return Adversary(joining="last", normalisation="batch")
 
 
 @dataclass(frozen=True)
@@ -38,9 +47,12 @@ class VaeGanConfig:
     """The same of the networks that only train: narrower ones cost a CPU less and lose little."""
     latent: int = 100
     embedding: int = 64
-    """Width of the discriminator's label embedding."""
+    """Width of the condition's embedding, in the discriminator and where norms use one."""
     conditioning: str = "continuous"
     """`continuous`, or `euler` for the raw twelve columns."""
+    injection: str = "concat"
+    """`concat`: the condition enters the decoder beside the latent only, as in the paper; `norm`:
+    and in every normalisation."""
     learning_rate: float = 1e-3
     """The paper's 1e-4 asks for its ten million images."""
     beta1: float = 0.5
@@ -51,6 +63,7 @@ class VaeGanConfig:
     carries what the pose should, and images from prior noise are unlike any frame."""
     adversarial_weight: float = 0.01
     """At 0.001 images are smoother and score 1 dB more."""
+    adversary: Adversary = field(default_factory=_adversary)
     training: Training = field(default_factory=Training)
 
     def __post_init__(self) -> None:
@@ -63,6 +76,7 @@ class VaeGanConfig:
             raise RacinesError("vae-gan: loss weights are 0 or more")
         if self.learning_rate <= 0:
             raise RacinesError("vae-gan.learning_rate: must be above 0")
+        check_injection(self.injection, "vae-gan")
 
 
 class VaeGan(BaseGenerator[VaeGanConfig]):
@@ -82,16 +96,21 @@ class VaeGan(BaseGenerator[VaeGanConfig]):
     nets: nn.ModuleDict | None = None
 
     def _build(self) -> nn.ModuleDict:
-        config = self.config
+        config, adversary = self.config, self.config.adversary
         conditioning = Conditioning(config.conditioning)
+        injected = {"injection": config.injection, "embedding": config.embedding}
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
             nets = {
                 "conditioning": conditioning,
                 "encoder": Encoder(config.encoder_width, config.latent),
-                "decoder": Decoder(config.width, config.latent, conditioning.width),
+                "decoder": Pyramid(config.width, config.latent, conditioning.width, **injected),
                 "discriminator": Discriminator(
-                    config.discriminator_width, conditioning.width, config.embedding
+                    config.discriminator_width,
+                    conditioning.width,
+                    config.embedding,
+                    joining=adversary.joining,
+                    normalisation=adversary.normalisation,
                 ),
             }
         # Channels last is the faster order on CPU and GPU; fixed here, since orders round apart.
@@ -138,16 +157,15 @@ class VaeGan(BaseGenerator[VaeGanConfig]):
         latents, conditions = torch.cat([posterior, prior]), torch.cat([condition, condition])
         rebuilt, drawn = nets["decoder"](latents, conditions).chunk(2)
 
-        real_logits = nets["discriminator"](real, condition)
-        fake_logits = nets["discriminator"](drawn.detach(), condition)
-        verdict = 0.5 * (softplus(-real_logits) + softplus(fake_logits)).float().mean()
-        yield Update("discriminator", verdict, {"discriminator": verdict})
+        adversary, critic = config.adversary, self._net("discriminator")
+        seeds = derive(batch.seeds, AUGMENT)
+        seen = adversary.view(drawn, seeds)
+        yield adversary.critic_update(nets["discriminator"], critic, real, seen, condition, seeds)
 
         reconstruction = mse_loss(rebuilt.float(), real)
         kl = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).float().mean()
-        with frozen(self._net("discriminator")):
-            logits = nets["discriminator"](drawn, condition).float()
-        adversarial = binary_cross_entropy_with_logits(logits, torch.ones_like(logits))
+        with frozen(critic):
+            adversarial = adversary.generator_loss(nets["discriminator"](seen, condition))
         loss = (
             config.reconstruction_weight * reconstruction
             + config.kl_weight * kl

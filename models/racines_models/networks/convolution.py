@@ -1,4 +1,4 @@
-"""Convolution pyramids between a 128×128 image and a 4×4 map, batch norm throughout."""
+"""Sizes of the pyramids between a 128×128 image and a 4×4 map, and what surrounds them."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -35,27 +35,6 @@ def downward(width: int) -> nn.Sequential:
         ]
         previous = channels
     return nn.Sequential(*layers, nn.Flatten())
-
-
-def upward(inputs: int, width: int) -> nn.Sequential:
-    """Return (B, inputs) -> (B, 1, 128, 128) in [-1, 1]: dense, reshape, deconvolutions."""
-    channels = widths(width)[::-1]
-    features = bottom_features(width)
-    layers: list[nn.Module] = [
-        nn.Linear(inputs, features, bias=False),
-        nn.BatchNorm1d(features),
-        nn.ReLU(inplace=True),
-        nn.Unflatten(1, (channels[0], BOTTOM, BOTTOM)),
-    ]
-    for before, after in zip(channels, channels[1:], strict=False):
-        layers += [
-            nn.ConvTranspose2d(before, after, 4, stride=2, padding=1, bias=False),
-            nn.BatchNorm2d(after),
-            nn.ReLU(inplace=True),
-        ]
-    return nn.Sequential(
-        *layers, nn.ConvTranspose2d(channels[-1], 1, 4, stride=2, padding=1), nn.Tanh()
-    )
 
 
 def initialise(module: nn.Module) -> None:

@@ -1,0 +1,134 @@
+"""Image and condition to one logit: the adversary of every GAN here."""
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import avg_pool2d, leaky_relu
+from torch.nn.utils.parametrizations import spectral_norm
+
+from racines_data.imaging import IMAGE_SIZE
+from racines_models.networks.attention import SelfAttention
+from racines_models.networks.convolution import bottom_features, initialise, widths
+from racines_models.networks.injection import ConditionEmbedding
+from racines_models.networks.pyramid import ATTENTION_SIZE
+
+JOININGS = ("last", "layers", "projection")
+NORMALISATIONS = ("none", "batch", "spectral")
+SLOPE = 0.2
+
+
+class PlainDown(nn.Module):
+    """Halves the side: strided convolution, norm, leaky ReLU (DCGAN)."""
+
+    def __init__(self, before: int, after: int, embedding: int, batch: bool):
+        super().__init__()
+        self.conv = nn.Conv2d(before, after, 4, stride=2, padding=1, bias=not batch)
+        self.norm = nn.BatchNorm2d(after) if batch else nn.Identity()
+        self.bias = nn.Linear(embedding, after, bias=False) if embedding else None
+
+    def forward(self, maps: Tensor, embedded: Tensor) -> Tensor:
+        """Return (B, after, H/2, W/2) maps."""
+        maps = self.norm(self.conv(maps))
+        if self.bias is not None:
+            maps = maps + self.bias(embedded)[:, :, None, None].to(maps.dtype)
+        return leaky_relu(maps, SLOPE)
+
+
+class ResidualDown(nn.Module):
+    """Halves the side: two convolutions beside a pooled 1×1 shortcut.
+
+    Source: Miyato et al., Spectral Normalization for GANs, 2018, appendix B; the mean of two
+    unit-variance branches is divided by √2, as in StyleGAN2.
+    """
+
+    def __init__(self, before: int, after: int, embedding: int, batch: bool):
+        super().__init__()
+        self.conv = nn.Conv2d(before, before, 3, padding=1, bias=not batch)
+        self.norm = nn.BatchNorm2d(before) if batch else nn.Identity()
+        self.down = PlainDown(before, after, embedding, batch)
+        self.shortcut = nn.Conv2d(before, after, 1)
+
+    def forward(self, maps: Tensor, embedded: Tensor) -> Tensor:
+        """Return (B, after, H/2, W/2) maps."""
+        short = self.shortcut(avg_pool2d(maps, 2))
+        maps = leaky_relu(self.norm(self.conv(maps)), SLOPE)
+        return (short + self.down(maps, embedded)) * math.sqrt(0.5)
+
+
+class Discriminator(nn.Module):
+    """Convolutions from 128 to 4, flattened, and a verdict on image and condition together.
+
+    `joining` says where the condition enters: `last`, beside the features at the last layer (the
+    paper's VAE-GAN; the two then only add, so no single image can contradict its condition);
+    `layers`, as a bias of every layer, and at the last; `projection`, as an inner product with the
+    features (Miyato and Koyama, cGANs with Projection Discriminator, 2018).
+    """
+
+    def __init__(
+        self,
+        width: int,
+        condition: int,
+        embedding: int,
+        *,
+        joining: str = "last",
+        normalisation: str = "batch",
+        residual: bool = False,
+        attention: bool = False,
+    ):
+        super().__init__()
+        self.joining, batch = joining, normalisation == "batch"
+        channels = widths(width)
+        injected = embedding if joining == "layers" else 0
+        self.embedding = ConditionEmbedding(condition, embedding, batch)
+        self.first = PlainDown(1, channels[0], injected, batch)
+        block = ResidualDown if residual else PlainDown
+        pairs = list(zip(channels, channels[1:], strict=False))
+        self.blocks = nn.ModuleList([block(*pair, injected, batch) for pair in pairs])
+        self.attention = nn.ModuleDict()
+        if attention:
+            for level, (_, after) in enumerate(pairs):
+                if IMAGE_SIZE >> (level + 2) == ATTENTION_SIZE:
+                    self.attention[str(level)] = SelfAttention(after)
+        features = bottom_features(width)
+        if joining == "projection":
+            self.matched = nn.Linear(features, embedding)
+            self.verdict = nn.Linear(features, 1)
+        else:
+            self.verdict = nn.Linear(features + embedding, 1)
+        if normalisation == "batch":
+            for part in (self.first, self.blocks, self.attention, self.verdict):
+                part.apply(initialise)
+        elif normalisation == "spectral":
+            self.apply(_normalise)
+        self.register_buffer("judged", torch.zeros((), dtype=torch.int64))
+
+    judged: Tensor
+    """Steps of the adversary so far; a buffer, so that a resumed run goes on counting."""
+
+    def features(self, images: Tensor, embedded: Tensor) -> Tensor:
+        """Return (B, features) of (B, 1, 128, 128) images in [-1, 1]."""
+        maps = self.first(images.contiguous(memory_format=torch.channels_last), embedded)
+        for level, block in enumerate(self.blocks):
+            maps = block(maps, embedded)
+            if str(level) in self.attention:
+                maps = self.attention[str(level)](maps)
+        return maps.flatten(1)
+
+    def judge(self, images: Tensor, condition: Tensor) -> Tensor:
+        """Return (B,) logits: large for a real image at its own condition."""
+        embedded = self.embedding(condition)
+        features = self.features(images, embedded)
+        if self.joining != "projection":
+            return self.verdict(torch.cat([features, embedded.to(features.dtype)], -1)).squeeze(-1)
+        matched = self.matched(features) * embedded
+        return self.verdict(features).squeeze(-1) + matched.sum(-1) / math.sqrt(matched.shape[-1])
+
+    def forward(self, images: Tensor, condition: Tensor) -> Tensor:
+        """Return what `judge` does; a trainer may wrap this one in mixed precision."""
+        return self.judge(images, condition)
+
+
+def _normalise(module: nn.Module) -> None:
+    if isinstance(module, nn.Conv2d | nn.Linear):
+        spectral_norm(module)
