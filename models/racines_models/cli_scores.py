@@ -97,6 +97,7 @@ def eval_generator(
     from racines_data.store import open_store
     from racines_models.cli_output import progress_bar, show_metrics
     from racines_models.grader import Grader
+    from racines_models.pose_regressor import PoseRegressor
     from racines_models.registry import open_generator, weights_of
     from racines_models.scoring import ScoresConfig, score
 
