@@ -1,7 +1,5 @@
 """The flow: its contract, its steps, and what its network sees."""
 
-import dataclasses
-
 import pytest
 import torch
 from torch import nn
@@ -9,7 +7,7 @@ from torch import nn
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
 from racines_models.generators.flow import Flow, FlowConfig, follow
-from racines_models.networks.unet import GRID, Place
+from racines_models.networks.unet import GRID, SPREAD, Place, scales
 from racines_models.protocol import Run
 from racines_models.testing import GeneratorContract
 from racines_models.training.objective import Training
@@ -31,10 +29,10 @@ class TestFlow(GeneratorContract):
         generator, poses = self.fitted(store, tmp_path), self.parameters(store, 3)
         drawn = []
         for steps, solver in ((1, "euler"), (2, "euler"), (2, "heun"), (4, "heun")):
-            config = dataclasses.replace(TINY, steps=steps, solver=solver)
-            other = Flow(config)
-            other.restore(generator.tensors())
+            other = generator.with_steps(steps, solver)
+            assert (other.config.steps, other.config.solver) == (steps, solver)
             drawn.append(other.generate(poses, 0).numpy().tobytes())
+        assert generator.config == TINY
         assert len(set(drawn)) == 4
 
 
@@ -55,8 +53,8 @@ class Straight(nn.Module):
     [
         (1, "euler", [0.0]),
         (1, "heun", [0.0]),
-        (4, "euler", [0.0, 0.25, 0.5, 0.75]),
-        (2, "heun", [0.0, 0.5, 0.5]),
+        (4, "euler", [0.0, 0.4375, 0.75, 0.9375]),
+        (2, "heun", [0.0, 0.75, 0.75]),
     ],
 )
 def test_straight_flow_ends_where_it_was_foreseen(steps, solver, times):
@@ -65,6 +63,19 @@ def test_straight_flow_ends_where_it_was_foreseen(steps, solver, times):
     drawn = follow(net, noise, torch.zeros(3, 12), steps, solver)
     torch.testing.assert_close(drawn, end.expand_as(drawn))
     assert net.times == times
+
+
+def test_scales_are_the_best_linear_guess():
+    """Of an image of deviation SPREAD seen through noise: keep it, and what deviation is left."""
+    generator = torch.Generator().manual_seed(0)
+    image, noise = SPREAD * torch.randn(10**6, generator=generator), torch.randn(10**6)
+    for time in (0.0, 0.5, 0.9):
+        seen = (1 - time) * noise + time * image
+        keep, change, deviation = scales(torch.tensor([time]))
+        assert float(deviation) == pytest.approx(float(seen.std()), rel=0.01)
+        best = float((seen * image).mean() / seen.square().mean())
+        assert float(keep) == pytest.approx(best, abs=0.01)
+        assert float(change) == pytest.approx(float((image - keep * seen).std()), rel=0.01)
 
 
 def test_heun_is_of_second_order():

@@ -1,12 +1,14 @@
 """Flow matching from noise to image, conditioned on the probe; drawn in one to four steps."""
 
+import copy
+import dataclasses
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.nn.functional import mse_loss, pixel_shuffle, pixel_unshuffle
+from torch.nn.functional import pixel_shuffle, pixel_unshuffle
 from torch.optim import Adam, Optimizer
 
 from racines_data.errors import RacinesError
@@ -16,7 +18,7 @@ from racines_models.conditioning import Conditioning
 from racines_models.generators.base import BaseGenerator
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.convolution import to_gray, to_range
-from racines_models.networks.unet import CELL, GRID, PlacedUNet
+from racines_models.networks.unet import CELL, GRID, SPREAD, PlacedUNet, scales
 from racines_models.protocol import Run
 from racines_models.trainer import train
 from racines_models.training.objective import TrainBatch, Training, Update
@@ -121,8 +123,8 @@ class Flow(BaseGenerator[FlowConfig]):
         """Yield one step: foresee the image from a point on the way to it.
 
         The path is x(t) = (1 - t) · noise + t · image, its velocity (image - x) / (1 - t). The
-        squared error of the foreseen image is that of the velocity times (1 - t)²: it weighs the
-        early times, at which few steps are taken.
+        squared error of the foreseen image is weighed so that the network's own output counts
+        alike at all times (see `scales`): by 1 at time 0, by more where less is left to change.
         """
         image = _fold(to_range(batch.images))
         time = uniform(derive(batch.seeds, TIME), 2)
@@ -130,11 +132,17 @@ class Flow(BaseGenerator[FlowConfig]):
         noise = _noise(derive(batch.seeds, NOISE))
         at = time[:, None, None, None]
         foreseen = nets["unet"](noise.lerp(image, at), time, batch.parameters)
-        loss = mse_loss(foreseen.float(), image)
-        early = (foreseen.detach().float() - image).square().mean((1, 2, 3))
+        error = (foreseen.float() - image).square().mean((1, 2, 3))
+        loss = (error * (SPREAD / scales(time)[1]).square()).mean()
         pure = (time == 0.0).float()
-        first = (early * pure).sum() / pure.sum().clamp_min(1.0)
+        first = (error.detach() * pure).sum() / pure.sum().clamp_min(1.0)
         yield Update("unet", loss, {"loss": loss, "first_step": first})
+
+    def with_steps(self, steps: int, solver: str = "euler") -> "Flow":
+        """Return the same fitted flow, drawn in other steps."""
+        other = copy.copy(self)
+        other.config = dataclasses.replace(self.config, steps=steps, solver=solver)
+        return other
 
     def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
         """Follow the flow from each sample's noise."""
@@ -158,13 +166,14 @@ class Flow(BaseGenerator[FlowConfig]):
 
 
 def follow(unet: nn.Module, x: Tensor, parameters: Tensor, steps: int, solver: str) -> Tensor:
-    """Return the (B, 16, 32, 32) images at the end of the flow from noise `x`, in equal steps.
+    """Return the (B, 16, 32, 32) images at the end of the flow from noise `x`.
 
-    Heun's second slope would divide by 0 at the end of the last step, where Euler's step is the
-    foreseen image itself.
+    Steps shorten towards the end, 1 - t falling as a square, since the last one ends in the mean
+    of what it may still be: from halfway, that mean has no speckle. Heun's second slope would
+    divide by 0 at the end of the last step, where Euler's step is the foreseen image itself.
     """
     for step in range(steps):
-        now, then = step / steps, (step + 1) / steps
+        now, then = (1.0 - (1.0 - at / steps) ** 2 for at in (step, step + 1))
         slope = _slope(unet, x, now, parameters)
         moved = x + (then - now) * slope
         if solver == "heun" and step + 1 < steps:
