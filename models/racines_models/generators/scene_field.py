@@ -1,0 +1,236 @@
+"""View synthesis: a learned voxel field of the scene, sampled along the probe's beams."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.optim import Adam, Optimizer
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, parameters_to_pose
+from racines_data.randomness import derive, uniform
+from racines_data.store import FrameStore
+from racines_models.generators.base import BaseGenerator
+from racines_models.networks.batching import in_fixed_batches
+from racines_models.networks.scene_field import Layout, VoxelField, lay_out
+from racines_models.networks.scene_field_echo import MID, EchoDecoder, Place
+from racines_models.networks.scene_field_loss import image_loss
+from racines_models.networks.scene_field_probe import Probe, ProbeGeometry
+from racines_models.protocol import Run
+from racines_models.trainer import train
+from racines_models.training.objective import TrainBatch, Training, Update
+
+PICKS = 21
+"""Random stream: which voxel of four gets a point's gradient."""
+SURVEY = 1_500
+"""Training frames whose beams say where voxels are needed."""
+CHUNK = 8
+"""Images decoded at a time: their grids fit a CPU's caches."""
+
+
+@dataclass(frozen=True)
+class SceneFieldConfig:
+    """Sizes, probe, rates and loop; lengths in metres."""
+
+    probe: ProbeGeometry = field(default_factory=ProbeGeometry)
+    voxel: float = 0.001
+    """Edge of a voxel of the fine field, which holds speckle and walls."""
+    channels: int = 3
+    """Amplitudes a fine voxel; two make a complex number, a third helps to find it."""
+    coarse_voxel: float = 0.0025
+    """Edge of a voxel of the coarse field: attenuation, brightness, directions."""
+    coverage: float = 0.97
+    """Share of all samples along beams whose place gets fine voxels."""
+    spread: float = 0.3
+    """Deviation of the fine field's random start."""
+    field_rate: float = 3e-2
+    coarse_rate: float = 1e-2
+    decoder_rate: float = 3e-3
+    calibration_rate: float = 2e-3
+    """Adam's rate of shift (in mm), turn and scale (ten times less); 0 trusts the start."""
+    offset_rate: float = 2e-2
+    """Adam's rate of the samples' offsets out of the plane, mm; 0 leaves a flat image plane."""
+    pixel_weight: float = 4.0
+    """Of the absolute error against 1 - SSIM."""
+    training: Training = field(
+        default_factory=lambda: Training(
+            batch_size=32, precision="fp32", ema=0.0, schedule="cosine", warmup_images=960
+        )
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse sizes and rates that cannot train."""
+        if min(self.voxel, self.coarse_voxel) <= 0 or self.channels < 1:
+            raise RacinesError("scene-field: voxel sizes and channels are above 0")
+        if not 0.0 < self.coverage <= 1.0:
+            raise RacinesError("scene-field.coverage: a share in (0, 1]")
+        if min(self.field_rate, self.coarse_rate, self.decoder_rate) <= 0:
+            raise RacinesError("scene-field: field_rate, coarse_rate and decoder_rate are above 0")
+        if min(self.calibration_rate, self.offset_rate, self.pixel_weight, self.spread) < 0:
+            raise RacinesError("scene-field: rates, pixel_weight and spread are 0 or more")
+
+
+class SceneField(BaseGenerator[SceneFieldConfig]):
+    """Learned voxels, what reaches them, and how their echoes add up."""
+
+    name = "scene-field"
+    Config = SceneFieldConfig
+    title = "Scene field"
+    summary = "A learned voxel field is sampled along the probe's beams and decoded to an image."
+    source = "this benchmark (docs/scene-field.md); after Plenoxels, Fridovich-Keil et al., 2022"
+    limits = (
+        "knows one static scene: another organ, or a moving one, needs another field",
+        "shows nothing where no training frame has looked",
+        "draws the mean of what is random: electronic noise is left out",
+    )
+
+    nets: nn.ModuleDict | None = None
+
+    def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
+        """Lay the voxels where the training frames look, then train."""
+        frames = store.split_indices("train")
+        poses = parameters_to_pose(store.parameters[frames])
+        probe = Probe(self.config.probe)
+        some = torch.arange(min(SURVEY, len(frames))) * len(frames) // min(SURVEY, len(frames))
+        with torch.no_grad():
+            looked = probe.points(Pose(poses.position[some], poses.rotation[some]), coarse=True)
+        points = looked.flatten(1).T.contiguous()
+        config = self.config
+        fine = lay_out(points, 1e3 * config.voxel, config.coverage)
+        coarse = lay_out(points, 1e3 * config.coarse_voxel, 1.0)
+        self.nets = self._build(fine, coarse)
+        self._net("place").fit(poses)
+        self.nets.to(self.device)
+        metrics = train(self, store, config.training, run)
+        for name in ("fine", "coarse"):
+            self._net(name).quantise()
+        return metrics | {"calibration": self._net("probe").calibration()}
+
+    def _build(self, fine: Layout, coarse: Layout) -> nn.ModuleDict:
+        config = self.config
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.seed)
+            place = Place()
+            nets = {
+                "fine": VoxelField(fine, 1e3 * config.voxel, config.channels, config.spread),
+                "coarse": VoxelField(coarse, 1e3 * config.coarse_voxel, MID, 0.02),
+                "probe": Probe(config.probe),
+                "decoder": EchoDecoder(config.probe.beams, config.probe.samples, place.width),
+                "place": place,
+            }
+        return nn.ModuleDict(nets)
+
+    def _net(self, name: str) -> Any:
+        assert self.nets is not None
+        return self.nets[name]
+
+    def modules(self) -> dict[str, nn.Module]:
+        """Return the fields, the probe and the decoder."""
+        return {name: self._net(name) for name in ("fine", "coarse", "probe", "decoder")}
+
+    def averaged(self) -> tuple[str, ...]:
+        """Name the decoder: the rate falls to zero, which serves the fields as an average would."""
+        return ("decoder",)
+
+    def optimizers(self) -> dict[str, Optimizer]:
+        """Return one Adam with a rate for each part."""
+        config, probe = self.config, self._net("probe")
+        calibration = config.calibration_rate
+        groups = [
+            {"params": [self._net("fine").values], "lr": config.field_rate},
+            {"params": [self._net("coarse").values], "lr": config.coarse_rate},
+            {"params": list(self._net("decoder").parameters()), "lr": config.decoder_rate},
+            {"params": [probe.shift], "lr": calibration},
+            {"params": [probe.turn, probe.scale], "lr": 0.1 * calibration},
+            {"params": [probe.offset], "lr": config.offset_rate},
+        ]
+        return {"scene": Adam(groups, betas=(0.9, 0.99), eps=1e-12, fused=True)}
+
+    def updates(self, nets: Mapping[str, nn.Module], batch: TrainBatch) -> Iterator[Update]:
+        """Yield the one step of a batch."""
+        config, count = self.config, len(batch.images)
+        calibrates = max(config.calibration_rate, config.offset_rate) > 0
+        live = -(-count // 4) if calibrates else 0
+        picks = self._picks(batch.seeds)
+        drawn = self._draw(nets, batch.parameters, picks, live)
+        truth = batch.images.to(torch.float32) / 255.0
+        similarity, error = image_loss(drawn, truth)
+        loss = 1.0 - similarity + config.pixel_weight * error
+        yield Update("scene", loss, {"ssim": similarity, "error": error})
+
+    def _picks(self, seeds: Tensor) -> Tensor:
+        """Return a number in [0, 1) for each sample of (B,) images: one table, shifted by image."""
+        count = self._net("probe").lateral.numel()
+        table = uniform(seeds.new_zeros(1), count)
+        return (table + uniform(derive(seeds, PICKS), 1)).remainder(1.0).flatten()
+
+    def _draw(
+        self,
+        nets: Mapping[str, nn.Module] | nn.ModuleDict,
+        parameters: Tensor,
+        picks: Tensor | None = None,
+        live: int = 0,
+    ) -> Tensor:
+        """Return (B, 128, 128) images of (B, 12) parameters, black 0 and white 1, unclipped."""
+        probe, config = self._net("probe"), self.config
+        pose = parameters_to_pose(parameters)
+        size = config.probe.beams, config.probe.samples
+        half = size[0] // 2, size[1] // 2
+        points, moving = _points(probe, pose, live)
+        fine = nets["fine"](points, picks, moving).view(-1, *size, config.channels)
+        points, moving = _points(probe, pose, live, coarse=True)
+        coarse = nets["coarse"](points, None, moving).view(-1, *half, MID)
+        inputs = fine, coarse, probe.directions(pose), self._net("place")(pose)
+        parts = zip(*(each.split(CHUNK) for each in inputs), strict=True)
+        return torch.cat([probe.image(nets["decoder"](*part)) for part in parts])
+
+    def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
+        """Sample and decode; the seed decides nothing."""
+        assert self.nets is not None
+        nets = self.nets.eval()
+
+        def decode(parameters: Tensor) -> Tensor:
+            return self._draw(nets, parameters).clamp(0.0, 1.0).mul(255.0).round().to(torch.uint8)
+
+        return in_fixed_batches(decode, parameters)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Return fields (eight bits a number once trained), probe, decoder and contact's scales."""
+        if self.nets is None:
+            return {}
+        tensors = {}
+        for name, net in self.nets.items():
+            state = net.packed() if isinstance(net, VoxelField) else net.state_dict()
+            tensors |= {f"{name}.{key}": value for key, value in state.items()}
+        return tensors
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Take the fields and weights back."""
+        parts: dict[str, dict[str, Tensor]] = {}
+        for key, value in tensors.items():
+            name, _, rest = key.partition(".")
+            parts.setdefault(name, {})[rest] = value.to(self.device)
+        layouts = [_layout(parts[name]) for name in ("fine", "coarse")]
+        self.nets = self._build(*layouts).to(self.device)
+        for name, net in self.nets.items():
+            if isinstance(net, VoxelField):
+                net.unpack(parts[name])
+            else:
+                net.load_state_dict(parts[name])
+
+
+def _layout(packed: dict[str, Tensor]) -> Layout:
+    rows = len(packed["values"]) if "values" in packed else packed["codes"].shape[:2].numel()
+    return Layout(packed["origin"], packed["table"], rows)
+
+
+def _points(probe: Probe, pose: Pose, live: int, coarse: bool = False) -> tuple[Tensor, int]:
+    """Return (3, N) points, and how many of them, from the first images, have a gradient."""
+    with torch.no_grad():
+        points = probe.points(pose, coarse)
+    if not live:
+        return points.flatten(1), 0
+    moving = probe.points(Pose(pose.position[:live], pose.rotation[:live]), coarse)
+    return torch.cat([moving, points[:, live:]], 1).flatten(1), moving[0].numel()
