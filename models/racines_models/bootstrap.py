@@ -7,13 +7,14 @@ a set, which inflates the distance itself, and leaving out does not.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy import stats
 
 LEVEL = 0.95
 """Coverage of every interval."""
+SIDES: tuple[Literal["left"], Literal["right"]] = ("left", "right")
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,9 @@ def bootstrap_median(
         for _ in range(resamples):
             draws = generator.multinomial(count, np.full(count, 1 / count))
             reached = np.cumsum(draws[cluster[order]])
-            medians.append(values[order[np.searchsorted(reached, reached[-1] / 2)]])
+            # The lower and the upper median, which differ where the middle falls between values.
+            middle = [np.searchsorted(reached, reached[-1] / 2, side) for side in SIDES]
+            medians.append(values[order[middle]].mean())
         low, high = (float(q) for q in np.quantile(medians, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]))
     method = f"median, percentile bootstrap by trajectory, {resamples} resamples"
     return Estimate(float(np.median(values)), low, high, len(values), count, method)

@@ -1,11 +1,12 @@
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import correlate1d
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from racines_data.errors import RacinesError
-from racines_models.bootstrap import bootstrap_mean, jackknife
-from racines_models.metrics import PSNR_CAP, fid, kid, psnr, ssim
+from racines_models.bootstrap import bootstrap_mean, bootstrap_median, jackknife
+from racines_models.metrics import PSNR_CAP, SCALES, fid, kid, ms_ssim, psnr, ssim
 
 
 def images(n: int, seed: int = 0) -> torch.Tensor:
@@ -35,8 +36,53 @@ def test_ssim_and_psnr_equal_scikit_image() -> None:
         assert float(p) == pytest.approx(float(expected), abs=1e-4)
 
 
+@pytest.mark.parametrize("sigma", [2, 20, 80])
+def test_ssim_and_psnr_equal_scikit_image_on_flat_and_on_noisy_images(sigma: int) -> None:
+    truth = torch.cat([images(2, seed=sigma), torch.full((1, 128, 128), 40, dtype=torch.uint8)])
+    drawn = noisy(truth, sigma, seed=sigma)
+    settings = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    pairs = [(a.numpy(), b.numpy()) for a, b in zip(drawn, truth, strict=True)]
+    expected = [structural_similarity(a, b, data_range=255, **settings) for a, b in pairs]
+    assert ssim(drawn, truth).tolist() == pytest.approx(expected, abs=1e-4)
+    expected = [peak_signal_noise_ratio(b, a, data_range=255) for a, b in pairs]
+    assert psnr(drawn, truth).tolist() == pytest.approx(expected, abs=1e-4)
+
+
+def scales_by_hand(a: np.ndarray, b: np.ndarray) -> float:
+    """MS-SSIM from its definition: float64, separable windows, whole ones only."""
+    window = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
+    window /= window.sum()
+
+    def local(x: np.ndarray) -> np.ndarray:
+        return correlate1d(correlate1d(x, window, 0), window, 1)[5:-5, 5:-5]
+
+    weights, value = np.array(SCALES) / sum(SCALES), 1.0
+    c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
+    a, b = a.astype(float), b.astype(float)
+    for scale, weight in enumerate(weights):
+        ma, mb = local(a), local(b)
+        va, vb, covariance = local(a * a) - ma**2, local(b * b) - mb**2, local(a * b) - ma * mb
+        term = (2 * covariance + c2) / (va + vb + c2)
+        if scale == len(weights) - 1:
+            term = term * (2 * ma * mb + c1) / (ma**2 + mb**2 + c1)
+        value *= max(term.mean(), 0.0) ** weight
+        a, b = (x.reshape(len(x) // 2, 2, -1, 2).mean((1, 3)) for x in (a, b))
+    return float(value)
+
+
+@pytest.mark.parametrize("sigma", [3, 30, 90])
+def test_ms_ssim_equals_its_definition(sigma: int) -> None:
+    truth = images(3, seed=sigma)
+    drawn = noisy(truth, sigma)
+    expected = [scales_by_hand(a.numpy(), b.numpy()) for a, b in zip(drawn, truth, strict=True)]
+    assert ms_ssim(drawn, truth).tolist() == pytest.approx(expected, abs=1e-4)
+    inverted = 255 - truth
+    assert ms_ssim(inverted, truth).tolist() == pytest.approx([0.0] * 3)
+
+
 def test_identical_images_have_the_stated_limits() -> None:
     truth = images(3)
+    assert torch.allclose(ms_ssim(truth, truth), torch.ones(3))
     assert torch.allclose(ssim(truth, truth), torch.ones(3))
     assert psnr(truth, truth).tolist() == [PSNR_CAP] * 3
 
@@ -99,6 +145,27 @@ def test_bootstrap_leaves_out_absent_values_and_needs_two_trajectories() -> None
     assert (estimate.value, estimate.low, estimate.high, estimate.n) == (2.0, None, None, 2)
     with pytest.raises(ValueError, match="no values"):
         bootstrap_mean(np.array([np.nan]), np.array([0]))
+
+
+def test_bootstrap_of_a_median_is_that_of_the_resampled_frames() -> None:
+    generator = np.random.default_rng(0)
+    clusters = np.repeat(np.arange(7), [3, 5, 1, 8, 2, 4, 6])
+    values = generator.exponential(size=len(clusters))
+    values[4] = np.nan
+    estimate = bootstrap_median(values, clusters, seed=2, resamples=200)
+    assert estimate.value == np.nanmedian(values) and estimate.n == len(values) - 1
+    repeated = np.random.default_rng(2)
+    medians = []
+    for _ in range(200):
+        draws = repeated.multinomial(7, np.full(7, 1 / 7))
+        frames = np.concatenate([np.repeat(values[clusters == c], draws[c]) for c in range(7)])
+        medians.append(np.nanmedian(frames))
+    expected = np.quantile(medians, [0.025, 0.975])
+    assert [estimate.low, estimate.high] == pytest.approx(expected)
+    one = bootstrap_median(values[:3], clusters[:3])
+    assert (one.low, one.high) == (None, None)
+    with pytest.raises(ValueError, match="no values"):
+        bootstrap_median(np.array([np.nan]), np.array([0]))
 
 
 def test_jackknife_of_a_mean_is_its_standard_error() -> None:
