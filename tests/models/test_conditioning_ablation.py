@@ -1,0 +1,73 @@
+"""The four ways to tell a generator its pose: trained alike, judged alike, not trained twice."""
+
+import json
+
+import pytest
+import torch
+
+from racines_data.errors import RacinesError
+from racines_models.conditioning_ablation import judge, run_ablation
+from racines_models.generators.cgan import Cgan, CganConfig
+from racines_models.generators.mean_image import MeanImage, MeanImageConfig
+from racines_models.protocol import Run
+from racines_models.sample import take_sample
+from racines_models.training.objective import Training
+from tests.models.conftest import FakeStore
+
+CONFIG = CganConfig(
+    width=2,
+    discriminator_width=2,
+    latent=4,
+    embedding=4,
+    learning_rate=0.03,
+    training=Training(images=160, batch_size=16, precision="fp32", ema=0.0),
+)
+NAMES = ["continuous-concat", "continuous-norm", "euler-concat", "euler-norm"]
+
+
+@pytest.fixture(scope="module")
+def store() -> FakeStore:
+    store = FakeStore()
+    store.trajectory_index = torch.arange(len(store.images)) // 8
+    return store
+
+
+def test_four_variants_are_trained_once_and_judged(store, tmp_path, monkeypatch):
+    run = Run(tmp_path, seed=2, device="cpu", progress=False)
+    content = run_ablation(Cgan, CONFIG, store, run, frames=8)
+    chosen = take_sample(store, "validation", 8)
+    assert (content["split"], content["sample"]) == ("validation", chosen.digest)
+    assert [row["name"] for row in content["variants"]] == NAMES
+    written = json.loads((tmp_path / "conditioning.json").read_text())
+    assert written["variants"] == content["variants"]
+    for row in content["variants"]:
+        config = Cgan.load(tmp_path / row["name"]).config
+        assert (config.conditioning, config.injection) == (row["conditioning"], row["injection"])
+        assert 0 < row["psnr"] < 40 and 0 <= row["own_frame"] <= 1
+
+    def refuse(*_):
+        raise AssertionError("trained again")
+
+    monkeypatch.setattr(Cgan, "fit", refuse)
+    assert run_ablation(Cgan, CONFIG, store, run, frames=8) == content
+    with pytest.raises(AssertionError, match="trained again"):
+        run_ablation(Cgan, CONFIG, store, Run(tmp_path, seed=3, progress=False), frames=8)
+
+
+def test_judge_knows_a_generator_that_sees_the_pose_from_one_that_does_not(store):
+    sample = take_sample(store, "validation", 32)
+
+    class Source:
+        def generate(self, parameters, seed):
+            return sample.frames.images
+
+    seeing = judge(Source(), sample, 0)  # pyright: ignore
+    assert seeing["psnr"] == 100.0 and seeing["own_frame"] == 1.0
+    blind = Source()
+    blind.generate = lambda parameters, seed: sample.frames.images.roll(7, 0)  # type: ignore
+    assert judge(blind, sample, 0)["own_frame"] < 0.8  # pyright: ignore
+
+
+def test_generator_without_the_two_keys_is_refused(store, tmp_path):
+    with pytest.raises(RacinesError, match="mean-image has no conditioning and injection"):
+        run_ablation(MeanImage, MeanImageConfig(), store, Run(tmp_path))
