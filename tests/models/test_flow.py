@@ -8,7 +8,9 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
 from racines_models.generators.flow import Flow, FlowConfig, follow
 from racines_models.networks.unet import GRID, SPREAD, Place, scales
+from racines_models.onnx_export import export_generator
 from racines_models.protocol import Run
+from racines_models.registry import open_generator
 from racines_models.testing import GeneratorContract
 from racines_models.training.objective import Training
 
@@ -34,6 +36,13 @@ class TestFlow(GeneratorContract):
             drawn.append(other.generate(poses, 0).numpy().tobytes())
         assert generator.config == TINY
         assert len(set(drawn)) == 4
+
+    def test_exported_file_draws_the_same(self, store, tmp_path):
+        pytest.importorskip("onnxscript")
+        generator, poses = self.fitted(store, tmp_path), self.parameters(store, 5)
+        export_generator(generator, tmp_path / "flow.onnx")
+        drawn = open_generator(str(tmp_path / "flow.onnx")).generate(poses, 3).int()
+        assert (drawn - generator.generate(poses, 3).int()).abs().max() <= 1
 
 
 class Straight(nn.Module):

@@ -19,6 +19,7 @@ from racines_models.generators.base import BaseGenerator
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.convolution import to_gray, to_range
 from racines_models.networks.unet import CELL, GRID, SPREAD, PlacedUNet, scales
+from racines_models.onnx_module import NoiseInput, OnnxModule
 from racines_models.protocol import Run
 from racines_models.trainer import train
 from racines_models.training.objective import TrainBatch, Training, Update
@@ -129,7 +130,7 @@ class Flow(BaseGenerator[FlowConfig]):
         image = _fold(to_range(batch.images))
         time = uniform(derive(batch.seeds, TIME), 2)
         time = time[:, 0].where(time[:, 1] >= self.config.pure_noise, 0.0)
-        noise = _noise(derive(batch.seeds, NOISE))
+        noise = _folded(normal(derive(batch.seeds, NOISE), PIXELS))
         at = time[:, None, None, None]
         foreseen = nets["unet"](noise.lerp(image, at), time, batch.parameters)
         error = (foreseen.float() - image).square().mean((1, 2, 3))
@@ -151,9 +152,14 @@ class Flow(BaseGenerator[FlowConfig]):
         return in_fixed_batches(self._follow, parameters, seeds)
 
     def _follow(self, parameters: Tensor, seeds: Tensor) -> Tensor:
-        noise = _noise(derive(seeds, DRAW))
-        images = follow(self._unet, noise, parameters, self.config.steps, self.config.solver)
-        return to_gray(pixel_shuffle(images, CELL))
+        return self._journey()(parameters, normal(derive(seeds, DRAW), PIXELS))
+
+    def _journey(self) -> "Journey":
+        return Journey(self._unet, self.config.steps, self.config.solver)
+
+    def onnx_module(self) -> OnnxModule:
+        """Return the U-Net with its steps."""
+        return OnnxModule(self._journey(), NoiseInput(PIXELS, (DRAW,)))
 
     def tensors(self) -> dict[str, Tensor]:
         """Return the U-Net's weights and the conditioning's statistics."""
@@ -163,6 +169,19 @@ class Flow(BaseGenerator[FlowConfig]):
         """Take the weights back."""
         self.nets = self._build().to(self.device)
         self.nets.load_state_dict(tensors)
+
+
+class Journey(nn.Module):
+    """All steps from noise to gray levels."""
+
+    def __init__(self, unet: nn.Module, steps: int, solver: str):
+        super().__init__()
+        self.unet, self.steps, self.solver = unet, steps, solver
+
+    def forward(self, parameters: Tensor, noise: Tensor) -> Tensor:
+        """Return (B, 128, 128) uint8 of (B, 12) parameters and (B, 16384) noise."""
+        images = follow(self.unet, _folded(noise), parameters, self.steps, self.solver)
+        return to_gray(pixel_shuffle(images, CELL))
 
 
 def follow(unet: nn.Module, x: Tensor, parameters: Tensor, steps: int, solver: str) -> Tensor:
@@ -192,7 +211,6 @@ def _fold(images: Tensor) -> Tensor:
     return folded.contiguous(memory_format=torch.channels_last)
 
 
-def _noise(seeds: Tensor) -> Tensor:
-    """Return (B, 16, 32, 32) standard normal noise of (B,) seeds."""
-    noise = normal(seeds, PIXELS).view(-1, GRID, GRID, CELL * CELL)
-    return noise.permute(0, 3, 1, 2)  # channels last
+def _folded(noise: Tensor) -> Tensor:
+    """Return (B, 16384) noise as (B, 16, 32, 32), channels last."""
+    return noise.view(-1, GRID, GRID, CELL * CELL).permute(0, 3, 1, 2)
