@@ -9,7 +9,6 @@ def register(train: typer.Typer, evaluate: typer.Typer) -> None:
     """Add the commands for graders and generators, and those that use them on a dataset."""
     from racines_models import (
         cli_conditioning,
-        cli_conditioning,
         cli_data,
         cli_export,
         cli_floor,
@@ -29,7 +28,6 @@ def register(train: typer.Typer, evaluate: typer.Typer) -> None:
     cli_gallery.register(evaluate)
     cli_floor.register(evaluate)
     cli_realism.register(evaluate)
-    cli_conditioning.register(evaluate)
     cli_conditioning.register(evaluate)
     cli_data.register(data)
     cli_publish.register(cli_export.export)
