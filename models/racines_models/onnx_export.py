@@ -18,6 +18,7 @@ from racines_data.files import write_atomic
 from racines_data.schema import PARAMETERS
 from racines_models.onnx_file import MAX_BYTES
 from racines_models.onnx_format import NOISE, OUTPUT, PARAMS, SCHEMA
+from racines_models.onnx_generator import open_session
 from racines_models.onnx_module import OnnxModule, import_onnx
 
 OPSET = 18
@@ -35,7 +36,7 @@ def export_generator(generator: Any, path: Path) -> dict[str, Any]:
     Raises:
         RacinesError: the generator cannot be exported, or the optional packages are missing.
     """
-    import_onnx("onnx", "onnxscript")
+    import_onnx("onnx", "onnxruntime", "onnxscript")
     hook = getattr(generator, "onnx_module", None)
     if hook is None:
         name = getattr(generator, "name", type(generator).__name__)
@@ -57,6 +58,8 @@ def export_generator(generator: Any, path: Path) -> dict[str, Any]:
             f"{path}: the model would have {len(content):,} bytes, more than the {MAX_BYTES:,} "
             "that are read back: train a smaller one"
         )
+    # The tracer can write graphs that do not load: none is left behind.
+    open_session(content, f"{path}, exported,", "cpu")
     write_atomic(path, content)
     noise = module.noise.size if module.noise else 0
     return {"out": str(path), "bytes": len(content), "opset": OPSET, "noise": noise}

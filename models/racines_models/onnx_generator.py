@@ -34,7 +34,7 @@ class OnnxGenerator:
         content, self.interface = read_onnx(self.path)
         self.name = self.interface.name
         self.sha256 = sha256_bytes(content)
-        self._session = _session(content, self.path, device)
+        self._session = open_session(content, str(self.path), device)
         self.provider: str = self._session.get_providers()[0]
         kind = "cuda" if self.provider.startswith("CUDA") else "cpu"
         self._batch = self.interface.batch or BATCH[kind]
@@ -84,7 +84,12 @@ class OnnxGenerator:
         return ((drawn + 1.0) * 127.5).round().clamp(0, 255).to(torch.uint8)
 
 
-def _session(content: bytes, path: Path, device: str) -> Any:
+def open_session(content: bytes, where: str, device: str) -> Any:
+    """Return the onnxruntime session of a model: one thread, deterministic, on CUDA if it can.
+
+    Raises:
+        RacinesError: onnxruntime cannot load it; begins with `where`.
+    """
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -100,4 +105,4 @@ def _session(content: bytes, path: Path, device: str) -> Any:
     try:
         return onnxruntime.InferenceSession(content, options, providers=providers)
     except Exception as error:
-        raise RacinesError(f"{path}: onnxruntime cannot load it: {error}") from error
+        raise RacinesError(f"{where}: onnxruntime cannot load it: {error}") from error

@@ -16,7 +16,8 @@ from racines_models.generators.mean_image import MeanImage
 from racines_models.generators.nearest_pose import NearestPose
 from racines_models.generators.vae_gan import VaeGan, VaeGanConfig
 from racines_models.onnx_export import export_generator
-from racines_models.onnx_generator import OnnxGenerator
+from racines_models.onnx_generator import OnnxGenerator, open_session
+from racines_models.onnx_module import OnnxModule
 from racines_models.protocol import Run
 from racines_models.registry import open_generator
 from racines_models.training.objective import Training
@@ -123,6 +124,24 @@ def test_what_is_no_network_cannot_be_exported(store, tmp_path):
 
     with pytest.raises(RacinesError, match="other has no onnx_module"):
         export_generator(Other(), tmp_path / "n.onnx")
+
+
+def test_a_network_that_cannot_run_leaves_no_file(vae_gan, tmp_path):
+    class Sorted(torch.nn.Module):
+        def forward(self, parameters):
+            return torch.linalg.eigvalsh(parameters @ parameters.T)[:, None, None]
+
+    class Spoiled(VaeGan):
+        def onnx_module(self):
+            return OnnxModule(Sorted())
+
+    spoiled = Spoiled(vae_gan[0].config)
+    spoiled.nets = vae_gan[0].nets
+    with pytest.raises(RacinesError, match="Sorted cannot be traced to ONNX"):
+        export_generator(spoiled, tmp_path / "s.onnx")
+    with pytest.raises(RacinesError, match="exported.*onnxruntime cannot load it"):
+        open_session(b"nothing", "s.onnx, exported", "cpu")
+    assert not list(tmp_path.iterdir())
 
 
 def test_bad_poses_are_refused(vae_gan, poses):
