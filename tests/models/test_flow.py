@@ -37,6 +37,7 @@ class TestFlow(GeneratorContract):
         assert generator.config == TINY
         assert len(set(drawn)) == 4
 
+    @pytest.mark.slow
     def test_exported_file_draws_the_same(self, store, tmp_path):
         pytest.importorskip("onnxscript")
         generator, poses = self.fitted(store, tmp_path), self.parameters(store, 5)

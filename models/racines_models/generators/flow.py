@@ -30,10 +30,6 @@ SOLVERS = ("euler", "heun")
 PIXELS = (GRID * CELL) ** 2
 
 
-def _training() -> Training:
-    return Training(schedule="cosine", warmup_images=1_000)
-
-
 @dataclass(frozen=True)
 class FlowConfig:
     """Network, path and solver; docs/flow.md says what each choice brings."""
@@ -53,7 +49,7 @@ class FlowConfig:
     """Steps from noise to image at drawing, 1 to 4."""
     solver: str = "euler"
     """`euler`, or `heun`: a second look a step, but for the last, which always is Euler's."""
-    training: Training = field(default_factory=_training)
+    training: Training = field(default_factory=Training)
 
     def __post_init__(self) -> None:
         """Refuse settings that cannot train or draw."""
