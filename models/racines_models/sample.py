@@ -96,7 +96,9 @@ def check_drawn(images: Tensor) -> Tensor:
     if images.is_floating_point() and not bool(images.isfinite().all()):
         raise RacinesError("images hold NaN or infinity: give uint8 gray levels 0-255")
     if images.dtype == torch.uint8 and images.numel() and int(images.max()) == 0:
-        raise RacinesError("images are all black: nothing was drawn")
+        raise RacinesError(
+            "images are all black: nothing was drawn, or 0-1 images were cast to uint8"
+        )
     check_images(images)
     spread = torch.cat([chunk.float().flatten(1).std(1) for chunk in images.split(CHUNK)])
     if float(spread.median()) < FAINT:
