@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import torch
+import yaml
 from torch import nn
 
 from racines_data.config import fill
@@ -14,24 +15,19 @@ from racines_models.adversary import Adversary, gradient_square
 from racines_models.differentiable_augmentation import CHANGES, augment
 from racines_models.generators.cgan import Cgan, CganConfig
 from racines_models.generators.residual_cgan import ResidualCganConfig
+from racines_models.generators.stylegan import StyleGanConfig
 from racines_models.networks.discriminator import JOININGS, Discriminator
 from racines_models.protocol import Run
 from racines_models.training.objective import Training
+from tests.conftest import ROOT
+from tests.documents import blocks
 
-PAPER: dict[str, Any] = {
-    "learning_rate": 1e-4,
-    "discriminator_learning_rate": 1e-4,
-    "reconstruction_weight": 0.0,
-    "adversary": {
-        "loss": "non-saturating",
-        "joining": "layers",
-        "normalisation": "batch",
-        "r1": 0.0,
-        "augment": [],
-    },
-    "training": {"batch_size": 8, "ema": 0.0, "gradient_clip": 0.0, "schedule": "constant"},
-}
-"""The paper's plain setting, as docs/generators.md gives it."""
+
+def _paper() -> dict[str, Any]:
+    """Return the paper's plain setting, as the documentation gives it."""
+    page = ROOT / "docs/generators.md"
+    (text,) = (block.text for block in blocks(page) if block.language == "yaml")
+    return yaml.safe_load(text)
 
 
 def test_gradient_square_of_a_linear_critic_is_the_square_of_its_weights():
@@ -159,12 +155,12 @@ def test_each_switch_changes_the_training(store, tmp_path):
 
 
 def test_paper_preset_fills_and_has_batch_norm_and_nothing_of_ours():
-    for config in (CganConfig, ResidualCganConfig):
-        preset = fill(config, PAPER)
+    for config in (CganConfig, ResidualCganConfig, StyleGanConfig):
+        preset = fill(config, _paper())
         assert preset.adversary == Adversary(joining="layers", normalisation="batch")
         assert preset.training.batch_size == 8 and preset.training.ema == 0.0
         assert preset.latent == 100 and math.isclose(preset.learning_rate, 1e-4)
-    nets = Cgan(fill(CganConfig, {**PAPER, "discriminator_width": 2})).networks(15)
+    nets = Cgan(fill(CganConfig, {**_paper(), "discriminator_width": 2})).networks(15)
     critic = nets["discriminator"]
     assert sum(isinstance(m, nn.BatchNorm2d) for m in critic.modules()) == 5
     assert not any(hasattr(m, "parametrizations") for m in critic.modules())

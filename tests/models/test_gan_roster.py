@@ -17,6 +17,7 @@ from racines_models.networks.style import ModulatedConv, StyleSynthesis
 from racines_models.protocol import Run
 from racines_models.testing import GeneratorContract
 from racines_models.training.objective import Training
+from tests.models.test_trainer_resume import fit, kill, weights
 
 TRAINING = Training(images=32, batch_size=16, precision="fp32", ema=0.9)
 SIZES = {"width": 2, "discriminator_width": 2, "latent": 6, "embedding": 6}
@@ -57,6 +58,17 @@ class TestStyleGan(GeneratorContract):
 def _networks(cls, **changes):
     generator = cls(CONFIGS[cls](**(TINY | changes)))
     return generator.networks(15)
+
+
+def test_killed_and_resumed_with_spectral_norm_and_a_penalty_now_and_then(tmp_path):
+    """Power iterations and the count of lazy penalties come back from the checkpoint."""
+    training = Training(images=160, batch_size=8, precision="fp32", checkpoint_every=40)
+    adversary = Adversary(r1=10.0, r1_every=3, augment=("translation",))
+    config = CganConfig(**(TINY | {"training": training, "adversary": adversary}))
+    fit(tmp_path / "whole", Cgan, config)
+    kill(tmp_path / "killed", make=Cgan, config=config)
+    fit(tmp_path / "killed", Cgan, config, resume=True)
+    assert weights(tmp_path / "killed") == weights(tmp_path / "whole")
 
 
 def test_each_row_has_the_layers_of_its_name():

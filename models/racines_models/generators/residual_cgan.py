@@ -8,9 +8,10 @@ from racines_models.generators.gan import PyramidGan, PyramidGanConfig
 
 @dataclass(frozen=True)
 class ResidualCganConfig(PyramidGanConfig):
-    """As `PyramidGanConfig`."""
+    """As `PyramidGanConfig`, with a discriminator that costs no more than the others."""
 
     name: ClassVar[str] = "residual-cgan"
+    discriminator_width: int = 12
 
 
 class ResidualCgan(PyramidGan):

@@ -21,6 +21,7 @@ class StyleGanConfig(GanConfig):
     """Sizes of the mapping network beside what every GAN has."""
 
     name: ClassVar[str] = "stylegan"
+    discriminator_width: int = 12
     style: int = 128
     """Entries of the style w."""
     mapping_layers: int = 4
