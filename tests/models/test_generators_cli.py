@@ -91,3 +91,16 @@ def test_class_in_the_current_folder_and_exit_code(here):
     assert (here / "models/runs/mine/model.safetensors").is_file()
     done = command(here, "racines", "train", "generator", "mine:Yours", code=1)
     assert "mine has no 'Yours'" in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+def test_two_processes_share_the_work(here):
+    words = ("train", "generator", "vae-gan", "--processes", "2", "--device", "cpu", "--json")
+    done = command(here, "racines", *words)
+    metrics = json.loads(done.stdout)
+    assert (metrics["processes"], metrics["images"]) == (2, 32)
+    assert (here / "models/runs/vae-gan/model.safetensors").is_file()
+    words = ("train", "generator", "vae-gan", "--processes", "3", "--device", "cpu")
+    done = command(here, "racines", *words, code=1)
+    assert "8 images cannot be shared by 3 processes" in done.stderr
+    assert "Traceback" not in done.stderr
