@@ -30,14 +30,16 @@ class EqualDense(nn.Module):
 
 
 class Mapping(nn.Module):
-    """Latent and condition to the style w: normalised entries, then dense layers.
+    """Latent and condition to the style w: two vectors of one width and size, then dense layers.
 
-    Its weights learn at a hundredth of the rate, as in StyleGAN.
+    The condition is embedded first, or a hundred numbers of noise would drown its fifteen (as in
+    Karras et al., Training GANs with Limited Data, 2020). The layers learn at `rate` of the others.
     """
 
     def __init__(self, latent: int, condition: int, style: int, layers: int, rate: float):
         super().__init__()
-        sizes = [latent + condition, *[style] * layers]
+        self.embedding = EqualDense(condition, latent)
+        sizes = [2 * latent, *[style] * layers]
         self.layers = nn.ModuleList(
             [EqualDense(a, b, rate=rate) for a, b in zip(sizes, sizes[1:], strict=False)]
         )
@@ -45,7 +47,8 @@ class Mapping(nn.Module):
     def forward(self, latent: Tensor, condition: Tensor) -> Tensor:
         """Return (B, style) of (B, latent) and (B, condition)."""
         latent = latent * (latent.square().mean(1, keepdim=True) + 1e-8).rsqrt()
-        style = torch.cat([latent, condition], 1)
+        embedded = self.embedding(condition)
+        style = torch.cat([latent.to(embedded.dtype), embedded], 1)
         for layer in self.layers:
             style = GAIN * leaky_relu(layer(style), SLOPE)
         return style
