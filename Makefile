@@ -1,6 +1,6 @@
 # Every target sets up .venv when it is missing or older than what it is made from.
 #   make repro                 the whole benchmark at the size of params.yaml (the default profile)
-#   make repro PROFILE=smoke   write a profile (smoke, default, paper or abdomen) to params.yaml first
+#   make repro PROFILE=smoke   write a profile (smoke, default, reference, paper or abdomen) to params.yaml first
 VENV ?= .venv
 PYTHON ?= python3
 PROFILE ?=

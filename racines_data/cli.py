@@ -12,7 +12,8 @@ data = typer.Typer(no_args_is_help=True, help="Build and check datasets.")
 
 Params = Annotated[Path | None, typer.Option(help="Params file; its `data` section is used.")]
 Profile = Annotated[
-    str | None, typer.Option(help="Packaged settings: smoke, default, paper or abdomen.")
+    str | None,
+    typer.Option(help="Packaged settings: smoke, default, reference, paper or abdomen."),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print figures as JSON on stdout.")]
 

@@ -9,7 +9,7 @@ import yaml
 
 from racines_data.errors import RacinesError
 
-PROFILES = ("smoke", "default", "paper", "abdomen")
+PROFILES = ("smoke", "default", "reference", "paper", "abdomen")
 T = TypeVar("T")
 
 
@@ -50,24 +50,36 @@ def section(params: dict[str, Any], path: str) -> dict[str, Any]:
 def fill(config: type[T], values: dict[str, Any], where: str = "params") -> T:
     """Build a config dataclass from a mapping, nested dataclasses included.
 
+    What a nested mapping leaves out keeps the default that the outer dataclass gives it.
+
     Raises:
         RacinesError: an unknown key or a value of the wrong type, by its full name.
     """
-    fields = {f.name: f for f in dataclasses.fields(config)}  # type: ignore[arg-type]
+    return config(**_filled(config, values, where))
+
+
+def _filled(config: Any, values: dict[str, Any], where: str) -> dict[str, Any]:
+    fields = {f.name: f for f in dataclasses.fields(config)}
     filled: dict[str, Any] = {}
     for key, value in values.items():
         if key not in fields:
             known = ", ".join(fields) or "none"
             raise RacinesError(f"{where}.{key}: unknown key; known: {known}")
-        default = _default(fields[key])
-        if dataclasses.is_dataclass(default) and isinstance(value, dict):
-            filled[key] = fill(type(default), value, f"{where}.{key}")
+        default = _default(config, fields[key])
+        if (
+            dataclasses.is_dataclass(default)
+            and not isinstance(default, type)
+            and isinstance(value, dict)
+        ):
+            filled[key] = dataclasses.replace(default, **_filled(default, value, f"{where}.{key}"))
         else:
             filled[key] = _coerce(value, default, f"{where}.{key}")
-    return config(**filled)
+    return filled
 
 
-def _default(field: dataclasses.Field[Any]) -> Any:
+def _default(config: Any, field: dataclasses.Field[Any]) -> Any:
+    if not isinstance(config, type):
+        return getattr(config, field.name)
     if field.default is not dataclasses.MISSING:
         return field.default
     if field.default_factory is not dataclasses.MISSING:

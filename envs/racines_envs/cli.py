@@ -9,7 +9,8 @@ RUNS = Path("envs/runs")
 
 Params = Annotated[Path | None, typer.Option(help="Settings; ./params.yaml if it is there.")]
 Profile = Annotated[
-    str | None, typer.Option(help="Packaged settings: smoke, default, paper or abdomen.")
+    str | None,
+    typer.Option(help="Packaged settings: smoke, default, reference, paper or abdomen."),
 ]
 
 

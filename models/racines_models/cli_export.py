@@ -25,7 +25,8 @@ Split = Annotated[str | None, typer.Option(help="Split; default: scores.split.")
 Samples = Annotated[int | None, typer.Option(min=2, help="Default: scores.samples.")]
 Params = Annotated[Path | None, typer.Option(help="Params file. Default: ./params.yaml.")]
 Profile = Annotated[
-    str | None, typer.Option(help="Packaged settings: smoke, default, paper or abdomen.")
+    str | None,
+    typer.Option(help="Packaged settings: smoke, default, reference, paper or abdomen."),
 ]
 Device = Annotated[str, typer.Option(help="cpu, cuda or auto.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print figures as JSON on stdout.")]

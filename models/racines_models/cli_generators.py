@@ -25,7 +25,8 @@ def train_generator(
         Path | None, typer.Option(help="Params file; its section generators.NAME is used.")
     ] = None,
     profile: Annotated[
-        str | None, typer.Option(help="Packaged settings: smoke, default, paper or abdomen.")
+        str | None,
+        typer.Option(help="Packaged settings: smoke, default, reference, paper or abdomen."),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed; default: the params file's.")] = None,
     device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 Data = Annotated[Path, typer.Option(help="Folder of the dataset.")]
 Params = Annotated[Path | None, typer.Option(help="Params file. Default: ./params.yaml.")]
 Profile = Annotated[
-    str | None, typer.Option(help="Packaged settings: smoke, default, paper or abdomen.")
+    str | None,
+    typer.Option(help="Packaged settings: smoke, default, reference, paper or abdomen."),
 ]
 Device = Annotated[str, typer.Option(help="cpu, cuda or auto.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print figures as JSON on stdout.")]
