@@ -12,6 +12,7 @@ from racines_data.store import open_store
 from racines_leaderboard.cli import app
 from racines_leaderboard.schema import read_json
 from racines_models.grader import Grader
+from racines_models.pose_regressor import PoseRegressor
 from tests.models.test_realism import png
 
 STAGE = {"epochs": 1}
@@ -25,6 +26,7 @@ PARAMS = {
         "view_stage": STAGE,
         "grade_stage": STAGE,
     },
+    "pose": {"width": 0.125, "training": {"images": 96, "batch_size": 32, "warmup_images": 0}},
     "generators": {"nearest-pose": {"frames": 50}},
     "scores": {"samples": 12},
     "realism": {"frames": 4, "grade": 0.0, "splits": 2},
@@ -71,6 +73,36 @@ def test_grader_then_generator_then_scores(here):
     shown = invoke("eval", "generator", "nearest-pose", "--no-grader", "--samples", "8")
     assert "fid" in shown and "view_agreement" not in shown
     assert json.loads(path.read_text())["metrics"]["fid"]["n"] == 8
+
+
+def test_a_pose_regressor_is_used_where_there_is_one(here):
+    metrics = json.loads(invoke("train", "pose", "--json"))
+    regressor = PoseRegressor.load(here / "models/runs/pose")
+    assert regressor.config.width == 0.125 and metrics["training"]["images"] == 96
+    assert metrics["seed"] == 3 and metrics["metrics"]["pose_error_mm"]["value"] > 0
+    invoke("train", "generator", "nearest-pose", "--json")
+    words = ("eval", "generator", "nearest-pose", "--no-grader", "--samples", "8", "--json")
+    content = json.loads(invoke(*words))
+    assert content["extractors"]["pose"]["sha256"] == regressor.sha256
+    assert content["metrics"]["pose_error_mm"]["n"] == 8
+    # The phantom of this dataset was scanned again.
+    assert content["metrics"]["diversity_truth"]["value"] > 0
+    assert "pose_error_mm" not in json.loads(invoke(*words, "--no-pose"))["metrics"]
+    (here / "models/runs/pose").rename(here / "elsewhere")
+    assert "pose_error_mm" not in json.loads(invoke(*words))["metrics"]
+    again = json.loads(invoke(*words, "--pose", "elsewhere"))["metrics"]
+    assert again["pose_error_mm"]["value"] == content["metrics"]["pose_error_mm"]["value"]
+    assert "train pose" in refused(*words, "--pose", "nowhere")
+
+
+def test_truth_against_truth(here):
+    content = json.loads(invoke("eval", "floor", "--n", "4", "--n", "6", "--splits", "2", "--json"))
+    assert [row["n"] for row in content["rows"]["inception"]] == [4, 6]
+    assert json.loads((here / "models/runs/floor.json").read_text()) == content
+    assert (here / "models/runs/floor.png").is_file()
+    shown = invoke("eval", "floor", "--n", "4", "--splits", "2")
+    assert "inception, n = 4: FID" in shown
+    assert "fewer than the smallest" in refused("eval", "floor", "--n", "4000")
 
 
 def test_refusals_name_the_remedy(here):
