@@ -45,7 +45,7 @@ class ScoresConfig:
     """Bootstrap resamples of per-image figures."""
     blocks: int = 20
     """Most blocks of trajectories that the jackknife of FID and KID leaves out in turn."""
-    kid_subset: int = 1000
+    kid_subset: int = 4096
     """Largest set of one KID estimate; beyond it, estimates of random subsets are averaged."""
     kid_subsets: int = 100
     speed: bool = True
@@ -89,28 +89,36 @@ class Judge:
         drawn = [extractor(images, self.progress) for images in self.drawn]
         config = self.config
 
-        def averaged(metric: Callable[[Tensor, Tensor], float]) -> Callable[[np.ndarray], float]:
-            def statistic(keep: np.ndarray) -> float:
-                rows = torch.from_numpy(keep)
-                return float(np.mean([metric(each[rows], truth[rows]) for each in drawn]))
+        def fid(keep: np.ndarray) -> float:
+            rows = torch.from_numpy(keep)
+            return float(np.mean([metrics.fid(each[rows], truth[rows]) for each in drawn]))
 
-            return statistic
-
-        def kid(a: Tensor, b: Tensor) -> float:
-            return metrics.kid(a, b, config.kid_subset, config.kid_subsets)
-
+        clusters, blocks = self.sample.trajectory, config.blocks
+        frechet = jackknife(fid, clusters, blocks, 0.0)
+        kernel = jackknife(self._kid(truth, drawn), clusters, blocks)
         subsets: dict[str, Any] = {"subset": config.kid_subset, "subsets": config.kid_subsets}
-        fid = jackknife(averaged(metrics.fid), self.sample.trajectory, config.blocks, 0.0)
-        distance = jackknife(averaged(kid), self.sample.trajectory, config.blocks)
         figures = {
-            f"fid{suffix}": fid.to_json(features=name),
-            f"kid{suffix}": distance.to_json(features=name, **metrics.KID_SETTINGS, **subsets),
+            f"fid{suffix}": frechet.to_json(features=name),
+            f"kid{suffix}": kernel.to_json(features=name, **metrics.KID_SETTINGS, **subsets),
         }
         neighbours = self._neighbours(truth, drawn)
         return figures | {
             f"{key}{suffix}": each.to_json(features=name, **prdc.SETTINGS)
             for key, each in neighbours.items()
         }
+
+    def _kid(self, truth: Tensor, drawn: list[Tensor]) -> Callable[[np.ndarray], float]:
+        subset, subsets = self.config.kid_subset, self.config.kid_subsets
+        if len(truth) <= subset:
+            sets = [metrics.KernelMatrices(truth, each) for each in drawn]
+            return lambda keep: float(np.mean([each.kid(keep) for each in sets]))
+
+        def averaged(keep: np.ndarray) -> float:
+            rows = torch.from_numpy(keep)
+            pairs = [(each[rows], truth[rows]) for each in drawn]
+            return float(np.mean([metrics.kid(*pair, subset, subsets) for pair in pairs]))
+
+        return averaged
 
     def _neighbours(self, truth: Tensor, drawn: list[Tensor]) -> dict[str, Estimate]:
         if len(truth) <= prdc.NEIGHBOURS:

@@ -6,7 +6,16 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from racines_data.errors import RacinesError
 from racines_models.bootstrap import bootstrap_mean, bootstrap_median, jackknife
-from racines_models.metrics import PSNR_CAP, SCALES, fid, kid, ms_ssim, psnr, ssim
+from racines_models.metrics import (
+    PSNR_CAP,
+    SCALES,
+    KernelMatrices,
+    fid,
+    kid,
+    ms_ssim,
+    psnr,
+    ssim,
+)
 
 
 def images(n: int, seed: int = 0) -> torch.Tensor:
@@ -110,6 +119,16 @@ def test_kid_equals_the_definition_and_is_unbiased() -> None:
         for _ in range(300)
     ]
     assert abs(np.mean(draws)) < 4 * np.std(draws) / 300**0.5
+
+
+def test_kid_of_subsets_by_matrices_is_kid() -> None:
+    generator = torch.Generator().manual_seed(0)
+    x, y = (torch.randn(60, 16, generator=generator) + shift for shift in (0.0, 0.3))
+    matrices = KernelMatrices(x, y)
+    keep = np.arange(60) % 4 != 1
+    rows = torch.from_numpy(keep)
+    assert matrices.kid(np.ones(60, bool)) == pytest.approx(kid(y, x), rel=1e-9)
+    assert matrices.kid(keep) == pytest.approx(kid(y[rows], x[rows]), rel=1e-9)
 
 
 def test_kid_subsets_are_seeded_and_near_the_full_estimate() -> None:
