@@ -20,7 +20,14 @@ TINY = {
     "seed": 0,
     "data": {"frames": 240, "workers": 1, "phantom": {"shortest": 10, "longest": 20}},
     "grader": {"input_size": 32, "view_stage": {"epochs": 1}, "grade_stage": {"epochs": 1}},
-    "generators": {"vae-gan": {"width": 4, "training": {"images": 128, "batch_size": 8}}},
+    # The weights as they train, without their average: sixteen steps then draw what can be scored.
+    "generators": {
+        "vae-gan": {
+            "width": 4,
+            "learning_rate": 0.01,
+            "training": {"images": 128, "batch_size": 8, "ema": 0.0},
+        }
+    },
     "scores": {"samples": 16, "resamples": 20, "speed": False},
     "agents": {"ppo": {"frames": 8192}},
     "evaluation": {"starts": 4},

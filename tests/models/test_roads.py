@@ -5,7 +5,6 @@ import json
 import onnx
 import pyarrow.parquet as pq
 import pytest
-import yaml
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
@@ -15,7 +14,6 @@ from racines_leaderboard.schema import read_json
 from racines_models import scoring
 from racines_models.registry import open_generator
 from racines_models.sample import draw, take_sample
-from tests.conftest import TINY
 from tests.models.test_scores import Coarse
 
 FIGURES = ("ssim", "psnr", "fid", "kid", "distinct")
@@ -24,11 +22,6 @@ FIGURES = ("ssim", "psnr", "fid", "kid", "distinct")
 @pytest.fixture
 def here(workplace, monkeypatch):
     monkeypatch.chdir(workplace)
-    # Weights as they train, without their average: sixteen steps then leave a picture to score.
-    loop = {"images": 128, "batch_size": 8, "ema": 0.0}
-    settings = {"width": 4, "learning_rate": 0.01, "training": loop}
-    params = TINY | {"generators": {"vae-gan": settings}}
-    (workplace / "params.yaml").write_text(yaml.safe_dump(params))
     # The extractor is the same by all roads; the true one would take most of this file's time.
     monkeypatch.setattr(scoring, "InceptionFeatures", Coarse)
     return workplace
