@@ -150,6 +150,15 @@ def test_style_noise_reaches_the_image_layer_by_layer():
             layer.strength.zero_()
 
 
+def test_style_starts_without_a_checkerboard():
+    """The four interleaved maps of the last layer are alike until training parts them."""
+    torch.manual_seed(0)
+    net = StyleSynthesis(2, 6, 15, style=6, layers=1, rate=0.01)
+    image = net(torch.randn(1, net.noise), torch.randn(1, 15))[0, 0]
+    assert torch.equal(image[::2, ::2], image[1::2, 1::2])
+    assert float(image[::2, ::2].std().detach()) > 0
+
+
 def test_attention_starts_as_the_identity_and_then_looks_afar():
     torch.manual_seed(0)
     layer, maps = SelfAttention(8), torch.randn(1, 8, 32, 32)

@@ -129,6 +129,12 @@ class StyleSynthesis(nn.Module):
                 for channels, count in zip(channels[1:], shades, strict=True)
             ]
         )
+        last = self.gray[-1].weight
+        assert isinstance(last, Tensor)
+        with torch.no_grad():
+            # Four alike interleave to no checkerboard (Aitken et al., Checkerboard artifact free
+            # sub-pixel convolution, 2017).
+            last.copy_(last[:1].expand_as(last))
         self.bias = nn.Parameter(torch.zeros(()))
 
     def forward(self, noise: Tensor, condition: Tensor) -> Tensor:
