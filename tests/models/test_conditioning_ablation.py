@@ -4,8 +4,11 @@ import json
 
 import pytest
 import torch
+import yaml
+from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
+from racines_leaderboard.cli import app
 from racines_models.conditioning_ablation import judge, run_ablation
 from racines_models.generators.cgan import Cgan, CganConfig
 from racines_models.generators.mean_image import MeanImage, MeanImageConfig
@@ -71,3 +74,20 @@ def test_judge_knows_a_generator_that_sees_the_pose_from_one_that_does_not(store
 def test_generator_without_the_two_keys_is_refused(store, tmp_path):
     with pytest.raises(RacinesError, match="mean-image has no conditioning and injection"):
         run_ablation(MeanImage, MeanImageConfig(), store, Run(tmp_path))
+
+
+def test_command_trains_judges_and_prints(workplace, monkeypatch):
+    """On phantom frames, as a user types it; a second call reads what the first left."""
+    monkeypatch.chdir(workplace)
+    settings = {"width": 2, "discriminator_width": 2, "latent": 4, "embedding": 4}
+    settings |= {"learning_rate": 0.03, "training": {"ema": 0.0, "precision": "fp32"}}
+    params = {"seed": 0, "generators": {"cgan": settings}}
+    (workplace / "params.yaml").write_text(yaml.safe_dump(params))
+    words = ["eval", "conditioning", "cgan", "--images", "160", "--frames", "20"]
+    printed = CliRunner().invoke(app, words)
+    assert printed.exit_code == 0, printed.output
+    assert "own_frame" in printed.stdout and "euler" in printed.stdout
+    again = json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)
+    assert [row["name"] for row in again["variants"]] == NAMES
+    assert again["config"]["training"]["images"] == 160
+    assert (workplace / "models/runs/conditioning-cgan/euler-norm/samples.png").is_file()
