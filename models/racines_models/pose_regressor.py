@@ -98,7 +98,7 @@ class PoseNetwork(nn.Module):
             feed_forward=False,
             widen_factor=width,
         )
-        self.encoder.avgpool = nn.Flatten()
+        self.encoder.avgpool = nn.Flatten()  # pyright: ignore[reportAttributeAccessIssue]
         cells = (input_size // 32) ** 2
         self.head = nn.Linear(int(FEATURES * width) * cells, TARGETS)
         self.register_buffer("mean", torch.zeros(TARGETS))

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -24,6 +25,15 @@ FEW = 8
 """A set of images with fewer gray levels was scaled wrongly: -1 to 1 cast to uint8 leaves three."""
 
 Progress = Callable[[int], None]
+
+
+@runtime_checkable
+class FrameSource(Protocol):
+    """Has images that were made beforehand, and finds them by the frame."""
+
+    def draw_frames(self, frames: Batch, seed: int) -> Tensor:
+        """Return the (N, 128, 128) uint8 images of N frames, drawn with one seed."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -73,7 +83,7 @@ def draw(
     Raises:
         RacinesError: an image is missing, of a wrong type, shape or range, or shows nothing.
     """
-    if hasattr(generator, "draw_frames"):  # images made beforehand, found by the frame
+    if isinstance(generator, FrameSource):
         return check_drawn(generator.draw_frames(frames, seed))
     seeds = derive(torch.full_like(frames.index, seed), DRAW, frames.index)
     parts = []
