@@ -1,5 +1,7 @@
 """The flow: its contract, its steps, and what its network sees."""
 
+import dataclasses
+
 import pytest
 import torch
 from torch import nn
@@ -46,6 +48,17 @@ class TestFlow(GeneratorContract):
         assert (drawn - generator.generate(poses, 3).int()).abs().max() <= 1
 
 
+def test_preconditioned_flow_trains_and_differs(store, tmp_path):
+    config = dataclasses.replace(TINY, preconditioned=True)
+    generator, plain = Flow(config), Flow(TINY)
+    for each, name in ((generator, "a"), (plain, "b")):
+        each.fit(store, Run(tmp_path / name, device="cpu", progress=False))
+    poses = store.parameters[:3]
+    drawn = Flow.load(tmp_path / "a").generate(poses, 0)
+    assert torch.equal(drawn, generator.generate(poses, 0))
+    assert not torch.equal(drawn, plain.generate(poses, 0))
+
+
 class Straight(nn.Module):
     """Foresees one image from anywhere; counts how often it is asked, and when."""
 
@@ -59,18 +72,18 @@ class Straight(nn.Module):
 
 
 @pytest.mark.parametrize(
-    ("steps", "solver", "times"),
+    ("steps", "solver", "spacing", "times"),
     [
-        (1, "euler", [0.0]),
-        (1, "heun", [0.0]),
-        (4, "euler", [0.0, 0.4375, 0.75, 0.9375]),
-        (2, "heun", [0.0, 0.75, 0.75]),
+        (1, "euler", 1.0, [0.0]),
+        (1, "heun", 2.0, [0.0]),
+        (4, "euler", 2.0, [0.0, 0.4375, 0.75, 0.9375]),
+        (2, "heun", 1.0, [0.0, 0.5, 0.5]),
     ],
 )
-def test_straight_flow_ends_where_it_was_foreseen(steps, solver, times):
+def test_straight_flow_ends_where_it_was_foreseen(steps, solver, spacing, times):
     end, noise = torch.rand(1, 16, GRID, GRID), torch.randn(3, 16, GRID, GRID)
     net = Straight(end)
-    drawn = follow(net, noise, torch.zeros(3, 12), steps, solver)
+    drawn = follow(net, noise, torch.zeros(3, 12), steps, solver, spacing)
     torch.testing.assert_close(drawn, end.expand_as(drawn))
     assert net.times == times
 
@@ -156,6 +169,7 @@ def test_flow_learns_to_follow_the_pose(store, tmp_path):
         {"learning_rate": 0.0},
         {"pure_noise": 1.5},
         {"steps": 5},
+        {"spacing": 0.0},
         {"solver": "magic"},
     ],
     ids=lambda change: next(iter(change)),

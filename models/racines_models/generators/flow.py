@@ -45,10 +45,14 @@ class FlowConfig:
     learning_rate: float = 1e-3
     pure_noise: float = 0.5
     """Share of the training samples at time 0, where the first step starts; the rest is uniform."""
+    preconditioned: bool = False
+    """Let the network say what a linear guess cannot know, not the whole frame."""
     steps: int = 1
     """Steps from noise to image at drawing, 1 to 4."""
     solver: str = "euler"
     """`euler`, or `heun`: a second look a step, but for the last, which always is Euler's."""
+    spacing: float = 1.0
+    """1 - t falls as this power: 1 for equal steps, 2 for steps that shorten towards the end."""
     training: Training = field(default_factory=Training)
 
     def __post_init__(self) -> None:
@@ -59,6 +63,8 @@ class FlowConfig:
             raise RacinesError("flow: octaves lie in 1-10 and extent is above 0")
         if self.learning_rate <= 0 or not 0.0 <= self.pure_noise <= 1.0:
             raise RacinesError("flow: learning_rate is above 0 and pure_noise in [0, 1]")
+        if self.spacing <= 0:
+            raise RacinesError("flow.spacing: above 0")
         if not 1 <= self.steps <= 4 or self.solver not in SOLVERS:
             raise RacinesError(f"flow: steps are 1 to 4 and solver is {' or '.join(SOLVERS)}")
 
@@ -87,7 +93,9 @@ class Flow(BaseGenerator[FlowConfig]):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
             conditioning = Conditioning(config.conditioning)
-            net = PlacedUNet(config.width, config.octaves, config.extent, conditioning)
+            net = PlacedUNet(
+                config.width, config.octaves, config.extent, conditioning, config.preconditioned
+            )
         return nn.ModuleDict({"unet": net}).to(memory_format=torch.channels_last)  # pyright: ignore
 
     def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
@@ -120,8 +128,9 @@ class Flow(BaseGenerator[FlowConfig]):
         """Yield one step: foresee the image from a point on the way to it.
 
         The path is x(t) = (1 - t) · noise + t · image, its velocity (image - x) / (1 - t). The
-        squared error of the foreseen image is weighed so that the network's own output counts
-        alike at all times (see `scales`): by 1 at time 0, by more where less is left to change.
+        squared error of the foreseen image is that of the velocity times (1 - t)²: it weighs the
+        early times. Preconditioned, it is weighed so that the network's own output counts alike at
+        all times (see `scales`): by 1 at time 0, by more where less is left to change.
         """
         image = _fold(to_range(batch.images))
         time = uniform(derive(batch.seeds, TIME), 2)
@@ -130,7 +139,8 @@ class Flow(BaseGenerator[FlowConfig]):
         at = time[:, None, None, None]
         foreseen = nets["unet"](noise.lerp(image, at), time, batch.parameters)
         error = (foreseen.float() - image).square().mean((1, 2, 3))
-        loss = (error * (SPREAD / scales(time)[1]).square()).mean()
+        weight = (SPREAD / scales(time)[1]).square() if self.config.preconditioned else 1.0
+        loss = (error * weight).mean()
         pure = (time == 0.0).float()
         first = (error.detach() * pure).sum() / pure.sum().clamp_min(1.0)
         yield Update("unet", loss, {"loss": loss, "first_step": first})
@@ -151,7 +161,8 @@ class Flow(BaseGenerator[FlowConfig]):
         return self._journey()(parameters, normal(derive(seeds, DRAW), PIXELS))
 
     def _journey(self) -> "Journey":
-        return Journey(self._unet, self.config.steps, self.config.solver)
+        config = self.config
+        return Journey(self._unet, config.steps, config.solver, config.spacing)
 
     def onnx_module(self) -> OnnxModule:
         """Return the U-Net with its steps."""
@@ -170,25 +181,33 @@ class Flow(BaseGenerator[FlowConfig]):
 class Journey(nn.Module):
     """All steps from noise to gray levels."""
 
-    def __init__(self, unet: nn.Module, steps: int, solver: str):
+    def __init__(self, unet: nn.Module, steps: int, solver: str, spacing: float):
         super().__init__()
-        self.unet, self.steps, self.solver = unet, steps, solver
+        self.unet, self.steps, self.solver, self.spacing = unet, steps, solver, spacing
 
     def forward(self, parameters: Tensor, noise: Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 of (B, 12) parameters and (B, 16384) noise."""
-        images = follow(self.unet, _folded(noise), parameters, self.steps, self.solver)
+        start, way = _folded(noise), (self.steps, self.solver, self.spacing)
+        images = follow(self.unet, start, parameters, *way)
         return to_gray(pixel_shuffle(images, CELL))
 
 
-def follow(unet: nn.Module, x: Tensor, parameters: Tensor, steps: int, solver: str) -> Tensor:
+def follow(
+    unet: nn.Module,
+    x: Tensor,
+    parameters: Tensor,
+    steps: int,
+    solver: str,
+    spacing: float = 1.0,
+) -> Tensor:
     """Return the (B, 16, 32, 32) images at the end of the flow from noise `x`.
 
-    Steps shorten towards the end, 1 - t falling as a square, since the last one ends in the mean
-    of what it may still be: from halfway, that mean has no speckle. Heun's second slope would
-    divide by 0 at the end of the last step, where Euler's step is the foreseen image itself.
+    The last step ends in the mean of what the image may still be, so that a late last step
+    (`spacing` above 1) keeps more speckle. Heun's second slope would divide by 0 at the end of the
+    last step, where Euler's step is the foreseen image itself.
     """
     for step in range(steps):
-        now, then = (1.0 - (1.0 - at / steps) ** 2 for at in (step, step + 1))
+        now, then = (1.0 - (1.0 - at / steps) ** spacing for at in (step, step + 1))
         slope = _slope(unet, x, now, parameters)
         moved = x + (then - now) * slope
         if solver == "heun" and step + 1 < steps:

@@ -96,8 +96,16 @@ class PlacedUNet(nn.Module):
 
     centre: Tensor
 
-    def __init__(self, width: int, octaves: int, extent: float, conditioning: Conditioning):
+    def __init__(
+        self,
+        width: int,
+        octaves: int,
+        extent: float,
+        conditioning: Conditioning,
+        preconditioned: bool = False,
+    ):
         super().__init__()
+        self.preconditioned = preconditioned
         self.register_buffer("centre", torch.zeros(3))
         self.conditioning, self.place = conditioning, Place(extent, octaves)
         low, mid, high = width, 2 * width, 4 * width
@@ -127,12 +135,17 @@ class PlacedUNet(nn.Module):
             time: (B,) in [0, 1]: 0 is noise, 1 the image.
             parameters: (B, 12) SI units; forces may be NaN.
         """
-        keep, change, deviation = (scale[:, None, None, None] for scale in scales(time))
         waves = time[:, None] * math.pi * 2.0 ** torch.arange(4, device=time.device)
         condition = self.pose(self.conditioning(parameters))
         embedding = silu(condition + self.time(torch.cat([waves.sin(), waves.cos()], -1)))
+        if not self.preconditioned:
+            return self._foresee(noisy, embedding, parameters)
+        keep, change, deviation = (scale[:, None, None, None] for scale in scales(time))
+        return keep * noisy + change * self._foresee(noisy / deviation, embedding, parameters)
+
+    def _foresee(self, noisy: Tensor, embedding: Tensor, parameters: Tensor) -> Tensor:
         place = self.place(parameters, self.centre)
-        low = self.enter(torch.cat([noisy / deviation, place], 1))
+        low = self.enter(torch.cat([noisy, place], 1))
         low = self.down_low(low, embedding)
         mid = self.down_mid(self.to_mid(low), embedding)
         high = self.to_high(mid)
@@ -140,7 +153,7 @@ class PlacedUNet(nn.Module):
             high = block(high, embedding)
         mid = self.up_mid(self.from_high(high) + mid, embedding)
         low = self.up_low(self.from_mid(mid) + low, embedding)
-        return keep * noisy + change * self.leave(relu(low))
+        return self.leave(relu(low))
 
     def fit(self, parameters: Tensor) -> None:
         """Take what stays fixed in training from (N, 12) training parameters."""
