@@ -36,8 +36,7 @@ class Place(nn.Module):
 
     The image plane is a square of `extent` metres below the probe, the probe at its top centre.
     Sines and cosines of the places' coordinates (Tancik et al., Fourier Features Let Networks
-    Learn High Frequency Functions, 2020) let a millimetre matter. If `extent` is not quite that of
-    the data, the network makes up for it.
+    Learn High Frequency Functions, 2020) let a millimetre matter.
     """
 
     cells: Tensor
