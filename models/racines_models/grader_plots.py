@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from racines_data.card_style import INK, MUTED, OURS, PAPER, card_style, encode, view_colours
@@ -101,12 +102,16 @@ def grades_figure(examined: Examination) -> Figure:
         ).numpy()
         truth = examined.grades.numpy()[chosen]
         given = examined.reading.grades.numpy()[chosen]
-        axes.hist2d(truth, given, 40, (GRADES, GRADES), cmap="Blues", norm="log", cmin=1)
+        axes.hist2d(
+            truth, given, 40, (GRADES, GRADES), cmap="Blues", norm=LogNorm(vmin=0.3), cmin=1
+        )
         axes.plot(GRADES, GRADES, color=MUTED, linewidth=0.8, linestyle=":")
         figures = examined.content["grades"][name]
         mae, bias = figures["mae"]["value"], figures["bias"]["value"]
         axes.set_title(f"{name}: MAE {mae:.2f}, bias {bias:+.2f}")
         axes.set_aspect("equal")
+    for axes in panels[max(len(names) - columns, 0) : len(names)]:
+        axes.tick_params(labelbottom=True)  # the lowest of each column
     for axes in panels[len(names) :]:
         axes.set_visible(False)
     figure.supxlabel("true grade", fontsize=8.5, color=INK)
