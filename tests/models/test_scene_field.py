@@ -13,6 +13,7 @@ from racines_models.networks.scene_field import VoxelField, lay_out
 from racines_models.networks.scene_field_loss import similarity
 from racines_models.networks.scene_field_probe import Probe, ProbeGeometry
 from racines_models.protocol import Run
+from racines_models.publish import publish
 from racines_models.testing import GeneratorContract
 from racines_models.training.objective import Training
 from tests.models.conftest import FakeStore, random_parameters
@@ -30,6 +31,37 @@ TINY = SceneFieldConfig(
 class TestSceneField(GeneratorContract):
     generator_class = SceneField
     config = TINY
+
+
+def test_killed_and_resumed_ends_in_the_same_bytes(store, tmp_path, monkeypatch):
+    loop = dataclasses.replace(LOOP, images=64, checkpoint_every=16, schedule="cosine")
+    config = dataclasses.replace(TINY, training=loop)
+    whole, broken = (Run(tmp_path / name, device="cpu", progress=False) for name in "ab")
+    SceneField(config).fit(store, whole)
+    steps, updates = iter(range(2)), SceneField.updates
+
+    def interrupted(self, nets, batch):
+        if next(steps, None) is None:
+            raise KeyboardInterrupt
+        return updates(self, nets, batch)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(SceneField, "updates", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            SceneField(config).fit(store, broken)
+    SceneField(config).fit(store, dataclasses.replace(broken, resume=True))
+    a, b = (run.folder / "model.safetensors" for run in (whole, broken))
+    assert a.read_bytes() == b.read_bytes()
+
+
+def test_published_weights_draw_the_same_within_a_gray_level(store, tmp_path):
+    generator = SceneField(TINY)
+    generator.fit(store, Run(tmp_path / "run", device="cpu", progress=False))
+    publish(tmp_path / "run", tmp_path / "out")
+    sizes = [(tmp_path / each / "model.safetensors").stat().st_size for each in ("run", "out")]
+    assert sizes[1] <= sizes[0] < 2 * sum(x.numel() for x in generator.tensors().values())
+    drawn = SceneField.load(tmp_path / "out").generate(store.parameters[:4], 0).int()
+    assert int((drawn - generator.generate(store.parameters[:4], 0).int()).abs().max()) <= 1
 
 
 def test_a_plane_is_drawn_too(store, tmp_path):
@@ -171,7 +203,7 @@ class RigidStore(FakeStore):
 
 def test_wrong_calibration_is_found_out(tmp_path):
     store = RigidStore()
-    loop = dataclasses.replace(LOOP, images=1200, batch_size=8, schedule="cosine")
+    loop = dataclasses.replace(LOOP, images=800, batch_size=8, schedule="cosine")
     config = SceneFieldConfig(
         probe=ProbeGeometry("plane", 32, 32, depth=0.1),
         voxel=0.005,

@@ -152,7 +152,7 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
         """Yield the one step of a batch."""
         config, count = self.config, len(batch.images)
         calibrates = max(config.calibration_rate, config.offset_rate) > 0
-        live = -(-count // 4) if calibrates else 0
+        live = -(-count // 2) if calibrates else 0  # half of the images are enough for it
         picks = self._picks(batch.seeds)
         drawn = self._draw(nets, batch.parameters, picks, live)
         truth = batch.images.to(torch.float32) / 255.0

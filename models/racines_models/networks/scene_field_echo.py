@@ -77,12 +77,12 @@ class EchoDecoder(nn.Module):
         self.smooth_beams = nn.Parameter(smooth / smooth.sum())
         smooth = _bell(0.3, SMOOTH)
         self.smooth_samples = nn.Parameter(smooth / smooth.sum())
+        last = nn.Linear(hidden, beams)
+        nn.init.zeros_(last.weight)
+        nn.init.constant_(last.bias, 3.0)
         self.contact = nn.Sequential(
-            nn.Linear(inputs, hidden), nn.SiLU(), nn.Linear(hidden, hidden), nn.SiLU(),
-            nn.Linear(hidden, beams),
-        )  # fmt: skip
-        nn.init.zeros_(self.contact[-1].weight)
-        nn.init.constant_(self.contact[-1].bias, 3.0)
+            nn.Linear(inputs, hidden), nn.SiLU(), nn.Linear(hidden, hidden), nn.SiLU(), last
+        )
 
     def forward(self, fine: Tensor, coarse: Tensor, directions: Tensor, pose: Tensor) -> Tensor:
         """Return (B, L, S) gray levels.
