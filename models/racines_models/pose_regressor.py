@@ -50,7 +50,7 @@ class PoseAugmentation(Augmentation):
 class PoseTraining(Training):
     """The trainer's settings (see `Training`) with the defaults of this task."""
 
-    images: int = 200_000
+    images: int = 240_000
     batch_size: int = 64
     schedule: str = "cosine"
     warmup_images: int = 6_400

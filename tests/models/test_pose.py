@@ -18,6 +18,7 @@ from racines_models.pose_regressor import PoseConfig, PoseNetwork, PoseRegressor
 from racines_models.pose_training import pose_errors, report, train_pose
 from racines_models.protocol import Run
 from racines_models.publish import publish
+from tests.conftest import ROOT
 from tests.models.conftest import FakeStore, random_parameters
 
 
@@ -146,6 +147,16 @@ def test_what_cannot_be_used_is_refused(posed, tmp_path):
     posed._splits["train"] = [0, 0]
     with pytest.raises(RacinesError, match="train split is empty"):
         train_pose(posed, config(), Run(tmp_path, 0, "cpu", progress=False))
+
+
+def test_the_weights_in_the_repository_read_real_poses():
+    folder = ROOT / "models/weights/pose"
+    assert PoseRegressor.load(folder).config.input_size == 64
+    content = json.loads((folder / "config.json").read_text())
+    metrics = content["training"]["metrics"]
+    assert content["training"]["split"] == "test" and metrics["pose_error_mm"]["n"] > 20_000
+    assert metrics["pose_error_mm"]["value"] <= 3 and metrics["pose_error_deg"]["value"] <= 4
+    assert (folder / "model.safetensors").stat().st_size < 25e6
 
 
 def test_the_report_tells_frames_of_a_view_apart(posed):
