@@ -87,10 +87,12 @@ def _fit(name: str, settings: dict[str, Any], data: Path, run: "Run") -> dict[st
     from racines_data.config import fill
     from racines_data.store import open_store
     from racines_models.registry import generator_class
+    from racines_models.training.repeats import train_seeds
 
-    cls = generator_class(name)
-    generator = cls(fill(cls.Config, settings, f"generators.{cls.name}"))
-    return generator.fit(open_store(data), run)
+    cls, store = generator_class(name), open_store(data)
+    config = fill(cls.Config, settings, f"generators.{cls.name}")
+    repeats = getattr(getattr(config, "training", None), "repeats", 1)
+    return train_seeds(lambda one: cls(config).fit(store, one), run, repeats)
 
 
 def _print(folder: Path, metrics: dict[str, Any]) -> None:

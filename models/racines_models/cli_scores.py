@@ -99,8 +99,8 @@ def eval_generator(
     from racines_models.cli_output import progress_bar, show_metrics
     from racines_models.grader import Grader
     from racines_models.pose_regressor import PoseRegressor
-    from racines_models.registry import open_generator, weights_of
-    from racines_models.scoring import ScoresConfig, score
+    from racines_models.registry import open_runs, weights_of
+    from racines_models.scoring import ScoresConfig, score, take_turns
 
     values = read_values(params, profile)
     settings = section(values, "scores")
@@ -110,15 +110,15 @@ def eval_generator(
     if not no_grader and not grader.is_dir():
         raise RacinesError(f"{grader}: no grader; run: racines train grader, or give --no-grader")
     judge = None if no_grader else Grader.load(grader, device)
-    generator: Any = open_generator(name, run, device, store=store, split=config.split)
-    title: str = generator.name
+    runs: Any = open_runs(name, run, device=device, store=store, split=config.split)
+    title: str = runs[0].name
     pose = None if no_pose else pose or (POSE if POSE.is_dir() else None)
     regressor = None if pose is None else PoseRegressor.load(pose, device)
     total = min(config.samples, len(store.split_indices(config.split)))
-    total *= 1 + 2 * len(config.seeds)
+    total *= 1 + 2 * len(take_turns(runs, config.seeds))
     with progress_bar(f"scoring {title}", total, hidden=as_json) as advance:
         scores = score(
-            generator,
+            runs,
             store,
             config,
             title,

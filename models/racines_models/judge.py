@@ -72,13 +72,17 @@ class Judge:
         """Return SSIM, MS-SSIM and PSNR against the frame at the same pose."""
         truth = self.sample.frames.images
 
-        def averaged(metric: Callable[[Tensor, Tensor], Tensor]) -> Estimate:
-            return self._mean([metric(images, truth) for images in self.drawn])
+        def told(
+            metric: Callable[[Tensor, Tensor], Tensor], settings: dict[str, Any], unit: str = ""
+        ) -> dict[str, Any]:
+            values = [metric(images, truth) for images in self.drawn]
+            sets = self._by_set([float(each.double().mean()) for each in values])
+            return self._mean(values).to_json(unit or None, **settings, **sets)
 
         return {
-            "ssim": averaged(metrics.ssim).to_json(**metrics.SSIM_SETTINGS),
-            "ms_ssim": averaged(metrics.ms_ssim).to_json(**metrics.MS_SSIM_SETTINGS),
-            "psnr": averaged(metrics.psnr).to_json("dB", **metrics.PSNR_SETTINGS),
+            "ssim": told(metrics.ssim, metrics.SSIM_SETTINGS),
+            "ms_ssim": told(metrics.ms_ssim, metrics.MS_SSIM_SETTINGS),
+            "psnr": told(metrics.psnr, metrics.PSNR_SETTINGS, "dB"),
         }
 
     def distances(self, suffix: str, extractor: Extractor) -> dict[str, Any]:
@@ -179,7 +183,9 @@ class Judge:
                     figures[f"pose_error_{unit}{group}{suffix}"] = median.to_json(unit, rule=rule)
         return figures
 
-    def variety(self, generator: ImageSource, seeds: tuple[int, ...]) -> dict[str, Any]:
+    def variety(
+        self, generator: ImageSource, seeds: tuple[int, ...], runs: int = 1
+    ) -> dict[str, Any]:
         """Return the share of images that differ from all others, and how draws of a pose differ.
 
         `distinct` is 1/n where one image fits all poses. `diversity_truth` is what the source's own
@@ -189,7 +195,8 @@ class Judge:
         share = len(np.unique(images, axis=0)) / len(images)
         figures = {"distinct": plain(share, len(images), rule="images that differ, first seed")}
         frames = self.sample.frames
-        again = diversity.drawn_again(generator, frames, self.drawn, seeds)
+        # Of several trained runs only the first: two runs differ by more than their noise.
+        again = diversity.drawn_again(generator, frames, self.drawn[::runs], seeds[::runs])
         if again is not None:
             sets, places = again
             rule = "root mean square difference of two draws of one pose"
@@ -228,6 +235,11 @@ class Judge:
                 f"copies{suffix}": copies.to_json(rule=rule),
             }
         return figures
+
+    @staticmethod
+    def _by_set(values: list[float]) -> dict[str, Any]:
+        """Return the figure of each set of images, where there are several."""
+        return {"by_set": values} if len(values) > 1 else {}
 
     def _mean(self, values: list[Tensor], places: Tensor | None = None) -> Estimate:
         average = torch.stack(values).double().mean(0).numpy()

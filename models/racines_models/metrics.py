@@ -1,6 +1,5 @@
-"""Image metrics: SSIM, MS-SSIM and PSNR per image, FID and KID of features."""
+"""Image metrics: SSIM, MS-SSIM and PSNR per image (torchmetrics), FID and KID of features."""
 
-import functools
 import math
 from typing import Any
 
@@ -15,17 +14,16 @@ DATA_RANGE = 255.0
 """Gray levels from black to white, for SSIM and PSNR."""
 BORDER = 5
 """Pixels at each edge where the SSIM window is not whole; left out."""
-SIGMA, K1, K2 = 1.5, 0.01, 0.03
-"""Deviation of the SSIM window in pixels; the constants that keep its quotients finite."""
 PSNR_CAP = 100.0
 """PSNR of identical images, dB, in place of infinity."""
 
 SSIM_SETTINGS: dict[str, Any] = {
     "data_range": DATA_RANGE,
     "window": "Gaussian, 11x11, sigma 1.5",
-    "k1": K1,
-    "k2": K2,
+    "k1": 0.01,
+    "k2": 0.03,
     "border": f"{BORDER} pixels left out",
+    "library": "torchmetrics",
 }
 SCALES = (0.0448, 0.2856, 0.3001, 0.2363)
 """Weights of the first four scales of Wang et al., 2003, fine to coarse. The fifth would be 8 x 8
@@ -52,55 +50,43 @@ KID_SETTINGS: dict[str, Any] = {
 
 def ssim(images: Tensor, truth: Tensor) -> Tensor:
     """Return the SSIM (Wang et al., 2004) of (N, H, W) uint8 image pairs, (N,) in [-1, 1]."""
-    return _pairwise(lambda a, b: torch.mul(*_similarity(a, b)).mean((1, 2)), images, truth)
+    return _pairwise(ssim_of, images, truth)
+
+
+def ssim_of(a: Tensor, b: Tensor) -> Tensor:
+    """Return the SSIM of (N, 1, H, W) float image pairs of gray levels, (N,)."""
+    from torchmetrics.functional.image import structural_similarity_index_measure
+
+    _, full = structural_similarity_index_measure(
+        a, b, data_range=DATA_RANGE, reduction="none", return_full_image=True
+    )
+    # torchmetrics averages over its reflected border too; the definition does not.
+    return full[..., BORDER:-BORDER, BORDER:-BORDER].mean((1, 2, 3))
 
 
 def ms_ssim(images: Tensor, truth: Tensor) -> Tensor:
     """Return the multi-scale SSIM of (N, H, W) uint8 image pairs, (N,) in [0, 1].
 
-    Contrast and structure at each scale but the coarsest, SSIM there.
+    Contrast and structure at each scale but the coarsest, SSIM there; torchmetrics' own function
+    averages the latter over its reflected border, which is most of a 16 x 16 image.
 
     Source: Wang et al., Multi-scale structural similarity for image quality assessment, 2003.
     """
-    weights = [weight / sum(SCALES) for weight in SCALES]
+    from torchmetrics.functional.image import structural_similarity_index_measure
+
+    weights = torch.tensor(SCALES) / sum(SCALES)
 
     def chunk(a: Tensor, b: Tensor) -> Tensor:
         product = torch.ones(len(a), device=a.device)
-        for weight in weights[:-1]:
-            _, contrast = _similarity(a, b)
-            product *= contrast.mean((1, 2)).clamp_min(0.0).pow(weight)
+        for weight in weights[:-1].tolist():
+            _, contrast = structural_similarity_index_measure(
+                a, b, data_range=DATA_RANGE, reduction="none", return_contrast_sensitivity=True
+            )
+            product *= contrast.clamp_min(0.0).pow(weight)
             a, b = (nn.functional.avg_pool2d(x, 2) for x in (a, b))
-        coarsest = torch.mul(*_similarity(a, b)).mean((1, 2))
-        return product * coarsest.clamp_min(0.0).pow(weights[-1])
+        return product * ssim_of(a, b).clamp_min(0.0).pow(float(weights[-1]))
 
     return _pairwise(chunk, images, truth)
-
-
-def _similarity(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
-    """Return luminance, and contrast with structure, of (N, H, W) pairs at each whole window.
-
-    The window is separable, so two products with a banded matrix do for a batch what a
-    convolution of one channel takes twenty times as long for; and no border need be padded.
-    """
-    rows, columns = (_window(size).to(a.device) for size in a.shape[1:])
-    moments = rows @ torch.stack([a, b, a * a, b * b, a * b]) @ columns.T
-    mean_a, mean_b, square_a, square_b, product = moments
-    both, squares = mean_a * mean_b, mean_a.square() + mean_b.square()
-    variances = (square_a + square_b - squares).clamp_min(0.0)
-    c1, c2 = (K1 * DATA_RANGE) ** 2, (K2 * DATA_RANGE) ** 2
-    contrast = (2.0 * (product - both) + c2) / (variances + c2)
-    return (2.0 * both + c1) / (squares + c1), contrast
-
-
-@functools.lru_cache(maxsize=8)
-def _window(size: int) -> Tensor:
-    """Return the (size - 10, size) matrix that applies the Gaussian window along one axis."""
-    place = torch.arange(-BORDER, BORDER + 1, dtype=torch.float64)
-    weights = torch.exp(-0.5 * (place / SIGMA) ** 2)
-    matrix = torch.zeros(size - 2 * BORDER, size, dtype=torch.float64)
-    for row in range(len(matrix)):
-        matrix[row, row : row + 2 * BORDER + 1] = weights / weights.sum()
-    return matrix.float()
 
 
 def psnr(images: Tensor, truth: Tensor) -> Tensor:
@@ -108,7 +94,9 @@ def psnr(images: Tensor, truth: Tensor) -> Tensor:
     from torchmetrics.functional.image import peak_signal_noise_ratio
 
     def chunk(a: Tensor, b: Tensor) -> Tensor:
-        values = peak_signal_noise_ratio(a, b, data_range=DATA_RANGE, reduction="none", dim=(1, 2))
+        values = peak_signal_noise_ratio(
+            a, b, data_range=DATA_RANGE, reduction="none", dim=(1, 2, 3)
+        )
         return values.clamp_max(PSNR_CAP)
 
     return _pairwise(chunk, images, truth)
@@ -170,7 +158,7 @@ def _pairwise(metric: Any, images: Tensor, truth: Tensor, size: int = 256) -> Te
     if images.shape != truth.shape:
         raise RacinesError(f"{tuple(images.shape)} images for {tuple(truth.shape)} true ones")
     parts = [
-        metric(a.to(torch.float32), b.to(torch.float32))
+        metric(a.unsqueeze(1).to(torch.float32), b.unsqueeze(1).to(torch.float32)).reshape(-1)
         for a, b in zip(images.split(size), truth.split(size), strict=True)
     ]
     return torch.cat(parts) if parts else torch.empty(0)

@@ -11,6 +11,7 @@ from racines_data.imaging import ImageSource
 from racines_data.store import FrameStore
 from racines_models.protocol import Generator
 from racines_models.provenance import weights_sha256
+from racines_models.training.repeats import repeat_folders
 
 GROUP = "racines.generators"
 MEMBERS = ("name", "Config", "card", "fit", "generate", "save", "load")
@@ -123,6 +124,21 @@ def open_generator(
     return predictions
 
 
+def open_runs(spec: str, folder: Path | str | None = None, **opened: Any) -> list[ImageSource]:
+    """Return the generator that a spec names, then its further seeds, if it was trained with some.
+
+    Args:
+        spec: As `open_generator`.
+        folder: As there.
+        opened: What else `open_generator` takes.
+    """
+    first = open_generator(spec, folder, **opened)
+    if is_file(spec):
+        return [first]
+    further = repeat_folders(run_folder(spec, folder))
+    return [first, *(open_generator(spec, each, **opened) for each in further)]
+
+
 def is_file(spec: str) -> bool:
     """Return whether a spec is a file, by its ending; else it is a name or `module:Class`."""
     return Path(spec).suffix.lower() in FILES
@@ -137,4 +153,10 @@ def weights_of(spec: str, folder: Path | str | None = None) -> dict[str, str]:
     """Return the SHA-256 of the file, or of the weights in the run's folder, by file name."""
     if is_file(spec):
         return {Path(spec).name: sha256_file(Path(spec))}
-    return weights_sha256(run_folder(spec, folder))
+    first = run_folder(spec, folder)
+    further = {
+        f"{each.name}/{file}": digest
+        for each in repeat_folders(first)
+        for file, digest in weights_sha256(each).items()
+    }
+    return weights_sha256(first) | further

@@ -35,7 +35,7 @@ class Scores:
 
 
 def score(
-    generator: ImageSource,
+    generator: ImageSource | Sequence[ImageSource],
     store: FrameStore,
     config: ScoresConfig,
     name: str,
@@ -49,7 +49,8 @@ def score(
     """Score a generator on a split of a dataset.
 
     Args:
-        generator: Anything that makes images of parameters.
+        generator: Anything that makes images of parameters; or the same method trained with
+            several seeds, which take the drawing seeds in turn. Figures are means over the sets.
         store: The dataset.
         config: Sample size, seeds, split and intervals.
         name: The generator's name in the scores.
@@ -68,7 +69,10 @@ def score(
     if not seeds:
         raise RacinesError("scores.seeds: give one seed or more")
     sample = take_sample(store, config.split, config.samples)
-    drawn = [draw(generator, sample.frames, seed, progress) for seed in seeds]
+    runs = list(generator) if isinstance(generator, Sequence) else [generator]
+    turns = take_turns(runs, seeds)
+    seeds = tuple(seed for _, seed in turns)
+    drawn = [draw(each, sample.frames, seed, progress) for each, seed in turns]
     judge = Judge(config, store, sample, drawn, cache, progress)
     extractors: dict[str, Extractor] = {"inception": InceptionFeatures(device)}
     figures = judge.likeness() | judge.distances("", extractors["inception"])
@@ -77,14 +81,15 @@ def score(
         figures |= judge.distances("_grader", extractors["grader"]) | judge.agreement(grader)
     if pose is not None:
         figures |= judge.poses(pose)
-    figures |= judge.variety(generator, seeds) | judge.memory()
-    if config.speed and hasattr(generator, "generate"):
-        figures |= {f"images_per_second_{n}": _rate(generator, sample, n) for n in (1, 64)}
+    figures |= judge.variety(runs[0], seeds, len(runs)) | judge.memory()
+    if config.speed and hasattr(runs[0], "generate"):
+        figures |= {f"images_per_second_{n}": _rate(runs[0], sample, n) for n in (1, 64)}
     content = {
         "schema": SCHEMA,
         "generator": name,
         "dataset": dataset_card(store) | {"split": config.split, "sample": sample.digest},
         "seeds": list(seeds),
+        "runs": len(runs),
         "metrics": figures,
         "extractors": {key: extractor.settings for key, extractor in extractors.items()}
         | ({} if pose is None else {"pose": pose.settings}),
@@ -95,6 +100,18 @@ def score(
         "notes": NOTES,
     }
     return Scores(content, sample, drawn[0])
+
+
+def take_turns(runs: Sequence[ImageSource], seeds: Sequence[int]) -> list[tuple[ImageSource, int]]:
+    """Return which run draws with which seed: each run at least once, each seed at least once.
+
+    A method that draws the same whatever the seed draws once a run.
+    """
+    card = getattr(runs[0], "card", None)
+    wanted = len(runs) if card is not None and not card.stochastic else max(len(runs), len(seeds))
+    last = max(seeds)
+    longer = [*seeds, *range(last + 1, last + 1 + wanted)][:wanted]
+    return [(runs[k % len(runs)], seed) for k, seed in enumerate(longer)]
 
 
 NOTES = [

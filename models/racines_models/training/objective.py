@@ -31,6 +31,8 @@ class Training:
     """Of all learning rates, after the warm-up: `constant`, or `cosine` down to 0 at the end."""
     warmup_images: int = 0
     """Images over which the learning rates rise linearly from 0."""
+    repeats: int = 1
+    """Seeds trained one after the other, from the run's own on; scores are means over them."""
     log_every: int = 1_000
     """Images between two rows of the loss curves."""
     sample_every: int = 6_000
@@ -42,6 +44,8 @@ class Training:
         """Refuse settings that cannot train."""
         if min(self.images, self.log_every, self.sample_every, self.checkpoint_every) < 1:
             raise RacinesError("training: images and the intervals are at least 1")
+        if self.repeats < 1:
+            raise RacinesError("training.repeats: 1 or more")
         if self.batch_size < 2:
             raise RacinesError("training.batch_size: batch norm needs at least 2")
         if self.precision not in ("auto", "fp32", "bf16", "fp16"):
