@@ -11,10 +11,10 @@ from racines_models.grader import Grader, GraderNetwork
 from racines_models.grader_loss import class_weights
 from racines_models.grader_report import report
 from racines_models.grader_training import train_grader
+from racines_models.judge import Judge, ScoresConfig
 from racines_models.pictures import pick_columns
 from racines_models.realism import RealismConfig, take_phantom
 from racines_models.sample import take_sample
-from racines_models.judge import Judge, ScoresConfig
 from tests.models.labelled import LabelledStore
 from tests.models.test_grader import SHORT, run
 
