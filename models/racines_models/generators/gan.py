@@ -19,6 +19,7 @@ from racines_models.generators.base import BaseGenerator
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.convolution import frozen, to_range
 from racines_models.networks.discriminator import Discriminator
+from racines_models.networks.framing import Framed
 from racines_models.networks.injection import check_injection
 from racines_models.networks.painting import Painter
 from racines_models.networks.pyramid import Pyramid
@@ -52,6 +53,8 @@ class GanConfig:
     reconstruction_weight: float = 0.0
     """Weight of the mean absolute error against the true frame, beside an adversarial loss of 1
     (Isola et al., 2017); 0, as in the paper, leaves a plain GAN."""
+    sector: bool = True
+    """Keep pixels black that are black in every training image; the paper is silent."""
     adversary: Adversary = field(default_factory=Adversary)
     training: Training = field(default_factory=Training)
 
@@ -101,6 +104,8 @@ class ConditionalGan(BaseGenerator[C]):
         """Fit the conditioning, then train."""
         self.nets = self._build()
         self._net("conditioning").fit(store.parameters[store.split_indices("train")])
+        if self.config.sector:
+            self._net("generator").fit(store)
         self.nets.to(self.device)
         return train(self, store, self.config.training, run)
 
@@ -109,6 +114,7 @@ class ConditionalGan(BaseGenerator[C]):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
             nets = {"conditioning": conditioning, **self.networks(conditioning.width)}
+        nets["generator"] = Framed(nets["generator"])
         # Channels last is the faster order on CPU and GPU; fixed here, since orders round apart.
         return nn.ModuleDict(nets).to(memory_format=torch.channels_last)  # pyright: ignore
 

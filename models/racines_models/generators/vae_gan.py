@@ -18,6 +18,7 @@ from racines_models.generators.base import BaseGenerator
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.convolution import frozen, to_gray, to_range
 from racines_models.networks.discriminator import Discriminator
+from racines_models.networks.framing import Framed
 from racines_models.networks.injection import check_injection
 from racines_models.networks.painting import Painter
 from racines_models.networks.pyramid import Pyramid
@@ -63,6 +64,8 @@ class VaeGanConfig:
     carries what the pose should, and images from prior noise are unlike any frame."""
     adversarial_weight: float = 0.01
     """At 0.001 images are smoother and score 1 dB more."""
+    sector: bool = True
+    """Keep pixels black that are black in every training image; the paper is silent."""
     adversary: Adversary = field(default_factory=_adversary)
     training: Training = field(default_factory=Training)
 
@@ -104,7 +107,9 @@ class VaeGan(BaseGenerator[VaeGanConfig]):
             nets = {
                 "conditioning": conditioning,
                 "encoder": Encoder(config.encoder_width, config.latent),
-                "decoder": Pyramid(config.width, config.latent, conditioning.width, **injected),
+                "decoder": Framed(
+                    Pyramid(config.width, config.latent, conditioning.width, **injected)
+                ),
                 "discriminator": Discriminator(
                     config.discriminator_width,
                     conditioning.width,
@@ -120,6 +125,8 @@ class VaeGan(BaseGenerator[VaeGanConfig]):
         """Fit the conditioning, then train."""
         self.nets = self._build()
         self._net("conditioning").fit(store.parameters[store.split_indices("train")])
+        if self.config.sector:
+            self._net("decoder").fit(store)
         self.nets.to(self.device)
         return train(self, store, self.config.training, run)
 
