@@ -10,12 +10,11 @@ from racines_models.gallery import CELL, DPI, gallery_sample, write_gallery
 from tests.conftest import command
 
 
-class Constant:
-    """Draws a checkerboard of one brightness."""
+class Ramp:
+    """Draws a ramp up to one brightness."""
 
     def __init__(self, level):
-        self.image = torch.full((128, 128), level, dtype=torch.uint8)
-        self.image[::2] = 0
+        self.image = torch.linspace(0, level, 128).to(torch.uint8).expand(128, 128)
 
     def generate(self, parameters, seed):
         return self.image.expand(len(parameters), -1, -1)
@@ -31,7 +30,7 @@ def test_a_column_a_generator_and_a_row_a_pose(store, tmp_path):
     rows = sample.frames.index
     assert set(rows.tolist()) <= set(store.split_indices("test").tolist())
     path = tmp_path / "gallery.png"
-    write_gallery(path, store, sample, {"a": Constant(200), "b": Constant(90)}, seed=0)
+    write_gallery(path, store, sample, {"a": Ramp(200), "b": Ramp(90)}, seed=0)
     page = Image.open(path).convert("L")
     cell = round(CELL * DPI)
     assert page.width > 3 * cell and page.height > len(rows) * cell
