@@ -21,8 +21,9 @@ DRAW = 31
 """Random stream of the generators' seeds."""
 FAINT = 1.0
 """An image whose gray levels have a smaller standard deviation shows nothing."""
-FEW = 8
-"""A set of images with fewer gray levels was scaled wrongly: -1 to 1 cast to uint8 leaves three."""
+FEW = 4
+"""A set of images with fewer gray levels was scaled wrongly: 0-1 cast to uint8 leaves two, -1 to 1
+leaves three. A poor generator that draws few levels is scored, not refused."""
 
 Progress = Callable[[int], None]
 
