@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests import warm
+
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("HF_HUB_OFFLINE", "1")
 os.environ.setdefault("MPLBACKEND", "agg")
@@ -35,10 +37,18 @@ TINY = {
 """Settings with which every command ends within seconds; its figures mean nothing."""
 
 
-def command(folder: Path, *words: str, code: int = 0) -> subprocess.CompletedProcess[str]:
-    """Run a command in a folder with this environment's programs first; check its exit code."""
+def command(
+    folder: Path, *words: str, code: int = 0, fresh: bool = False
+) -> subprocess.CompletedProcess[str]:
+    """Run a command in a folder with this environment's programs first; check its exit code.
+
+    Ours run in a process whose imports are done already, unless it has to be a `fresh` one.
+    """
     environment = os.environ | {"PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}", "COLUMNS": "200"}
-    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)
+    if not fresh and (words[0] == "racines" or words[:2] == ("python", "-c")):
+        done = warm.run(folder, words, environment)
+    else:
+        done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True)
     assert done.returncode == code, f"{words}: {done.returncode}\n{done.stdout}\n{done.stderr}"
     return done
 

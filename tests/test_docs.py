@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from tests.conftest import ROOT
+from tests.conftest import ROOT, command
 from tests.documents import blocks
 
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -36,7 +36,4 @@ def test_python_blocks_run(page, workplace):
     code = "\n\n".join(block.text for block in blocks(page) if block.language == "python")
     if not code:
         return
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=workplace, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    command(workplace, "python", "-c", code)

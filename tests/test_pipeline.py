@@ -155,13 +155,13 @@ def test_profiles_have_the_same_sections():
         assert list(content["agents"]) == list(default["agents"])
 
 
-def test_smoke_and_reference_train_every_generator():
-    """The smallest run shows that all work, the published one how well; others train some."""
+def test_the_reference_profile_trains_every_generator():
+    """The published table has all rows; other profiles train some."""
     registered = set(generator_names())
     for name in PROFILES:
         generators = set(read_params(profile=name)["generators"])
         assert generators <= registered
-        assert name not in ("smoke", "reference") or generators == registered
+        assert name != "reference" or generators == registered
 
 
 def test_every_stage_is_a_plain_command_of_ours():

@@ -206,10 +206,10 @@ def test_other_organs_have_folders_of_their_own(tmp_path: Path):
 @pytest.mark.slow
 def test_a_killed_import_goes_on(tmp_path: Path):
     tree = tmp_path / "release"
-    for index in range(24):
-        folder = tree / f"Folder {index // 8 + 1}/SC"
+    for index in range(12):
+        folder = tree / f"Folder {index // 4 + 1}/SC"
         write_frames(
-            folder / f"images_{index}", folder / f"logs_{index}", index, range(60), (400, 300)
+            folder / f"images_{index}", folder / f"logs_{index}", index, range(40), (400, 300)
         )
     code = "from racines_leaderboard.cli import main; main()"
     words = [sys.executable, "-c", code, "data", "import", str(tree), "--out", "racines"]
@@ -226,7 +226,7 @@ def test_a_killed_import_goes_on(tmp_path: Path):
     process.communicate()
     assert not (tmp_path / "racines").exists()
     kept = {path: path.stat().st_mtime_ns for path in staged(tmp_path)}
-    assert 3 <= len(kept) < 24
+    assert 3 <= len(kept) < 12
 
     made: list[str] = []
 
@@ -238,7 +238,7 @@ def test_a_killed_import_goes_on(tmp_path: Path):
     Watched.__module__ = ReleaseSource.__module__  # the staging folder is told apart by code
     config = DataConfig(workers=1, seed=0)
     manifest = build(Watched.from_config({}, [tree]), tmp_path / "racines", config)
-    assert len(made) == 24 - len(kept) and staged(tmp_path) == []
+    assert len(made) == 12 - len(kept) and staged(tmp_path) == []
     undisturbed = build(source(tree), tmp_path / "again", config)
     assert manifest["digest"] == undisturbed["digest"]
 

@@ -12,8 +12,10 @@ from racines_models.metrics import ssim
 from racines_models.networks.scene_field import VoxelField, lay_out
 from racines_models.networks.scene_field_loss import similarity
 from racines_models.networks.scene_field_probe import Probe, ProbeGeometry
+from racines_models.onnx_export import export_generator
 from racines_models.protocol import Run
 from racines_models.publish import publish
+from racines_models.registry import open_generator
 from racines_models.testing import GeneratorContract
 from racines_models.training.objective import Training
 from tests.models.conftest import FakeStore, random_parameters
@@ -220,3 +222,15 @@ def test_wrong_calibration_is_found_out(tmp_path):
     for axis in (0, 1):
         assert found["shift_m"][axis] == pytest.approx(store.shift[axis], abs=0.0015)
     assert found["turn_rad"][2] == pytest.approx(store.turn[2], abs=0.04)
+
+
+def test_an_onnx_file_draws_what_the_class_draws(store, tmp_path):
+    """Within a gray level, but for points that fall on the other side of a voxel's edge."""
+    generator = SceneField(TINY)
+    generator.fit(store, Run(tmp_path, device="cpu", progress=False))
+    made = export_generator(generator, tmp_path / "field.onnx")
+    assert made["noise"] == 0
+    poses = store.parameters[:12]
+    opened = open_generator(str(tmp_path / "field.onnx"))
+    apart = (opened.generate(poses, 0).int() - generator.generate(poses, 0).int()).abs()
+    assert float(apart.float().mean()) < 0.01 and int((apart > 1).sum()) < 1e-3 * apart.numel()

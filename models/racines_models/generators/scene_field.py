@@ -18,6 +18,7 @@ from racines_models.networks.scene_field import Layout, VoxelField, lay_out
 from racines_models.networks.scene_field_echo import MID, EchoDecoder, Place
 from racines_models.networks.scene_field_loss import image_loss
 from racines_models.networks.scene_field_probe import Probe, ProbeGeometry
+from racines_models.onnx_module import OnnxModule
 from racines_models.protocol import Run
 from racines_models.trainer import train
 from racines_models.training.objective import TrainBatch, Training, Update
@@ -184,6 +185,8 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
         points, moving = _points(probe, pose, live, coarse=True)
         coarse = nets["coarse"](points, None, moving).view(-1, *half, MID)
         inputs = fine, coarse, probe.directions(pose), self._net("place")(pose)
+        if torch.compiler.is_exporting():  # a loop over parts would fix the number of images
+            return probe.image(nets["decoder"](*inputs))
         parts = zip(*(each.split(CHUNK) for each in inputs), strict=True)
         return torch.cat([probe.image(nets["decoder"](*part)) for part in parts])
 
@@ -193,9 +196,13 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
         nets = self.nets.eval()
 
         def decode(parameters: Tensor) -> Tensor:
-            return self._draw(nets, parameters).clamp(0.0, 1.0).mul(255.0).round().to(torch.uint8)
+            return _to_gray(self._draw(nets, parameters))
 
         return in_fixed_batches(decode, parameters)
+
+    def onnx_module(self) -> OnnxModule:
+        """Return all of it, as one network of the pose."""
+        return OnnxModule(_Still(self))
 
     def tensors(self) -> dict[str, Tensor]:
         """Return fields (eight bits a number once trained), probe, decoder and contact's scales."""
@@ -220,6 +227,23 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
                 net.unpack(parts[name])
             else:
                 net.load_state_dict(parts[name])
+
+
+class _Still(nn.Module):
+    """A fitted scene field as a module of its parameters alone."""
+
+    def __init__(self, field: SceneField):
+        super().__init__()
+        assert field.nets is not None
+        self.nets, self._field = field.nets, (field,)  # in a tuple: no second set of parameters
+
+    def forward(self, parameters: Tensor) -> Tensor:
+        """Return (B, 128, 128) uint8 of (B, 12) parameters."""
+        return _to_gray(self._field[0]._draw(self.nets, parameters))
+
+
+def _to_gray(images: Tensor) -> Tensor:
+    return images.clamp(0.0, 1.0).mul(255.0).round().to(torch.uint8)
 
 
 def _layout(packed: dict[str, Tensor]) -> Layout:

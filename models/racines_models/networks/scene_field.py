@@ -98,6 +98,8 @@ class VoxelField(nn.Module):
                 drawn by their weights. Right on average, and a quarter of the work.
             live: So many points, the first ones, get a gradient of their own.
         """
+        if torch.compiler.is_exporting():
+            return self._plainly(points)
         with torch.no_grad():
             rows, weights = self._corners(self._place(points))
         if live:
@@ -105,6 +107,30 @@ class VoxelField(nn.Module):
             moved = _weights(place - place.detach().to(torch.int32))
             weights = torch.cat([moved, weights[live:]])
         return _Fetch.apply(self.values, rows, weights, picks, live)  # pyright: ignore
+
+    def _plainly(self, points: Tensor) -> Tensor:
+        """Return what `forward` returns, in operators that ONNX has: indices are int64, and eight
+        bits a number are read as they are stored.
+        """
+        place = self._place(points)
+        low = place.to(torch.int64)
+        rest = place - low
+        shape = self.table.shape
+        strides = low.new_tensor([shape[1] * shape[2], shape[2], 1]).unsqueeze(1)
+        inner = low.new_tensor([SIDE * SIDE, SIDE, 1]).unsqueeze(1)
+        table = self.table.view(-1).to(torch.int64)
+        total = torch.zeros_like(rest[0]).unsqueeze(1)
+        for up, weight in zip(_steps(*rest), _weights(rest).unbind(1), strict=True):
+            at = low + (up.to(torch.int64) if isinstance(up, Tensor) else int(up))
+            rows = table[((at // SIDE) * strides).sum(0)] + ((at % SIDE) * inner).sum(0)
+            total = total + self._values(rows) * weight.unsqueeze(1)
+        return total
+
+    def _values(self, rows: Tensor) -> Tensor:
+        if self.codes is None or self.scales is None:
+            return self.values[rows]
+        codes = self.codes.flatten(0, 1)[rows].to(torch.float32)
+        return codes * self.scales.flatten(0, 1)[rows // ROWS]
 
     def _place(self, points: Tensor) -> Tensor:
         """Return (3, N) coordinates in voxels, inside the grid."""

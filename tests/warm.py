@@ -1,0 +1,60 @@
+"""Commands in processes that need not import torch first: forked from one that has.
+
+A test process starts one server, which imports the libraries and starts no threads; each command
+is a fork of it. What a command cannot tell from a fresh process: that its imports were quick.
+"""
+
+import multiprocessing
+import os
+import sys
+from pathlib import Path
+from subprocess import CompletedProcess
+from tempfile import TemporaryDirectory
+from types import ModuleType
+
+PRELOAD = [
+    "datasets",
+    "matplotlib.pyplot",
+    "torch",
+    "torchmetrics",
+    "torchrl.envs",
+    "torchrl.collectors",
+    "torchrl.objectives",
+    "dvclive.live",
+    "racines_leaderboard.cli",
+    "racines_models.scoring",
+    "racines_envs.evaluation",
+]
+_context = multiprocessing.get_context("forkserver")
+_context.set_forkserver_preload(PRELOAD)
+
+
+def run(folder: Path, words: tuple[str, ...], environment: dict[str, str]) -> CompletedProcess[str]:
+    """Run `racines …` or `python -c …` in a folder; return what a subprocess would."""
+    with TemporaryDirectory() as aside:
+        out, err = Path(aside) / "out", Path(aside) / "err"
+        process = _context.Process(target=_child, args=(folder, words, environment, out, err))
+        process.start()
+        process.join()
+        assert process.exitcode is not None
+        return CompletedProcess(words, process.exitcode, out.read_text(), err.read_text())
+
+
+def _child(
+    folder: Path, words: tuple[str, ...], environment: dict[str, str], out: Path, err: Path
+) -> None:
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environment)
+    for stream, path in ((1, out), (2, err)):
+        os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
+    sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
+    sys.argv = list(words)
+    if words[0] == "racines":
+        from racines_leaderboard.cli import main as racines
+
+        racines()
+    else:
+        sys.path.insert(0, "")
+        main = sys.modules["__main__"] = ModuleType("__main__")
+        exec(compile(words[2], "<string>", "exec"), vars(main))
