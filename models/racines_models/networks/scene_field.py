@@ -109,8 +109,9 @@ class VoxelField(nn.Module):
         return _Fetch.apply(self.values, rows, weights, picks, live)  # pyright: ignore
 
     def _plainly(self, points: Tensor) -> Tensor:
-        """Return what `forward` returns, in operators that ONNX has: indices are int64, and eight
-        bits a number are read as they are stored.
+        """Return what `forward` returns, in operators that ONNX has.
+
+        Indices are int64, and eight bits a number are read as they are stored.
         """
         place = self._place(points)
         low = place.to(torch.int64)
