@@ -38,6 +38,17 @@ class GraderLike(Protocol):
         ...
 
 
+class Encoder(Protocol):
+    """A frozen network that an agent looks through."""
+
+    size: int
+    """Numbers an image."""
+
+    def __call__(self, images: Tensor) -> Tensor:
+        """Return (B, size) float32 features of (B, 128, 128) uint8 images."""
+        ...
+
+
 @dataclass
 class State:
     """The state of N rows; every field has N rows."""
@@ -104,8 +115,11 @@ class ScanCore:
         rewards: RewardConfig | None = None,
         num_envs: int = 1,
         device: torch.device | str = "cpu",
+        encoder: Encoder | None = None,
     ) -> None:
         """Join a task, a phantom (contact, truth) and a source of images.
+
+        An `encoder` looks once at each image; what it says is observed as `features`.
 
         Raises:
             RacinesError: an unknown observation or reward, or reward `paper` without a grader.
@@ -125,6 +139,7 @@ class ScanCore:
         self.observation, self.reward_name = observation, reward
         self.rewards, self._reward = rewards or RewardConfig(), get_reward(reward)
         self.num_envs, self.device = num_envs, torch.device(device)
+        self.encoder = encoder if observation != "params" else None
         self.table = ActionTable.make(task.step_translation, task.step_rotation, self.device)
         self.target = phantom.target(task.view).to(self.device)
         workspace = phantom.workspace
@@ -294,6 +309,8 @@ class ScanCore:
         }
         if self.renders:
             sensed["image"] = self.images.generate(parameters, seeds)
+        if self.encoder is not None:
+            sensed["features"] = self.encoder(sensed["image"])
         if self.reward_name == "paper" and self.grader is not None:
             p, g = self.grader.probabilities_and_grade(sensed["image"])
             sensed |= {"grader_p": p[:, self.task.target].float(), "grader_g": g.float()}
@@ -339,10 +356,15 @@ class ScanCore:
         return self.images.generate(self.parameters, derive(self.state.seed, self.state.steps))
 
     def observe(self) -> dict[str, Tensor]:
-        """Return what an agent sees: `image` (N, 128, 128) uint8, `params` (N, 9) float32."""
+        """Return what an agent sees: `image` (N, 128, 128) uint8, `params` (N, 9) float32.
+
+        With an encoder also `features`, what it says of the images.
+        """
         seen: dict[str, Tensor] = {}
         if self.observation != "params":
             seen["image"] = self._sensed["image"]
+        if self.encoder is not None:
+            seen["features"] = self._sensed["features"]
         if self.observation != "image":
             position = (self.state.position - self._centre) / self._half
             encoded = torch.cat([position, rotation_6d(self.state.rotation)], -1)

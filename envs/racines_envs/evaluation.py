@@ -14,7 +14,7 @@ from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
 from racines_envs.backends import make_grader
 from racines_envs.core import ScanCore
-from racines_envs.making import check_grader, find_task, make_core, make_phantom
+from racines_envs.making import check_grader, find_task, make_core, make_phantom, phantom_recipe
 from racines_envs.rollout import Episodes, rollout
 from racines_envs.starts import evaluation_seeds
 
@@ -202,17 +202,6 @@ def _document(
         "code": code_version(),
         "environment": environment(str(core.device)),
     }
-
-
-def phantom_recipe(phantom: Any) -> dict[str, Any] | None:
-    """Return the version and configuration digest of a phantom; None for a stand-in."""
-    from racines_data.digest import recipe_digest
-    from racines_data.phantom import PHANTOM_VERSION
-
-    if not hasattr(phantom, "config"):
-        return None
-    recipe = {"version": PHANTOM_VERSION, "config": asdict(phantom.config)}
-    return {"version": PHANTOM_VERSION, "recipe_digest": recipe_digest(recipe)}
 
 
 def write_evaluation(evaluation: Evaluation, scores: Path, picture: Path | None) -> None:

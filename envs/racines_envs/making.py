@@ -11,7 +11,7 @@ from racines_data.imaging import ImageSource
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.views import HEART, labels_of
 from racines_envs.backends import GRADER_FOLDER, make_backend, make_grader
-from racines_envs.core import ScanCore
+from racines_envs.core import Encoder, ScanCore
 from racines_envs.rewards import RewardConfig
 from racines_envs.tasks import Task, get_task
 
@@ -30,6 +30,7 @@ def make_core(
     termination: str | None = None,
     rewards: RewardConfig | None = None,
     device: torch.device | str = "cpu",
+    encoder: Encoder | None = None,
 ) -> ScanCore:
     """Build the batched core of a task.
 
@@ -46,6 +47,7 @@ def make_core(
         termination: Instead of the task's: `first_hit`, `k_hits` or `timeout`.
         rewards: The numbers of the reward.
         device: Where the tensors live.
+        encoder: A frozen network that the agent looks through; see `ScanCore`.
 
     Raises:
         RacinesError: any name that is unknown or any artefact that is not there.
@@ -60,7 +62,9 @@ def make_core(
         check_grader(grader, task)
     phantom = make_phantom(phantom, device, task.anatomy)
     images = make_backend(backend, phantom, generator, device)
-    return ScanCore(task, phantom, images, grader, observation, reward, rewards, num_envs, device)
+    return ScanCore(
+        task, phantom, images, grader, observation, reward, rewards, num_envs, device, encoder
+    )
 
 
 def find_task(view: str | Task, phantom: Any = None, anatomy: str | None = None) -> Task:
@@ -99,3 +103,14 @@ def make_phantom(phantom: Any, device: torch.device | str = "cpu", anatomy: str 
     if isinstance(phantom, (str, Path)) or not hasattr(phantom, "truth"):
         raise RacinesError(f"phantom {phantom!r} is neither a Phantom nor a PhantomConfig")
     return phantom
+
+
+def phantom_recipe(phantom: Any) -> dict[str, Any] | None:
+    """Return the version and configuration digest of a phantom; None for a stand-in."""
+    from racines_data.digest import recipe_digest
+    from racines_data.phantom import PHANTOM_VERSION
+
+    if not hasattr(phantom, "config"):
+        return None
+    recipe = {"version": PHANTOM_VERSION, "config": dataclasses.asdict(phantom.config)}
+    return {"version": PHANTOM_VERSION, "recipe_digest": recipe_digest(recipe)}

@@ -19,9 +19,10 @@ _INFO = {"success": torch.bool, "steps": torch.int64, "return": torch.float32}
 class ScanEnv(EnvBase):
     """N probes on one phantom; batch size (N,).
 
-    Keys: `image` (N, 1, 128, 128) uint8, channels first, and/or `params` (N, 9) float32; `action`
-    (N,) int64; `reward`, `done`, `terminated`, `truncated` (N, 1); and under `info`, for curves
-    and not for policies, `success` by the oracle, `steps` and `return` so far.
+    Keys: `image` (N, 1, 128, 128) uint8, channels first (with an encoder, its `features` instead),
+    and/or `params` (N, 9) float32; `action` (N,) int64; `reward`, `done`, `terminated`, `truncated`
+    (N, 1); and under `info`, for curves and not for policies, `success` by the oracle, `steps` and
+    `return` so far.
     """
 
     def __init__(
@@ -43,11 +44,15 @@ class ScanEnv(EnvBase):
     def _make_specs(self, n: int) -> None:
         rows, column = torch.Size([n]), torch.Size([n, 1])
         image = torch.Size([n, 1, IMAGE_SIZE, IMAGE_SIZE])
-        kinds = {
+        kinds: dict[str, Any] = {
             "image": lambda: Bounded(0, 255, image, dtype=torch.uint8),
             "params": lambda: Bounded(-1.0, 1.0, torch.Size([n, PARAMS_SIZE]), dtype=torch.float32),
         }
-        names = kinds if self.core.observation == "multimodal" else (self.core.observation,)
+        names = list(kinds) if self.core.observation == "multimodal" else [self.core.observation]
+        if self.core.encoder is not None:
+            features = torch.Size([n, self.core.encoder.size])
+            kinds["features"] = lambda: Unbounded(features, dtype=torch.float32)
+            names = ["features", *names[1:]]
         info = {
             key: Binary(1, column, dtype=kind)
             if kind == torch.bool
@@ -94,7 +99,9 @@ class ScanEnv(EnvBase):
     def _pack(self, values: dict[str, Any]) -> TensorDictBase:
         """Join observations and info with the given entries."""
         seen = self.core.observe()
-        if "image" in seen:
+        if self.core.encoder is not None:
+            del seen["image"]
+        elif "image" in seen:
             seen["image"] = seen["image"].unsqueeze(1)
         info = {
             "success": self.core.sees_target().unsqueeze(-1),

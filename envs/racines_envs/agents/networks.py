@@ -11,19 +11,43 @@ KEYS = {"image": ["image"], "params": ["params"], "multimodal": ["image", "param
 """What a network of each observation reads, in order."""
 
 
-class ObservationNetwork(nn.Module):
-    """Convolutions with batch norm for the image, dense layers for the parameters, then a head.
+def keys_of(observation: str, encoded: bool) -> list[str]:
+    """Return what a network reads, in order; of an encoded image it reads the features."""
+    return ["features" if encoded and key == "image" else key for key in KEYS[observation]]
 
-    It owns its normalisation: images are 0-255 (…, 1, 128, 128); parameters are standardised by
-    running statistics, since the probe's height varies by a tenth of what the workspace allows.
+
+class ObservationNetwork(nn.Module):
+    """Convolutions with batch norm for the image, dense layers for numbers, then a head.
+
+    It owns its normalisation: images are 0-255 (…, 1, 128, 128); parameters and features are
+    standardised by running statistics, since the probe's height varies by a tenth of what the
+    workspace allows.
     """
 
-    def __init__(self, observation: str, outputs: int, hidden: Sequence[int], gain: float) -> None:
-        """Build for an observation; `gain` scales the first outputs (small: near uniform)."""
+    def __init__(
+        self,
+        observation: str,
+        outputs: int,
+        hidden: Sequence[int],
+        gain: float,
+        features: int = 0,
+    ) -> None:
+        """Build for an observation; `gain` scales the first outputs (small: near uniform).
+
+        Args:
+            observation: `image`, `params` or `multimodal`.
+            outputs: Width of the head.
+            hidden: Widths of the dense layers.
+            gain: Of the head's first weights.
+            features: Numbers that an encoder makes of an image, read in its place; 0 without one.
+        """
         super().__init__()
-        self.keys = KEYS[observation]
+        self.keys = keys_of(observation, features > 0)
         self.image = _convolutions(hidden[0]) if "image" in self.keys else None
-        self.params = self.scale = None
+        self.params = self.scale = self.features = self.feature_scale = None
+        if "features" in self.keys:
+            self.feature_scale = nn.BatchNorm1d(features, affine=False, momentum=None)
+            self.features = _dense([features, hidden[0]])
         if "params" in self.keys:
             self.scale = nn.BatchNorm1d(PARAMS_SIZE, affine=False, momentum=None)
             self.params = _dense([PARAMS_SIZE, hidden[0]])
@@ -36,18 +60,22 @@ class ObservationNetwork(nn.Module):
                     nn.init.zeros_(module.bias)
 
     def forward(self, *seen: Tensor) -> Tensor:
-        """Map observations in the order of `KEYS`, any leading shape, to (…, outputs)."""
+        """Map observations in the order of `keys`, any leading shape, to (…, outputs)."""
         values = dict(zip(self.keys, seen, strict=True))
         features = []
+        if self.features is not None and self.feature_scale is not None:
+            features.append(self.features(_scaled(self.feature_scale, values["features"])))
         if self.image is not None:
             image = values["image"]
             flat = image.reshape(-1, *image.shape[-3:]).float() / 127.5 - 1.0
             features.append(self.image(flat).view(*image.shape[:-3], -1))
         if self.params is not None and self.scale is not None:
-            params = values["params"]
-            scaled = self.scale(params.reshape(-1, PARAMS_SIZE)).view(params.shape)
-            features.append(self.params(scaled))
+            features.append(self.params(_scaled(self.scale, values["params"])))
         return self.head(self.body(torch.cat(features, -1)))
+
+
+def _scaled(scale: nn.Module, values: Tensor) -> Tensor:
+    return scale(values.reshape(-1, values.shape[-1])).view(values.shape)
 
 
 def _convolutions(features: int) -> nn.Sequential:

@@ -10,15 +10,17 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_envs.actions import ACTIONS
-from racines_envs.agents.networks import KEYS, ObservationNetwork
+from racines_envs.agents.encoders import BESIDE, PoseEncoder, open_encoder
+from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.core import ScanCore
 
 POLICY = "policy.safetensors"
 
 
-def make_actor(config: Any) -> ObservationNetwork:
+def make_actor(config: Any, encoder: PoseEncoder | None = None) -> ObservationNetwork:
     """Return an untrained actor of the config's `observation` and `hidden`, near uniform."""
-    return ObservationNetwork(config.observation, len(ACTIONS), config.hidden, gain=0.01)
+    features = encoder.size if encoder is not None else 0
+    return ObservationNetwork(config.observation, len(ACTIONS), config.hidden, 0.01, features)
 
 
 class PolicyAgent:
@@ -27,9 +29,11 @@ class PolicyAgent:
     name: ClassVar[str]
     Config: ClassVar[type]
 
-    def __init__(self, config: Any, actor: ObservationNetwork) -> None:
-        """Wrap an actor; the config has `view`, `observation` and `hidden`."""
-        self.config, self.actor = config, actor
+    def __init__(
+        self, config: Any, actor: ObservationNetwork, encoder: PoseEncoder | None = None
+    ) -> None:
+        """Wrap an actor; the config has `view`, `observation`, `hidden` and `encoder`."""
+        self.config, self.actor, self.encoder = config, actor, encoder
         self.observation: str = config.observation
         self.view: str = config.view
 
@@ -39,14 +43,24 @@ class PolicyAgent:
     @torch.no_grad()
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
         """Return the most probable action of each row."""
-        was_training, device = self.actor.training, next(self.actor.parameters()).device
+        was_training = self.actor.training
         self.actor.eval()
-        seen = [observation[key].to(device) for key in KEYS[self.observation]]
-        if self.observation != "params":
-            seen[0] = seen[0].unsqueeze(1)
-        action = self.actor(*seen).argmax(-1)
+        action = self.logits(observation).argmax(-1)
         self.actor.train(was_training)
         return action
+
+    def logits(self, observation: dict[str, Tensor]) -> Tensor:
+        """Return the (N, 13) scores of the actions.
+
+        Differentiable with respect to `image` (N, 128, 128), 0-255, where it is float.
+        """
+        device = next(self.actor.parameters()).device
+        seen = {name: value.to(device) for name, value in observation.items()}
+        if self.encoder is not None and "features" not in seen:
+            seen["features"] = self.encoder(seen["image"])
+        if "image" in seen:
+            seen["image"] = seen["image"].unsqueeze(1)
+        return self.actor(*(seen[key] for key in self.actor.keys))
 
     def save(self, run_dir: Path, metrics: dict[str, Any], seed: int) -> None:
         """Write policy.safetensors, config.json and metrics.json."""
@@ -57,6 +71,8 @@ class PolicyAgent:
         state = {k: v.detach().cpu().contiguous() for k, v in self.actor.state_dict().items()}
         write_atomic(run_dir / POLICY, save(state))
         config = {"agent": self.name, "config": asdict(self.config), "seed": seed}
+        if self.encoder is not None:
+            config["encoder_sha256"] = self.encoder.sha256
         write_json(run_dir / "config.json", config)
         write_json(run_dir / "metrics.json", metrics)
 
@@ -81,9 +97,15 @@ class PolicyAgent:
         if content.get("agent") != cls.name:
             raise RacinesError(f"{described}: a policy of {content.get('agent')!r}, not {cls.name}")
         config = fill(cls.Config, content["config"], str(described))
-        actor = make_actor(config)
+        encoder = open_encoder(getattr(config, "encoder", ""), str(device), Path(run_dir))
+        if encoder is not None and encoder.sha256 != content.get("encoder_sha256"):
+            raise RacinesError(
+                f"{described}: the policy was trained with another encoder (sha256 "
+                f"{content.get('encoder_sha256')}); put that one into {run_dir}/{BESIDE}"
+            )
+        actor = make_actor(config, encoder)
         try:
             actor.load_state_dict(load_file(policy))
         except (RuntimeError, SafetensorError) as error:
             raise RacinesError(f"{policy}: does not fit {described}: {error}") from error
-        return cls(config, actor.to(device).eval())
+        return cls(config, actor.to(device).eval(), encoder)

@@ -12,9 +12,10 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
-from racines_envs.agents.networks import KEYS, ObservationNetwork
+from racines_envs.agents.encoders import open_encoder
+from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.agents.policy import PolicyAgent, make_actor
-from racines_envs.making import find_task, make_core, make_phantom
+from racines_envs.making import find_task, make_core, make_phantom, phantom_recipe
 from racines_envs.rewards import RewardConfig
 from racines_envs.rollout import rollout
 from racines_envs.starts import validation_seeds
@@ -29,6 +30,9 @@ class PPOConfig:
     """The target view."""
     observation: str = "params"
     """`image`, `params` or `multimodal`."""
+    encoder: str = ""
+    """What looks at the image: `pose` (the published pose regressor, frozen), a folder of another,
+    or "" for convolutions that learn from reward alone, as in the paper."""
     reward: str = "shaped"
     """`paper` (needs a grader), `oracle` or `shaped`."""
     backend: str = "phantom"
@@ -124,7 +128,10 @@ class _Training:
             )
         self.config, self.folder, self.seed, self.progress = config, folder, seed, progress
         anatomy = find_task(config.view, phantom).anatomy
+        looks = config.observation != "params"
+        self.encoder = open_encoder(config.encoder, config.device) if looks else None
         self.where = {
+            "encoder": self.encoder,
             "backend": config.backend,
             "observation": config.observation,
             "reward": config.reward,
@@ -137,6 +144,10 @@ class _Training:
         self.frames, self.best, self.history = 0, (-1.0, 0.0), []
         self.seconds = 0.0
         identity = {"agent": "ppo", "seed": seed, **asdict(config), "hidden": list(config.hidden)}
+        identity |= {
+            "encoder_sha256": self.encoder.sha256 if self.encoder is not None else None,
+            "phantom": phantom_recipe(self.where["phantom"]),
+        }
         self.checkpoint = Checkpoint(folder, identity)
 
     def run(self, resume: bool | None) -> PPOAgent:
@@ -182,9 +193,10 @@ class _Training:
 
         config = self.config
         self.env = ScanEnv(config.view, config.envs, **self.where)
-        keys: list[Any] = list(KEYS[config.observation])
-        self.actor = make_actor(config).to(config.device).eval()
-        self.critic = ObservationNetwork(config.observation, 1, config.hidden, gain=1.0)
+        self.actor = make_actor(config, self.encoder).to(config.device).eval()
+        features = self.encoder.size if self.encoder is not None else 0
+        self.critic = ObservationNetwork(config.observation, 1, config.hidden, 1.0, features)
+        keys: list[Any] = self.actor.keys
         self.critic.to(config.device).eval()
         self.policy = ProbabilisticActor(
             TensorDictModule(self.actor, in_keys=keys, out_keys=["logits"]),
@@ -214,7 +226,7 @@ class _Training:
             ],
             eps=1e-5,
         )
-        self.agent = PPOAgent(config, self.actor)
+        self.agent = PPOAgent(config, self.actor, self.encoder)
         self.best_state = _copy(self.actor)
         self.validation = make_core(config.view, config.validation_starts, **self.where)
 
@@ -267,7 +279,7 @@ class _Training:
     def _refresh_norms(self, sample: TensorDictBase) -> None:
         # Normalisation keeps its running statistics while acting and while learning, so that the
         # first probability ratio of an update is exactly one; they move between updates only.
-        seen = [sample[key] for key in KEYS[self.config.observation]]
+        seen = [sample[key] for key in self.actor.keys]
         for network in (self.actor, self.critic):
             network.train()
             network(*seen)
