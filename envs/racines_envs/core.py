@@ -223,11 +223,16 @@ class ScanCore:
 
     # -- step ----------------------------------------------------------------------------------
 
-    def step(self, action: Tensor, autoreset: bool = False) -> Transition:
+    def step(
+        self, action: Tensor, autoreset: bool = False, rows: Tensor | None = None
+    ) -> Transition:
         """Move every row by one of the 13 actions, (N,) integers.
 
         With `autoreset`, a row that ended in the step before ignores its action and starts its next
         episode instead (Gymnasium's NEXT_STEP): reward 0, neither terminated nor truncated.
+
+        Only the (K,) `rows` are looked at, by default all: a caller that knows which have ended
+        need not have them drawn again, since they look as they did.
 
         Raises:
             RacinesError: actions of the wrong shape or type, or out of range; no reset before.
@@ -241,7 +246,7 @@ class ScanCore:
             ended = state.done.nonzero().squeeze(1)
             if len(ended):
                 self.state = self.state.replaced(ended, self._begin(ended))
-        self._sense()
+        self._sense(rows)
         return self._judge(before, live)
 
     def _move(self, state: State, action: Tensor, live: Tensor) -> State:

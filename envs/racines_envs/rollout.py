@@ -28,17 +28,23 @@ class Episodes:
 
 @torch.no_grad()
 def rollout(core: ScanCore, agent: Agent, seeds: Tensor) -> Episodes:
-    """Run the episodes of (n,) seeds until all have ended; n is the core's number of rows."""
+    """Run the episodes of (n,) seeds until all have ended; n is the core's number of rows.
+
+    What has ended is looked at no more, so that episodes cost what their own steps cost. The agent
+    still sees all rows, and may keep a memory of each.
+    """
     agent.attach(core)
     observation = core.reset(seeds)
     positions, probabilities = [core.state.position], [core.score.probability]
     for _ in range(core.task.max_steps):
+        live = (~core.state.done).nonzero().squeeze(1)
+        if len(live) == 0:
+            break
         action = agent.act(observation, core.decision_seeds())
-        observation = core.step(action).observation
+        rows = live if len(live) < core.num_envs else None
+        observation = core.step(action, rows=rows).observation
         positions.append(core.state.position)
         probabilities.append(core.score.probability)
-        if bool(core.state.done.all()):
-            break
     return Episodes(
         final={name: value.cpu().numpy() for name, value in core.info().items()},
         positions=torch.stack(positions).cpu().numpy(),
