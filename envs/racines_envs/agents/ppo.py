@@ -1,8 +1,6 @@
 """Proximal policy optimisation (Schulman et al., 2017) with TorchRL; reads from top to bottom."""
 
-import time
-import warnings
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -12,14 +10,9 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
-from racines_envs.agents.encoders import open_encoder
 from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.agents.policy import PolicyAgent, make_actor
-from racines_envs.making import find_task, make_core, make_phantom, phantom_recipe
-from racines_envs.rewards import RewardConfig
-from racines_envs.rollout import rollout
-from racines_envs.starts import validation_seeds
-from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
+from racines_envs.agents.training_run import TrainingRun
 
 
 @dataclass(frozen=True)
@@ -115,8 +108,10 @@ class PPOAgent(PolicyAgent):
         return _Training(config, Path(run_dir), seed, phantom, grader, progress).run(resume)
 
 
-class _Training:
+class _Training(TrainingRun):
     """One run: environment, networks, loss, and the loop."""
+
+    trained = ("actor", "critic", "optimiser")
 
     def __init__(
         self, config: PPOConfig, folder: Path, seed: int, phantom: Any, grader: Any, progress: bool
@@ -126,62 +121,7 @@ class _Training:
                 f"agents.ppo.update_every is {config.update_every}: give a multiple of envs "
                 f"({config.envs})"
             )
-        self.config, self.folder, self.seed, self.progress = config, folder, seed, progress
-        anatomy = find_task(config.view, phantom).anatomy
-        looks = config.observation != "params"
-        self.encoder = open_encoder(config.encoder, config.device) if looks else None
-        self.where = {
-            "encoder": self.encoder,
-            "backend": config.backend,
-            "observation": config.observation,
-            "reward": config.reward,
-            "generator": config.generator or None,
-            "grader": grader or config.grader or None,
-            "rewards": RewardConfig(discount=config.gamma),
-            "phantom": make_phantom(phantom, config.device, anatomy),
-            "device": config.device,
-        }
-        self.frames, self.best, self.history = 0, (-1.0, 0.0), []
-        self.seconds = 0.0
-        identity = {"agent": "ppo", "seed": seed, **asdict(config), "hidden": list(config.hidden)}
-        identity |= {
-            "encoder_sha256": self.encoder.sha256 if self.encoder is not None else None,
-            "phantom": phantom_recipe(self.where["phantom"]),
-        }
-        self.checkpoint = Checkpoint(folder, identity)
-
-    def run(self, resume: bool | None) -> PPOAgent:
-        """Collect, update, validate, checkpoint, until all frames are seen."""
-        threads = torch.get_num_threads()
-        torch.set_num_threads(self.config.threads or threads)
-        try:
-            return self._run(resume)
-        finally:
-            torch.set_num_threads(threads)
-
-    def _run(self, resume: bool | None) -> PPOAgent:
-        from torchrl.collectors import Collector
-
-        with warnings.catch_warnings(), torch.random.fork_rng(enabled=True):
-            warnings.simplefilter("ignore")
-            torch.manual_seed(self.seed)
-            self._build()
-            state = self.checkpoint.read(resume)
-            if state is not None:
-                self._restore(state)
-            self.env.set_seed(self.seed * 1_000_003 + self.frames)
-            left = -(-(self.config.frames - self.frames) // self.config.update_every)
-            if left > 0:
-                collector = Collector(
-                    self.env,
-                    self.policy,
-                    frames_per_batch=self.config.update_every,
-                    total_frames=left * self.config.update_every,
-                )
-                with self._live() as live:
-                    self._loop(collector, live)
-                collector.shutdown()
-            return self._finish()
+        super().__init__(PPOAgent, config, folder, seed, phantom, grader, progress)
 
     def _build(self) -> None:
         from torch.distributions import Categorical
@@ -227,22 +167,22 @@ class _Training:
             eps=1e-5,
         )
         self.agent = PPOAgent(config, self.actor, self.encoder)
-        self.best_state = _copy(self.actor)
-        self.validation = make_core(config.view, config.validation_starts, **self.where)
 
-    def _loop(self, collector: Any, live: Any) -> None:
-        config, began, before = self.config, time.perf_counter(), self.seconds
+    def _loop(self, live: Any) -> None:
+        from torchrl.collectors import Collector
+
+        config = self.config
+        self.env.set_seed(self.seed * 1_000_003 + self.frames)
+        left = -(-(config.frames - self.frames) // config.update_every)
+        collector = Collector(
+            self.env,
+            self.policy,
+            frames_per_batch=config.update_every,
+            total_frames=left * config.update_every,
+        )
         for batch in collector:
-            losses = self._update(batch)
-            last = self.frames
-            self.frames += batch.numel()
-            self.seconds = before + time.perf_counter() - began
-            row = losses | _finished(batch) | {"frames_per_second": self.frames / self.seconds}
-            final = self.frames >= config.frames
-            if final or self.frames // config.validate_every > last // config.validate_every:
-                row |= self._validate()
-                self.checkpoint.write(self._state())
-            self._log(live, row)
+            self._count(batch, self._update(batch), live)
+        collector.shutdown()
 
     def _update(self, batch: TensorDictBase) -> dict[str, float]:
         """Improve actor and critic on one batch (envs, steps) of experience."""
@@ -284,90 +224,3 @@ class _Training:
             network.train()
             network(*seen)
             network.eval()
-
-    def _validate(self) -> dict[str, float]:
-        """Act greedily from the validation starts; keep the policy if none was better."""
-        seeds = validation_seeds(self.config.validation_starts).to(self.config.device)
-        final = rollout(self.validation, self.agent, seeds).final
-        row = {
-            "validation/success": float(final["success"].mean()),
-            "validation/steps": float(final["steps"].mean()),
-            "validation/grade": float(final["grade"].mean()),
-            "validation/return": float(final["return"].mean()),
-        }
-        rank = (row["validation/success"], -row["validation/steps"])
-        if rank >= self.best:
-            self.best, self.best_state = rank, _copy(self.actor)
-        self.history.append({"frames": self.frames, **row})
-        return row
-
-    # -- files ---------------------------------------------------------------------------------
-
-    def _live(self) -> Any:
-        from dvclive.live import Live
-
-        return Live(
-            str(self.folder / "dvclive"), resume=self.frames > 0, save_dvc_exp=False, dvcyaml=None
-        )
-
-    def _log(self, live: Any, row: dict[str, float]) -> None:
-        live.step = self.frames
-        for name, value in row.items():
-            live.log_metric(name, value)
-        live.sync()
-        if self.progress and "validation/success" in row:
-            print(
-                f"{self.frames:>10,} frames  success {row['validation/success']:.2f}  "
-                f"steps {row['validation/steps']:.1f}  {row['frames_per_second']:,.0f} frames/s",
-                flush=True,
-            )
-
-    def _state(self) -> dict[str, Any]:
-        return {
-            "frames": self.frames,
-            "seconds": self.seconds,
-            "best": self.best,
-            "best_state": self.best_state,
-            "history": self.history,
-            "actor": self.actor.state_dict(),
-            "critic": self.critic.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "random": torch.get_rng_state(),
-        }
-
-    def _restore(self, state: dict[str, Any]) -> None:
-        """Continue a run: weights, optimiser and random state; episodes under way start anew."""
-        for name in ("actor", "critic", "optimiser"):
-            getattr(self, name).load_state_dict(state[name])
-        torch.set_rng_state(state["random"])
-        for name in ("frames", "seconds", "best_state", "history"):
-            setattr(self, name, state[name])
-        self.best = tuple(state["best"])
-
-    def _finish(self) -> PPOAgent:
-        self.actor.load_state_dict(self.best_state)
-        metrics = {
-            "frames": self.frames,
-            "seconds": round(self.seconds, 1),
-            "validation_success": self.best[0],
-            "validation_steps": -self.best[1],
-            "history": self.history,
-        }
-        self.agent.save(self.folder, metrics, self.seed)
-        discard_checkpoint(self.folder)
-        return self.agent
-
-
-def _copy(network: nn.Module) -> dict[str, Tensor]:
-    return {name: value.detach().clone() for name, value in network.state_dict().items()}
-
-
-def _finished(batch: TensorDictBase) -> dict[str, float]:
-    """Return means over the episodes that ended in a batch."""
-    done = batch["next", "done"]
-    if not bool(done.any()):
-        return {}
-    means = {}
-    for key in ("success", "steps", "return"):
-        means[f"train/{key}"] = float(batch["next", "info", key][done].float().mean())
-    return means
