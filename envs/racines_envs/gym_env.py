@@ -13,6 +13,7 @@ from racines_data.imaging import IMAGE_SIZE
 from racines_envs.actions import ACTIONS
 from racines_envs.core import OBSERVATIONS, PARAMS_SIZE, ScanCore
 from racines_envs.making import make_core
+from racines_envs.rendering import History, compose_all
 
 RENDER_FPS = 10
 
@@ -56,13 +57,6 @@ def read_actions(actions: Any) -> torch.Tensor:
     return torch.as_tensor(array.astype(np.int64))
 
 
-def check_render_mode(render_mode: str | None) -> str | None:
-    """Return the mode if it is `rgb_array` or none."""
-    if render_mode not in (None, "rgb_array"):
-        raise RacinesError(f"unknown render_mode {render_mode!r}: use 'rgb_array'")
-    return render_mode
-
-
 def read_pose(options: dict[str, Any] | None, count: int) -> Pose | None:
     """Read `options["pose"]`: (6,) or (count, 6) position m and extrinsic xyz angles rad.
 
@@ -85,6 +79,40 @@ def read_pose(options: dict[str, Any] | None, count: int) -> Pose | None:
     return Pose(values[:, :3], euler_to_matrix(values[:, 3:]))
 
 
+def check_render_mode(render_mode: str | None) -> str | None:
+    """Return the mode if it is `rgb_array` or none."""
+    if render_mode not in (None, "rgb_array"):
+        raise RacinesError(f"unknown render_mode {render_mode!r}: use 'rgb_array'")
+    return render_mode
+
+
+class Renderer:
+    """What `render()` of both Gymnasium environments does; idle without a render mode."""
+
+    def __init__(self, core: ScanCore, render_mode: str | None) -> None:
+        """Watch a core."""
+        self._core, self._mode = core, render_mode
+        self._history: History | None = None
+
+    def note(self, actions: torch.Tensor | None = None) -> None:
+        """Remember the step or the reset that the core has just taken."""
+        if self._mode is not None:
+            self._history = self._history or History(self._core.num_envs)
+            self._history.note(self._core, actions)
+
+    def draw(self) -> tuple[np.ndarray, ...] | None:
+        """Return a (540, 960, 3) uint8 picture a row; None without a render mode.
+
+        Raises:
+            RacinesError: there has been no reset.
+        """
+        if self._mode is None:
+            return None
+        if self._history is None:
+            raise RacinesError("render before reset: call reset first")
+        return compose_all(self._core, self._history)
+
+
 class GymScanEnv(gymnasium.Env[Any, np.int64]):
     """Find a standard view with one probe."""
 
@@ -96,6 +124,7 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         self.observation_space = observation_space(settings.get("observation", "image"))
         self.action_space = spaces.Discrete(len(ACTIONS))
         self.core = make_core(view, 1, **settings)
+        self._renderer = Renderer(self.core, render_mode)
         self._seeded = False
 
     def reset(
@@ -110,6 +139,7 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
             seed = int(self.np_random.integers(2**31))
         self._seeded = True
         seen = self.core.reset(seed, pose=read_pose(options, 1))
+        self._renderer.note()
         return self._first(seen), self._info()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -118,16 +148,19 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         Raises:
             RacinesError: the action is not an integer 0-12.
         """
-        seen, reward, ended, cut = self.core.step(
-            read_actions(action).reshape(-1).to(self.core.device)
-        )
+        row = read_actions(action).reshape(-1).to(self.core.device)
+        seen, reward, ended, cut = self.core.step(row)
+        self._renderer.note(row)
         return self._first(seen), float(reward), bool(ended), bool(cut), self._info()
 
     def render(self) -> Any:
-        """Return the present image as (128, 128, 3) uint8."""
-        if self.render_mode is None:
-            return None
-        return self.core.picture()[0].cpu().numpy()[..., None].repeat(3, -1)
+        """Return the picture of `racines_envs.rendering.compose`, (540, 960, 3) uint8.
+
+        Raises:
+            RacinesError: there has been no reset.
+        """
+        frames = self._renderer.draw()
+        return None if frames is None else frames[0]
 
     def _first(self, seen: dict[str, torch.Tensor]) -> Any:
         arrays = to_numpy(self.core, seen)

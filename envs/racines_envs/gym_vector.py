@@ -11,6 +11,7 @@ from gymnasium.vector.utils import batch_space
 from racines_envs.actions import ACTIONS
 from racines_envs.gym_env import (
     RENDER_FPS,
+    Renderer,
     check_render_mode,
     observation_space,
     read_actions,
@@ -45,6 +46,7 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.core = make_core(view, num_envs, **settings)
+        self._renderer = Renderer(self.core, render_mode)
         self._seeded = False
 
     def reset(
@@ -57,6 +59,7 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         self._seeded = True
         seeds = torch.tensor(seed) if isinstance(seed, list) else seed
         seen = self.core.reset(seeds, pose=read_pose(options, self.num_envs))
+        self._renderer.note()
         return to_numpy(self.core, seen), self._infos()
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -67,6 +70,7 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         """
         action = read_actions(actions).to(self.core.device)
         seen, reward, ended, cut = self.core.step(action, autoreset=True)
+        self._renderer.note(action)
         return (
             to_numpy(self.core, seen),
             reward.double().cpu().numpy(),
@@ -76,10 +80,12 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         )
 
     def render(self) -> tuple[Any, ...] | None:
-        """Return N present images, (128, 128, 3) uint8 each."""
-        if self.render_mode is None:
-            return None
-        return tuple(self.core.picture().cpu().numpy()[..., None].repeat(3, -1))
+        """Return N pictures of `racines_envs.rendering.compose`, (540, 960, 3) uint8 each.
+
+        Raises:
+            RacinesError: there has been no reset.
+        """
+        return self._renderer.draw()
 
     def _infos(self) -> dict[str, Any]:
         """Return the infos with Gymnasium's masks of presence."""

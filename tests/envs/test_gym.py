@@ -12,6 +12,7 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import matrix_to_euler
 from racines_data.views import VIEWS
 from racines_envs.gym_env import GymScanEnv
+from racines_envs.rendering import compose
 
 ID = "racines_envs:racines/SC-v0"
 OBSERVATIONS = ("image", "params", "multimodal")
@@ -66,23 +67,50 @@ def _leaves(value):
     return [np.asarray(value)]
 
 
-def test_images_are_channels_last_and_rendered_in_gray(phantom):
-    env = make(phantom, "image", render_mode="rgb_array")
-    seen, _ = env.reset(seed=0)
+def test_images_are_channels_last(phantom):
+    seen, _ = make(phantom, "image").reset(seed=0)
     assert seen.shape == (128, 128, 1) and seen.dtype == np.uint8
-    drawn = env.render()
-    assert drawn.shape == (128, 128, 3)
-    np.testing.assert_array_equal(drawn[..., 0], seen[..., 0])
 
 
-def test_vector_render_gives_a_frame_a_row(phantom):
+def test_render_is_the_picture_of_the_core_and_follows_the_episode(phantom):
+    env = make(phantom, render_mode="rgb_array")
+    with pytest.raises(RacinesError, match="render before reset"):
+        env.unwrapped.render()
+    env.reset(seed=0)
+    first = env.render()
+    assert first.shape == (540, 960, 3) and first.dtype == np.uint8
+    np.testing.assert_array_equal(first, compose(env.unwrapped.core))
+    env.step(0)
+    second = env.render()
+    assert (first != second).any()
+    # A path and a trace of two steps, which the present state alone does not show.
+    assert (second != compose(env.unwrapped.core)).any()
+    env.reset(seed=0)
+    np.testing.assert_array_equal(env.render(), first)
+
+
+def test_vector_render_gives_the_single_environments_picture_a_row(phantom):
     env = gymnasium.make_vec(
         ID, num_envs=2, phantom=phantom, observation="params", reward="oracle",
         render_mode="rgb_array",
     )  # fmt: skip
+    with pytest.raises(RacinesError, match="render before reset"):
+        env.render()
     env.reset(seed=0)
+    env.step(np.array([2, 4]))
     frames = env.render()
-    assert len(frames) == 2 and frames[0].shape == (128, 128, 3)
+    assert len(frames) == 2
+    alone = make(phantom, render_mode="rgb_array")
+    alone.reset(seed=1)
+    alone.step(4)
+    np.testing.assert_array_equal(frames[1], alone.render())
+
+
+def test_without_a_render_mode_nothing_is_drawn(phantom):
+    env = make(phantom)
+    env.reset(seed=0)
+    assert env.unwrapped.render() is None
+    assert phantom.rendered == 0
 
 
 @pytest.mark.parametrize("action", [float("nan"), 1.5, 13, -1, [0, 1], "x", None])
