@@ -10,8 +10,7 @@ A row's result depends on its own seed and actions alone, never on the rows besi
 has ended stays as it is until it is reset (`reset`, or `step` with `autoreset`).
 """
 
-from dataclasses import dataclass, fields
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -22,83 +21,14 @@ from racines_data.imaging import ImageSource
 from racines_data.randomness import derive
 from racines_envs.actions import ActionTable, check_actions
 from racines_envs.rewards import RewardConfig, Score, get_reward, is_hit
+from racines_envs.sensing import Encoder, GraderLike
 from racines_envs.starts import draw_starts
+from racines_envs.state import State, Transition
 from racines_envs.tasks import Task
 
 OBSERVATIONS = ("image", "params", "multimodal")
 PARAMS_SIZE = 9
 """Position in the workspace's box (3), then the continuous rotation (6)."""
-
-
-class GraderLike(Protocol):
-    """Judges images by their pixels."""
-
-    def probabilities_and_grade(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (B, 6) view probabilities and (B,) grades of (B, 128, 128) uint8 images."""
-        ...
-
-
-class Encoder(Protocol):
-    """A frozen network that an agent looks through."""
-
-    size: int
-    """Numbers an image."""
-
-    def __call__(self, images: Tensor) -> Tensor:
-        """Return (B, size) float32 features of (B, 128, 128) uint8 images."""
-        ...
-
-
-@dataclass
-class State:
-    """The state of N rows; every field has N rows."""
-
-    position: Tensor
-    """(N, 3) m."""
-    rotation: Tensor
-    """(N, 3, 3)."""
-    wrench: Tensor
-    """(N, 6) N and N·m, of the probe at rest."""
-    seed: Tensor
-    """int64 seed of the episode."""
-    steps: Tensor
-    streak: Tensor
-    """Hits in a row."""
-    workspace_hits: Tensor
-    """Steps that would have left the workspace and became idle."""
-    force_hits: Tensor
-    """Steps that would have pressed over the limit and became idle."""
-    peak_force: Tensor
-    """Greatest normal force of the episode, N."""
-    force_sum: Tensor
-    """Sum of the normal force over the steps, N."""
-    total: Tensor
-    """Return of the episode, undiscounted."""
-    done: Tensor
-
-    @property
-    def pose(self) -> Pose:
-        """The poses."""
-        return Pose(self.position, self.rotation)
-
-    @property
-    def force(self) -> Tensor:
-        """(N,) normal force, N."""
-        return -self.wrench[:, 2]
-
-    def replaced(self, rows: Tensor, other: "State") -> "State":
-        """Return the state with the (K,) rows of another of K rows put in."""
-        names = [field.name for field in fields(self)]
-        return State(**{n: getattr(self, n).index_copy(0, rows, getattr(other, n)) for n in names})
-
-
-class Transition(NamedTuple):
-    """What a step gave; N rows each."""
-
-    observation: dict[str, Tensor]
-    reward: Tensor
-    terminated: Tensor
-    truncated: Tensor
 
 
 class ScanCore:

@@ -11,8 +11,9 @@ from racines_data.imaging import ImageSource
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.views import HEART, labels_of
 from racines_envs.backends import GRADER_FOLDER, make_backend, make_grader
-from racines_envs.core import Encoder, ScanCore
+from racines_envs.core import ScanCore
 from racines_envs.rewards import RewardConfig
+from racines_envs.sensing import Encoder
 from racines_envs.tasks import Task, get_task
 
 

@@ -1,0 +1,94 @@
+"""What looks at images for an environment, and checks of what a backend, grader or force gave.
+
+Shapes and types are looked at every step: that costs nothing. Numbers are looked at at once on the
+CPU; on an accelerator they are asserted there, so that no step waits for the device.
+"""
+
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.imaging import IMAGE_SIZE
+
+
+class GraderLike(Protocol):
+    """Judges images by their pixels."""
+
+    def probabilities_and_grade(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (B, 6) view probabilities and (B,) grades of (B, 128, 128) uint8 images."""
+        ...
+
+
+class Encoder(Protocol):
+    """A frozen network that an agent looks through."""
+
+    size: int
+    """Numbers an image."""
+
+    def __call__(self, images: Tensor) -> Tensor:
+        """Return (B, size) float32 features of (B, 128, 128) uint8 images."""
+        ...
+
+
+class ForceSource(Protocol):
+    """Says what the wrist sensor feels at a pose."""
+
+    def wrench(self, pose: Any) -> Tensor:
+        """Return (B, 6) force, N, and torque, N·m, in the probe's axes, of a probe at rest."""
+        ...
+
+
+def check_drawn(images: Any, count: int, source: Any) -> Tensor:
+    """Return the images if they are (count, 128, 128) uint8.
+
+    Raises:
+        RacinesError: another type (so NaN, too) or shape; names the class that drew them.
+    """
+    who = f"backend {type(source).__name__}"
+    if not isinstance(images, Tensor):
+        raise RacinesError(f"{who}: generate gave {type(images).__name__}: give a torch.Tensor")
+    if images.dtype != torch.uint8:
+        nan = images.is_floating_point() and not bool(torch.isfinite(images).all())
+        raise RacinesError(
+            f"{who}: generate gave {images.dtype}{' with NaN or infinity' if nan else ''}: give "
+            "uint8 gray levels 0-255"
+        )
+    if images.shape != (count, IMAGE_SIZE, IMAGE_SIZE):
+        raise RacinesError(
+            f"{who}: generate gave shape {tuple(images.shape)} for {count} poses: give "
+            f"({count}, {IMAGE_SIZE}, {IMAGE_SIZE})"
+        )
+    return images
+
+
+def check_judged(p: Tensor, grade: Tensor, count: int, labels: int, grader: Any) -> None:
+    """Check that a grader gave (count, labels) probabilities and (count,) grades, all finite.
+
+    Raises:
+        RacinesError: other shapes, or NaN; names the grader's class.
+    """
+    who = f"grader {type(grader).__name__}"
+    if p.shape != (count, labels) or grade.shape != (count,):
+        raise RacinesError(
+            f"{who}: gave probabilities {tuple(p.shape)} and grades {tuple(grade.shape)} of "
+            f"{count} images: give ({count}, {labels}) and ({count},)"
+        )
+    check_finite(p, f"{who}: probabilities")
+    check_finite(grade, f"{who}: grades")
+
+
+def check_finite(values: Tensor, what: str) -> Tensor:
+    """Return the values if all are finite; on an accelerator that is asserted on the device.
+
+    Raises:
+        RacinesError: NaN or infinity, by row.
+    """
+    finite = torch.isfinite(values)
+    if values.device.type != "cpu":
+        torch._assert_async(finite.all())
+    elif not bool(finite.all()):
+        row = int((~finite).nonzero()[0, 0])
+        raise RacinesError(f"{what}: row {row} is NaN or infinite: give numbers")
+    return values
