@@ -1,11 +1,14 @@
-"""How good an agent is: its episodes from a fixed set of starts, judged by truth and by grader."""
+"""How good an agent is: its episodes from fixed sets of starts, judged by truth and by grader."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_envs import intervals
@@ -14,12 +17,13 @@ from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
 from racines_envs.backends import make_grader
 from racines_envs.core import ScanCore
+from racines_envs.latency import decision_times, latency_figure
 from racines_envs.making import check_grader, find_task, make_core, make_phantom, phantom_recipe
+from racines_envs.measures import Figures, measure, measure_by_seed
 from racines_envs.rollout import Episodes, rollout
 from racines_envs.starts import evaluation_seeds
 
 SCHEMA = "racines.agent-scores/1"
-RETURN_OF_A_HIT = 50.0
 
 
 @dataclass(frozen=True)
@@ -29,22 +33,33 @@ class EvaluationConfig:
     view: str = "SC"
     """The target view."""
     starts: int = 100
-    """Episodes; the first n of the fixed start set."""
-    seed: int = 0
-    """Names the start set."""
+    """Episodes from each start set: its first n."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Name the start sets."""
+    seed: int | None = None
+    """Names one start set, instead of `seeds`."""
     backend: str = "phantom"
-    """`phantom` or `generator`."""
+    """`phantom`, `generator` or `replay`."""
     generator: str = ""
-    """Name or run folder, for the backend `generator`."""
+    """Name, run folder or ONNX file, for the backend `generator`."""
+    data: str = ""
+    """Dataset folder, for the backend `replay`."""
     reward: str = "oracle"
     """Whose hits end an episode and whose return is reported: `paper`, `oracle` or `shaped`."""
     grader: str = ""
     """Run folder of a grader that judges the last image of each episode; none if empty."""
+    latency: int = 60
+    """Decisions that are timed one at a time, at least 50; 0 for none (times never repeat)."""
     resamples: int = 2000
     """Bootstrap resamples of each interval."""
     pictured: int = 4
     """Episodes in the picture of trajectories."""
     device: str = "cpu"
+
+    @property
+    def sets(self) -> tuple[int, ...]:
+        """The start sets in use."""
+        return tuple(self.seeds) if self.seed is None else (self.seed,)
 
 
 @dataclass(frozen=True)
@@ -60,7 +75,7 @@ class Evaluation:
 def evaluate(
     name: str, run_dir: Path, config: EvaluationConfig, phantom: Any = None, grader: Any = None
 ) -> Evaluation:
-    """Run the agent that lies in `run_dir` and score it.
+    """Run the agent that lies in `run_dir` and score it; all episodes of all sets at once.
 
     Args:
         name: Registered agent, or `module:Class`.
@@ -74,98 +89,86 @@ def evaluate(
     """
     began = time.perf_counter()
     task = find_task(config.view, phantom)  # an unknown view is refused before anything is loaded
-    if config.starts < 1:
-        raise RacinesError(f"evaluation.starts is {config.starts}: give at least 1")
+    seeds = start_seeds(config.starts, config.sets)
     agent = load_agent(name, run_dir, config.device)
-    trained = getattr(agent, "view", config.view)
-    if trained != config.view:
-        raise RacinesError(
-            f"{run_dir}: this policy was trained for {trained}, not {config.view}: train one with "
-            f"`racines train agent {name} --view {config.view}`, or evaluate --view {trained}"
-        )
+    check_view(agent, config.view, name, run_dir)
     phantom = make_phantom(phantom, config.device, task.anatomy)
     if grader is None and config.grader:
         grader = make_grader(config.grader, config.device)
     check_grader(grader, task)
-    core = _core(config, agent.observation, phantom, grader)
-    seeds = evaluation_seeds(config.starts, config.seed).to(core.device)
-    episodes = rollout(core, agent, seeds)
-    metrics = measure(episodes, _reference_steps(config, phantom), config.resamples)
+    core = _core(config, agent, phantom, grader, len(seeds))
+    episodes = rollout(core, agent, seeds.to(core.device))
+    steps = reference_steps(config.view, seeds, phantom, config.device)
+    metrics = measure(episodes, steps, config.resamples)
     if grader is not None:
-        metrics |= _graded(core, episodes, grader)
-    scores = _document(name, run_dir, config, core, agent, metrics)
+        metrics |= _graded(core, grader)
+    if config.latency:
+        alone = _core(config, agent, phantom, grader, 1, core.images)
+        times = decision_times(alone, agent, seeds.to(core.device), config.latency)
+        metrics["latency"] = latency_figure(times, config.resamples)
+    by_seed = measure_by_seed(episodes, steps, config.sets, config.resamples)
+    scores = _document(name, run_dir, config, core, agent, metrics, by_seed)
     return Evaluation(
         scores | {"seconds": time.perf_counter() - began}, episodes, core, config.pictured
     )
 
 
-def _core(config: EvaluationConfig, observation: str, phantom: Any, grader: Any) -> ScanCore:
+def start_seeds(starts: int, sets: Sequence[int]) -> Tensor:
+    """Return (sets × starts,) episode seeds, one set after the other.
+
+    Raises:
+        RacinesError: no starts, no sets, or a set named twice.
+    """
+    if starts < 1:
+        raise RacinesError(f"evaluation.starts is {starts}: give at least 1")
+    whole = all(isinstance(seed, int) and not isinstance(seed, bool) for seed in sets)
+    if not sets or not whole or len(set(sets)) != len(sets):
+        raise RacinesError(f"evaluation.seeds is {list(sets)}: give different integers")
+    return torch.cat([evaluation_seeds(starts, seed) for seed in sets])
+
+
+def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
+    """Check that an agent that was trained for a view is asked for that one.
+
+    Raises:
+        RacinesError: it was trained for another.
+    """
+    trained = getattr(agent, "view", view)
+    if trained != view:
+        raise RacinesError(
+            f"{run_dir}: this policy was trained for {trained}, not {view}: train one with "
+            f"`racines train agent {name} --view {view}`, or evaluate --view {trained}"
+        )
+
+
+def _core(
+    config: EvaluationConfig, agent: Agent, phantom: Any, grader: Any, rows: int, images: Any = None
+) -> ScanCore:
+    """Return the environment; with `images`, what draws them is not loaded again."""
     return make_core(
         config.view,
-        config.starts,
-        backend=config.backend,
+        rows,
+        backend=images or config.backend,
         generator=config.generator or None,
-        observation=observation,
+        observation=agent.observation,
         reward=config.reward,
         phantom=phantom,
         grader=grader if config.reward == "paper" else None,
         device=config.device,
+        encoder=getattr(agent, "encoder", None),
+        **({"data": config.data} if config.data else {}),
     )
 
 
-def _reference_steps(config: EvaluationConfig, phantom: Any) -> np.ndarray:
-    """Return the planner's (n,) steps from the same starts, the shortest way of SPL."""
+def reference_steps(view: str, seeds: Tensor, phantom: Any, device: str) -> np.ndarray:
+    """Return the planner's (n,) steps from the same starts, the l of SPL."""
     core = make_core(
-        config.view, config.starts, observation="params", reward="oracle", phantom=phantom,
-        device=config.device,
-    )  # fmt: skip
-    seeds = evaluation_seeds(config.starts, config.seed).to(core.device)
-    return rollout(core, PlannerAgent(), seeds).final["steps"]
+        view, len(seeds), observation="params", reward="oracle", phantom=phantom, device=device
+    )
+    return rollout(core, PlannerAgent(), seeds.to(core.device)).final["steps"]
 
 
-def measure(
-    episodes: Episodes, reference_steps: np.ndarray, resamples: int = 2000
-) -> dict[str, dict[str, Any]]:
-    """Return the figures of n episodes.
-
-    SPL is the mean of success × l / max(l, steps) (Anderson et al., On Evaluation of Embodied
-    Navigation Agents, 2018) with l the oracle planner's steps from the same start.
-    """
-    final = episodes.final
-    success, steps = final["success"], final["steps"]
-    spl = success * reference_steps / np.maximum(reference_steps, np.maximum(steps, 1))
-    violations = final["workspace_hits"] + final["force_hits"]
-    farmed = (final["return"] >= RETURN_OF_A_HIT) & ~success
-
-    def mean(values: np.ndarray, unit: str | None = None) -> dict[str, Any]:
-        return intervals.mean(values, unit, resamples)
-
-    figures = {
-        "success_true": intervals.wilson(success),
-        "success_graded": intervals.wilson(final["success_graded"]),
-        "steps": mean(steps[success], "steps of the episodes with true success"),
-        "steps_median": intervals.median(steps[success], "steps", resamples),
-        "episode_steps": mean(steps, "steps"),
-        "spl": mean(spl),
-        "final_grade": mean(final["grade"]),
-        "return": mean(final["return"]),
-        "peak_force": mean(final["peak_force"], "N"),
-        "mean_force": mean(final["mean_force"], "N"),
-        "violations": mean(violations, "refused steps an episode"),
-        "position_error": mean(final["position_error"] * 1e3, "mm"),
-        "rotation_error": mean(np.degrees(final["rotation_error"]), "degrees"),
-        "return_without_success": intervals.wilson(farmed),
-    }
-    for name, values in (
-        ("spl", spl),
-        ("final_grade", final["grade"]),
-        ("return", final["return"]),
-    ):
-        figures[f"{name}_iqm"] = intervals.interquartile_mean(values, None, resamples)
-    return figures
-
-
-def _graded(core: ScanCore, episodes: Episodes, grader: Any) -> dict[str, dict[str, Any]]:
+def _graded(core: ScanCore, grader: Any) -> Figures:
     """Ask the grader about the last image of each episode."""
     p, g = grader.probabilities_and_grade(core.picture())
     hit = (p[:, core.task.target] >= core.rewards.probability) & (g >= core.rewards.grade)
@@ -178,7 +181,8 @@ def _document(
     config: EvaluationConfig,
     core: ScanCore,
     agent: Agent,
-    metrics: dict[str, Any],
+    metrics: Figures,
+    by_seed: dict[str, Figures],
 ) -> dict[str, Any]:
     from racines_models.provenance import code_version, environment, weights_sha256
 
@@ -192,16 +196,23 @@ def _document(
             "backend": config.backend,
             "observation": agent.observation,
             "reward": config.reward,
-            "start_set": {"seed": config.seed, "starts": config.starts},
+            "start_set": {"seeds": list(config.sets), "starts": config.starts},
             "definition": asdict(task),
         },
         "phantom": phantom_recipe(core.phantom),
         "metrics": metrics,
-        "seeds": [config.seed],
-        "weights": {"sha256": weights["policy.safetensors"]} if weights else None,
+        "by_seed": by_seed,
+        "seeds": list(config.sets),
+        "weights": _named(weights),
         "code": code_version(),
         "environment": environment(str(core.device)),
     }
+
+
+def _named(weights: dict[str, str]) -> dict[str, Any] | None:
+    if not weights:
+        return None
+    return {"sha256": weights.get("policy.safetensors"), "files": weights}
 
 
 def write_evaluation(evaluation: Evaluation, scores: Path, picture: Path | None) -> None:

@@ -1,6 +1,7 @@
 """Evaluation: the figures by hand, the scores file, the picture, the commands."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from racines_envs.evaluation import EvaluationConfig, evaluate, measure, write_e
 from racines_envs.rollout import Episodes
 from racines_envs.starts import evaluation_seeds
 
-FEW = EvaluationConfig(starts=20, resamples=200)
+FEW = EvaluationConfig(starts=20, seed=0, resamples=200, latency=0)
 
 
 def test_wilsons_interval_is_the_papers():
@@ -86,6 +87,27 @@ def test_the_start_set_is_the_one_it_says(phantom, tmp_path):
     np.testing.assert_array_equal(episodes.positions[0], core.state.position.numpy())
 
 
+def test_three_start_sets_are_pooled_and_told_apart(phantom, tmp_path):
+    config = replace(FEW, starts=8, seed=None)
+    result = evaluate("random", tmp_path, config, phantom)
+    scores, each = result.scores, result.scores["by_seed"]
+    assert scores["seeds"] == [0, 1, 2] == scores["task"]["start_set"]["seeds"]
+    assert scores["metrics"]["return"]["n"] == 24 and list(each) == ["0", "1", "2"]
+    alone = evaluate("random", tmp_path, replace(config, seed=1), phantom).scores["metrics"]
+    assert each["1"] == alone, "a set alone gives the figures that it gives among others"
+    pooled = np.mean([part["final_grade"]["value"] for part in each.values()])
+    assert scores["metrics"]["final_grade"]["value"] == pytest.approx(pooled)
+    assert len(np.unique(result.episodes.positions[0], axis=0)) == 24
+
+
+def test_one_decision_is_timed_where_wanted(phantom, tmp_path):
+    config = replace(FEW, starts=2, latency=50)
+    figure = evaluate("planner", tmp_path, config, phantom).scores["metrics"]["latency"]
+    assert figure["n"] == 50 and figure["unit"] == "ms" and figure["settings"]["paper_ms"] == 22
+    assert 0 < figure["low"] <= figure["value"] <= figure["high"] < 1000
+    assert "latency" not in evaluate("planner", tmp_path, FEW, phantom).scores["metrics"]
+
+
 def test_a_grader_judges_the_last_images(phantom, grader, tmp_path):
     scores = evaluate("planner", tmp_path, FEW, phantom, grader).scores
     assert scores["metrics"]["success_grader"]["n"] == 20
@@ -100,7 +122,7 @@ def test_scores_follow_the_leaderboards_schema_and_the_picture_is_drawn(phantom,
     result = evaluate("planner", tmp_path, FEW, phantom)
     write_evaluation(result, tmp_path / "planner.json", tmp_path / "planner.png")
     content = read_json(tmp_path / "planner.json", "agent-scores")
-    assert content["task"]["start_set"] == {"seed": 0, "starts": 20}
+    assert content["task"]["start_set"] == {"seeds": [0], "starts": 20}
     assert content["weights"] is None
     picture = np.asarray(Image.open(tmp_path / "planner.png").convert("L"))
     assert picture.shape[0] > 300 and picture.std() > 5
@@ -109,6 +131,11 @@ def test_scores_follow_the_leaderboards_schema_and_the_picture_is_drawn(phantom,
 def test_impossible_evaluations_are_refused(phantom, tmp_path):
     with pytest.raises(RacinesError, match="starts"):
         evaluate("random", tmp_path, EvaluationConfig(starts=0), phantom)
+    for seeds in ((), (1, 1), (0.5,)):
+        with pytest.raises(RacinesError, match="seeds"):
+            evaluate("random", tmp_path, EvaluationConfig(seeds=seeds), phantom)
+    with pytest.raises(RacinesError, match="at least 50"):
+        evaluate("random", tmp_path, EvaluationConfig(starts=1, latency=3), phantom)
     with pytest.raises(RacinesError, match="unknown view"):
         evaluate("random", tmp_path, EvaluationConfig(view="A5C"), phantom)
     with pytest.raises(RacinesError, match="racines train grader"):
