@@ -1,0 +1,87 @@
+"""Agents that look through a frozen pose regressor."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from torchrl.envs.utils import check_env_specs
+
+from racines_data.errors import RacinesError
+from racines_envs import ScanEnv
+from racines_envs.agents import load_agent
+from racines_envs.agents.encoders import open_encoder
+from racines_envs.agents.ppo import PPOAgent, PPOConfig
+from racines_envs.making import make_core
+from racines_envs.rollout import rollout
+from racines_envs.starts import evaluation_seeds
+from racines_models.pose_regressor import PoseConfig, PoseNetwork, PoseRegressor
+
+TINY = PPOConfig(
+    observation="image", frames=512, envs=16, update_every=256, minibatch=128, epochs=1,
+    hidden=(16, 16), validate_every=256, validation_starts=4,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pose")
+    torch.manual_seed(0)
+    network = PoseNetwork(64, 0.125)
+    PoseRegressor(network, PoseConfig(width=0.125)).save(folder)
+    return folder
+
+
+@pytest.mark.parametrize("observation", ["image", "multimodal"])
+def test_the_environment_shows_what_the_encoder_says_of_each_image(phantom, folder, observation):
+    encoder = open_encoder(str(folder))
+    core = make_core(
+        "SC", 5, observation=observation, reward="shaped", phantom=phantom, encoder=encoder
+    )
+    seen = core.reset(seed=0)
+    for action in (2, 4, 8):
+        assert torch.equal(seen["features"], encoder(seen["image"]))
+        seen = core.step(torch.full((5,), action)).observation
+    core.reset(mask=torch.tensor([True, False, False, False, True]))
+    assert torch.allclose(core.observe()["features"], encoder(core.picture()), atol=1e-5)
+
+
+def test_torchrl_sees_features_instead_of_images(phantom, folder):
+    encoder = open_encoder(str(folder))
+    env = ScanEnv(
+        "SC", 3, observation="multimodal", reward="shaped", phantom=phantom, encoder=encoder
+    )
+    check_env_specs(env)
+    seen = env.reset()
+    assert seen["features"].shape == (3, 9) and "image" not in seen and "params" in seen
+
+
+@pytest.mark.parametrize("observation", ["image", "multimodal"])
+def test_ppo_acts_on_images_alone_after_training_on_features(
+    phantom, folder, tmp_path, observation
+):
+    config = replace(TINY, encoder=str(folder), observation=observation)
+    trained = PPOAgent.train(config, tmp_path, phantom=phantom, progress=False)
+    loaded = load_agent("ppo", tmp_path)
+    core = make_core("SC", 6, observation=observation, reward="shaped", phantom=phantom)
+    first, second = (rollout(core, agent, evaluation_seeds(6)) for agent in (trained, loaded))
+    assert (first.positions == second.positions).all()
+    seen = core.reset(seed=1)
+    image = seen["image"].float().requires_grad_()
+    loaded.logits({**seen, "image": image}).sum().backward()
+    assert image.grad is not None and float(image.grad.abs().sum()) > 0
+
+
+def test_a_policy_refuses_another_encoder(phantom, folder, tmp_path):
+    config = replace(TINY, encoder=str(folder), frames=256)
+    PPOAgent.train(config, tmp_path / "run", phantom=phantom, progress=False)
+    torch.manual_seed(1)
+    other = PoseRegressor(PoseNetwork(64, 0.125), PoseConfig(width=0.125))
+    other.save(tmp_path / "run" / "encoder")
+    with pytest.raises(RacinesError, match="trained with another encoder"):
+        load_agent("ppo", tmp_path / "run")
+
+
+def test_an_absent_encoder_is_named():
+    assert open_encoder("") is None
+    with pytest.raises(RacinesError, match="racines train pose"):
+        open_encoder("nowhere")
