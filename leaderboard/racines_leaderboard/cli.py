@@ -14,6 +14,7 @@ import racines_data.cli_hub
 import racines_data.cli_import
 import racines_data.cli_phantom
 import racines_envs.cli
+import racines_envs.cli_drive
 import racines_models.cli
 import racines_models.cli_export
 from racines_data.errors import RacinesError
@@ -36,6 +37,7 @@ app.add_typer(evaluate, name="eval")
 app.add_typer(racines_models.cli_export.export, name="export")
 racines_models.cli.register(train, evaluate)
 racines_envs.cli.register(train, evaluate)
+racines_envs.cli_drive.register(app)
 commands.register(app)
 
 
