@@ -9,18 +9,31 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.randomness import uniform
 from racines_envs.actions import ACTIONS
 from racines_envs.agents.encoders import BESIDE, PoseEncoder, open_encoder
 from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.core import ScanCore
 
 POLICY = "policy.safetensors"
+_DRAWS = 23
 
 
 def make_actor(config: Any, encoder: PoseEncoder | None = None) -> ObservationNetwork:
     """Return an untrained actor of the config's `observation` and `hidden`, near uniform."""
     features = encoder.size if encoder is not None else 0
     return ObservationNetwork(config.observation, len(ACTIONS), config.hidden, 0.01, features)
+
+
+def choose(logits: Tensor, seeds: Tensor, temperature: float) -> Tensor:
+    """Return (N,) actions of (N, 13) logits: the greatest, or drawn from the (N,) seeds.
+
+    At a temperature above 0 they follow softmax(logits / temperature), by the Gumbel-max trick.
+    """
+    if temperature > 0:
+        drawn = uniform(seeds, logits.shape[1], _DRAWS).clamp_min(1e-12).to(logits.device)
+        logits = logits / temperature - (-drawn.log()).log()
+    return logits.argmax(-1)
 
 
 class PolicyAgent:
@@ -42,10 +55,10 @@ class PolicyAgent:
 
     @torch.no_grad()
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
-        """Return the most probable action of each row."""
+        """Return the most probable action of each row, or drawn ones at a `temperature`."""
         was_training = self.actor.training
         self.actor.eval()
-        action = self.logits(observation).argmax(-1)
+        action = choose(self.logits(observation), seeds, getattr(self.config, "temperature", 0.0))
         self.actor.train(was_training)
         return action
 
