@@ -42,6 +42,23 @@ class GraderFeatures:
         return self._grader.judge(images)[2]
 
 
+def features_of_sets(
+    extractor: Extractor, sets: list[Tensor], progress: Progress | None = None
+) -> list[Tensor]:
+    """Return the (N, D) features of several sets of (N, 128, 128) images, each image looked at once.
+
+    A generator without noise draws every seed's set alike, and the mean image is one image.
+    """
+    places: dict[bytes, int] = {}
+    index = [places.setdefault(image.numpy().tobytes(), len(places)) for image in torch.cat(sets)]
+    first = {place: row for row, place in reversed(list(enumerate(index)))}
+    rows = torch.tensor([first[place] for place in range(len(places))])
+    features = extractor(torch.cat(sets)[rows], progress)
+    if progress is not None:
+        progress(len(index) - len(rows))
+    return list(features[torch.tensor(index)].split([len(each) for each in sets]))
+
+
 def reference_features(
     extractor: Extractor,
     images: Tensor,

@@ -20,7 +20,7 @@ from racines_models.bootstrap import (
     jackknife,
     jackknife_all,
 )
-from racines_models.features import Extractor, kept, reference_features
+from racines_models.features import Extractor, features_of_sets, kept, reference_features
 from racines_models.grader import Grader
 from racines_models.grader_report import compare
 from racines_models.pose_regressor import PoseRegressor
@@ -90,7 +90,7 @@ class Judge:
         name = extractor.settings["id"]
         images = self.sample.frames.images
         truth = reference_features(extractor, images, self._key, self.cache, self.progress)
-        drawn = [extractor(images, self.progress) for images in self.drawn]
+        drawn = features_of_sets(extractor, self.drawn, self.progress)
         config = self.config
 
         def fid(keep: np.ndarray) -> float:

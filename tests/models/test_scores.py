@@ -7,7 +7,7 @@ import torch
 from racines_data.errors import RacinesError
 from racines_models import scoring
 from racines_models.bootstrap import bootstrap_mean
-from racines_models.features import reference_features
+from racines_models.features import features_of_sets, reference_features
 from racines_models.grader import Grader, GraderConfig, GraderNetwork
 from racines_models.metrics import psnr, ssim
 from racines_models.pictures import pick_columns, write_strip
@@ -263,3 +263,19 @@ def test_intervals_of_scores_resample_trajectories(labelled, coarse):
     expected = bootstrap_mean(values, scores.sample.trajectory)
     metric = scores.content["metrics"]["psnr"]
     assert (metric["low"], metric["high"]) == (expected.low, expected.high)
+
+
+def test_an_image_drawn_twice_is_looked_at_once():
+    seen = []
+
+    def mean(images, progress=None):
+        seen.append(len(images))
+        return images.float().mean((1, 2)).unsqueeze(1)
+
+    images = torch.arange(5 * 128 * 128).view(5, 128, 128).mul(7).byte()
+    sets = [images[[3, 1, 3]], images[[1, 0]], images[[2, 2, 2, 4]]]
+    told = []
+    features = features_of_sets(mean, sets, told.append)
+    assert seen == [5] and sum(told) == 4
+    for each, drawn in zip(features, sets, strict=True):
+        assert torch.equal(each, mean(drawn))
