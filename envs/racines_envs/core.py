@@ -21,10 +21,18 @@ from racines_data.imaging import ImageSource
 from racines_data.randomness import derive
 from racines_envs.actions import ActionTable, check_actions
 from racines_envs.rewards import RewardConfig, Score, get_reward, is_hit
-from racines_envs.sensing import Encoder, GraderLike
-from racines_envs.starts import draw_starts
+from racines_envs.sensing import (
+    Encoder,
+    ForceSource,
+    GraderLike,
+    check_drawn,
+    check_finite,
+    check_judged,
+)
+from racines_envs.starts import check_starts, draw_starts
 from racines_envs.state import State, Transition
 from racines_envs.tasks import Task
+from racines_envs.view_error import nearest_showing
 
 OBSERVATIONS = ("image", "params", "multimodal")
 PARAMS_SIZE = 9
@@ -46,10 +54,13 @@ class ScanCore:
         num_envs: int = 1,
         device: torch.device | str = "cpu",
         encoder: Encoder | None = None,
+        forces: ForceSource | None = None,
     ) -> None:
-        """Join a task, a phantom (contact, truth) and a source of images.
+        """Join a task, a phantom (truth, limits) and a source of images.
 
-        An `encoder` looks once at each image; what it says is observed as `features`.
+        An `encoder` looks once at each image; what it says is observed as `features`. Forces come
+        from `forces`, or else from the source of images if it has a `wrench(pose)`, or else from
+        the phantom's contact.
 
         Raises:
             RacinesError: an unknown observation or reward, or reward `paper` without a grader.
@@ -70,6 +81,8 @@ class ScanCore:
         self.rewards, self._reward = rewards or RewardConfig(), get_reward(reward)
         self.num_envs, self.device = num_envs, torch.device(device)
         self.encoder = encoder if observation != "params" else None
+        own = images if hasattr(images, "wrench") else phantom
+        self.forces: Any = own if forces is None else forces
         self.table = ActionTable.make(task.step_translation, task.step_rotation, self.device)
         self.target = phantom.target(task.view).to(self.device)
         workspace = phantom.workspace
@@ -125,36 +138,21 @@ class ScanCore:
         if pose is None:
             pose = draw_starts(self.task, self.phantom, self.target, seed)
         else:
-            pose = Pose(*(x[rows] for x in self._check_pose(pose)))
-        wrench = self.phantom.wrench(pose)
+            pose = check_starts(pose, self.num_envs, self.phantom.workspace, self.device)
+            pose = Pose(*(x[rows] for x in pose))
+        wrench = self.wrench(pose)
         none, zero = torch.zeros_like(seed), torch.zeros_like(wrench[:, 0])
         done = torch.zeros_like(seed, dtype=torch.bool)
         return State(*pose, wrench, seed, none, none, none, none, -wrench[:, 2], zero, zero, done)
 
-    def _check_pose(self, pose: Pose) -> Pose:
-        pose = pose.to(self.device)
-        if pose.position.shape != (self.num_envs, 3):
-            shape = tuple(pose.position.shape)
-            raise RacinesError(f"start positions have shape {shape}: give ({self.num_envs}, 3)")
-        finite = torch.isfinite(pose.position).all() & torch.isfinite(pose.rotation).all()
-        if not bool(finite):
-            raise RacinesError("a start pose is not finite: every value must be a number")
-        outside = ~self.phantom.workspace.contains(pose)
-        if bool(outside.any()):
-            row = int(outside.nonzero()[0])
-            where = ", ".join(f"{x:.4f}" for x in pose.position[row].tolist())
-            low = ", ".join(f"{x:.3f}" for x in (self._centre - self._half).tolist())
-            high = ", ".join(f"{x:.3f}" for x in (self._centre + self._half).tolist())
-            raise RacinesError(
-                f"start pose {row} at ({where}) m is outside the workspace: positions from ({low}) "
-                f"to ({high}) m, and its tilt and yaw limits"
-            )
-        return pose
-
     # -- step ----------------------------------------------------------------------------------
 
     def step(
-        self, action: Tensor, autoreset: bool = False, rows: Tensor | None = None
+        self,
+        action: Tensor,
+        autoreset: bool = False,
+        rows: Tensor | None = None,
+        strict: bool = False,
     ) -> Transition:
         """Move every row by one of the 13 actions, (N,) integers.
 
@@ -165,10 +163,18 @@ class ScanCore:
         need not have them drawn again, since they look as they did.
 
         Raises:
-            RacinesError: actions of the wrong shape or type, or out of range; no reset before.
+            RacinesError: actions of the wrong shape or type, or out of range; no reset before; an
+                image, a judgement or a force that is not what it has to be; with `strict`, a step
+                of a row that has ended (which waits for the device).
         """
         if not self._sensed:
             raise RacinesError("step before reset: call reset first")
+        if strict and bool(self.state.done.any()):
+            row = int(self.state.done.nonzero()[0])
+            raise RacinesError(
+                f"the episode of row {row} has ended after {int(self.state.steps[row])} steps: "
+                "call reset before the next step"
+            )
         state, before = self.state, self.score
         live = ~state.done
         self.state = self._move(state, check_actions(action, self.num_envs), live)
@@ -182,7 +188,7 @@ class ScanCore:
     def _move(self, state: State, action: Tensor, live: Tensor) -> State:
         """Apply actions within the limits to the live rows, and count what was refused."""
         candidate = self.table.move(state.pose, action)
-        wrench = self.phantom.wrench(candidate)
+        wrench = self.wrench(candidate)
         inside, soft = self.limits(candidate, wrench, state.force)
         free = inside & soft & live
         wrench = torch.where(free[:, None], wrench, state.wrench)
@@ -201,6 +207,13 @@ class ScanCore:
             total=state.total,
             done=state.done,
         )
+
+    def wrench(self, pose: Pose) -> Tensor:
+        """Return the (B, 6) wrench, N and N·m, of probes at rest at any poses."""
+        wrench = self.forces.wrench(pose)
+        if self.forces is self.phantom:
+            return wrench
+        return check_finite(wrench, f"forces of {type(self.forces).__name__}")
 
     def limits(self, pose: Pose, wrench: Tensor, force: Tensor) -> tuple[Tensor, Tensor]:
         """Return whether poses lie in the workspace, and whether they press within the limit.
@@ -243,11 +256,13 @@ class ScanCore:
             "oracle_g": truth.view_grade[:, self.task.target],
         }
         if self.renders:
-            sensed["image"] = self.images.generate(parameters, seeds)
+            drawn = self.images.generate(parameters, seeds)
+            sensed["image"] = check_drawn(drawn, len(seeds), self.images)
         if self.encoder is not None:
             sensed["features"] = self.encoder(sensed["image"])
         if self.reward_name == "paper" and self.grader is not None:
             p, g = self.grader.probabilities_and_grade(sensed["image"])
+            check_judged(p, g, len(seeds), truth.membership.shape[1] + 1, self.grader)
             sensed |= {"grader_p": p[:, self.task.target].float(), "grader_g": g.float()}
         if rows is not None:
             sensed = {k: self._sensed[k].index_copy(0, rows, v) for k, v in sensed.items()}
@@ -271,6 +286,19 @@ class ScanCore:
         metres = (self.state.position - self.target.position).norm(dim=-1)
         return metres, geodesic(self.state.rotation, self.target.rotation)
 
+    def view_error(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Return m and rad to the nearest pose that truly shows the target view.
+
+        Of the (K,) rows, or of all. An upper bound, see `racines_envs.view_error`.
+        """
+        position, rotation = self.state.pose
+        if rows is not None:
+            position, rotation = position[rows], rotation[rows]
+        pose = Pose(position, rotation)
+        units = self.task.step_translation, self.task.step_rotation
+        near = nearest_showing(self.phantom, pose, self.target, self.task.target, units)
+        return (near.position - position).norm(dim=-1), geodesic(near.rotation, rotation)
+
     def sees_target(self) -> Tensor:
         """Return (N,) bool: the true view is the target's, by the oracle."""
         return self._sensed["view"] == self.task.target
@@ -288,7 +316,8 @@ class ScanCore:
         """Return the (N, 128, 128) images at the present poses, drawn now if no step drew them."""
         if "image" in self._sensed:
             return self._sensed["image"]
-        return self.images.generate(self.parameters, derive(self.state.seed, self.state.steps))
+        seeds = derive(self.state.seed, self.state.steps)
+        return check_drawn(self.images.generate(self.parameters, seeds), self.num_envs, self.images)
 
     def observe(self) -> dict[str, Tensor]:
         """Return what an agent sees: `image` (N, 128, 128) uint8, `params` (N, 9) float32.
@@ -306,17 +335,27 @@ class ScanCore:
             seen["params"] = encoded.clamp(-1.0, 1.0)
         return seen
 
-    def info(self) -> dict[str, Tensor]:
+    def info(self, view_error: bool = True) -> dict[str, Tensor]:
         """Return what the agent is not told, N rows each.
 
         `view` and `grade` are the oracle's; `success` is the true view being the target's,
         `success_graded` also a true grade of at least 5. `probability` and `score` are p and g by
-        the reward's own source. Forces in N, errors in m and rad.
+        the reward's own source. Forces in N, errors in m and rad: `position_error` and
+        `rotation_error` to the nominal pose, `view_position_error` and `view_rotation_error` (left
+        out without `view_error`: they cost as much as some steps) to the nearest pose that truly
+        shows the view. `out_of_support` is there if the source of images tells it.
         """
         state, sensed = self.state, self._sensed
         metres, radians = self.pose_error()
         success = self.sees_target()
-        return {
+        further: dict[str, Tensor] = {}
+        if view_error:
+            near = self.view_error()
+            further |= {"view_position_error": near[0], "view_rotation_error": near[1]}
+        supported = getattr(self.images, "out_of_support", None)
+        if supported is not None:
+            further["out_of_support"] = supported(self.parameters)
+        return further | {
             "view": sensed["view"],
             "grade": sensed["grade"],
             "success": success,

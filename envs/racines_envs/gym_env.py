@@ -86,6 +86,19 @@ def check_render_mode(render_mode: str | None) -> str | None:
     return render_mode
 
 
+def edge_info(core: ScanCore) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+    """Return the infos that stand at the first and the last observation of an episode alone.
+
+    Returns:
+        (K,) values of the K rows that are there, none where no row is; and those rows.
+    """
+    rows = (core.state.done | (core.state.steps == 0)).nonzero().squeeze(1)
+    if not len(rows):
+        return {}, rows
+    metres, radians = core.view_error(rows)
+    return {"view_position_error": metres, "view_rotation_error": radians}, rows
+
+
 class Renderer:
     """What `render()` of both Gymnasium environments does; idle without a render mode."""
 
@@ -146,10 +159,10 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         """Take one of the 13 actions.
 
         Raises:
-            RacinesError: the action is not an integer 0-12.
+            RacinesError: the action is not an integer 0-12, or the episode has ended.
         """
         row = read_actions(action).reshape(-1).to(self.core.device)
-        seen, reward, ended, cut = self.core.step(row)
+        seen, reward, ended, cut = self.core.step(row, strict=True)
         self._renderer.note(row)
         return self._first(seen), float(reward), bool(ended), bool(cut), self._info()
 
@@ -169,4 +182,5 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         return arrays[0]
 
     def _info(self) -> dict[str, Any]:
-        return {name: value.item() for name, value in self.core.info().items()}
+        info = {name: value.item() for name, value in self.core.info(view_error=False).items()}
+        return info | {name: value.item() for name, value in edge_info(self.core)[0].items()}

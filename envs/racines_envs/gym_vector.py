@@ -13,6 +13,7 @@ from racines_envs.gym_env import (
     RENDER_FPS,
     Renderer,
     check_render_mode,
+    edge_info,
     observation_space,
     read_actions,
     read_pose,
@@ -89,5 +90,13 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
 
     def _infos(self) -> dict[str, Any]:
         """Return the infos with Gymnasium's masks of presence."""
-        infos = {name: value.cpu().numpy().copy() for name, value in self.core.info().items()}
-        return infos | {f"_{name}": np.ones(self.num_envs, dtype=np.bool_) for name in infos}
+        told = self.core.info(view_error=False)
+        infos = {name: value.cpu().numpy().copy() for name, value in told.items()}
+        infos |= {f"_{name}": np.ones(self.num_envs, dtype=np.bool_) for name in told}
+        edge, rows = edge_info(self.core)
+        for name, values in edge.items():
+            infos[name] = np.zeros(self.num_envs)
+            infos[f"_{name}"] = np.zeros(self.num_envs, dtype=np.bool_)
+            infos[name][rows.cpu().numpy()] = values.cpu().numpy()
+            infos[f"_{name}"][rows.cpu().numpy()] = True
+        return infos

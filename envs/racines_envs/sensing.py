@@ -87,7 +87,7 @@ def check_finite(values: Tensor, what: str) -> Tensor:
     """
     finite = torch.isfinite(values)
     if values.device.type != "cpu":
-        torch._assert_async(finite.all())
+        torch.ops.aten._assert_async(finite.all())
     elif not bool(finite.all()):
         row = int((~finite).nonzero()[0, 0])
         raise RacinesError(f"{what}: row {row} is NaN or infinite: give numbers")

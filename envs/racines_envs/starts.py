@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3
 from racines_data.randomness import derive, uniform
 from racines_envs.tasks import Task
@@ -33,7 +34,12 @@ def draw_starts(task: Task, phantom: Any, target: Pose, seeds: Tensor) -> Pose:
     an axis on which it would leave the workspace; the height is uniform, and the rotation has a
     uniform angle about a uniform axis. The first of eight such draws that lies in the workspace and
     does not show the view is taken; else the first in the workspace; else the nominal pose.
+
+    Recordings, which know where they can start, draw with a `draw_starts` of their own.
     """
+    own = getattr(phantom, "draw_starts", None)
+    if own is not None:
+        return own(task, target, seeds)
     count, workspace = seeds.shape[0], phantom.workspace
     shift, turn = _offsets(task, uniform(seeds, TRIES * 6, _STREAM).view(count * TRIES, 6))
     place = target.position + shift
@@ -49,6 +55,32 @@ def draw_starts(task: Task, phantom: Any, target: Pose, seeds: Tensor) -> Pose:
         torch.where((best > 0)[:, None], drawn.position[row], target.position),
         torch.where((best > 0)[:, None, None], drawn.rotation[row], target.rotation),
     )
+
+
+def check_starts(pose: Pose, count: int, workspace: Any, device: torch.device | str) -> Pose:
+    """Return (count,) given start poses on the device, if all lie in the workspace.
+
+    Raises:
+        RacinesError: another number of poses, one that is not finite, or one outside.
+    """
+    pose = pose.to(device)
+    if pose.position.shape != (count, 3):
+        shape = tuple(pose.position.shape)
+        raise RacinesError(f"start positions have shape {shape}: give ({count}, 3)")
+    finite = torch.isfinite(pose.position).all() & torch.isfinite(pose.rotation).all()
+    if not bool(finite):
+        raise RacinesError("a start pose is not finite: every value must be a number")
+    outside = ~workspace.contains(pose)
+    if bool(outside.any()):
+        row = int(outside.nonzero()[0])
+        where = ", ".join(f"{x:.4f}" for x in pose.position[row].tolist())
+        low = ", ".join(f"{x:.3f}" for x in workspace.position_min.tolist())
+        high = ", ".join(f"{x:.3f}" for x in workspace.position_max.tolist())
+        raise RacinesError(
+            f"start pose {row} at ({where}) m is outside the workspace: positions from ({low}) "
+            f"to ({high}) m, and its tilt and yaw limits"
+        )
+    return pose
 
 
 def _first_max(worth: Tensor) -> Tensor:

@@ -47,7 +47,7 @@ class PlannerAgent(Untrained):
         action = torch.arange(options, device=core.device).repeat(count)
         moved = core.table.move(each, action)
         force = core.state.force.repeat_interleave(options)
-        inside, soft = core.limits(moved, core.phantom.wrench(moved), force)
+        inside, soft = core.limits(moved, core.wrench(moved), force)
         cost = torch.where(inside & soft, self._distance(core, moved), torch.inf)
         best = cost.view(count, options).argmin(1)
         arrived = is_hit(core.score, core.rewards) & is_hit(core.scored_by("oracle"), core.rewards)

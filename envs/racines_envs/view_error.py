@@ -1,0 +1,92 @@
+"""How far a pose is from showing the target view: from the nearest pose that truly shows it.
+
+An oracle says whether a pose shows a view, not how far off it is. So poses between the pose and the
+nominal one, which shows the view, are judged: any share of the shift with any share of the turn, on
+a grid, then on a finer one about the nearest that shows the view, near in unit steps of the task.
+What is found shows the view, so its distance is an upper bound: a pose that no such share makes may
+be nearer. docs/environments.md says how much nearer.
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from racines_data.geometry import Pose, geodesic, orthonormalise
+
+COARSE, FINE = 8, 4
+"""Shares judged of the shift and of the turn: 9 × 9, then 5 × 5 within a step of the first grid, so
+that each share is known to 1/32."""
+ROWS = 64
+"""Poses searched from at a time: bounds the memory."""
+
+
+def nearest_showing(
+    world: Any, pose: Pose, target: Pose, label: int, units: tuple[float, float]
+) -> Pose:
+    """Return (N,) poses that show a view, each near to one of (N,) poses; see the module.
+
+    Args:
+        world: A phantom; or one that knows better, by a `nearest_showing(pose, label, units)`.
+        pose: Where the probes are.
+        target: The nominal pose, a batch of one. It is the answer where nothing else is found.
+        label: The label of the view.
+        units: What counts as one step of shift, m, and of turn, rad.
+    """
+    own = getattr(world, "nearest_showing", None)
+    if own is not None:
+        return own(pose, label, units)
+    starts = range(0, len(pose.position), ROWS)
+    parts = [
+        _search(world, Pose(*(x[i : i + ROWS] for x in pose)), target, label, units) for i in starts
+    ]
+    return Pose(*(torch.cat(column) for column in zip(*parts, strict=True)))
+
+
+def _search(world: Any, pose: Pose, target: Pose, label: int, units: tuple[float, float]) -> Pose:
+    device = pose.position.device
+    shares = _grid(COARSE, device).expand(len(pose.position), -1, -1)
+    best = _best(world, pose, target, label, units, shares)
+    finer = best[:, None] - _grid(FINE, device) / COARSE
+    best = _best(world, pose, target, label, units, finer.clamp_min(0.0))
+    return _between(pose, target, best[:, None])
+
+
+def _grid(steps: int, device: torch.device) -> Tensor:
+    """Return ((steps + 1)², 2) shares of shift and turn."""
+    line = torch.linspace(0.0, 1.0, steps + 1, device=device)
+    return torch.cartesian_prod(line, line)
+
+
+def _best(
+    world: Any,
+    pose: Pose,
+    target: Pose,
+    label: int,
+    units: tuple[float, float],
+    shares: Tensor,
+) -> Tensor:
+    """Return each row's (2,) shares, of its (K, 2), that cost least and show the view.
+
+    Where none shows it: those that cost most, the nominal pose of a grid that goes all the way.
+    """
+    count, options = shares.shape[:2]
+    shown = world.judge(_between(pose, target, shares)).view.view(count, options) == label
+    metres = (target.position - pose.position).norm(dim=-1, keepdim=True)
+    radians = geodesic(pose.rotation, target.rotation)[:, None]
+    cost = shares[..., 0] * (metres / units[0]) + shares[..., 1] * (radians / units[1])
+    cost = torch.where(shown, cost, 1e6 - cost)
+    index = torch.arange(options, device=shares.device)
+    first = torch.where(cost == cost.amin(1, keepdim=True), index, options).amin(1)
+    return shares.gather(1, first[:, None, None].expand(-1, 1, 2)).squeeze(1)
+
+
+def _between(pose: Pose, target: Pose, shares: Tensor) -> Pose:
+    """Return the (N × K) poses at (N, K, 2) shares of the shift and of the turn to the target."""
+    shift, turn = shares[..., 0, None], shares[..., 1, None, None]
+    position = pose.position[:, None] + shift * (target.position - pose.position)[:, None]
+    # Along the chord between the matrices: near enough to the shortest turn, and never undefined
+    # but at exactly half a turn.
+    turned = pose.rotation[:, None] + turn * (target.rotation - pose.rotation)[:, None]
+    turned = torch.where(turn > 0.0, orthonormalise(turned), pose.rotation[:, None])
+    return Pose(position.flatten(0, 1), turned.flatten(0, 1))
