@@ -45,7 +45,7 @@ class GraderFeatures:
 def features_of_sets(
     extractor: Extractor, sets: list[Tensor], progress: Progress | None = None
 ) -> list[Tensor]:
-    """Return the (N, D) features of several sets of (N, 128, 128) images, each image looked at once.
+    """Return the (N, D) features of sets of (N, 128, 128) images, each image looked at once.
 
     A generator without noise draws every seed's set alike, and the mean image is one image.
     """
