@@ -5,6 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
+from racines_envs.settings import given, phantom_config, read_settings
+
 RUNS = Path("envs/runs")
 
 Params = Annotated[Path | None, typer.Option(help="Settings; ./params.yaml if it is there.")]
@@ -16,8 +18,11 @@ Profile = Annotated[
 
 def register(train: typer.Typer, evaluate: typer.Typer) -> None:
     """Add the agent commands to the shared verbs."""
+    from racines_envs import cli_eval
+
     train.command("agent")(train_agent)
     evaluate.command("agent")(evaluate_agent)
+    cli_eval.register(evaluate)
 
 
 def train_agent(
@@ -28,6 +33,12 @@ def train_agent(
     backend: Annotated[str | None, typer.Option(help="phantom or generator.")] = None,
     generator: Annotated[str | None, typer.Option(help="Generator: name or run folder.")] = None,
     grader: Annotated[str | None, typer.Option(help="Grader: run folder.")] = None,
+    encoder: Annotated[
+        str | None, typer.Option(help="What looks at images: pose, or a pose regressor's folder.")
+    ] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Dataset folder, for what learns from it.")
+    ] = None,
     frames: Annotated[int | None, typer.Option(help="Environment steps.")] = None,
     device: Annotated[str | None, typer.Option(help="cpu or cuda.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the training.")] = None,
@@ -44,10 +55,10 @@ def train_agent(
     from racines_data.config import fill, section
     from racines_envs.agents import agent_class
 
-    settings = _settings(params, profile)
-    chosen = _given(
+    settings = read_settings(params, profile)
+    chosen = given(
         view=view, observation=observation, reward=reward, backend=backend, generator=generator,
-        grader=grader, frames=frames, device=device,
+        grader=grader, encoder=encoder, frames=frames, device=device,
     )  # fmt: skip
     cls = agent_class(agent)
     values = section(settings, f"agents.{cls.name}") | chosen
@@ -57,7 +68,8 @@ def train_agent(
         config,
         folder,
         seed=settings.get("seed", 0) if seed is None else seed,
-        phantom=_phantom(settings),
+        phantom=phantom_config(settings),
+        data=data,
         resume=resume,
         progress=not as_json,
     )
@@ -68,13 +80,17 @@ def train_agent(
 def evaluate_agent(
     agent: Annotated[str, typer.Argument(help="Registered agent, or module:Class.")],
     view: Annotated[str | None, typer.Option(help="Target view.")] = None,
-    starts: Annotated[int | None, typer.Option(help="Episodes, from the fixed starts.")] = None,
-    backend: Annotated[str | None, typer.Option(help="phantom or generator.")] = None,
+    starts: Annotated[int | None, typer.Option(help="Episodes from each start set.")] = None,
+    backend: Annotated[str | None, typer.Option(help="phantom, generator or replay.")] = None,
     generator: Annotated[str | None, typer.Option(help="Generator: name or run folder.")] = None,
+    data: Annotated[str | None, typer.Option(help="Dataset folder, to replay.")] = None,
     reward: Annotated[str | None, typer.Option(help="paper, oracle or shaped.")] = None,
     grader: Annotated[str | None, typer.Option(help="Grader: run folder.")] = None,
     device: Annotated[str | None, typer.Option(help="cpu or cuda.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Names the start set.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Names one start set, not three.")] = None,
+    latency: Annotated[
+        int | None, typer.Option(help="Decisions to time one at a time; 0 for none.")
+    ] = None,
     run_dir: Annotated[Path | None, typer.Option(help="The policy; envs/runs/<agent>.")] = None,
     scores: Annotated[
         Path | None, typer.Option(help="Scores file; envs/runs/scores/<agent>.json.")
@@ -93,40 +109,20 @@ def evaluate_agent(
     from racines_envs.agents import agent_class
     from racines_envs.evaluation import EvaluationConfig, evaluate, write_evaluation
 
-    settings = _settings(params, profile)
-    chosen = _given(
+    settings = read_settings(params, profile)
+    chosen = given(
         view=view, starts=starts, backend=backend, generator=generator, reward=reward,
-        grader=grader, device=device, seed=seed,
+        data=data, grader=grader, device=device, seed=seed, latency=latency,
     )  # fmt: skip
     config = fill(EvaluationConfig, section(settings, "evaluation") | chosen, "evaluation")
     name = agent_class(agent).name
-    result = evaluate(agent, run_dir or RUNS / name, config, _phantom(settings))
+    result = evaluate(agent, run_dir or RUNS / name, config, phantom_config(settings))
     out = scores or RUNS / "scores" / f"{name}.json"
     write_evaluation(result, out, picture or out.with_suffix(".png"))
     if as_json:
         typer.echo(json.dumps(result.scores, indent=2))
     else:
         _show(result.scores, out)
-
-
-def _settings(params: Path | None, profile: str | None) -> dict[str, Any]:
-    from racines_data.config import read_params
-
-    if params is None and profile is None and Path("params.yaml").is_file():
-        params = Path("params.yaml")
-    return read_params(params, profile)
-
-
-def _given(**options: Any) -> dict[str, Any]:
-    return {name: value for name, value in options.items() if value is not None}
-
-
-def _phantom(settings: dict[str, Any]) -> Any:
-    """Return the configuration of the phantom that the dataset is acquired from."""
-    from racines_data.config import fill, section
-    from racines_data.phantom import PhantomConfig
-
-    return fill(PhantomConfig, section(settings, "data.phantom.phantom"), "data.phantom.phantom")
 
 
 def _show(scores: dict[str, Any], path: Path) -> None:

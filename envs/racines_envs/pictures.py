@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-SHOWN_DEPTH = 25.0
-"""How much of the block is outlined below its top, mm."""
+MARGIN = 6.0
+"""Shown around the paths, mm."""
 
 
 def draw_trajectories(evaluation: Any, path: Path) -> None:
     """Draw the probe's path from several starts, in 3-D, as PNG; mm in the robot base frame.
 
     The colour is the confidence p by the reward's own source; steps, p and, where one decision was
-    timed, the time are written at the end of each path. The block's top is outlined.
+    timed, the time are written below. A floor plan shows where on the block's top that is.
     """
     import matplotlib
 
@@ -23,25 +23,24 @@ def draw_trajectories(evaluation: Any, path: Path) -> None:
 
     episodes, core, scores = evaluation.episodes, evaluation.core, evaluation.scores
     count = min(evaluation.pictured, len(episodes.final["steps"]))
-    figure = plt.figure(figsize=(8.6, 6.6))
-    axes: Any = figure.add_axes((0.0, 0.03, 0.82, 0.9), projection="3d")
-    _draw_block(axes, core)
-    for row in range(count):
-        _draw_path(axes, *_path(episodes, row), row)
+    paths = [_path(episodes, row) for row in range(count)]
     target = core.target.position[0].cpu().numpy() * 1e3
-    axes.scatter(*target, marker="*", s=150, color="black", zorder=5, label="nominal pose")
-    axes.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm")
-    axes.set_box_aspect((1.2, 1.0, 0.7))  # the height, in which the probe moves least, is stretched
-    axes.view_init(elev=28.0, azim=-60.0)
+    figure = plt.figure(figsize=(8.6, 6.6))
+    axes: Any = figure.add_axes((0.0, 0.1, 0.72, 0.84), projection="3d")
+    for number, (path_, probability) in enumerate(paths):
+        _draw_path(axes, path_, probability, number)
+    axes.scatter(*target, marker="*", s=150, color="black", label="nominal pose")
+    _frame(axes, np.concatenate([target[None], *(path_ for path_, _ in paths)]), core)
+    _draw_plan(figure.add_axes((0.7, 0.12, 0.27, 0.27)), core, paths, target)
+    source = "grader" if core.reward_name == "paper" else "oracle"
+    scale = plt.cm.ScalarMappable(plt.Normalize(0.0, 1.0), "viridis")
+    bar = figure.add_axes((0.82, 0.5, 0.02, 0.36))
+    figure.colorbar(scale, cax=bar, label=f"p of {core.task.view}, by the {source}")
     milliseconds = scores["metrics"].get("latency", {}).get("value")
     lines = [_line(episodes, row, milliseconds) for row in range(count)]
     figure.text(0.03, 0.03, "\n".join(lines), fontsize=8.5, va="bottom", family="monospace")
     figure.text(0.03, 0.95, _title(evaluation, count), fontsize=11)
-    source = "grader" if core.reward_name == "paper" else "oracle"
-    scale = plt.cm.ScalarMappable(plt.Normalize(0.0, 1.0), "viridis")
-    bar = figure.add_axes((0.87, 0.25, 0.02, 0.5))
-    figure.colorbar(scale, cax=bar, label=f"p of {core.task.view}, by the {source}")
-    axes.legend(loc="upper right", fontsize=8)
+    axes.legend(loc="upper left", fontsize=8)
     save(figure, path)
 
 
@@ -87,22 +86,40 @@ def _draw_path(axes: Any, path: np.ndarray, probability: np.ndarray, number: int
     label = {"label": "start"} if number == 0 else {}
     axes.scatter(*path[0], marker="o", s=42, color="white", edgecolor="black", **label)
     label = {"label": "end"} if number == 0 else {}
-    axes.scatter(*path[-1], marker="X", s=42, color="tab:red", edgecolor="black", **label)
+    colour = {"c": probability[-1:], "cmap": "viridis", "vmin": 0.0, "vmax": 1.0}
+    end = path[-1:].T
+    axes.scatter(*end, marker="X", s=60, edgecolor="black", depthshade=False, **colour, **label)
     axes.text(*path[0], f"  {number + 1}", fontsize=10, weight="bold")
 
 
-def _draw_block(axes: Any, core: Any) -> None:
-    """Outline the block from its top some way down; the workspace's floor plan for a stand-in."""
+def _frame(axes: Any, points: np.ndarray, core: Any) -> None:
+    """Show the space around the paths, and the part of the block's top that lies in it."""
+    low, high = points.min(0) - MARGIN, points.max(0) + MARGIN
+    top = _corners(core)[1][2]
+    low[2], high[2] = points[:, 2].min() - 1.0, max(points[:, 2].max(), top) + 1.0
+    x, y = np.meshgrid([low[0], high[0]], [low[1], high[1]])
+    axes.plot_surface(x, y, np.full((2, 2), top), color="0.6", alpha=0.22)
+    axes.text(high[0], low[1], top, "block's top", fontsize=8, color="0.35", ha="right")
+    axes.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm")
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
+    axes.set_box_aspect((1.0, 1.0, 0.6))  # the height, in which the probe moves least, is stretched
+    axes.view_init(elev=28.0, azim=-60.0)
+
+
+def _draw_plan(axes: Any, core: Any, paths: list[Any], target: np.ndarray) -> None:
+    """Draw the paths from above on the block's outline (a stand-in's workspace)."""
+    from matplotlib.patches import Rectangle
+
     low, high = _corners(core)
-    low[2] = max(low[2], high[2] - SHOWN_DEPTH)
-    x = np.array([low[0], high[0], high[0], low[0], low[0]])
-    y = np.array([low[1], low[1], high[1], high[1], low[1]])
-    for height, style in ((high[2], "-"), (low[2], ":")):
-        axes.plot(x, y, np.full(5, height), style, color="0.45", linewidth=1.0)
-    for corner in range(4):
-        ends = [x[corner]] * 2, [y[corner]] * 2, [low[2], high[2]]
-        axes.plot(*ends, ":", color="0.45", linewidth=1.0)
-    axes.text(low[0], low[1], low[2], "block", fontsize=8, color="0.35")
+    size = high - low
+    axes.add_patch(Rectangle((low[0], low[1]), size[0], size[1], facecolor="0.92", edgecolor="0.4"))
+    for number, (path, _) in enumerate(paths):
+        axes.plot(path[:, 0], path[:, 1], color="0.3", linewidth=0.9)
+        axes.text(path[0, 0], path[0, 1], str(number + 1), fontsize=7)
+    axes.plot(*target[:2], "*", color="black", markersize=8)
+    axes.set(xlim=(low[0] - 5, high[0] + 5), ylim=(low[1] - 5, high[1] + 5), aspect="equal")
+    axes.set_title("block from above, mm", fontsize=8)
+    axes.tick_params(labelsize=7)
 
 
 def _corners(core: Any) -> tuple[np.ndarray, np.ndarray]:
