@@ -10,6 +10,8 @@ import torch
 from racines_data.errors import RacinesError
 from racines_envs.actions import IDLE
 from racines_envs.agents import agent_class, agent_names, load_agent
+from racines_envs.agents.behaviour_cloning import BehaviourCloningAgent, BehaviourCloningConfig
+from racines_envs.agents.hill_climber import HillClimberAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.policy import make_actor
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
@@ -18,7 +20,7 @@ from racines_envs.core import OBSERVATIONS
 from racines_envs.making import make_core
 from racines_envs.rollout import rollout
 from racines_envs.starts import evaluation_seeds
-from tests.envs.fakes import FakePhantom
+from tests.envs.fakes import FakeGrader, FakePhantom
 
 TINY = PPOConfig(
     frames=2048, envs=16, update_every=512, minibatch=256, epochs=2, hidden=(32, 32),
@@ -32,9 +34,17 @@ def untrained(observation: str) -> PPOAgent:
     return PPOAgent(config, make_actor(config))
 
 
+def imitator() -> BehaviourCloningAgent:
+    torch.manual_seed(0)
+    config = BehaviourCloningConfig(observation="params")
+    return BehaviourCloningAgent(config, make_actor(config))
+
+
 AGENTS = {
     "random": RandomAgent,
     "planner": PlannerAgent,
+    "hill-climber": lambda: HillClimberAgent(grader=FakeGrader()),
+    "behaviour-cloning": lambda: imitator(),
     **{f"ppo {kind}": (lambda kind=kind: untrained(kind)) for kind in OBSERVATIONS},
 }
 
@@ -81,7 +91,7 @@ class TestContract:
 
 def test_unknown_agents_and_classes_that_are_none_are_refused(tmp_path):
     with pytest.raises(RacinesError, match="planner, ppo, random"):
-        agent_class("dqn")
+        agent_class("ddpg")
     with pytest.raises(RacinesError, match="lacks"):
         agent_class("pathlib:Path")
     with pytest.raises(RacinesError, match="cannot load"):

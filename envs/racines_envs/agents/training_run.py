@@ -12,6 +12,7 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 
 from racines_envs.agents.encoders import open_encoder
+from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.agents.policy import PolicyAgent
 from racines_envs.making import find_task, make_core, make_phantom, phantom_recipe
 from racines_envs.rewards import RewardConfig
@@ -27,10 +28,10 @@ class TrainingRun(ABC):
     `frames`, `gamma`, `hidden`, `validate_every`, `validation_starts`, `threads` and `device`.
     """
 
-    actor: nn.Module
+    actor: ObservationNetwork
     """The network whose greedy choice is validated and kept; set by `_build`."""
-    agent: PolicyAgent
-    """Acts by it; set by `_build`."""
+    agent: Any
+    """The `PolicyAgent` that acts by it; set by `_build`."""
     trained: tuple[str, ...]
     """Names of the attributes with a `state_dict` that a checkpoint holds."""
 
@@ -174,7 +175,7 @@ class TrainingRun(ABC):
             setattr(self, name, state[name])
         self.best = tuple(state["best"])
 
-    def _finish(self) -> PolicyAgent:
+    def _finish(self) -> Any:
         self.actor.load_state_dict(self.best_state)
         metrics = {
             "frames": self.frames,

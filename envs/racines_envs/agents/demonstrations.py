@@ -1,0 +1,136 @@
+"""What the dataset's trajectories teach: for a frame, the unit step towards a good look at a view.
+
+    frame i ──── unit step? ────> goal j, same trajectory, |j - i| <= horizon, view and grade good
+
+The recorded hand moves a fraction of a unit step a frame, so that its motion from one frame to the
+next says little. Hindsight says more: a frame that the hand came to later is a goal that it was on
+its way to (relabelling as in Andrychowicz et al., Hindsight Experience Replay, 2017; as supervision
+in Ghosh et al., Learning to Reach Goals via Iterated Supervised Learning, 2021).
+"""
+
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, geodesic, parameters_to_pose, rotation_6d
+from racines_data.store import FrameStore
+from racines_envs.actions import ACTIONS, IDLE, ActionTable
+from racines_envs.tasks import Task
+
+CHUNK = 8192
+
+
+class Demonstrations(NamedTuple):
+    """M frames and what to do there."""
+
+    rows: Tensor
+    """(M,) int64 rows of the store."""
+    trajectory: Tensor
+    """(M,) int64, the trajectory of each."""
+    cost: Tensor
+    """(M, 13) squared distance to the goal after each action, in unit steps."""
+    action: Tensor
+    """(M,) int64, the action of least cost; idle where the view is well in sight."""
+
+    @property
+    def trajectories(self) -> int:
+        """How many trajectories they come from."""
+        return len(self.trajectory.unique())
+
+
+def demonstrations(
+    store: FrameStore,
+    split: str,
+    task: Task,
+    *,
+    horizon: int = 150,
+    both_ways: bool = True,
+    least_grade: float = 5.0,
+    still_grade: float = 6.5,
+) -> Demonstrations:
+    """Label the frames of a split that have a goal.
+
+    The goal is the best-graded frame of the target view within the horizon of the same trajectory.
+
+    Args:
+        store: The dataset.
+        split: `train`, `validation` or `test`.
+        task: Its view and its unit steps.
+        horizon: Frames between a frame and its goal, at most.
+        both_ways: Let goals lie before a frame as well: nothing moves in the block but the probe,
+            so a hand that leaves, played backwards, arrives.
+        least_grade: Of a goal, 0-10.
+        still_grade: Where the target view has this grade, the label is to idle.
+
+    Raises:
+        RacinesError: the dataset does not know the view, or no frame has a goal.
+    """
+    if task.view not in store.labels:
+        raise RacinesError(f"{store.root}: has no view {task.view}: {', '.join(store.labels)}")
+    start, stop = store.bounds(split)
+    seen = store.views[start:stop] == store.labels.index(task.view)
+    worth = torch.where(seen, store.grades[start:stop], torch.nan)
+    worth = torch.where(worth >= least_grade, worth, 0.0)
+    pose = parameters_to_pose(store.parameters[start:stop])
+    if not bool((worth > 0).any()):
+        raise RacinesError(
+            f"{store.root}: no frame of split {split!r} shows {task.view} with a grade of "
+            f"{least_grade:g} or more: there is nothing to imitate; lower least_grade, or build "
+            "more frames"
+        )
+    trajectory = store.trajectory_index[start:stop]
+    goal = _within(worth, trajectory, horizon, both_ways)
+    rows = (goal >= 0).nonzero().squeeze(1)
+    cost = costs(_rows(pose, rows), _rows(pose, goal[rows]), task)
+    still = worth[rows] >= still_grade
+    action = torch.where(still, IDLE, cost.argmin(1))
+    return Demonstrations(rows + start, trajectory[rows], cost, action)
+
+
+def costs(pose: Pose, goal: Pose, task: Task) -> Tensor:
+    """Return the (M, 13) squared distances from M goals after each action, in unit steps.
+
+    The distance is the planner's: |Δp|²/u² + θ²/w² with the unit steps u and w.
+    """
+    table = ActionTable.make(task.step_translation, task.step_rotation, pose.position.device)
+    count, parts = len(ACTIONS), []
+    for rows in torch.arange(len(pose.position)).split(CHUNK):
+        each = rows.repeat_interleave(count)
+        moved = table.move(_rows(pose, each), torch.arange(count).repeat(len(rows)))
+        aim = _rows(goal, each)
+        metres = (moved.position - aim.position).norm(dim=-1) / task.step_translation
+        radians = geodesic(moved.rotation, aim.rotation) / task.step_rotation
+        parts.append((metres**2 + radians**2).view(-1, count))
+    return torch.cat(parts)
+
+
+def encode_params(parameters: Tensor, workspace: Any) -> Tensor:
+    """Return the (M, 9) observation `params` of (M, 12) recorded parameters (see `ScanCore`)."""
+    pose = parameters_to_pose(parameters)
+    centre = (workspace.position_max + workspace.position_min) / 2
+    half = (workspace.position_max - workspace.position_min) / 2
+    encoded = torch.cat([(pose.position - centre) / half, rotation_6d(pose.rotation)], -1)
+    return encoded.clamp(-1.0, 1.0)
+
+
+def _within(worth: Tensor, trajectory: Tensor, horizon: int, both_ways: bool) -> Tensor:
+    """Return the (n,) best goals in the window of each frame's own trajectory, -1 for none."""
+    goal = torch.full_like(trajectory, -1)
+    counts = torch.unique_consecutive(trajectory, return_counts=True)[1]
+    first = 0
+    for count in counts.tolist():
+        rows, best = torch.arange(count), worth[first : first + count]
+        if bool((best > 0).any()):
+            ahead = rows[None] - rows[:, None]
+            near = (ahead.abs() if both_ways else ahead) <= horizon
+            near &= both_ways | (ahead >= 0)
+            value, index = torch.where(near, best[None], 0.0).max(1)
+            goal[first : first + count] = torch.where(value > 0, index + first, -1)
+        first += count
+    return goal
+
+
+def _rows(pose: Pose, rows: Tensor) -> Pose:
+    return Pose(pose.position[rows], pose.rotation[rows])

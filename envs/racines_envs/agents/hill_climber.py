@@ -1,0 +1,204 @@
+"""Climbing the grader's judgement, without training: a pattern search on what each image scores.
+
+After Hooke and Jeeves, "Direct search" solution of numerical and statistical problems (1961): try
+one unit step, keep it and repeat it while the score rises, else step back and try the next. It sees
+the image alone; each try is a step of the episode.
+"""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.randomness import uniform
+from racines_envs.actions import ACTIONS, IDLE
+from racines_envs.backends import GRADER_FOLDER, make_grader
+from racines_envs.core import ScanCore
+from racines_envs.making import check_grader
+from racines_envs.rewards import RewardConfig
+
+MOVES = len(ACTIONS) - 1
+"""All actions but idle; action 2i goes one way and 2i + 1 back."""
+PUBLISHED = Path("models/weights/grader")
+"""The grader that comes with the repository."""
+SETTINGS = "config.json"
+
+
+@dataclass(frozen=True)
+class HillClimberConfig:
+    """How it searches."""
+
+    grader: str = ""
+    """Run folder of the grader or its student; models/runs/grader if empty, or the published."""
+    margin: float = 0.2
+    """Least rise of the score that counts; two images of one place differ by some noise."""
+    ceiling: float = 0.9
+    """Above this probability of the target view the grade is climbed as well."""
+    reach: int = 2
+    """Steps that a direction may go on without a rise before they are undone."""
+    patience: int = 12
+    """Tries in a row that did not help after which it walks off."""
+    walk: int = 4
+    """Steps of that walk, all in one drawn direction."""
+    device: str = "cpu"
+
+
+@dataclass
+class _Memory:
+    """Where the search of N rows stands; every field has N rows."""
+
+    base: Tensor
+    """Score of the place that the search is at."""
+    order: Tensor
+    """(N, 12) directions in the order of trying."""
+    place: Tensor
+    """Which of the order is tried next."""
+    tried: Tensor
+    """Tries since the last rise."""
+    last: Tensor
+    """The last action."""
+    probing: Tensor
+    """Whether the last action was a try."""
+    depth: Tensor
+    """Steps from that place, on a try or on the way back."""
+    helped: Tensor
+    """Whether the direction under trial has raised the score before."""
+    walking: Tensor
+    """Steps of a walk still to go."""
+
+
+class HillClimberAgent:
+    """Repeats a step while the grader likes the images better; undoes it when not."""
+
+    name: ClassVar[str] = "hill-climber"
+    Config: ClassVar[type] = HillClimberConfig
+    observation: str = "image"
+
+    def __init__(self, config: HillClimberConfig | None = None, grader: Any = None) -> None:
+        """Take settings, and a grader instead of the folder in them."""
+        self.config = config or HillClimberConfig()
+        self._grader: Any = grader
+        self._memory: _Memory | None = None
+        self._target, self._goal = 0, RewardConfig()
+
+    def attach(self, core: ScanCore) -> None:
+        """Learn which view is wanted and what a hit is; forget the episodes before.
+
+        Raises:
+            RacinesError: no grader there, or one of other views.
+        """
+        if self._grader is None:
+            self._grader = make_grader(self._folder(), self.config.device)
+        check_grader(self._grader, core.task)
+        self._target, self._goal, self._memory = core.task.target, core.rewards, None
+
+    def _folder(self) -> Path:
+        if self.config.grader:
+            return Path(self.config.grader)
+        trained = (GRADER_FOLDER / "grader.safetensors").is_file()
+        return PUBLISHED if PUBLISHED.is_dir() and not trained else GRADER_FOLDER
+
+    @torch.no_grad()
+    def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
+        """Return the next step of each row's search; rows are those of the call before."""
+        if self._grader is None:
+            raise RacinesError("the hill-climber needs its task: call attach(core) first")
+        p, g = self._grader.probabilities_and_grade(observation["image"])
+        p, g = p[:, self._target].float().to(seeds.device), g.float().to(seeds.device)
+        score = self.score(p, g)
+        if self._memory is None or len(self._memory.base) != len(score):
+            self._memory = self._start(score, seeds)
+        action = self._next(self._memory, score, seeds)
+        arrived = (p >= self._goal.probability) & (g >= self._goal.grade)
+        # Whatever was under way is over: from a hit the search begins again.
+        self._memory.probing &= ~arrived
+        self._memory.walking *= ~arrived
+        self._memory.depth *= ~arrived
+        self._memory.tried *= ~arrived
+        self._memory.last = torch.where(arrived, IDLE, action)
+        return self._memory.last
+
+    def score(self, probability: Tensor, grade: Tensor) -> Tensor:
+        """Return what is climbed: log-odds of the view up to the ceiling, then the grade too.
+
+        Log-odds still tell 1e-4 from 1e-3, where probabilities are all but flat.
+        """
+        odds = torch.logit(probability.clamp(1e-30, self.config.ceiling))
+        return odds + torch.where(probability >= self.config.ceiling, grade, 0.0)
+
+    def _start(self, score: Tensor, seeds: Tensor) -> _Memory:
+        none = torch.zeros_like(seeds)
+        order = _order(seeds)
+        no = none > 0
+        return _Memory(score, order, none, none, none + IDLE, no, none, no, none)
+
+    def _next(self, memory: _Memory, score: Tensor, seeds: Tensor) -> Tensor:
+        """Advance all rows' searches by one look and return their steps."""
+        rose = memory.probing & (score > memory.base + self.config.margin)
+        failed = memory.probing & ~rose & (memory.depth >= self.config.reach)
+        home = ~memory.probing & (memory.depth == 0)
+        memory.base = torch.where(rose | home, score, memory.base)
+        memory.depth = torch.where(rose, 0, memory.depth)
+        memory.tried = torch.where(rose, 0, memory.tried + failed)
+        # A direction that failed is done with; so is the way back from one that had helped.
+        skip = 1 + (memory.helped & (memory.place % 2 == 0)).long()
+        memory.place = torch.where(failed, memory.place + skip, memory.place) % MOVES
+        memory.helped = rose | (memory.helped & memory.probing & ~failed)
+        walk = self._walk(memory, home, seeds)
+        new = memory.order.gather(1, memory.place.unsqueeze(1)).squeeze(1)
+        action = torch.where(home, new, torch.where(failed, memory.last ^ 1, memory.last))
+        memory.probing = (memory.probing & ~failed) | (home & ~walk)
+        memory.depth = memory.depth + torch.where(memory.probing, 1, -1) * ~walk
+        return action
+
+    def _walk(self, memory: _Memory, home: Tensor, seeds: Tensor) -> Tensor:
+        """Return which rows take a step of a walk, where trying has long been of no use."""
+        lost = home & (memory.walking == 0) & (memory.tried >= self.config.patience)
+        memory.order = torch.where(lost[:, None], _order(seeds), memory.order)
+        memory.place = torch.where(lost, 0, memory.place)
+        memory.tried = torch.where(lost, 0, memory.tried)
+        memory.walking = torch.where(lost, self.config.walk, memory.walking)
+        walk = memory.walking > 0
+        memory.walking = memory.walking - walk.long()
+        return walk
+
+    @classmethod
+    def train(cls, config: HillClimberConfig, run_dir: Path, **where: Any) -> Self:
+        """Write the settings down, for `load`; there is nothing to learn."""
+        from racines_data.files import write_json
+
+        write_json(Path(run_dir) / "metrics.json", {})
+        write_json(Path(run_dir) / SETTINGS, {"agent": cls.name, "config": asdict(config)})
+        return cls(config)
+
+    @classmethod
+    def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
+        """Return the agent with the settings that `train` wrote there, or else the defaults.
+
+        Raises:
+            RacinesError: settings of another agent.
+        """
+        from dataclasses import replace
+
+        from racines_data.config import fill
+
+        path = Path(run_dir) / SETTINGS
+        config = HillClimberConfig()
+        if path.is_file():
+            content = json.loads(path.read_text())
+            if content.get("agent") != cls.name:
+                raise RacinesError(f"{path}: settings of {content.get('agent')!r}, not {cls.name}")
+            config = fill(HillClimberConfig, content["config"], str(path))
+        return cls(replace(config, device=str(device)))
+
+
+def _order(seeds: Tensor) -> Tensor:
+    """Return (N, 12) directions: the six axes shuffled, both ways of one after another."""
+    drawn = uniform(seeds, MOVES)
+    axes = drawn[:, : MOVES // 2].argsort(1)
+    first = (drawn[:, MOVES // 2 :] < 0.5).long()
+    return torch.stack([2 * axes + first, 2 * axes + 1 - first], -1).flatten(1)
