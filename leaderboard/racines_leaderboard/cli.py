@@ -15,6 +15,7 @@ import racines_data.cli_import
 import racines_data.cli_phantom
 import racines_envs.cli
 import racines_envs.cli_drive
+import racines_envs.cli_explain
 import racines_models.cli
 import racines_models.cli_export
 from racines_data.errors import RacinesError
@@ -38,6 +39,7 @@ app.add_typer(racines_models.cli_export.export, name="export")
 racines_models.cli.register(train, evaluate)
 racines_envs.cli.register(train, evaluate)
 racines_envs.cli_drive.register(app)
+racines_envs.cli_explain.register(app)
 commands.register(app)
 
 

@@ -1,0 +1,110 @@
+"""What in an image moved a decision: Integrated Gradients from a black image.
+
+Sundararajan et al., Axiomatic Attribution for Deep Networks, 2017; Captum's implementation.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+
+Judge = Callable[[Tensor, Tensor], Tensor]
+"""(B, 128, 128) float images, gray levels 0-255, and (B, 9) parameters -> (B, outputs)."""
+
+BATCH = 256
+"""Images at once in a backward pass."""
+
+
+def policy_logits(agent: Any) -> Judge:
+    """Return an agent's scores of the 13 actions as a function of its image.
+
+    Raises:
+        RacinesError: the agent looks at no image, or has no differentiable scores.
+    """
+    name, observation = getattr(agent, "name", type(agent).__name__), agent.observation
+    if observation == "params":
+        raise RacinesError(
+            f"agent {name!r} looks at no image (observation 'params'), and an explanation is of "
+            "images: train one with --observation image or multimodal"
+        )
+    if not hasattr(agent, "logits"):
+        raise RacinesError(
+            f"agent {name!r} has no logits(observation) to differentiate: only learned policies "
+            "(such as ppo) can be explained"
+        )
+    for network in (getattr(agent, "actor", None), getattr(agent, "encoder", None)):
+        if network is not None:
+            network.eval().requires_grad_(False)
+
+    def judge(images: Tensor, params: Tensor) -> Tensor:
+        seen = {"image": images}
+        return agent.logits(seen | ({"params": params} if observation == "multimodal" else {}))
+
+    return judge
+
+
+def grader_probabilities(grader: Any) -> Judge:
+    """Return a grader's probabilities of the views as a function of the image.
+
+    Raises:
+        RacinesError: it has no network to differentiate.
+    """
+    if not hasattr(grader, "network"):
+        raise RacinesError(f"grader {grader!r} has no network to differentiate: give a run folder")
+    network = grader.network
+
+    def judge(images: Tensor, params: Tensor) -> Tensor:
+        logits, _ = network(network.normalise(images.to(grader.device)))
+        return (logits / grader.temperature).softmax(-1)
+
+    return judge
+
+
+def integrated_gradients(
+    judge: Judge, images: Tensor, params: Tensor, targets: Tensor, steps: int = 50
+) -> tuple[Tensor, Tensor]:
+    """Attribute one output an image to its pixels, from a black image.
+
+    Args:
+        judge: What is explained.
+        images: (N, 128, 128) uint8.
+        params: (N, 9), held fixed.
+        targets: (N,) int64, which output of each.
+        steps: Points of the integral (Gauss-Legendre).
+
+    Returns:
+        (N, 128, 128) float32 attributions, and the (N,) completeness error: their sum less the
+        difference of the outputs between image and black image, which would be 0 with an exact
+        integral.
+    """
+    from captum.attr import IntegratedGradients
+
+    method = IntegratedGradients(judge)
+    attributed, errors = [], []
+    for i in range(0, len(images), BATCH):
+        part = images[i : i + BATCH].float()
+        drawn, error = method.attribute(
+            part,
+            baselines=torch.zeros_like(part),
+            target=targets[i : i + BATCH],
+            additional_forward_args=(params[i : i + BATCH],),
+            n_steps=steps,
+            internal_batch_size=BATCH,
+            return_convergence_delta=True,
+        )
+        attributed.append(drawn.detach().float())
+        errors.append(error.detach().float())
+    return torch.cat(attributed), torch.cat(errors)
+
+
+@torch.no_grad()
+def outputs(judge: Judge, images: Tensor, params: Tensor) -> Tensor:
+    """Return (N, outputs) of (N, 128, 128) images of any type."""
+    parts = [
+        judge(images[i : i + BATCH].float(), params[i : i + BATCH])
+        for i in range(0, len(images), BATCH)
+    ]
+    return torch.cat(parts)

@@ -1,0 +1,68 @@
+"""What truly lies in an image: the phantom's tissues and landmarks on the image plane."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from racines_data.geometry import Pose, rotate
+from racines_data.imaging import IMAGE_SIZE
+
+WALL = 2
+"""Pixels on each side of a change of tissue that count as its border."""
+
+
+def sector_of(phantom: Any) -> Tensor:
+    """Return the (128, 128) bool mask of the sector; everything where the probe is unknown."""
+    from racines_data.phantom.scan import sector_mask
+
+    probe = getattr(getattr(phantom, "config", None), "probe", None)
+    if probe is None:
+        return torch.ones(IMAGE_SIZE, IMAGE_SIZE, dtype=torch.bool)
+    return sector_mask(probe)
+
+
+def plane_points(phantom: Any, pose: Pose) -> Tensor:
+    """Return the (N, 128, 128, 3) points of the block under the pixels, base frame, m."""
+    from racines_data.phantom.scan import pixel_grid
+
+    lateral, axial = (x.float() for x in pixel_grid(phantom.config.probe))
+    local = torch.stack([lateral, torch.zeros_like(lateral), axial], -1)
+    turned = rotate(pose.rotation.cpu()[:, None, None], local)
+    return turned + pose.position.cpu()[:, None, None]
+
+
+def true_regions(phantom: Any, pose: Pose, view: str) -> dict[str, Tensor]:
+    """Return named (N, 128, 128) bool regions of the images at (N,) poses.
+
+    `organ`: not the gel around it. `borders`: within two pixels of a change of tissue. `landmarks`:
+    inside the spheres of the structures that the view has to show. Empty for a stand-in phantom
+    without an anatomy.
+    """
+    from racines_data.phantom.anatomy import load_anatomy
+
+    config: Any = getattr(phantom, "config", None)
+    if not hasattr(config, "anatomy"):
+        return {}
+    anatomy = load_anatomy(config.anatomy, config.anatomy_seed)
+    axes, origin = torch.tensor(anatomy.axes), torch.tensor(anatomy.origin)
+    points = (plane_points(phantom, pose) - origin) @ axes.T
+    tissue = torch.stack([anatomy.paint(p.reshape(-1, 3)) for p in points])
+    tissue = tissue.view(points.shape[:-1])
+    wanted = {name for name, _ in next(v for v in anatomy.views if v.name == view).structures}
+    landmarks = torch.zeros_like(tissue, dtype=torch.bool)
+    for structure in anatomy.structures:
+        if structure.name in wanted:
+            away = (points - torch.tensor(structure.centre)).norm(dim=-1)
+            landmarks |= away < structure.radius
+    return {"organ": tissue != 0, "borders": _borders(tissue), "landmarks": landmarks}
+
+
+def _borders(tissue: Tensor) -> Tensor:
+    """Return where a (N, H, W) map of tissues changes."""
+    level = tissue.float().unsqueeze(1)
+    size = 2 * WALL + 1
+    highest = functional.max_pool2d(level, size, 1, WALL)
+    lowest = -functional.max_pool2d(-level, size, 1, WALL)
+    return (highest != lowest).squeeze(1)
