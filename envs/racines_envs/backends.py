@@ -1,9 +1,10 @@
-"""Backends: what draws the images of an environment. Each is an `ImageSource` and nothing more.
+"""Backends: what draws the images of an environment. Each is an `ImageSource`.
 
-The environment never knows which it has: contact and truth always come from the phantom.
+The environment never knows which it has. A backend may also have `wrench(pose)`, which is then felt
+instead of the phantom's contact, and `out_of_support(parameters)`, which the info then tells.
 """
 
-from collections.abc import Callable
+import json
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from racines_data.imaging import ImageSource
 from racines_data.randomness import sample_seeds
 
 GRADER_FOLDER = Path("models/runs/grader")
-GENERATOR_FOLDER = Path("models/runs")
+BACKENDS = ("phantom", "generator", "replay")
 
 
 class PhantomImages:
@@ -31,42 +32,61 @@ class PhantomImages:
         return self.phantom.render(parameters_to_pose(parameters), seeds)
 
 
-def _phantom(phantom: Any, generator: Any, device: torch.device | str) -> ImageSource:
-    return PhantomImages(phantom)
+def open_source(spec: str | Path, device: torch.device | str = "cpu") -> ImageSource:
+    """Return the generator that a spec names, whichever way it comes.
 
+    Args:
+        spec: A registered name or `module:Class` (its run in models/runs/NAME), either with
+            `@FOLDER` for a run elsewhere; the folder of a run, which says whose it is; or
+            `FILE.onnx`.
+        device: Where it draws.
 
-def _generator(phantom: Any, generator: Any, device: torch.device | str) -> ImageSource:
-    """Load a generator by name (from models/runs/<name>) or run folder, or take an object."""
-    if generator is None:
+    Raises:
+        RacinesError: unknown, absent or refused, by name or file.
+    """
+    from racines_models.registry import is_file, open_generator, run_folder
+
+    name, _, folder = str(spec).partition("@")
+    if is_file(name):
+        return open_generator(name, folder or None, str(device))
+    if not folder and Path(name).is_dir():
+        return open_generator(_whose(Path(name)), name, str(device))
+    if "/" in name:
+        raise RacinesError(f"generator {name!r}: no run folder or file of that name")
+    run = run_folder(name, folder or None)
+    if not run.is_dir():
         raise RacinesError(
-            "backend 'generator' needs one: give generator=<name, run folder or object>"
+            f"generator {name!r}: no run folder {run}; run `racines train generator {name}`"
         )
-    if isinstance(generator, ImageSource):
-        return generator
-    folder = Path(generator)
-    if not folder.is_dir():
-        folder = GENERATOR_FOLDER / str(generator)
-    if not folder.is_dir():
-        raise RacinesError(
-            f"generator {str(generator)!r}: no run folder {folder}; run "
-            f"`racines train generator {generator}`"
-        )
-    from racines_models.registry import load_generator
-
-    return load_generator(folder.name, folder, str(device))
+    return open_generator(name, run, str(device))
 
 
-BACKENDS: dict[str, Callable[[Any, Any, torch.device | str], ImageSource]] = {
-    "phantom": _phantom,
-    "generator": _generator,
-}
-"""By name: (phantom, generator, device) -> ImageSource."""
+def _whose(folder: Path) -> str:
+    """Return the name of the generator that a run folder holds."""
+    path = folder / "config.json"
+    if not path.is_file():
+        raise RacinesError(f"{folder}: no trained generator here (config.json); train one there")
+    try:
+        return json.loads(path.read_text())["name"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise RacinesError(f"{path}: names no generator ({error}); train it again") from error
 
 
 def make_backend(
-    backend: str | ImageSource, phantom: Any, generator: Any, device: torch.device | str
+    backend: str | ImageSource,
+    phantom: Any,
+    generator: Any,
+    device: torch.device | str,
+    replay: ImageSource | None = None,
 ) -> ImageSource:
     """Return the source of images; an object that satisfies `ImageSource` is taken as it is.
+
+    Args:
+        backend: `phantom`, `generator`, `replay`, or an object.
+        phantom: What `phantom` renders.
+        generator: Of `generator`: an object, or what `open_source` opens.
+        device: Where it draws.
+        replay: The recordings of `replay`, opened.
 
     Raises:
         RacinesError: an unknown backend, or a generator that is not there.
@@ -77,7 +97,18 @@ def make_backend(
         return backend
     if backend not in BACKENDS:
         raise RacinesError(f"unknown backend {backend!r}: choose one of {', '.join(BACKENDS)}")
-    return BACKENDS[backend](phantom, generator, device)
+    if backend == "phantom":
+        return PhantomImages(phantom)
+    if backend == "replay":
+        if replay is None:
+            raise RacinesError("backend 'replay' needs recordings: give data=<dataset folder>")
+        return replay
+    if generator is None:
+        raise RacinesError(
+            "backend 'generator' needs one: give generator=<name, run folder, module:Class, "
+            "FILE.onnx or object>"
+        )
+    return generator if isinstance(generator, ImageSource) else open_source(generator, device)
 
 
 def make_grader(grader: Any, device: torch.device | str) -> Any:

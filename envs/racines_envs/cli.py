@@ -18,11 +18,12 @@ Profile = Annotated[
 
 def register(train: typer.Typer, evaluate: typer.Typer) -> None:
     """Add the agent commands to the shared verbs."""
-    from racines_envs import cli_eval
+    from racines_envs import cli_eval, cli_forces
 
     train.command("agent")(train_agent)
     evaluate.command("agent")(evaluate_agent)
     cli_eval.register(evaluate)
+    cli_forces.register(evaluate)
 
 
 def train_agent(

@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -12,9 +12,17 @@ from racines_data.phantom.anatomy import anatomy_views
 from racines_data.views import HEART, labels_of
 from racines_envs.backends import GRADER_FOLDER, make_backend, make_grader
 from racines_envs.core import ScanCore
+from racines_envs.data_versions import ANY, check_datasets, trained_on
+from racines_envs.forces import make_forces
 from racines_envs.rewards import RewardConfig
 from racines_envs.sensing import Encoder
 from racines_envs.tasks import Task, get_task
+
+if TYPE_CHECKING:
+    from racines_data.store import FrameStore
+
+RECORDED = "recorded"
+"""The `phantom` that stands for the recordings themselves."""
 
 
 def make_core(
@@ -32,40 +40,107 @@ def make_core(
     rewards: RewardConfig | None = None,
     device: torch.device | str = "cpu",
     encoder: Encoder | None = None,
+    data: Path | str | None = None,
+    forces: Any = "auto",
+    data_version: str | None = None,
 ) -> ScanCore:
     """Build the batched core of a task.
 
     Args:
         view: A target view of the phantom's anatomy, a task's name, or a task of your own.
         num_envs: Rows.
-        backend: `phantom`, `generator`, or an object that makes images of parameters.
+        backend: `phantom`, `generator`, `replay`, or an object that makes images of parameters.
         observation: `image`, `params` or `multimodal`.
         reward: `paper` (by the grader), `oracle` (the same by the phantom's truth) or `shaped`.
-        phantom: A phantom or its configuration; the shared one of the anatomy by default.
+        phantom: A phantom or its configuration; the shared one of the anatomy by default, and for
+            `replay` that of the dataset. `recorded` for the recordings in its place, which stand
+            there anyway where they are no phantom's.
         anatomy: Whose view it is; the phantom's anatomy by default, or else the heart.
-        generator: Name, run folder or object, for the backend `generator`.
+        generator: For the backend `generator`: a name, run folder, `module:Class`, `FILE.onnx` or
+            object; see `racines_envs.backends.open_source`.
         grader: Run folder or object; models/runs/grader for reward `paper`.
         termination: Instead of the task's: `first_hit`, `k_hits` or `timeout`.
         rewards: The numbers of the reward.
         device: Where the tensors live.
         encoder: A frozen network that the agent looks through; see `ScanCore`.
+        data: Folder of the dataset to replay or to fit forces on; data/racines by default.
+        forces: `auto` (recorded ones when recordings are replayed, else the contact model),
+            `contact`, `recorded`, `fitted` (on `data`), or an object with `wrench(pose)`.
+        data_version: The dataset that generator, grader and recordings have to come from; they have
+            to agree in any case, unless it is `any`. See `racines_envs.data_versions`.
 
     Raises:
         RacinesError: any name that is unknown or any artefact that is not there.
     """
-    task = find_task(view, phantom, anatomy)
+    task = find_task(view, None if phantom == RECORDED else phantom, anatomy)
     if termination is not None:
         task = dataclasses.replace(task, termination=termination)
+    parts: dict[str, Any] = {}
     if reward == "paper" and grader is None:
         grader = GRADER_FOLDER
     if grader is not None:
+        known = grader if isinstance(grader, (str, Path)) else None
         grader = make_grader(grader, device)
         check_grader(grader, task)
+        if known is not None:
+            parts["the grader"] = trained_on(known)
+    store = _open_data(backend, forces, data, task)
+    replay = None
+    if store is not None:
+        parts[f"dataset {store.root}"] = trained_on(store.manifest)
+    if backend == "replay" and store is not None:
+        replay, phantom = _recordings(store, phantom, device, data_version)
+    if phantom == RECORDED:
+        raise RacinesError("phantom='recorded' needs the backend 'replay'")
     phantom = make_phantom(phantom, device, task.anatomy)
-    images = make_backend(backend, phantom, generator, device)
+    images = make_backend(backend, phantom, generator, device, replay)
+    if backend == "generator":
+        parts["the generator"] = trained_on(images)
+    check_datasets(parts, data_version)
     return ScanCore(
-        task, phantom, images, grader, observation, reward, rewards, num_envs, device, encoder
-    )
+        task, phantom, images, grader, observation, reward, rewards, num_envs, device, encoder,
+        make_forces(forces, images, phantom, store, device),
+    )  # fmt: skip
+
+
+def _open_data(
+    backend: str | ImageSource, forces: Any, data: Path | str | None, task: Task
+) -> "FrameStore | None":
+    """Open the dataset if the backend or the forces need it, and check whose views it has."""
+    if backend != "replay" and forces != "fitted":
+        return None
+    from racines_data.store import open_store
+
+    store, labels = open_store(data), labels_of(anatomy_views(task.anatomy))
+    if store.labels != labels:
+        raise RacinesError(
+            f"{store.root}: its labels are {', '.join(store.labels)}, the {task.anatomy} has "
+            f"{', '.join(labels)}: give the dataset of that anatomy"
+        )
+    return store
+
+
+def _recordings(
+    store: "FrameStore", phantom: Any, device: torch.device | str, data_version: str | None
+) -> tuple[ImageSource, Any]:
+    """Return the replay of a dataset, and the phantom it is of or the recordings in its place.
+
+    Raises:
+        RacinesError: another phantom than the dataset's, unless any dataset may pass.
+    """
+    from racines_envs.backends_replay import Replay, source_phantom
+    from racines_envs.recorded import RecordedWorld
+
+    replay, own = Replay(store, device), source_phantom(store)
+    if phantom == RECORDED or own is None:
+        return replay, RecordedWorld(replay, device)
+    given = getattr(phantom, "config", phantom)
+    if isinstance(given, type(own)) and given != own and data_version != ANY:
+        raise RacinesError(
+            f"{store.root}: was acquired from another phantom than the one given: leave phantom "
+            f"out, give the dataset of that phantom, or let it pass: data_version={ANY!r}"
+        )
+    return replay, own if phantom is None else phantom
 
 
 def find_task(view: str | Task, phantom: Any = None, anatomy: str | None = None) -> Task:

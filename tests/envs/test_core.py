@@ -267,7 +267,7 @@ def test_bad_input_is_refused_with_a_reason(phantom, tmp_path, monkeypatch):
         core_of(phantom, 0)
     with pytest.raises(RacinesError, match="generator"):
         core_of(phantom, backend="generator")
-    with pytest.raises(RacinesError, match="racines train generator nothing"):
+    with pytest.raises(RacinesError, match=r"unknown generator 'nothing': choose one of"):
         core_of(phantom, backend="generator", generator="nothing")
     with pytest.raises(RacinesError, match="reset"):
         core_of(phantom).step(torch.tensor([0]))
