@@ -11,6 +11,7 @@ from racines_data.errors import RacinesError
 from racines_envs.actions import IDLE
 from racines_envs.agents import agent_class, agent_names, load_agent
 from racines_envs.agents.behaviour_cloning import BehaviourCloningAgent, BehaviourCloningConfig
+from racines_envs.agents.dqn import DQNAgent, DQNConfig
 from racines_envs.agents.hill_climber import HillClimberAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.policy import make_actor
@@ -34,17 +35,17 @@ def untrained(observation: str) -> PPOAgent:
     return PPOAgent(config, make_actor(config))
 
 
-def imitator() -> BehaviourCloningAgent:
+def near_uniform(config):
     torch.manual_seed(0)
-    config = BehaviourCloningConfig(observation="params")
-    return BehaviourCloningAgent(config, make_actor(config))
+    return config, make_actor(config)
 
 
 AGENTS = {
     "random": RandomAgent,
     "planner": PlannerAgent,
     "hill-climber": lambda: HillClimberAgent(grader=FakeGrader()),
-    "behaviour-cloning": lambda: imitator(),
+    "behaviour-cloning": lambda: BehaviourCloningAgent(*near_uniform(BehaviourCloningConfig())),
+    "dqn": lambda: DQNAgent(*near_uniform(DQNConfig())),
     **{f"ppo {kind}": (lambda kind=kind: untrained(kind)) for kind in OBSERVATIONS},
 }
 

@@ -1,0 +1,225 @@
+"""Deep Q-learning (Mnih et al., 2015; double: van Hasselt et al., 2016) with TorchRL."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictSequential
+from torch import Tensor, nn
+
+from racines_data.errors import RacinesError
+from racines_envs.agents.policy import PolicyAgent, make_actor
+from racines_envs.agents.training_run import TrainingRun
+
+
+@dataclass(frozen=True)
+class DQNConfig:
+    """Settings of a training; the defaults learn a view from the probe's pose on two CPU cores."""
+
+    view: str = "SC"
+    """The target view."""
+    observation: str = "params"
+    """`image`, `params` or `multimodal`."""
+    encoder: str = ""
+    """What looks at the image: `pose` (the published pose regressor, frozen), a folder of another,
+    or "" for convolutions that learn from reward alone."""
+    reward: str = "shaped"
+    """`paper` (needs a grader), `oracle` or `shaped`."""
+    backend: str = "phantom"
+    """What draws the images; nothing is drawn where nothing looks."""
+    generator: str = ""
+    """Name or run folder, for the backend `generator`."""
+    grader: str = ""
+    """Run folder, for the reward `paper`; models/runs/grader if empty."""
+    frames: int = 200_000
+    """Environment steps in all; rounded up to whole updates."""
+    envs: int = 64
+    """Environments side by side."""
+    update_every: int = 512
+    """Environment steps between rounds of updates, a multiple of `envs`."""
+    updates: int = 32
+    """Gradient steps a round."""
+    batch_size: int = 256
+    """Steps drawn from the replay buffer for a gradient step."""
+    buffer: int = 100_000
+    """Latest environment steps kept. A step of images takes 32 KiB: 100,000 are 3 GiB."""
+    warmup: int = 5_000
+    """Steps in the buffer before learning begins; a resumed run fills it again first."""
+    learning_rate: float = 5e-4
+    """Adam's."""
+    soft_update: float = 0.01
+    """Share of the way that the target network goes to the other at each gradient step."""
+    explore_first: float = 1.0
+    """Share of actions drawn at random at the beginning."""
+    explore_last: float = 0.05
+    """The same at the end."""
+    explore_until: float = 0.4
+    """Share of the frames over which it falls, linearly."""
+    gamma: float = 0.97
+    """Discount."""
+    reward_scale: float = 0.05
+    """Multiplies rewards before learning; reports stay unscaled."""
+    max_gradient: float = 10.0
+    """Gradient norm at which to clip."""
+    hidden: tuple[int, ...] = (128, 128)
+    """Widths of the dense layers."""
+    validate_every: int = 20_000
+    """Environment steps between validations; also between checkpoints."""
+    validation_starts: int = 100
+    """Episodes a validation, from starts that no evaluation uses."""
+    threads: int = 1
+    """CPU threads; small networks are fastest with one. 0 leaves torch as it is."""
+    device: str = "cpu"
+
+
+class DQNAgent(PolicyAgent):
+    """A trained network of action values; takes the action of greatest value."""
+
+    name: ClassVar[str] = "dqn"
+    Config: ClassVar[type] = DQNConfig
+
+    @classmethod
+    def train(
+        cls,
+        config: DQNConfig,
+        run_dir: Path,
+        *,
+        seed: int = 0,
+        phantom: Any = None,
+        grader: Any = None,
+        resume: bool | None = None,
+        progress: bool = True,
+        **where: Any,
+    ) -> "DQNAgent":
+        """Train and save the network that validated best; arguments as `PPOAgent.train`.
+
+        Raises:
+            RacinesError: settings that do not fit together, or a checkpoint of another run.
+        """
+        return _Training(config, Path(run_dir), seed, phantom, grader, progress).run(resume)
+
+
+class _Training(TrainingRun):
+    """One run: environment, network and its target, buffer, and the loop."""
+
+    trained = ("actor", "optimiser")
+
+    def __init__(
+        self, config: DQNConfig, folder: Path, seed: int, phantom: Any, grader: Any, progress: bool
+    ) -> None:
+        if config.update_every % config.envs:
+            raise RacinesError(
+                f"agents.dqn.update_every is {config.update_every}: give a multiple of envs "
+                f"({config.envs})"
+            )
+        if not config.batch_size <= config.warmup <= config.buffer:
+            raise RacinesError(
+                f"agents.dqn: batch_size {config.batch_size}, warmup {config.warmup} and buffer "
+                f"{config.buffer} must not fall"
+            )
+        super().__init__(DQNAgent, config, folder, seed, phantom, grader, progress)
+
+    def _build(self) -> None:
+        from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+        from torchrl.modules import EGreedyModule, QValueActor
+        from torchrl.objectives import DQNLoss, SoftUpdate
+
+        from racines_envs.torchrl_env import ScanEnv
+
+        config = self.config
+        self.env = ScanEnv(config.view, config.envs, **self.where)
+        self.actor = make_actor(config, self.encoder).to(config.device).eval()
+        keys: list[Any] = list(self.actor.keys)
+        value: Any = QValueActor(self.actor, in_keys=keys, action_space="categorical")
+        self.explore: Any = EGreedyModule(self.env.action_spec).to(config.device)
+        self.policy = TensorDictSequential(value, self.explore)
+        self.loss = DQNLoss(
+            value,
+            loss_function="smooth_l1",
+            delay_value=True,
+            double_dqn=True,
+            action_space="categorical",
+        )
+        self.loss.make_value_estimator(gamma=config.gamma)
+        self.loss.eval()  # normalisation keeps its running statistics, as in PPO
+        self.follow = SoftUpdate(self.loss, tau=config.soft_update)
+        self.optimiser = torch.optim.Adam(self.actor.parameters(), lr=config.learning_rate)
+        self.buffer = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(config.buffer, device=config.device),
+            batch_size=config.batch_size,
+        )
+        self.kept = [*keys, "action", *(("next", key) for key in keys)]
+        self.kept += [("next", key) for key in ("reward", "done", "terminated")]
+        self.agent = DQNAgent(config, self.actor, self.encoder)
+
+    def _loop(self, live: Any) -> None:
+        from torchrl.collectors import Collector
+
+        config = self.config
+        self.env.set_seed(self.seed * 1_000_003 + self.frames)
+        left = -(-(config.frames - self.frames) // config.update_every)
+        self._set_exploration()
+        collector = Collector(
+            self.env,
+            self.policy,
+            frames_per_batch=config.update_every,
+            total_frames=left * config.update_every,
+        )
+        for batch in collector:
+            self._keep(batch)
+            ready = len(self.buffer) >= config.warmup
+            losses = self._update() if ready else {}
+            self._count(batch, losses | {"update/exploration": float(self.explore.eps)}, live)
+            self._set_exploration()
+        collector.shutdown()
+
+    def _set_exploration(self) -> None:
+        config = self.config
+        gone = min(1.0, self.frames / (config.explore_until * config.frames))
+        share = config.explore_first + (config.explore_last - config.explore_first) * gone
+        self.explore.eps.fill_(share)
+
+    def _keep(self, batch: TensorDictBase) -> None:
+        flat = batch.reshape(-1).select(*self.kept).clone()
+        flat["next", "reward"] = flat["next", "reward"] * self.config.reward_scale
+        self.buffer.extend(flat)
+
+    def _update(self) -> dict[str, float]:
+        """Learn from steps of the buffer, and let the target network follow."""
+        config, total = self.config, torch.zeros((), device=self.config.device)
+        self._refresh_norms()
+        for _ in range(config.updates):
+            loss = self.loss(self.buffer.sample())["loss"]
+            self.optimiser.zero_grad()
+            loss.backward()
+            nn.utils.clip_grad_norm_(self.actor.parameters(), config.max_gradient)
+            self.optimiser.step()
+            self.follow.step()
+            total = total + loss.detach()
+        return {"update/loss": float(total) / config.updates}
+
+    @torch.no_grad()
+    def _refresh_norms(self) -> None:
+        """Move the running statistics on, of both networks alike; they are still while learning."""
+        sample = self.buffer.sample()
+        self.actor.train()
+        self.actor(*(sample[key] for key in self.actor.keys))
+        self.actor.eval()
+        for key, statistic in self.loss.value_network_params.items(True, True):
+            if not statistic.requires_grad:
+                self.loss.target_value_network_params[key].data.copy_(statistic.data)
+
+    def _target(self) -> dict[str, Tensor]:
+        items = self.loss.target_value_network_params.items(True, True)
+        return {".".join(key) if isinstance(key, tuple) else key: value for key, value in items}
+
+    def _state(self) -> dict[str, Any]:
+        return super()._state() | {"target": {k: v.data.clone() for k, v in self._target().items()}}
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        """Continue a run; the buffer is filled anew by the policy that was learned so far."""
+        super()._restore(state)
+        for name, value in self._target().items():
+            value.data.copy_(state["target"][name])
