@@ -47,9 +47,39 @@ def export_generator(generator: Any, path: Path) -> dict[str, Any]:
     if not getattr(generator, "tensors", lambda: True)():
         raise RacinesError(f"{generator.name} is not fitted: call fit, or load a trained folder")
     module: OnnxModule = hook()
-    model = _trace(module)
+    examples = {PARAMS: torch.zeros(EXAMPLES, len(PARAMETERS))}
+    if module.noise is not None:
+        examples[NOISE] = torch.zeros(EXAMPLES, module.noise.size)
+    written = write_onnx(module.network, examples, OUTPUT, _metadata(generator, module), path)
+    return written | {"noise": module.noise.size if module.noise else 0}
+
+
+def write_onnx(
+    network: nn.Module,
+    examples: dict[str, torch.Tensor],
+    output: str,
+    metadata: dict[str, str],
+    path: Path,
+) -> dict[str, Any]:
+    """Trace a network and write it as one file that opens without its code.
+
+    Args:
+        network: Takes the examples by position; exported in float32, as in evaluation.
+        examples: (2, …) inputs by name; the exported batch is free.
+        output: Name of its one output.
+        metadata: What the file says of itself.
+        path: The file.
+
+    Returns:
+        Path, size in bytes, opset.
+
+    Raises:
+        RacinesError: it cannot be traced, is too large, or the optional packages are missing.
+    """
+    import_onnx("onnx", "onnxruntime", "onnxscript")
+    model = _trace(network, examples, output)
     _strip(model)
-    for key, value in _metadata(generator, module).items():
+    for key, value in metadata.items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, value
     content = model.SerializeToString(deterministic=True)
@@ -61,23 +91,19 @@ def export_generator(generator: Any, path: Path) -> dict[str, Any]:
     # The tracer can write graphs that do not load: none is left behind.
     open_session(content, f"{path}, exported,", "cpu")
     write_atomic(path, content)
-    noise = module.noise.size if module.noise else 0
-    return {"out": str(path), "bytes": len(content), "opset": OPSET, "noise": noise}
+    return {"out": str(path), "bytes": len(content), "opset": OPSET}
 
 
-def _trace(module: OnnxModule) -> Any:
-    network = copy.deepcopy(module.network).cpu().float().eval()
-    examples = {PARAMS: torch.zeros(EXAMPLES, len(PARAMETERS))}
-    if module.noise is not None:
-        examples[NOISE] = torch.zeros(EXAMPLES, module.noise.size)
+def _trace(network: nn.Module, examples: dict[str, torch.Tensor], output: str) -> Any:
+    traced = copy.deepcopy(network).cpu().float().eval()
     free = {0: torch.export.Dim.DYNAMIC}
     with _quiet(), torch.no_grad():
         try:
             program = torch.onnx.export(
-                _Ordered(network),
+                _Ordered(traced),
                 tuple(examples.values()),
                 input_names=list(examples),
-                output_names=[OUTPUT],
+                output_names=[output],
                 dynamic_shapes=(tuple(free for _ in examples),),
                 opset_version=OPSET,
                 dynamo=True,
@@ -85,7 +111,7 @@ def _trace(module: OnnxModule) -> Any:
             )
         except Exception as error:
             raise RacinesError(
-                f"{type(module.network).__name__} cannot be traced to ONNX: {error}"
+                f"{type(network).__name__} cannot be traced to ONNX: {error}"
             ) from error
     assert program is not None
     return program.model_proto

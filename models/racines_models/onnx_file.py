@@ -1,6 +1,7 @@
 """An ONNX file opened as what a stranger sent: bounded, in one piece, standard operators only."""
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,11 @@ OLDEST = 11
 """Oldest operator set that is run."""
 DOMAINS = ("", "ai.onnx", "ai.onnx.ml")
 """Operators of the standard; others would need code that the file does not hold."""
+
+MAX_TEXT = 100_000
+"""Most characters of one metadata value."""
+FLOAT, UINT8 = 1, 2
+"""ONNX's element types."""
 
 
 def read_model(path: Path) -> tuple[bytes, Any, int]:
@@ -84,3 +90,79 @@ def _check_operators(model: Any, path: Path, newest: int) -> int:
     if not OLDEST <= opset <= newest:
         raise RacinesError(f"{path}: opset {opset}: export with one of {OLDEST} to {newest}")
     return opset
+
+
+def declared_shape(value: Any) -> list[int | None]:
+    """Return the declared sizes of an input or output; None where one is free."""
+    dims = value.type.tensor_type.shape.dim
+    return [dim.dim_value if dim.HasField("dim_value") else None for dim in dims] or [None]
+
+
+def check_value(
+    value: Any, path: Path, wanted: str, rest: tuple[int, ...], kinds: tuple[int, ...]
+) -> int | None:
+    """Check an input's or output's type, and its shape after the batch; return the fixed batch.
+
+    Args:
+        value: The graph's description of it.
+        path: The file, for errors.
+        wanted: What to give instead, for errors.
+        rest: Sizes after the batch.
+        kinds: Element types that are taken.
+
+    Returns:
+        The fixed batch size, None if it is free.
+
+    Raises:
+        RacinesError: another type or shape.
+    """
+    shape = declared_shape(value)
+    kind = value.type.tensor_type.elem_type
+    # An output's sizes may be left open; they are checked again when it runs.
+    fits = len(shape) == 1 + len(rest) and all(
+        size in (None, needed) for size, needed in zip(shape[1:], rest, strict=True)
+    )
+    if kind not in kinds or not fits:
+        shown = ", ".join("?" if size is None else str(size) for size in shape)
+        raise RacinesError(
+            f"{path}: {value.name} is ONNX type {kind}, shape ({shown}): give {wanted}"
+        )
+    return shape[0]
+
+
+def read_metadata(model: Any, path: Path, schema: str, keys: Sequence[str]) -> dict[str, str]:
+    """Return the metadata whose keys begin with `racines.`, without that.
+
+    Raises:
+        RacinesError: an unknown key, one that stands twice or is too long, or another schema.
+    """
+    told: dict[str, str] = {}
+    for entry in model.metadata_props:
+        prefix, _, key = entry.key.partition(".")
+        if prefix != "racines":
+            continue
+        if key not in keys:
+            raise RacinesError(f"{path}: metadata racines.{key}: unknown; known: {', '.join(keys)}")
+        if key in told or len(entry.value) > MAX_TEXT:
+            raise RacinesError(f"{path}: metadata racines.{key}: stands twice or is too long")
+        told[key] = entry.value
+    if told.get("schema", schema) != schema:
+        raise RacinesError(f"{path}: racines.schema is {told['schema'][:80]!r}, not {schema}")
+    return told
+
+
+def parsed(told: dict[str, str], key: str, kind: type, path: Path) -> Any:
+    """Return a metadata value that is JSON of a kind or null; None if it is absent.
+
+    Raises:
+        RacinesError: no JSON, or of another kind.
+    """
+    if key not in told:
+        return None
+    try:
+        value = json.loads(told[key])
+    except (ValueError, RecursionError) as error:
+        raise RacinesError(f"{path}: metadata racines.{key}: not valid JSON: {error}") from error
+    if value is not None and type(value) is not kind:
+        raise RacinesError(f"{path}: metadata racines.{key}: a {type(value).__name__} is no {key}")
+    return value

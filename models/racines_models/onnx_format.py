@@ -5,7 +5,6 @@ output `images`, (B, 128, 128) or (B, 1, 128, 128), uint8 gray levels or float32
 the file's metadata say is in `docs/outside.md`.
 """
 
-import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,18 +13,22 @@ from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.schema import PARAMETERS
 from racines_models.naming import check_name
-from racines_models.onnx_file import read_model
+from racines_models.onnx_file import (
+    FLOAT,
+    UINT8,
+    check_value,
+    declared_shape,
+    parsed,
+    read_metadata,
+    read_model,
+)
 from racines_models.onnx_module import NoiseInput
 
 SCHEMA = "racines.onnx-generator/1"
 PARAMS, NOISE, OUTPUT = "parameters", "noise", "images"
 MAX_NOISE = 2**18
 MAX_BATCH = 256
-MAX_TEXT = 100_000
-"""Most characters of one metadata value."""
 KEYS = ("schema", "name", "output", "stochastic", "noise", "card")
-FLOAT, UINT8 = 1, 2
-"""ONNX's element types."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +59,13 @@ def read_onnx(path: Path) -> tuple[bytes, OnnxInterface]:
 def _interface(model: Any, path: Path, opset: int) -> OnnxInterface:
     batch, size = _inputs(model.graph, path)
     floating = _output(model.graph, path)
-    told = _metadata(model, path)
+    told = read_metadata(model, path, SCHEMA, KEYS)
     _check_range(told.get("output"), floating, path)
     name = check_name(told.get("name", path.stem), f"{path}: racines.name")
     noise = _noise(told, size, path)
-    return OnnxInterface(name, noise, floating, batch, opset, _parsed(told, "card", path) or {})
+    return OnnxInterface(
+        name, noise, floating, batch, opset, parsed(told, "card", dict, path) or {}
+    )
 
 
 def _inputs(graph: Any, path: Path) -> tuple[int | None, int]:
@@ -73,13 +78,13 @@ def _inputs(graph: Any, path: Path) -> tuple[int | None, int]:
             f"{path}: inputs {sorted(inputs)}: give {PARAMS}, and {NOISE} if it is stochastic"
         )
     count = len(PARAMETERS)
-    batches = [_batch(inputs[PARAMS], path, f"float32 (B, {count})", (count,), (FLOAT,))]
+    batches = [check_value(inputs[PARAMS], path, f"float32 (B, {count})", (count,), (FLOAT,))]
     size = 0
     if NOISE in inputs:
-        size = _shape(inputs[NOISE])[-1] or 0
+        size = declared_shape(inputs[NOISE])[-1] or 0
         if not 1 <= size <= MAX_NOISE:
             raise RacinesError(f"{path}: {NOISE} has {size} numbers: give (B, 1..{MAX_NOISE})")
-        batches.append(_batch(inputs[NOISE], path, "float32 (B, K)", (size,), (FLOAT,)))
+        batches.append(check_value(inputs[NOISE], path, "float32 (B, K)", (size,), (FLOAT,)))
     batch = next((size for size in batches if size is not None), None)
     if batch is not None and not 1 <= batch <= MAX_BATCH:
         raise RacinesError(f"{path}: a fixed batch of {batch}: give 1..{MAX_BATCH}, or a free one")
@@ -92,51 +97,11 @@ def _output(graph: Any, path: Path) -> bool:
     if names != [OUTPUT]:
         raise RacinesError(f"{path}: outputs {names}: give one, {OUTPUT}")
     pixels = (IMAGE_SIZE, IMAGE_SIZE)
-    if len(_shape(graph.output[0])) == 4:
+    if len(declared_shape(graph.output[0])) == 4:
         pixels = (1, *pixels)
     wanted = f"uint8 or float32 (B, {IMAGE_SIZE}, {IMAGE_SIZE})"
-    _batch(graph.output[0], path, wanted, pixels, (FLOAT, UINT8))
+    check_value(graph.output[0], path, wanted, pixels, (FLOAT, UINT8))
     return graph.output[0].type.tensor_type.elem_type == FLOAT
-
-
-def _shape(value: Any) -> list[int | None]:
-    """Return the declared sizes; None where one is free."""
-    dims = value.type.tensor_type.shape.dim
-    return [dim.dim_value if dim.HasField("dim_value") else None for dim in dims] or [None]
-
-
-def _batch(
-    value: Any, path: Path, wanted: str, rest: tuple[int, ...], kinds: tuple[int, ...]
-) -> int | None:
-    """Check type and shape after the batch; return the fixed batch size, None if free."""
-    shape = _shape(value)
-    kind = value.type.tensor_type.elem_type
-    # An output's sizes may be left open; they are checked again when it runs.
-    fits = len(shape) == 1 + len(rest) and all(
-        size in (None, needed) for size, needed in zip(shape[1:], rest, strict=True)
-    )
-    if kind not in kinds or not fits:
-        shown = ", ".join("?" if size is None else str(size) for size in shape)
-        raise RacinesError(
-            f"{path}: {value.name} is ONNX type {kind}, shape ({shown}): give {wanted}"
-        )
-    return shape[0]
-
-
-def _metadata(model: Any, path: Path) -> dict[str, str]:
-    told: dict[str, str] = {}
-    for entry in model.metadata_props:
-        prefix, _, key = entry.key.partition(".")
-        if prefix != "racines":
-            continue
-        if key not in KEYS:
-            raise RacinesError(f"{path}: metadata racines.{key}: unknown; known: {', '.join(KEYS)}")
-        if key in told or len(entry.value) > MAX_TEXT:
-            raise RacinesError(f"{path}: metadata racines.{key}: stands twice or is too long")
-        told[key] = entry.value
-    if told.get("schema", SCHEMA) != SCHEMA:
-        raise RacinesError(f"{path}: racines.schema is {told['schema'][:80]!r}, not {SCHEMA}")
-    return told
 
 
 def _check_range(declared: str | None, floating: bool, path: Path) -> None:
@@ -151,8 +116,8 @@ def _check_range(declared: str | None, floating: bool, path: Path) -> None:
 
 
 def _noise(told: dict[str, str], size: int, path: Path) -> NoiseInput | None:
-    declared = _parsed(told, "noise", path)
-    stochastic = _parsed(told, "stochastic", path)
+    declared = parsed(told, "noise", dict, path)
+    stochastic = parsed(told, "stochastic", bool, path)
     if stochastic is not None and stochastic is not bool(size):
         raise RacinesError(
             f"{path}: racines.stochastic is {stochastic}, but the graph has "
@@ -168,16 +133,3 @@ def _noise(told: dict[str, str], size: int, path: Path) -> NoiseInput | None:
             f"the size of input {NOISE}"
         )
     return NoiseInput(size, tuple(keys))
-
-
-def _parsed(told: dict[str, str], key: str, path: Path) -> Any:
-    kinds = {"card": dict | None, "noise": dict | None, "stochastic": bool}
-    if key not in told:
-        return None
-    try:
-        value = json.loads(told[key])
-    except (ValueError, RecursionError) as error:
-        raise RacinesError(f"{path}: metadata racines.{key}: not valid JSON: {error}") from error
-    if not isinstance(value, kinds[key]):
-        raise RacinesError(f"{path}: metadata racines.{key}: a {type(value).__name__} is no {key}")
-    return value
