@@ -33,7 +33,8 @@ def draw_episode(explanation: Explanation, row: int, path: Path) -> None:
         chosen = chosen[torch.linspace(0, len(chosen) - 1, COLUMNS).round().long()]
     kinds = list(explanation.maps)
     lines = 1 + len(kinds)
-    figure = Figure(figsize=(1.9 * len(chosen) + 0.6, 2.05 * lines + 0.45))
+    size = (1.9 * len(chosen) + 0.6, 2.15 * lines + 0.35)
+    figure = Figure(figsize=size, layout="constrained")
     axes: Any = figure.subplots(lines, len(chosen), squeeze=False)
     for column, index in enumerate(chosen.tolist()):
         frames = explanation.frames
@@ -56,7 +57,6 @@ def draw_episode(explanation: Explanation, row: int, path: Path) -> None:
         axis.set(xticks=[], yticks=[])
     view = explanation.scores["settings"]["view"]
     figure.suptitle(f"{explanation.scores['agent']} on {view}, start {row}", fontsize=10)
-    figure.tight_layout(pad=0.4, rect=(0.0, 0.0, 1.0, 1.0 - 0.25 / figure.get_figheight()))
     buffer = io.BytesIO()
     figure.savefig(buffer, dpi=130, metadata={"Software": None})
     write_atomic(path, buffer.getvalue())
