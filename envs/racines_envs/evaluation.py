@@ -13,6 +13,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_envs import intervals
 from racines_envs.agents import agent_class, load_agent
+from racines_envs.agents.onnx_policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
 from racines_envs.backends import make_grader
@@ -188,6 +189,8 @@ def _document(
 
     task = core.task
     weights = weights_sha256(run_dir) if hasattr(agent, "view") and run_dir.is_dir() else {}
+    if isinstance(agent, OnnxPolicyAgent):
+        weights = {agent.path.name: agent.sha256}
     return {
         "schema": SCHEMA,
         "agent": agent_class(name).name,
@@ -212,7 +215,8 @@ def _document(
 def _named(weights: dict[str, str]) -> dict[str, Any] | None:
     if not weights:
         return None
-    return {"sha256": weights.get("policy.safetensors"), "files": weights}
+    only = next(iter(weights.values())) if len(weights) == 1 else None
+    return {"sha256": weights.get("policy.safetensors", only), "files": weights}
 
 
 def write_evaluation(evaluation: Evaluation, scores: Path, picture: Path | None) -> None:

@@ -16,6 +16,7 @@ import racines_data.cli_phantom
 import racines_envs.cli
 import racines_envs.cli_drive
 import racines_envs.cli_explain
+import racines_envs.cli_export
 import racines_models.cli
 import racines_models.cli_export
 from racines_data.errors import RacinesError
@@ -40,6 +41,7 @@ racines_models.cli.register(train, evaluate)
 racines_envs.cli.register(train, evaluate)
 racines_envs.cli_drive.register(app)
 racines_envs.cli_explain.register(app)
+racines_envs.cli_export.register(racines_models.cli_export.export)
 commands.register(app)
 
 

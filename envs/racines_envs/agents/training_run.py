@@ -182,6 +182,7 @@ class TrainingRun(ABC):
             "seconds": round(self.seconds, 1),
             "validation_success": self.best[0],
             "validation_steps": -self.best[1],
+            "phantom": phantom_recipe(self.where["phantom"]),
             "history": self.history,
         }
         self.agent.save(self.folder, metrics, self.seed)
