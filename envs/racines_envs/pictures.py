@@ -20,6 +20,8 @@ def draw_trajectories(evaluation: Any, path: Path) -> None:
 
     matplotlib.use("agg")
     from matplotlib import pyplot as plt
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
 
     episodes, core, scores = evaluation.episodes, evaluation.core, evaluation.scores
     count = min(evaluation.pictured, len(episodes.final["steps"]))
@@ -33,7 +35,7 @@ def draw_trajectories(evaluation: Any, path: Path) -> None:
     _frame(axes, np.concatenate([target[None], *(path_ for path_, _ in paths)]), core)
     _draw_plan(figure.add_axes((0.7, 0.12, 0.27, 0.27)), core, paths, target)
     source = "grader" if core.reward_name == "paper" else "oracle"
-    scale = plt.cm.ScalarMappable(plt.Normalize(0.0, 1.0), "viridis")
+    scale = ScalarMappable(Normalize(0.0, 1.0), "viridis")
     bar = figure.add_axes((0.82, 0.5, 0.02, 0.36))
     figure.colorbar(scale, cax=bar, label=f"p of {core.task.view}, by the {source}")
     milliseconds = scores["metrics"].get("latency", {}).get("value")
