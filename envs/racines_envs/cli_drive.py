@@ -15,8 +15,9 @@ def register(app: typer.Typer) -> None:
 def drive(
     view: Annotated[str, typer.Option(help="Target view.")] = "SC",
     anatomy: Annotated[str | None, typer.Option(help="Whose view; the heart's.")] = None,
-    backend: Annotated[str, typer.Option(help="Who draws the images.")] = "phantom",
+    backend: Annotated[str, typer.Option(help="phantom, generator or replay.")] = "phantom",
     generator: Annotated[str | None, typer.Option(help="Generator: name or run folder.")] = None,
+    data: Annotated[Path | None, typer.Option(help="Dataset folder, to replay.")] = None,
     reward: Annotated[str, typer.Option(help="paper, oracle or shaped.")] = "oracle",
     grader: Annotated[str | None, typer.Option(help="Grader: run folder.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the starts.")] = 0,
@@ -39,7 +40,9 @@ def drive(
     from racines_envs.terminal import Terminal
 
     terminal = Terminal() if keys is None else None  # refused before anything is made
-    settings: dict[str, Any] = {"generator": generator, "grader": grader, "anatomy": anatomy}
+    settings: dict[str, Any] = {
+        "generator": generator, "data": data, "grader": grader, "anatomy": anatomy
+    }  # fmt: skip
     core = make_core(view, observation="image", backend=backend, reward=reward, **settings)
     session = Drive(core, seed, png, record)
     if terminal is None:

@@ -19,8 +19,9 @@ def explain(
     frames: Annotated[int | None, typer.Option(help="Most images an episode; 0: all.")] = None,
     steps: Annotated[int | None, typer.Option(help="Points of the integral.")] = None,
     random_maps: Annotated[int | None, typer.Option(help="Random maps of each kind.")] = None,
-    backend: Annotated[str | None, typer.Option(help="phantom or generator.")] = None,
+    backend: Annotated[str | None, typer.Option(help="phantom, generator or replay.")] = None,
     generator: Annotated[str | None, typer.Option(help="Generator: name or run folder.")] = None,
+    data: Annotated[str | None, typer.Option(help="Dataset folder, to replay.")] = None,
     reward: Annotated[str | None, typer.Option(help="paper, oracle or shaped.")] = None,
     grader: Annotated[
         str | None, typer.Option(help="Grader to explain beside it: run folder.")
@@ -51,6 +52,7 @@ def explain(
     settings = read_settings(params, profile)
     chosen = given(
         view=view, starts=starts, every=every, frames=frames, steps=steps, backend=backend,
+        data=data,
         random_maps=random_maps, generator=generator, reward=reward, grader=grader,
         device=device, seed=seed,
     )  # fmt: skip

@@ -22,7 +22,7 @@ from racines_envs.explain_maps import (
 )
 from racines_envs.explain_scores import SMOOTH, areas, overlap, random_maps
 from racines_envs.explain_truth import sector_of, true_regions
-from racines_envs.making import find_task, make_core, make_phantom
+from racines_envs.making import find_task, make_core, phantom_recipe
 from racines_envs.starts import evaluation_seeds
 
 SCHEMA = "racines.explanation/1"
@@ -47,9 +47,11 @@ class ExplainConfig:
     random_maps: int = 5
     """Random maps of each kind, of seeds 0, 1, …, that the attributions are compared with."""
     backend: str = "phantom"
-    """`phantom` or `generator`."""
+    """`phantom`, `generator` or `replay`."""
     generator: str = ""
-    """Name or run folder, for the backend `generator`."""
+    """Name, run folder or ONNX file, for the backend `generator`."""
+    data: str = ""
+    """Dataset folder, for the backend `replay`."""
     reward: str = "oracle"
     """Whose hits end an episode."""
     grader: str = ""
@@ -123,7 +125,8 @@ def explain(
         generator=config.generator or None,
         observation=agent.observation,
         reward=config.reward,
-        phantom=make_phantom(phantom, config.device, task.anatomy),
+        phantom=phantom,
+        data=config.data or None,
         grader=grader if config.reward == "paper" else None,
         device=config.device,
     )
@@ -133,7 +136,9 @@ def explain(
         target = torch.full_like(frames.actions, task.target)
         judges["grader"] = (grader_probabilities(grader), target, False)
     sector = sector_of(core.phantom)
-    truth = true_regions(core.phantom, frames.pose, config.view)
+    # A recorded frame is of another pose, near by: what lies under its pixels is not known.
+    recorded = config.backend == "replay"
+    truth = {} if recorded else true_regions(core.phantom, frames.pose, config.view)
     regions = {region: inside & sector for region, inside in truth.items()}
     maps, probabilities, metrics = {}, {}, {}
     for what, (function, targets, logits) in judges.items():
@@ -242,7 +247,6 @@ def _document(
     metrics: dict[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
     from racines_envs.agents import agent_class
-    from racines_envs.making import phantom_recipe
     from racines_models.provenance import code_version, environment, weights_sha256
 
     return {

@@ -28,6 +28,8 @@ from racines_envs.core import ScanCore, Transition
 from racines_envs.rendering import History, compose
 
 SCHEMA = "racines.episode/1"
+CONTACT = "contact"
+"""Forces of the phantom's contact model, in the header; else the class that tells them."""
 FRAME_MS = 100
 _COLOURS = 128
 
@@ -64,13 +66,14 @@ class CoreRecorder:
         """
         self.finish()
         self._history.note(self.core)
+        info = self.core.info()
         for row in range(min(self.core.num_envs, self.maximum - self._begun)):
             self._paths[row] = self.folder / f"episode_{self._begun + row:04d}.jsonl"
             given = {} if seeds is None or seeds[row] is None else {"reset_seed": seeds[row]}
             seed = int(self.core.state.seed[row])
             self._lines[row] = [self._common | {"seed": seed} | given]
             self._frames[row] = []
-            self._add(row, None, 0.0, False, False)
+            self._add(row, info, None, 0.0, False, False)
         self._begun += len(self._lines)
 
     def step(self, actions: Tensor, transition: Transition) -> None:
@@ -78,11 +81,12 @@ class CoreRecorder:
         if not self._lines:
             return
         self._history.note(self.core, actions)
+        info = self.core.info()
         columns = (actions, transition.reward, transition.terminated, transition.truncated)
         for row, values in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
             if row not in self._lines:
                 continue
-            self._add(row, *values)
+            self._add(row, info, *values)
             if values[2] or values[3]:
                 self._write(row)
 
@@ -91,7 +95,10 @@ class CoreRecorder:
         for row in list(self._lines):
             self._write(row)
 
-    def _add(self, row: int, action: int | None, reward: float, ended: bool, cut: bool) -> None:
+    def _add(
+        self, row: int, info: dict[str, Tensor], action: int | None, reward: float, ended: bool,
+        cut: bool,
+    ) -> None:  # fmt: skip
         state = self.core.state
         line = {
             "step": int(state.steps[row]),
@@ -102,7 +109,7 @@ class CoreRecorder:
             "reward": reward,
             "terminated": ended,
             "truncated": cut,
-            "info": {name: value[row].item() for name, value in self.core.info().items()},
+            "info": {name: value[row].item() for name, value in info.items()},
         }
         self._lines[row].append(line)
         if self.video:
@@ -141,6 +148,7 @@ def _header(core: ScanCore) -> dict[str, Any]:
         "reward": core.reward_name,
         "rewards": asdict(core.rewards),
         "images": type(core.images).__name__,
+        "forces": CONTACT if core.forces is core.phantom else type(core.forces).__name__,
         "phantom": phantom,
         "code": code_version(),
     }
@@ -206,7 +214,8 @@ def record_rollout(
 ) -> list[Path]:
     """Let an agent act from (n,) seeds, record the first rows, and return the JSONL files.
 
-    Runs until the recorded rows have ended; n is the core's number of rows.
+    Runs until the recorded rows have ended; n is the core's number of rows, and best no more than
+    are recorded.
     """
     agent.attach(core)
     observation = core.reset(seeds)

@@ -132,11 +132,12 @@ def view_names(core: ScanCore) -> tuple[str, ...]:
     from racines_data.phantom.anatomy import anatomy_views
     from racines_data.views import labels_of
 
-    return labels_of(anatomy_views(core.task.anatomy))
+    known = getattr(core.phantom, "labels", None)
+    return known or labels_of(anatomy_views(core.task.anatomy))
 
 
 def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
-    info = {name: value[row].item() for name, value in core.info().items()}
+    info = {name: value[row].item() for name, value in core.info(view_error=False).items()}
     task, action = core.task, steps.actions[-1] if steps.actions else None
     moved = "start" if action is None else ACTIONS[action]
     force = info["force"]
@@ -157,6 +158,8 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
             _TEXT,
         ),
     ]
+    if info.get("out_of_support"):
+        rows.append(("nothing was recorded near this pose", _WARN))
     if bool(core.state.done[row]):
         rows.append(("the episode has ended", found))
     return rows

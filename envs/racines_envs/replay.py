@@ -13,7 +13,7 @@ from racines_data.geometry import Pose, geodesic
 from racines_envs.actions import ACTIONS
 from racines_envs.core import ScanCore
 from racines_envs.making import make_core
-from racines_envs.recorder import SCHEMA
+from racines_envs.recorder import CONTACT, SCHEMA
 from racines_envs.rewards import RewardConfig
 from racines_envs.tasks import Task
 
@@ -120,13 +120,20 @@ def _core(recording: Recording, path: Path) -> ScanCore:
         observation="params",
         reward=reward,
         rewards=fill(RewardConfig, header["rewards"], f"{path}: rewards"),
-        phantom=_phantom(header["phantom"], path),
+        phantom=_phantom(header, path),
     )
 
 
-def _phantom(recorded: dict[str, Any] | None, path: Path) -> Any:
+def _phantom(header: dict[str, Any], path: Path) -> Any:
+    """Return the configuration of the recorded phantom; its forces decide what was refused."""
     from racines_data.phantom import PHANTOM_VERSION, PhantomConfig
 
+    recorded = header["phantom"]
+    if header["forces"] != CONTACT:
+        raise RacinesError(
+            f"{path}: forces of {header['forces']}, which this file does not hold: give core=, one "
+            "row with the same"
+        )
     if recorded is None:
         raise RacinesError(f"{path}: recorded on a stand-in: give core=, one row of the same")
     if recorded["version"] != PHANTOM_VERSION:

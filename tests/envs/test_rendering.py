@@ -78,3 +78,15 @@ def test_it_keeps_up_with_ten_frames_a_second(core):
     for _ in range(5):
         compose(core)
     assert (time.process_time() - began) / 5 < 0.1
+
+
+def test_recordings_in_the_place_of_a_phantom_are_drawn_too(tiny_root):
+    core = make_core(
+        "SC", 1, backend="replay", data=tiny_root, phantom="recorded", observation="image",
+        reward="oracle",
+    )  # fmt: skip
+    core.reset(seed=0)
+    history = History(1)
+    history.note(core)
+    assert compose(core, 0, history).shape == (540, 960, 3)
+    assert ("recorded" in describe(core, 0, history[0])[-1]) == bool(core.info()["out_of_support"])
