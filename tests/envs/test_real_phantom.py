@@ -27,9 +27,9 @@ def test_every_view_can_be_reached_and_is_not_reached_by_chance(real_phantom, vi
     assert not bool(core.info()["success"].any())
     assert core.info()["force"].max() <= core.task.force_limit
     final = rollout(core, PlannerAgent(), seeds).final
-    assert final["success"].mean() >= 0.95
+    assert final["success"].mean() >= 0.98
     assert 15 <= float(torch.tensor(final["steps"]).median()) <= 30
-    assert rollout(core, RandomAgent(), seeds).final["success"].mean() < 0.25
+    assert rollout(core, RandomAgent(), seeds).final["success"].mean() < 0.1
 
 
 @pytest.mark.parametrize("view", VIEWS)

@@ -1,10 +1,15 @@
 """The reward's formulae, by hand."""
 
+import dataclasses
+
 import pytest
 import torch
 
 from racines_data.errors import RacinesError
+from racines_envs.agents.planner import PlannerAgent
+from racines_envs.making import make_core
 from racines_envs.rewards import REWARDS, RewardConfig, Score, get_reward, is_hit
+from racines_envs.tasks import get_task
 
 CONFIG = RewardConfig()
 
@@ -48,6 +53,32 @@ def test_no_cycle_of_moves_farms_the_shaped_reward():
         return total
 
     assert walk([5, 9, 2, 7, 5]) == pytest.approx(walk([5, 5, 5, 5, 5]), abs=1e-4)
+
+
+@pytest.mark.parametrize("terminates", [True, False])
+def test_shaping_adds_what_the_start_decides_and_a_cut_episode_keeps_its_potential(
+    phantom, terminates
+):
+    """Discounted: d(start) where the episode terminates; less the discounted d where it is cut."""
+    task = dataclasses.replace(get_task("SC"), max_steps=40 if terminates else 5)
+    config = RewardConfig(discount=0.95)
+    core = make_core(
+        task, 6, observation="params", reward="shaped", rewards=config, phantom=phantom
+    )
+    agent = PlannerAgent()
+    agent.attach(core)
+    core.reset(seed=0)
+    first, plain, total = core.score.distance, torch.zeros(6), torch.zeros(6)
+    cut, ended = (torch.zeros(6, dtype=torch.bool) for _ in range(2))
+    for step in range(task.max_steps):
+        live = ~core.state.done
+        _, reward, terminated, truncated = core.step(agent.act({}, core.decision_seeds()))
+        total += 0.95**step * reward
+        plain += 0.95**step * (config.hit * terminated + config.step * live)
+        ended, cut = ended | terminated, cut | truncated
+    assert bool((ended if terminates else cut).all())
+    left = 0.0 if terminates else 0.95**task.max_steps * core.score.distance
+    assert torch.allclose(total - plain, first - left, atol=1e-3)
 
 
 def test_the_papers_formula_can_be_farmed():
