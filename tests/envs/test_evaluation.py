@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_envs import intervals
+from racines_envs.agents.random import RandomAgent
 from racines_envs.evaluation import EvaluationConfig, evaluate, measure, write_evaluation
 from racines_envs.rollout import Episodes
 from racines_envs.starts import evaluation_seeds
@@ -100,6 +102,35 @@ def test_three_start_sets_are_pooled_and_told_apart(phantom, tmp_path):
     assert len(np.unique(result.episodes.positions[0], axis=0)) == 24
 
 
+class FirstPixels:
+    """Two numbers an image."""
+
+    size = 2
+
+    def __call__(self, images):
+        return images.flatten(1).float()[:, :2]
+
+
+class Onlooker(RandomAgent):
+    """Looks through an encoder, as a policy with a frozen one does."""
+
+    name = "onlooker"
+    observation = "image"
+
+    def __init__(self):
+        self.encoder = FirstPixels()
+
+    def act(self, observation, seeds):
+        assert observation["features"].shape == (len(seeds), 2)
+        return super().act(observation, seeds)
+
+
+def test_an_agents_encoder_looks_once_at_each_image(phantom, tmp_path):
+    config = replace(FEW, starts=3, latency=50)
+    scores = evaluate("tests.envs.test_evaluation:Onlooker", tmp_path, config, phantom).scores
+    assert scores["task"]["observation"] == "image" and scores["agent"] == "onlooker"
+
+
 def test_one_decision_is_timed_where_wanted(phantom, tmp_path):
     config = replace(FEW, starts=2, latency=50)
     figure = evaluate("planner", tmp_path, config, phantom).scores["metrics"]["latency"]
@@ -131,7 +162,8 @@ def test_scores_follow_the_leaderboards_schema_and_the_picture_is_drawn(phantom,
 def test_impossible_evaluations_are_refused(phantom, tmp_path):
     with pytest.raises(RacinesError, match="starts"):
         evaluate("random", tmp_path, EvaluationConfig(starts=0), phantom)
-    for seeds in ((), (1, 1), (0.5,)):
+    halves: Any = (0.5,)
+    for seeds in ((), (1, 1), halves):
         with pytest.raises(RacinesError, match="seeds"):
             evaluate("random", tmp_path, EvaluationConfig(seeds=seeds), phantom)
     with pytest.raises(RacinesError, match="at least 50"):
