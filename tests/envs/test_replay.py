@@ -20,7 +20,9 @@ from racines_envs.pose_index import spacing
 from racines_envs.recorded import RecordedWorld
 from racines_envs.rollout import rollout
 from racines_envs.tasks import get_task
+from racines_models.annotate import annotate
 from racines_models.generators.nearest_pose import NearestPose
+from racines_models.grader import Grader, GraderConfig, GraderNetwork
 
 SETTINGS: dict[str, Any] = {"backend": "replay", "reward": "oracle", "observation": "multimodal"}
 
@@ -143,25 +145,25 @@ def test_recordings_in_place_of_the_phantom_can_be_asked_for(store):
         make_core("SC", data=store.root, phantom="recorded", forces="contact", **SETTINGS)
 
 
-def test_a_graders_opinion_serves_where_the_dataset_has_none(release, monkeypatch):
-    import pyarrow as pa
-
-    from racines_envs import recorded
-
-    store = open_store(release)
-    store.grades = torch.full_like(store.grades, float("nan"))
-    with pytest.raises(RacinesError, match="racines data annotate"):
-        RecordedWorld(Replay(store))
-    rows = slice(*store.bounds("train"))
-    predicted = pa.table(
-        {"view_predicted": store.views[rows].numpy(), "grade_predicted": [3.0] * rows.stop}
-    )
-    monkeypatch.setattr(recorded.pq, "read_table", lambda *_, **__: predicted)
+def test_a_graders_opinion_serves_where_the_dataset_has_none(release, tmp_path):
+    network = GraderNetwork(32, 0.125)
+    Grader(network, GraderConfig(input_size=32, width=0.125, bf16=False)).save(tmp_path / "grader")
+    annotate(release, Grader.load(tmp_path / "grader"), tmp_path / "annotated")
+    bare, store = open_store(release), open_store(tmp_path / "annotated")
+    for each in (bare, store):
+        each.views = torch.full_like(each.views, -1)
+        each.grades = torch.full_like(each.grades, float("nan"))
+    with pytest.raises(RacinesError, match=f"racines data annotate {release}"):
+        RecordedWorld(Replay(bare))
     world = RecordedWorld(Replay(store))
     assert world.truth_source == "grader"
+    rows = slice(*store.bounds("train"))
+    p, grades = Grader.load(tmp_path / "grader").probabilities_and_grade(store.images[rows][:9])
     truth = world.judge(parameters_to_pose(store.parameters[rows][:9]))
-    assert torch.equal(truth.view, store.views[rows][:9])
-    assert bool((truth.grade[truth.view < 5] == 3.0).all())
+    assert torch.equal(truth.view, p.argmax(1))
+    shown = truth.view < 5
+    assert torch.allclose(truth.grade[shown], grades[shown], atol=1e-4)
+    assert bool((truth.grade[~shown] == 0).all())
 
 
 def test_datasets_that_cannot_be_replayed_are_refused(store, tmp_path, monkeypatch):
