@@ -24,6 +24,9 @@ HELP = [
     ("eval",),
     ("eval", "generator"),
     ("eval", "agent"),
+    ("explain",),
+    ("drive",),
+    ("replay",),
     ("leaderboard",),
     ("submit",),
 ]

@@ -69,7 +69,13 @@ def read_pose(options: dict[str, Any] | None, count: int) -> Pose | None:
         raise RacinesError(f"unknown reset option {sorted(unknown)[0]!r}: known is 'pose'")
     if "pose" not in options:
         return None
-    values = torch.as_tensor(np.asarray(options["pose"], dtype=np.float32))
+    try:
+        values = torch.as_tensor(np.asarray(options["pose"], dtype=np.float32))
+    except (TypeError, ValueError) as error:
+        raise RacinesError(
+            f"options['pose'] is no numbers ({options['pose']!r}): give position in m and angles "
+            "in rad"
+        ) from error
     if values.shape not in ((6,), (count, 6)):
         raise RacinesError(
             f"options['pose'] has shape {tuple(values.shape)}: give (6,) or ({count}, 6), position "

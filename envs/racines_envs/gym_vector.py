@@ -8,6 +8,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from racines_data.errors import RacinesError
 from racines_envs.actions import ACTIONS
 from racines_envs.gym_env import (
     RENDER_FPS,
@@ -20,6 +21,20 @@ from racines_envs.gym_env import (
     to_numpy,
 )
 from racines_envs.making import make_core
+
+
+def read_seeds(seed: Any, count: int) -> int | torch.Tensor | None:
+    """Turn Gymnasium's seed of a vector environment into one integer or (count,) int64.
+
+    Raises:
+        RacinesError: anything else.
+    """
+    if seed is None:
+        return None
+    array = np.asarray(seed)
+    if array.dtype.kind not in "iu" or array.shape not in ((), (count,)):
+        raise RacinesError(f"seed {seed!r}: give one integer, or a list of {count}, one a row")
+    return int(array) if array.ndim == 0 else torch.as_tensor(array.astype(np.int64))
 
 
 class VectorScanEnv(VectorEnv[Any, Any, Any]):
@@ -41,6 +56,8 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         """Build N rows of a view's task; settings as for `racines_envs.making.make_core`."""
         self.render_mode = check_render_mode(render_mode)
+        if num_envs < 1:
+            raise RacinesError(f"num_envs is {num_envs}: give at least 1")
         self.num_envs = num_envs
         self.single_observation_space = observation_space(settings.get("observation", "image"))
         self.single_action_space = spaces.Discrete(len(ACTIONS))
@@ -53,13 +70,17 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start N episodes, of seeds s, s + 1, … for an integer s, or of one seed a row."""
-        super().reset(seed=seed if isinstance(seed, int) else None)
-        if seed is None and not self._seeded:
-            seed = int(self.np_random.integers(2**31))
-        self._seeded = True
-        seeds = torch.tensor(seed) if isinstance(seed, list) else seed
+        """Start N episodes, of seeds s, s + 1, … for an integer s, or of one seed a row.
+
+        Raises:
+            RacinesError: seeds that are no integers or not one a row, or bad options.
+        """
+        seeds = read_seeds(seed, self.num_envs)
+        super().reset(seed=seeds if isinstance(seeds, int) else None)
+        if seeds is None and not self._seeded:
+            seeds = int(self.np_random.integers(2**31))
         seen = self.core.reset(seeds, pose=read_pose(options, self.num_envs))
+        self._seeded = True
         self._renderer.note()
         return to_numpy(self.core, seen), self._infos()
 

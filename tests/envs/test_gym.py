@@ -127,6 +127,23 @@ def test_bad_actions_are_refused(phantom, action):
         vector.step([0, action])
 
 
+def test_seeds_of_a_vector_are_one_integer_or_one_a_row(phantom):
+    def make_vec(count):
+        return gymnasium.make_vec(
+            ID, num_envs=count, phantom=phantom, observation="params", reward="oracle"
+        )
+
+    envs = make_vec(2)
+    together = envs.reset(seed=7)[0]
+    for seeds in ([7, 8], (7, 8), np.array([7, 8]), np.int64(7)):
+        np.testing.assert_array_equal(envs.reset(seed=seeds)[0], together)
+    for seeds in ([1, None], [1], [0.5, 1.0], "a"):
+        with pytest.raises(RacinesError, match="one a row"):
+            envs.reset(seed=seeds)
+    with pytest.raises(RacinesError, match="at least 1"):
+        make_vec(0)
+
+
 def test_start_pose_option(phantom):
     env = make(phantom)
     target = phantom.target("SC")
@@ -136,6 +153,8 @@ def test_start_pose_option(phantom):
     for options, word in (
         ({"pose": [0.9, *pose[1:]]}, "outside the workspace"),
         ({"pose": pose[:3]}, "shape"),
+        ({"pose": ["left"] * 6}, "no numbers"),
+        ({"pose": [float("nan"), *pose[1:]]}, "not finite"),
         ({"poes": pose}, "unknown reset option"),
     ):
         with pytest.raises(RacinesError, match=word):
