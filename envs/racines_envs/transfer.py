@@ -1,6 +1,7 @@
 """The transfer matrix: agents, each in every backend, and whether backends rank them alike.
 
-Whatever draws the images and wherever an agent was trained, the phantom's truth judges.
+Whatever draws the images and wherever an agent was trained, the phantom's truth judges; but
+recordings of no phantom have only their own labels, and the document says so.
 """
 
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from racines_envs.evaluation import check_view, reference_steps, start_seeds
 from racines_envs.making import find_task, make_core, make_phantom, phantom_recipe
 from racines_envs.measures import path_length_score
 from racines_envs.rank_correlation import correlate
+from racines_envs.recorded import RecordedWorld
 from racines_envs.rollout import rollout
 from racines_envs.runs import Run, common_view
 
@@ -73,6 +75,7 @@ def transfer(
     phantom = make_phantom(phantom, config.device, find_task(view, phantom).anatomy)
     shortest = reference_steps(view, seeds, phantom, config.device)
     finals: dict[tuple[str, str], dict[str, np.ndarray]] = {}
+    judges: dict[str, str] = {}
     for backend, given in zip(backends, arguments, strict=True):
         images = None
         for run in runs:
@@ -90,8 +93,14 @@ def transfer(
                 device=config.device,
             )
             images = core.images  # loaded once for all agents
+            recorded = isinstance(core.phantom, RecordedWorld)
+            judges[backend] = "the recorded labels" if recorded else "the phantom's truth"
             final = rollout(core, agent, seeds.to(core.device)).final
-            finals[run.label, backend] = _scores(final, shortest)
+            alone = (
+                core.phantom is not phantom
+            )  # recordings of no phantom, with starts of their own
+            steps = reference_steps(view, seeds, core.phantom, config.device) if alone else shortest
+            finals[run.label, backend] = _scores(final, steps)
     return {
         "schema": SCHEMA,
         "view": view,
@@ -99,6 +108,7 @@ def transfer(
         "phantom": phantom_recipe(phantom),
         "agents": [_describe(run) for run in runs],
         "backends": list(backends),
+        "judged_by": judges,
         "cells": [
             {"agent": run.label, "backend": backend}
             | {"metrics": _figures(finals[run.label, backend], config.resamples)}

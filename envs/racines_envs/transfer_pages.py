@@ -14,21 +14,21 @@ def transfer_markdown(content: dict[str, Any]) -> str:
     starts = content["start_set"]
     lines = [
         f"**Transfer on {content['view']}**: true success (95 %), steps of the successes, final "
-        f"grade; {starts['starts']} starts × {len(starts['seeds'])} sets, judged by the phantom's "
-        "truth.",
+        f"grade; {starts['starts']} starts × {len(starts['seeds'])} sets, judged by "
+        f"{_judges(content['judged_by'])}.",
         "",
-        _row(["agent", "trained in", *backends]),
+        _row(["agent", "trained in", *map(_short, backends)]),
         _row(["---"] * (len(backends) + 2)),
     ]
     for agent in content["agents"]:
         each = [_told(cells[agent["label"], backend]) for backend in backends]
-        lines.append(_row([agent["label"], agent["trained_in"] or "–", *each]))
+        lines.append(_row([agent["label"], _short(agent["trained_in"] or "–"), *each]))
     if content["correlations"]:
         head = ["backends", "figure", "Spearman's ρ (95 %)", "Kendall's τ (95 %)"]
         lines += ["", _row(head), _row(["---"] * 4)]
     for found in content["correlations"]:
         both = [_interval(found[name]) for name in ("spearman", "kendall")]
-        lines.append(_row([" and ".join(found["backends"]), found["figure"], *both]))
+        lines.append(_row([" and ".join(map(_short, found["backends"])), found["figure"], *both]))
     return "\n".join(lines) + "\n"
 
 
@@ -61,6 +61,13 @@ def draw_transfer(content: dict[str, Any], path: Path) -> None:
 
 def _cells(content: dict[str, Any]) -> dict[tuple[str, str], dict[str, Any]]:
     return {(cell["agent"], cell["backend"]): cell["metrics"] for cell in content["cells"]}
+
+
+def _judges(judged_by: dict[str, str]) -> str:
+    """Name the judge, or who judges where."""
+    if len(set(judged_by.values())) == 1:
+        return next(iter(judged_by.values()))
+    return ", ".join(f"{judge} ({_short(backend)})" for backend, judge in judged_by.items())
 
 
 def _named(agent: dict[str, Any]) -> str:

@@ -89,6 +89,7 @@ def test_agents_are_run_in_every_backend_and_judged_by_truth(phantom, monkeypatc
     assert found[0]["spearman"]["value"] == pytest.approx(
         0.5
     )  # by hand: ranks 2.5 2.5 1, 1.5 3 1.5
+    assert set(content["judged_by"].values()) == {"the phantom's truth"}
     json.dumps(content, allow_nan=False)
     table = transfer_markdown(content)
     assert table.count("\n| sighted | – | 100.0 %") == 1 and "ρ" in table
