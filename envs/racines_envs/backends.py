@@ -77,16 +77,14 @@ def make_backend(
     phantom: Any,
     generator: Any,
     device: torch.device | str,
-    replay: ImageSource | None = None,
 ) -> ImageSource:
     """Return the source of images; an object that satisfies `ImageSource` is taken as it is.
 
     Args:
-        backend: `phantom`, `generator`, `replay`, or an object.
+        backend: `phantom`, `generator`, or an object (recordings are opened before this).
         phantom: What `phantom` renders.
         generator: Of `generator`: an object, or what `open_source` opens.
         device: Where it draws.
-        replay: The recordings of `replay`, opened.
 
     Raises:
         RacinesError: an unknown backend, or a generator that is not there.
@@ -99,10 +97,6 @@ def make_backend(
         raise RacinesError(f"unknown backend {backend!r}: choose one of {', '.join(BACKENDS)}")
     if backend == "phantom":
         return PhantomImages(phantom)
-    if backend == "replay":
-        if replay is None:
-            raise RacinesError("backend 'replay' needs recordings: give data=<dataset folder>")
-        return replay
     if generator is None:
         raise RacinesError(
             "backend 'generator' needs one: give generator=<name, run folder, module:Class, "

@@ -99,7 +99,7 @@ def evaluate(
     check_grader(grader, task)
     core = _core(config, agent, phantom, grader, len(seeds))
     episodes = rollout(core, agent, seeds.to(core.device))
-    steps = reference_steps(config.view, seeds, phantom, config.device)
+    steps = reference_steps(config.view, seeds, core.phantom, config.device)
     metrics = measure(episodes, steps, config.resamples)
     if grader is not None:
         metrics |= _graded(core, grader)
@@ -157,7 +157,7 @@ def _core(
         grader=grader if config.reward == "paper" else None,
         device=config.device,
         encoder=getattr(agent, "encoder", None),
-        **({"data": config.data} if config.data else {}),
+        data=config.data or None,
     )
 
 

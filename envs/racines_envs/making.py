@@ -85,15 +85,14 @@ def make_core(
         if known is not None:
             parts["the grader"] = trained_on(known)
     store = _open_data(backend, forces, data, task)
-    replay = None
     if store is not None:
         parts[f"dataset {store.root}"] = trained_on(store.manifest)
-    if backend == "replay" and store is not None:
-        replay, phantom = _recordings(store, phantom, device, data_version)
+    if store is not None and (backend == "replay" or _is_replay(backend)):
+        backend, phantom = _recordings(store, backend, phantom, device, data_version)
     if phantom == RECORDED:
         raise RacinesError("phantom='recorded' needs the backend 'replay'")
     phantom = make_phantom(phantom, device, task.anatomy)
-    images = make_backend(backend, phantom, generator, device, replay)
+    images = make_backend(backend, phantom, generator, device)
     if backend == "generator":
         parts["the generator"] = trained_on(images)
     check_datasets(parts, data_version)
@@ -107,11 +106,13 @@ def _open_data(
     backend: str | ImageSource, forces: Any, data: Path | str | None, task: Task
 ) -> "FrameStore | None":
     """Open the dataset if the backend or the forces need it, and check whose views it has."""
-    if backend != "replay" and forces != "fitted":
+    opened = backend if _is_replay(backend) else None
+    if opened is None and backend != "replay" and forces != "fitted":
         return None
     from racines_data.store import open_store
 
-    store, labels = open_store(data), labels_of(anatomy_views(task.anatomy))
+    store = getattr(opened, "store", None) or open_store(data)
+    labels = labels_of(anatomy_views(task.anatomy))
     if store.labels != labels:
         raise RacinesError(
             f"{store.root}: its labels are {', '.join(store.labels)}, the {task.anatomy} has "
@@ -120,10 +121,25 @@ def _open_data(
     return store
 
 
+def _is_replay(backend: Any) -> bool:
+    """Return whether a backend is recordings that are open already."""
+    if isinstance(backend, str):
+        return False
+    from racines_envs.backends_replay import Replay
+
+    return isinstance(backend, Replay)
+
+
 def _recordings(
-    store: "FrameStore", phantom: Any, device: torch.device | str, data_version: str | None
+    store: "FrameStore",
+    backend: str | ImageSource,
+    phantom: Any,
+    device: torch.device | str,
+    data_version: str | None,
 ) -> tuple[ImageSource, Any]:
     """Return the replay of a dataset, and the phantom it is of or the recordings in its place.
+
+    A phantom beside recordings of none is not asked.
 
     Raises:
         RacinesError: another phantom than the dataset's, unless any dataset may pass.
@@ -131,7 +147,10 @@ def _recordings(
     from racines_envs.backends_replay import Replay, source_phantom
     from racines_envs.recorded import RecordedWorld
 
-    replay, own = Replay(store, device), source_phantom(store)
+    replay, own = backend if isinstance(backend, Replay) else None, source_phantom(store)
+    replay = replay or Replay(store, device)
+    if isinstance(phantom, RecordedWorld):
+        return replay, phantom
     if phantom == RECORDED or own is None:
         return replay, RecordedWorld(replay, device)
     given = getattr(phantom, "config", phantom)

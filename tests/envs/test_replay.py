@@ -15,6 +15,7 @@ from racines_data.phantom import PhantomConfig
 from racines_data.store import open_store
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.backends_replay import Replay
+from racines_envs.evaluation import EvaluationConfig, evaluate
 from racines_envs.making import make_core
 from racines_envs.pose_index import spacing
 from racines_envs.recorded import RecordedWorld
@@ -126,6 +127,25 @@ def test_a_planner_walks_through_recordings_and_the_same_seed_walks_the_same(rel
     assert (first.positions == second.positions).all()
     away = np.linalg.norm(first.positions[0] - core.target.position.numpy(), axis=-1)
     assert first.final["position_error"].mean() < 0.5 * away.mean()
+
+
+def test_agents_are_evaluated_on_recordings_alone(release, phantom):
+    """The phantom that an evaluation brings is not asked, nor for the shortest way."""
+    config = EvaluationConfig(backend="replay", data=str(release), starts=4, seeds=(0,))
+    scores = evaluate("planner", release, config, phantom).scores
+    assert scores["phantom"] is None
+    assert scores["metrics"]["spl"]["value"] == scores["metrics"]["success_true"]["value"]
+
+
+def test_open_recordings_serve_again(release, store, phantom):
+    first = make_core("SC", 2, data=release, **SETTINGS)
+    again = make_core("SC", 2, **SETTINGS | {"backend": first.images}, phantom=phantom)
+    assert again.images is first.images and isinstance(again.phantom, RecordedWorld)
+    assert torch.equal(first.reset(seed=0)["image"], again.reset(seed=0)["image"])
+    third = make_core("SC", 2, **SETTINGS | {"backend": first.images}, phantom=first.phantom)
+    assert third.phantom is first.phantom
+    simulated = make_core("SC", 2, **SETTINGS | {"backend": Replay(store)}, phantom=phantom)
+    assert simulated.phantom is phantom
 
 
 def test_out_of_support_nothing_is_shown(release):
