@@ -102,3 +102,9 @@ def test_settings_that_cannot_be_are_refused(phantom, tmp_path):
         DQNAgent.train(replace(TINY, update_every=100), tmp_path, phantom=phantom)
     with pytest.raises(RacinesError, match="must not fall"):
         DQNAgent.train(replace(TINY, warmup=9999), tmp_path, phantom=phantom)
+
+
+def test_recordings_are_replayed_from_the_folder_it_is_given(phantom, tmp_path):
+    config = replace(TINY, backend="replay")
+    with pytest.raises(RacinesError, match="nowhere"):
+        DQNAgent.train(config, tmp_path, phantom=phantom, data=tmp_path / "nowhere")

@@ -89,6 +89,7 @@ class DQNAgent(PolicyAgent):
         seed: int = 0,
         phantom: Any = None,
         grader: Any = None,
+        data: Path | str | None = None,
         resume: bool | None = None,
         progress: bool = True,
         **where: Any,
@@ -98,7 +99,7 @@ class DQNAgent(PolicyAgent):
         Raises:
             RacinesError: settings that do not fit together, or a checkpoint of another run.
         """
-        return _Training(config, Path(run_dir), seed, phantom, grader, progress).run(resume)
+        return _Training(config, Path(run_dir), seed, phantom, grader, progress, data).run(resume)
 
 
 class _Training(TrainingRun):
@@ -106,9 +107,7 @@ class _Training(TrainingRun):
 
     trained = ("actor", "optimiser")
 
-    def __init__(
-        self, config: DQNConfig, folder: Path, seed: int, phantom: Any, grader: Any, progress: bool
-    ) -> None:
+    def __init__(self, config: DQNConfig, *where: Any) -> None:
         if config.update_every % config.envs:
             raise RacinesError(
                 f"agents.dqn.update_every is {config.update_every}: give a multiple of envs "
@@ -119,7 +118,7 @@ class _Training(TrainingRun):
                 f"agents.dqn: batch_size {config.batch_size}, warmup {config.warmup} and buffer "
                 f"{config.buffer} must not fall"
             )
-        super().__init__(DQNAgent, config, folder, seed, phantom, grader, progress)
+        super().__init__(DQNAgent, config, *where)
 
     def _build(self) -> None:
         from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer

@@ -29,7 +29,7 @@ class PPOConfig:
     reward: str = "shaped"
     """`paper` (needs a grader), `oracle` or `shaped`."""
     backend: str = "phantom"
-    """`phantom` or `generator`; nothing is drawn where nothing looks."""
+    """`phantom`, `generator` or `replay`; nothing is drawn where nothing looks."""
     generator: str = ""
     """Name or run folder, for the backend `generator`."""
     grader: str = ""
@@ -85,6 +85,7 @@ class PPOAgent(PolicyAgent):
         seed: int = 0,
         phantom: Any = None,
         grader: Any = None,
+        data: Path | str | None = None,
         resume: bool | None = None,
         progress: bool = True,
         **where: Any,
@@ -97,6 +98,7 @@ class PPOAgent(PolicyAgent):
             seed: Of weights, episodes and draws.
             phantom: A phantom or its configuration; the shared default by default.
             grader: For the reward `paper`, instead of the folder in the settings.
+            data: Folder of the dataset, for the backend `replay`; data/racines by default.
             resume: True: go on from the last checkpoint, which must be there; False: start anew;
                 None: go on if there is a checkpoint of this very run.
             progress: Print a line a validation.
@@ -105,7 +107,7 @@ class PPOAgent(PolicyAgent):
         Raises:
             RacinesError: settings that do not fit together, or a checkpoint of another run.
         """
-        return _Training(config, Path(run_dir), seed, phantom, grader, progress).run(resume)
+        return _Training(config, Path(run_dir), seed, phantom, grader, progress, data).run(resume)
 
 
 class _Training(TrainingRun):
@@ -113,15 +115,13 @@ class _Training(TrainingRun):
 
     trained = ("actor", "critic", "optimiser")
 
-    def __init__(
-        self, config: PPOConfig, folder: Path, seed: int, phantom: Any, grader: Any, progress: bool
-    ) -> None:
+    def __init__(self, config: PPOConfig, *where: Any) -> None:
         if config.update_every % config.envs:
             raise RacinesError(
                 f"agents.ppo.update_every is {config.update_every}: give a multiple of envs "
                 f"({config.envs})"
             )
-        super().__init__(PPOAgent, config, folder, seed, phantom, grader, progress)
+        super().__init__(PPOAgent, config, *where)
 
     def _build(self) -> None:
         from torch.distributions import Categorical

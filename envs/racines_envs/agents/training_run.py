@@ -44,6 +44,7 @@ class TrainingRun(ABC):
         phantom: Any,
         grader: Any,
         progress: bool,
+        data: Path | str | None = None,
     ) -> None:
         """Join settings and places; nothing is built before `run`."""
         self.config, self.folder, self.seed, self.progress = config, folder, seed, progress
@@ -57,6 +58,7 @@ class TrainingRun(ABC):
             "reward": config.reward,
             "generator": config.generator or None,
             "grader": grader or config.grader or None,
+            "data": data,
             "rewards": RewardConfig(discount=config.gamma),
             "phantom": make_phantom(phantom, config.device, anatomy),
             "device": config.device,
