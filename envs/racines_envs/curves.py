@@ -161,5 +161,6 @@ def _draw_paper(axes: Any, panel: str, runs: list[dict[str, Any]]) -> None:
     for level, seen in levels.items():
         axes.axhline(level, linestyle="--", color="0.35", linewidth=1.0)
         text = f"paper, {' and '.join(seen)}: about {level:g}"
-        where = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
-        axes.annotate(text, (0.99, level), fontsize=7.5, color="0.25", **where)
+        where = {"xycoords": ("axes fraction", "data"), "ha": "left", "va": "bottom"}
+        behind = {"boxstyle": "square,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0}
+        axes.annotate(text, (0.01, level), fontsize=7.5, color="0.25", bbox=behind, **where)
