@@ -18,8 +18,9 @@ Profile = Annotated[
 
 def register(train: typer.Typer, evaluate: typer.Typer) -> None:
     """Add the agent commands to the shared verbs."""
-    from racines_envs import cli_eval, cli_forces
+    from racines_envs import cli_encoder, cli_eval, cli_forces
 
+    cli_encoder.register(train)
     train.command("agent")(train_agent)
     evaluate.command("agent")(evaluate_agent)
     cli_eval.register(evaluate)
@@ -35,7 +36,7 @@ def train_agent(
     generator: Annotated[str | None, typer.Option(help="Generator: name or run folder.")] = None,
     grader: Annotated[str | None, typer.Option(help="Grader: run folder.")] = None,
     encoder: Annotated[
-        str | None, typer.Option(help="What looks at images: pose, or a pose regressor's folder.")
+        str | None, typer.Option(help="What looks at images: workspace, pose, or a folder.")
     ] = None,
     data: Annotated[
         Path | None, typer.Option(help="Dataset folder, for what learns from it.")

@@ -7,14 +7,20 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from racines_data.errors import RacinesError
+from racines_data.geometry import parameters_to_pose, pose_to_parameters
+from racines_data.views import VIEWS
 from racines_envs import ScanEnv
 from racines_envs.agents import load_agent
 from racines_envs.agents.encoders import open_encoder
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
+from racines_envs.exploration import ExplorationConfig, explore, train_encoder
 from racines_envs.making import make_core
 from racines_envs.rollout import rollout
 from racines_envs.starts import evaluation_seeds
-from racines_models.pose_regressor import PoseConfig, PoseNetwork, PoseRegressor
+from racines_models.pose_regressor import PoseConfig, PoseNetwork, PoseRegressor, PoseTraining
+from racines_models.protocol import Run
+from tests.envs.fakes import FakePhantom
+from tests.models.conftest import pictures
 
 TINY = PPOConfig(
     observation="image", frames=512, envs=16, update_every=256, minibatch=128, epochs=1,
@@ -83,5 +89,42 @@ def test_a_policy_refuses_another_encoder(phantom, folder, tmp_path):
 
 def test_an_absent_encoder_is_named():
     assert open_encoder("") is None
-    with pytest.raises(RacinesError, match="racines train pose"):
+    with pytest.raises(RacinesError, match="racines train encoder"):
         open_encoder("nowhere")
+
+
+class Pictured(FakePhantom):
+    """Draws blobs that follow the pose."""
+
+    def render(self, pose, seeds):
+        return pictures(pose_to_parameters(pose))
+
+
+def test_an_encoder_learns_where_the_probe_is(tmp_path):
+    """It reads positions better than the middle of all would be."""
+    training = PoseTraining(images=1600, batch_size=32, precision="fp32", ema=0.0, warmup_images=64)
+    config = ExplorationConfig(frames=600, pose=PoseConfig(width=0.125, training=training))
+    phantom = Pictured()
+    metrics = train_encoder(config, Run(tmp_path, device="cpu", progress=False), phantom)
+    assert metrics["exploration"]["kept"] > 400
+    encoder = open_encoder(str(tmp_path))
+    assert encoder is not None
+    frames = explore(config, phantom, seed=1)
+    told = parameters_to_pose(frames.parameters).position
+    read = PoseRegressor.load(tmp_path).predict(frames.images).position
+    middle = told.mean(0)
+    assert (read - told).norm(dim=1).mean() < 0.7 * (middle - told).norm(dim=1).mean()
+    assert encoder(frames.images).shape == (len(told), encoder.size)
+
+
+def test_exploration_reaches_from_starts_to_targets_inside_the_workspace(phantom):
+    frames = explore(ExplorationConfig(frames=2000), phantom, seed=0)
+    pose = parameters_to_pose(frames.parameters)
+    assert bool(phantom.workspace.contains(pose).all())
+    places = torch.stack([phantom.target(view).position[0] for view in VIEWS])
+    away = (pose.position[:, None] - places).norm(dim=-1).amin(1)
+    assert float(away.quantile(0.05)) < 0.012 and float(away.quantile(0.9)) > 0.02
+    again = explore(ExplorationConfig(frames=2000), phantom, seed=0)
+    assert torch.equal(frames.images, again.images)
+    sizes = [len(frames.split_indices(name)) for name in ("train", "validation", "test")]
+    assert sum(sizes) == len(frames.images) and min(sizes) > 30

@@ -1,9 +1,8 @@
-"""What an agent may look through: a frozen network that learned from the dataset, not from reward.
+"""What an agent may look through: a frozen network that did not learn from reward.
 
 A policy of convolutions from scratch has to find out from reward alone what an image shows, which
-takes millions of steps. The published pose regressor has learned from the dataset's recorded poses
-where an image was taken; a policy that reads its answer has only the way left to learn. It is given
-the image alone, in training and after.
+takes millions of steps. A pose regressor has learned where an image was taken; a policy that reads
+its answer has only the way left to learn. It is given the image alone, in training and after.
 """
 
 from pathlib import Path
@@ -12,8 +11,12 @@ from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 
-PUBLISHED = Path("models/weights/pose")
-"""The pose regressor that comes with the repository."""
+PUBLISHED = {
+    "workspace": Path("models/weights/encoder"),
+    "pose": Path("models/weights/pose"),
+}
+"""What comes with the repository: the pose regressor of the whole workspace (`racines train
+encoder`), and that of the dataset's sweeps, which is lost where tasks start."""
 BESIDE = "encoder"
 """Folder beside a policy that holds the encoder's own copy."""
 
@@ -37,7 +40,7 @@ def open_encoder(spec: str, device: str = "cpu", near: Path | None = None) -> Po
     """Return the frozen encoder that a config names; None for "", a policy that learns to see.
 
     Args:
-        spec: `pose` for the published regressor, a folder of one, or "".
+        spec: `workspace` or `pose` for a published regressor, a folder of one, or "".
         device: Where it runs.
         near: Folder of a policy; a copy of the encoder in it goes first.
 
@@ -49,13 +52,13 @@ def open_encoder(spec: str, device: str = "cpu", near: Path | None = None) -> Po
     from racines_models.pose_regressor import PoseRegressor
 
     beside = near / BESIDE if near else None
-    folder = PUBLISHED if spec == "pose" else Path(spec)
+    folder = PUBLISHED.get(spec, Path(spec))
     if beside is not None and beside.is_dir():
         folder = beside
     if not folder.is_dir():
         raise RacinesError(
             f"encoder {spec!r}: no pose regressor in {folder}: run from the repository, train one "
-            "with `racines train pose`, or name its folder"
+            "with `racines train encoder`, or name its folder"
         )
     regressor = PoseRegressor.load(folder, device)
     return PoseEncoder(regressor.network, regressor.sha256)
