@@ -4,6 +4,7 @@ A board is a folder `results/<board>/{generators,agents}/<name>.json`, one recor
 """
 
 import json
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -35,10 +36,27 @@ def read_board(results: Path, board: str) -> dict[str, list[Record]]:
     return content
 
 
-def collect(folders: list[Path], results: Path, submissions: Path, board: str) -> list[Path]:
+def made_elsewhere(folders: list[Path], board: str) -> list[Path]:
+    """Return the scores files that were made for another board, as another profile leaves them."""
+    paths = [path for folder in folders for path in sorted(folder.glob("*.json"))]
+    return [path for path in paths if _board_of(path) not in (None, board)]
+
+
+def _board_of(path: Path) -> str | None:
+    return (_read_scores(path)[0].get("dataset") or {}).get("board")
+
+
+def collect(
+    folders: list[Path],
+    results: Path,
+    submissions: Path,
+    board: str,
+    without: Collection[Path] = (),
+) -> list[Path]:
     """Write one self-reported record for each scores file in the folders; return their paths.
 
-    Nothing is written unless every file is sound and each track stays on one dataset.
+    Nothing is written unless every file is sound and each track stays on one dataset. Files in
+    `without` are left out.
 
     Raises:
         RacinesError: a missing folder or one without scores, a damaged file, or scores made on
@@ -49,7 +67,7 @@ def collect(folders: list[Path], results: Path, submissions: Path, board: str) -
         paths = sorted(folder.glob("*.json"))
         if not paths:
             raise RacinesError(f"{folder}: no scores; run `racines eval` first")
-        for path in paths:
+        for path in (path for path in paths if path not in without):
             record = _record(path, submissions, board)
             records[results / board / record["track"] / f"{record['name']}.json"] = record
     _one_dataset(records, results, board)

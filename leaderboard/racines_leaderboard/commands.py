@@ -49,7 +49,10 @@ def leaderboard(
     if collect:
         if board is None:
             raise RacinesError("--collect needs --board NAME or --params FILE")
-        results_of.collect(collect, results, submissions, board)
+        others = results_of.made_elsewhere(collect, board) if params is not None else []
+        for path in others:
+            typer.echo(f"racines: left out {path}: made for another board than {board}", err=True)
+        results_of.collect(collect, results, submissions, board, others)
     names = [board] if board else results_of.boards(results)
     if not set(names) <= set(results_of.boards(results)) or not names:
         raise RacinesError(f"{results}: no results of {board or 'any board'}")

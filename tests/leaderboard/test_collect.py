@@ -2,9 +2,11 @@ import json
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.collect import boards, collect, read_board
+from racines_leaderboard.cli import app
+from racines_leaderboard.collect import boards, collect, made_elsewhere, read_board
 from tests.leaderboard.conftest import agent_scores, generator_scores
 
 SUBMISSION = """
@@ -41,6 +43,24 @@ def test_scores_become_records_of_a_board(tmp_path, write_scores):
     assert two["submission"]["method"] == "a method"
     assert two["scores"] == generator_scores("two")
     assert not list(tmp_path.rglob(".*")), "no temporary file stays"
+
+
+def test_scores_that_another_profile_left_stay_out(tmp_path, write_scores):
+    """A switch of profile leaves the scores of rows that the new one does not train."""
+    old, new, bare = (generator_scores(name) for name in ("old", "new", "bare"))
+    old["dataset"]["board"], new["dataset"]["board"] = "phantom-default", "phantom-smoke"
+    bare["dataset"].pop("board", None)
+    folder = write_scores("g", old, new, bare, agent_scores("ppo"))
+    others = made_elsewhere([folder], "phantom-smoke")
+    assert others == [folder / "old.json"]
+    written = collect([folder], tmp_path / "results", tmp_path, "phantom-smoke", others)
+    assert {path.stem for path in written} == {"new", "bare", "ppo"}
+    (tmp_path / "params.yaml").write_text("board: phantom-smoke\n")
+    words = ["--params", str(tmp_path / "params.yaml"), "--collect", str(folder)]
+    words += ["--results", str(tmp_path / "again"), "--submissions", str(tmp_path)]
+    done = CliRunner().invoke(app, ["leaderboard", *words])
+    assert done.exit_code == 0 and "left out" in done.output and "old.json" in done.output
+    assert not list((tmp_path / "again").rglob("old.json"))
 
 
 def test_collecting_again_writes_the_same_bytes(tmp_path, write_scores):
