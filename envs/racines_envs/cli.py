@@ -36,7 +36,7 @@ def train_agent(
     generator: Annotated[str | None, typer.Option(help="Generator: name or run folder.")] = None,
     grader: Annotated[str | None, typer.Option(help="Grader: run folder.")] = None,
     encoder: Annotated[
-        str | None, typer.Option(help="What looks at images: workspace, pose, or a folder.")
+        str | None, typer.Option(help="What looks at images: a folder, or pose.")
     ] = None,
     data: Annotated[
         Path | None, typer.Option(help="Dataset folder, for what learns from it.")

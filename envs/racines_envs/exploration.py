@@ -16,6 +16,7 @@ from torch import Tensor
 
 from racines_data.batch_memory import BatchMemory
 from racines_data.errors import RacinesError
+from racines_data.files import write_json
 from racines_data.geometry import (
     Pose,
     axis_angle_to_matrix,
@@ -54,7 +55,7 @@ class ExplorationConfig:
     """How many frames, and the network that reads them."""
 
     frames: int = 60_000
-    """Frames drawn, of all tasks alike; a tenth or so fall outside the workspace and are left."""
+    """Frames drawn, of all tasks alike; those outside the workspace are left out."""
     anatomy: str = HEART
     pose: PoseConfig = field(
         default_factory=lambda: PoseConfig(training=PoseTraining(images=480_000))
@@ -142,4 +143,6 @@ def train_encoder(config: ExplorationConfig, run: Run, phantom: Any = None) -> d
     phantom = make_phantom(phantom, "cpu", config.anatomy)
     store = explore(config, phantom, run.seed)
     metrics = train_pose(store, config.pose, run)
-    return metrics | {"exploration": asdict(config) | {"kept": len(store.parameters)}}
+    metrics |= {"exploration": asdict(config) | {"kept": len(store.parameters)}}
+    write_json(run.folder / "metrics.json", metrics)
+    return metrics

@@ -44,7 +44,8 @@ class CoreRecorder:
 
         Args:
             core: Whose episodes.
-            folder: Where the files go; made when the first is written.
+            folder: Where the files go; made when the first is written. Numbers go on after the
+                episodes that lie there.
             maximum: Episodes to write; after that nothing is recorded.
             video: Whether a GIF goes with each.
             agent: Who acts, for the header.
@@ -58,6 +59,8 @@ class CoreRecorder:
         self._lines: dict[int, list[dict[str, Any]]] = {}
         self._frames: dict[int, list[Image.Image]] = {}
         self._begun = 0
+        numbers = [path.stem.removeprefix("episode_") for path in self.folder.glob("episode_*.*")]
+        self._first = max((int(n) + 1 for n in numbers if n.isdecimal()), default=0)
 
     def start(self, seeds: list[int | None] | None = None) -> None:
         """Begin an episode in every row that has just been reset; what was unfinished is written.
@@ -68,7 +71,7 @@ class CoreRecorder:
         self._history.note(self.core)
         info = self.core.info()
         for row in range(min(self.core.num_envs, self.maximum - self._begun)):
-            self._paths[row] = self.folder / f"episode_{self._begun + row:04d}.jsonl"
+            self._paths[row] = self.folder / f"episode_{self._first + self._begun + row:04d}.jsonl"
             given = {} if seeds is None or seeds[row] is None else {"reset_seed": seeds[row]}
             seed = int(self.core.state.seed[row])
             self._lines[row] = [self._common | {"seed": seed} | given]

@@ -14,6 +14,7 @@ from racines_envs.making import make_core
 from racines_envs.recorder import SCHEMA, EpisodeRecorder, record_rollout
 from racines_envs.replay import read_recording, replay
 from racines_envs.rewards import RewardConfig
+from racines_envs.starts import evaluation_seeds
 
 ID = "racines_envs:racines/SC-v0"
 
@@ -168,3 +169,12 @@ def test_forces_from_elsewhere_need_their_environment(real_phantom, tmp_path):
 def test_only_our_environments_are_recorded(tmp_path):
     with pytest.raises(RacinesError, match="cannot be recorded"):
         EpisodeRecorder(gymnasium.make("CartPole-v1"), tmp_path)
+
+
+def test_a_second_recording_overwrites_nothing(phantom, tmp_path):
+    core = make_core("SC", 2, observation="params", reward="oracle", phantom=phantom)
+    first = record_rollout(core, PlannerAgent(), evaluation_seeds(2), tmp_path, video=False)
+    before = [path.read_bytes() for path in first]
+    second = record_rollout(core, PlannerAgent(), evaluation_seeds(2), tmp_path, video=False)
+    assert not set(first) & set(second) and len(second) == 2
+    assert [path.read_bytes() for path in first] == before

@@ -11,12 +11,9 @@ from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 
-PUBLISHED = {
-    "workspace": Path("models/weights/encoder"),
-    "pose": Path("models/weights/pose"),
-}
-"""What comes with the repository: the pose regressor of the whole workspace (`racines train
-encoder`), and that of the dataset's sweeps, which is lost where tasks start."""
+PUBLISHED = {"pose": Path("models/weights/pose")}
+"""What comes with the repository: the pose regressor of the dataset's sweeps, which is lost where
+tasks start; `racines train encoder` trains one that is not."""
 BESIDE = "encoder"
 """Folder beside a policy that holds the encoder's own copy."""
 
@@ -40,7 +37,7 @@ def open_encoder(spec: str, device: str = "cpu", near: Path | None = None) -> Po
     """Return the frozen encoder that a config names; None for "", a policy that learns to see.
 
     Args:
-        spec: `workspace` or `pose` for a published regressor, a folder of one, or "".
+        spec: `pose` for the published regressor, a folder of one, or "".
         device: Where it runs.
         near: Folder of a policy; a copy of the encoder in it goes first.
 
