@@ -21,8 +21,9 @@ SLOPE = 0.2
 class PlainDown(nn.Module):
     """Halves the side: strided convolution, norm, leaky ReLU (DCGAN)."""
 
-    def __init__(self, before: int, after: int, embedding: int, batch: bool):
+    def __init__(self, before: int, after: int, embedding: int, normalisation: str):
         super().__init__()
+        batch = normalisation == "batch"
         self.conv = nn.Conv2d(before, after, 4, stride=2, padding=1, bias=not batch)
         self.norm = nn.BatchNorm2d(after) if batch else nn.Identity()
         self.bias = nn.Linear(embedding, after, bias=False) if embedding else None
@@ -38,22 +39,25 @@ class PlainDown(nn.Module):
 class ResidualDown(nn.Module):
     """Halves the side: two convolutions beside a pooled 1×1 shortcut.
 
-    Source: Miyato et al., Spectral Normalization for GANs, 2018, appendix B; the mean of two
-    unit-variance branches is divided by √2, as in StyleGAN2.
+    Source: Miyato et al., Spectral Normalization for GANs, 2018, appendix B, whose branches are
+    summed. Without spectral weights, which shrink a map by themselves, the sum of two branches of
+    unit variance is divided by √2, as in StyleGAN2.
     """
 
-    def __init__(self, before: int, after: int, embedding: int, batch: bool):
+    def __init__(self, before: int, after: int, embedding: int, normalisation: str):
         super().__init__()
+        batch = normalisation == "batch"
+        self.scale = 1.0 if normalisation == "spectral" else math.sqrt(0.5)
         self.conv = nn.Conv2d(before, before, 3, padding=1, bias=not batch)
         self.norm = nn.BatchNorm2d(before) if batch else nn.Identity()
-        self.down = PlainDown(before, after, embedding, batch)
+        self.down = PlainDown(before, after, embedding, normalisation)
         self.shortcut = nn.Conv2d(before, after, 1)
 
     def forward(self, maps: Tensor, embedded: Tensor) -> Tensor:
         """Return (B, after, H/2, W/2) maps."""
         short = self.shortcut(avg_pool2d(maps, 2))
         maps = leaky_relu(self.norm(self.conv(maps)), SLOPE)
-        return (short + self.down(maps, embedded)) * math.sqrt(0.5)
+        return (short + self.down(maps, embedded)) * self.scale
 
 
 class Discriminator(nn.Module):
@@ -77,14 +81,14 @@ class Discriminator(nn.Module):
         attention: bool = False,
     ):
         super().__init__()
-        self.joining, batch = joining, normalisation == "batch"
+        self.joining = joining
         channels = widths(width)
         injected = embedding if joining == "layers" else 0
-        self.embedding = ConditionEmbedding(condition, embedding, batch)
-        self.first = PlainDown(1, channels[0], injected, batch)
+        self.embedding = ConditionEmbedding(condition, embedding, normalisation == "batch")
+        self.first = PlainDown(1, channels[0], injected, normalisation)
         block = ResidualDown if residual else PlainDown
         pairs = list(zip(channels, channels[1:], strict=False))
-        self.blocks = nn.ModuleList([block(*pair, injected, batch) for pair in pairs])
+        self.blocks = nn.ModuleList([block(*pair, injected, normalisation) for pair in pairs])
         self.attention = nn.ModuleDict()
         if attention:
             for level, (_, after) in enumerate(pairs):
@@ -101,6 +105,8 @@ class Discriminator(nn.Module):
                 part.apply(initialise)
         elif normalisation == "spectral":
             self.apply(_normalise)
+        else:
+            self.apply(_keep_variance)
         self.register_buffer("judged", torch.zeros((), dtype=torch.int64))
 
     judged: Tensor
@@ -132,3 +138,15 @@ class Discriminator(nn.Module):
 def _normalise(module: nn.Module) -> None:
     if isinstance(module, nn.Conv2d | nn.Linear):
         spectral_norm(module)
+
+
+def _keep_variance(module: nn.Module) -> None:
+    """He et al., 2015: where no norm rescales them, maps keep their variance from layer to layer.
+
+    PyTorch's own initial weights shrink them; the logits of a residual discriminator then hardly
+    differ, and the generator outruns it.
+    """
+    if isinstance(module, nn.Conv2d | nn.Linear):
+        nn.init.kaiming_normal_(module.weight, SLOPE)
+        if module.bias is not None:
+            nn.init.zeros_(module.bias)
