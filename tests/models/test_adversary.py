@@ -63,6 +63,14 @@ def test_penalty_is_in_full_precision_under_mixed_precision():
     assert mixed is not None and torch.equal(mixed, plain)
 
 
+@pytest.mark.parametrize("residual", [False, True])
+def test_unnormed_critic_tells_images_apart_from_the_start(residual):
+    torch.manual_seed(0)
+    critic = Discriminator(12, 15, 8, normalisation="none", residual=residual)
+    logits = critic(torch.randn(16, 1, 128, 128), torch.randn(1, 15).expand(16, -1))
+    assert 0.2 < float(logits.std()) < 5.0
+
+
 @pytest.mark.parametrize("joining", JOININGS)
 def test_spectral_norm_leaves_no_layer_above_one(joining):
     torch.manual_seed(0)

@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -12,10 +12,9 @@ from torch.optim import Adam, Optimizer
 
 from racines_data.errors import RacinesError
 from racines_data.randomness import derive, normal, sample_seeds
-from racines_data.store import FrameStore
 from racines_models.adversary import Adversary
 from racines_models.conditioning import Conditioning
-from racines_models.generators.base import BaseGenerator
+from racines_models.generators.adversarial import AdversarialGenerator
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.convolution import frozen, to_range
 from racines_models.networks.discriminator import Discriminator
@@ -24,8 +23,6 @@ from racines_models.networks.injection import check_injection
 from racines_models.networks.painting import Painter
 from racines_models.networks.pyramid import Pyramid
 from racines_models.onnx_module import NoiseInput, OnnxModule
-from racines_models.protocol import Run
-from racines_models.trainer import train
 from racines_models.training.objective import TrainBatch, Training, Update
 
 LATENT, DRAW, AUGMENT = 1, 3, 4
@@ -85,12 +82,8 @@ class PyramidGanConfig(GanConfig):
 C = TypeVar("C", bound=GanConfig)
 
 
-class ConditionalGan(BaseGenerator[C]):
+class ConditionalGan(AdversarialGenerator[C]):
     """A generator against a discriminator, both told the condition; a subclass builds them."""
-
-    stochastic = True
-
-    nets: nn.ModuleDict | None = None
 
     @abstractmethod
     def networks(self, condition: int) -> dict[str, nn.Module]:
@@ -100,16 +93,8 @@ class ConditionalGan(BaseGenerator[C]):
         (B, condition) into (B, 1, 128, 128) in [-1, 1].
         """
 
-    def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
-        """Fit the conditioning, then train."""
-        self.nets = self._build()
-        self._net("conditioning").fit(store.parameters[store.split_indices("train")])
-        if self.config.sector:
-            self._net("generator").fit(store)
-        self.nets.to(self.device)
-        return train(self, store, self.config.training, run)
-
-    def _build(self) -> nn.ModuleDict:
+    def build(self) -> nn.ModuleDict:
+        """Return the networks in the order that fixes their initial weights."""
         conditioning = Conditioning(self.config.conditioning)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
@@ -118,13 +103,9 @@ class ConditionalGan(BaseGenerator[C]):
         # Channels last is the faster order on CPU and GPU; fixed here, since orders round apart.
         return nn.ModuleDict(nets).to(memory_format=torch.channels_last)  # pyright: ignore
 
-    def _net(self, name: str) -> Any:
-        assert self.nets is not None
-        return self.nets[name]
-
     def modules(self) -> dict[str, nn.Module]:
         """Return generator and discriminator."""
-        return {name: self._net(name) for name in ("generator", "discriminator")}
+        return {name: self.net(name) for name in ("generator", "discriminator")}
 
     def averaged(self) -> tuple[str, ...]:
         """Name the generator, which draws."""
@@ -133,18 +114,18 @@ class ConditionalGan(BaseGenerator[C]):
     def optimizers(self) -> dict[str, Optimizer]:
         """Return one Adam a network."""
         config, betas = self.config, (self.config.beta1, 0.999)
-        critic = self._net("discriminator").parameters()
+        critic = self.net("discriminator").parameters()
         return {
             "discriminator": Adam(critic, config.discriminator_learning_rate, betas),
-            "generator": Adam(self._net("generator").parameters(), config.learning_rate, betas),
+            "generator": Adam(self.net("generator").parameters(), config.learning_rate, betas),
         }
 
     def updates(self, nets: Mapping[str, nn.Module], batch: TrainBatch) -> Iterator[Update]:
         """Yield the discriminator's step, then the generator's, on the same drawn images."""
-        adversary, critic = self.config.adversary, self._net("discriminator")
+        adversary, critic = self.config.adversary, self.net("discriminator")
         real = to_range(batch.images)
-        condition = self._net("conditioning")(batch.parameters)
-        noise = normal(derive(batch.seeds, LATENT), self._net("generator").noise)
+        condition = self.net("conditioning")(batch.parameters)
+        noise = normal(derive(batch.seeds, LATENT), self.net("generator").noise)
         drawn = nets["generator"](noise, condition)
         seeds = derive(batch.seeds, AUGMENT)
         seen = adversary.view(drawn, seeds)
@@ -162,8 +143,8 @@ class ConditionalGan(BaseGenerator[C]):
     def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
         """Draw noise of each sample's seed with its condition."""
         seeds = sample_seeds(seed, len(parameters), parameters.device)
-        generator = self._net("generator").eval()
-        painter = Painter(self._net("conditioning"), generator)
+        generator = self.net("generator").eval()
+        painter = Painter(self.net("conditioning"), generator)
 
         def paint(parameters: Tensor, seeds: Tensor) -> Tensor:
             return painter(parameters, normal(derive(seeds, DRAW), generator.noise))
@@ -172,24 +153,9 @@ class ConditionalGan(BaseGenerator[C]):
 
     def onnx_module(self) -> OnnxModule:
         """Return conditioning and generator."""
-        generator = self._net("generator")
-        painter = Painter(self._net("conditioning"), generator)
+        generator = self.net("generator")
+        painter = Painter(self.net("conditioning"), generator)
         return OnnxModule(painter, NoiseInput(generator.noise, (DRAW,)))
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return generator and conditioning; the discriminator stays behind."""
-        if self.nets is None:
-            return {}
-        state = self.nets.state_dict()
-        return {key: value for key, value in state.items() if not key.startswith("discriminator")}
-
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Take the weights back."""
-        self.nets = self._build().to(self.device)
-        left = self.nets.load_state_dict(tensors, strict=False)
-        missing = [key for key in left.missing_keys if not key.startswith("discriminator")]
-        if missing or left.unexpected_keys:
-            raise RacinesError(f"{missing or left.unexpected_keys} do not fit the config")
 
 
 class PyramidGan(ConditionalGan[PyramidGanConfig]):

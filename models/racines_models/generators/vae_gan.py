@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -11,10 +10,9 @@ from torch.optim import Adam, Optimizer
 
 from racines_data.errors import RacinesError
 from racines_data.randomness import derive, normal, sample_seeds
-from racines_data.store import FrameStore
 from racines_models.adversary import Adversary
 from racines_models.conditioning import Conditioning
-from racines_models.generators.base import BaseGenerator
+from racines_models.generators.adversarial import AdversarialGenerator
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.convolution import frozen, to_gray, to_range
 from racines_models.networks.discriminator import Discriminator
@@ -24,8 +22,6 @@ from racines_models.networks.painting import Painter
 from racines_models.networks.pyramid import Pyramid
 from racines_models.networks.vae_gan import Encoder
 from racines_models.onnx_module import NoiseInput, OnnxModule
-from racines_models.protocol import Run
-from racines_models.trainer import train
 from racines_models.training.objective import TrainBatch, Training, Update
 
 POSTERIOR, PRIOR, DRAW, AUGMENT = 1, 2, 3, 4
@@ -82,23 +78,22 @@ class VaeGanConfig:
         check_injection(self.injection, "vae-gan")
 
 
-class VaeGan(BaseGenerator[VaeGanConfig]):
+class VaeGan(AdversarialGenerator[VaeGanConfig]):
     """Conditional VAE-GAN: reconstruction, KL and adversarial loss; drawn from prior noise."""
 
     name = "vae-gan"
+    drawing = "decoder"
     Config = VaeGanConfig
     title = "Conditional VAE-GAN"
     summary = "A decoder turns latent noise and the probe's parameters into an image."
     source = "the RACINES paper, section 'Continuous Conditional US Image Generation'"
-    stochastic = True
     limits = (
         "smooths speckle: the reconstruction loss averages what the condition does not fix",
         "weights of the three losses are ours: the paper states none",
     )
 
-    nets: nn.ModuleDict | None = None
-
-    def _build(self) -> nn.ModuleDict:
+    def build(self) -> nn.ModuleDict:
+        """Return the networks in the order that fixes their initial weights."""
         config, adversary = self.config, self.config.adversary
         conditioning = Conditioning(config.conditioning)
         injected = {"injection": config.injection, "embedding": config.embedding}
@@ -121,22 +116,9 @@ class VaeGan(BaseGenerator[VaeGanConfig]):
         # Channels last is the faster order on CPU and GPU; fixed here, since orders round apart.
         return nn.ModuleDict(nets).to(memory_format=torch.channels_last)  # pyright: ignore
 
-    def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
-        """Fit the conditioning, then train."""
-        self.nets = self._build()
-        self._net("conditioning").fit(store.parameters[store.split_indices("train")])
-        if self.config.sector:
-            self._net("decoder").fit(store)
-        self.nets.to(self.device)
-        return train(self, store, self.config.training, run)
-
-    def _net(self, name: str) -> Any:
-        assert self.nets is not None
-        return self.nets[name]
-
     def modules(self) -> dict[str, nn.Module]:
         """Return encoder, decoder and discriminator."""
-        return {name: self._net(name) for name in ("encoder", "decoder", "discriminator")}
+        return {name: self.net(name) for name in ("encoder", "decoder", "discriminator")}
 
     def averaged(self) -> tuple[str, ...]:
         """Name the decoder, which draws, and the encoder, which is saved beside it."""
@@ -145,9 +127,9 @@ class VaeGan(BaseGenerator[VaeGanConfig]):
     def optimizers(self) -> dict[str, Optimizer]:
         """Return one Adam for encoder and decoder, one for the discriminator."""
         rate, betas = self.config.learning_rate, (self.config.beta1, 0.999)
-        vae = [*self._net("encoder").parameters(), *self._net("decoder").parameters()]
+        vae = [*self.net("encoder").parameters(), *self.net("decoder").parameters()]
         return {
-            "discriminator": Adam(self._net("discriminator").parameters(), rate, betas),
+            "discriminator": Adam(self.net("discriminator").parameters(), rate, betas),
             "vae": Adam(vae, rate, betas),
         }
 
@@ -155,7 +137,7 @@ class VaeGan(BaseGenerator[VaeGanConfig]):
         """Yield the discriminator's step, then that of encoder and decoder."""
         config = self.config
         real = to_range(batch.images)
-        condition = self._net("conditioning")(batch.parameters)
+        condition = self.net("conditioning")(batch.parameters)
         mean, log_variance = nets["encoder"](real)
         noise = normal(derive(batch.seeds, POSTERIOR), config.latent)
         posterior = mean + noise * (0.5 * log_variance).exp()
@@ -164,7 +146,7 @@ class VaeGan(BaseGenerator[VaeGanConfig]):
         latents, conditions = torch.cat([posterior, prior]), torch.cat([condition, condition])
         rebuilt, drawn = nets["decoder"](latents, conditions).chunk(2)
 
-        adversary, critic = config.adversary, self._net("discriminator")
+        adversary, critic = config.adversary, self.net("discriminator")
         seeds = derive(batch.seeds, AUGMENT)
         seen = adversary.view(drawn, seeds)
         yield adversary.critic_update(nets["discriminator"], critic, real, seen, condition, seeds)
@@ -184,7 +166,7 @@ class VaeGan(BaseGenerator[VaeGanConfig]):
     def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
         """Decode prior noise of each sample's seed with its condition."""
         seeds = sample_seeds(seed, len(parameters), parameters.device)
-        decoder, conditioning = self._net("decoder").eval(), self._net("conditioning")
+        decoder, conditioning = self.net("decoder").eval(), self.net("conditioning")
 
         def decode(parameters: Tensor, seeds: Tensor) -> Tensor:
             noise = normal(derive(seeds, DRAW), self.config.latent)
@@ -194,20 +176,5 @@ class VaeGan(BaseGenerator[VaeGanConfig]):
 
     def onnx_module(self) -> OnnxModule:
         """Return conditioning and decoder."""
-        painter = Painter(self._net("conditioning"), self._net("decoder"))
+        painter = Painter(self.net("conditioning"), self.net("decoder"))
         return OnnxModule(painter, NoiseInput(self.config.latent, (DRAW,)))
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return encoder, decoder and conditioning; the discriminator stays behind."""
-        if self.nets is None:
-            return {}
-        state = self.nets.state_dict()
-        return {key: value for key, value in state.items() if not key.startswith("discriminator")}
-
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Take the weights back."""
-        self.nets = self._build().to(self.device)
-        left = self.nets.load_state_dict(tensors, strict=False)
-        missing = [key for key in left.missing_keys if not key.startswith("discriminator")]
-        if missing or left.unexpected_keys:
-            raise RacinesError(f"{missing or left.unexpected_keys} do not fit the config")
