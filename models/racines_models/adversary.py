@@ -24,9 +24,9 @@ class Adversary:
     2014, section 3); or `hinge` (Miyato et al., 2018)."""
     joining: str = "projection"
     """Where the condition enters: `last`, `layers` or `projection` (see `Discriminator`)."""
-    normalisation: str = "spectral"
+    normalisation: str = "none"
     """Of the discriminator: `spectral`, `batch` (the paper), or `none`."""
-    r1: float = 0.0
+    r1: float = 1.0
     """Weight γ of the R1 penalty γ/2 · |∇D|² on real images; 0 switches it off."""
     r1_every: int = 16
     """Steps between two penalties, each weighed this many times more (lazy regularisation)."""

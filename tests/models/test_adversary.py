@@ -51,7 +51,7 @@ def test_penalty_is_lazy_weighed_and_counts_across_a_resume():
     resumed.load_state_dict(critic.state_dict())
     due = [adversary.penalty(resumed, images, condition, seeds) is not None for _ in range(3)]
     assert due == [False, False, True]
-    assert Adversary().penalty(critic, images, condition, seeds) is None
+    assert Adversary(r1=0.0).penalty(critic, images, condition, seeds) is None
 
 
 def test_penalty_is_in_full_precision_under_mixed_precision():
@@ -165,7 +165,7 @@ def test_each_switch_changes_the_training(store, tmp_path):
 def test_paper_preset_fills_and_has_batch_norm_and_nothing_of_ours():
     for config in (CganConfig, ResidualCganConfig, StyleGanConfig):
         preset = fill(config, _paper())
-        assert preset.adversary == Adversary(joining="layers", normalisation="batch")
+        assert preset.adversary == Adversary(joining="layers", normalisation="batch", r1=0.0)
         assert preset.training.batch_size == 8 and preset.training.ema == 0.0
         assert preset.latent == 100 and math.isclose(preset.learning_rate, 1e-4)
     nets = Cgan(fill(CganConfig, {**_paper(), "discriminator_width": 2})).networks(15)

@@ -25,7 +25,7 @@ TINY = {
     **SIZES,
     "learning_rate": 0.03,
     "training": TRAINING,
-    "adversary": Adversary(r1=1.0, r1_every=2),
+    "adversary": Adversary(normalisation="spectral", r1=1.0, r1_every=2),
 }
 CONFIGS = {
     Cgan: CganConfig,
@@ -65,7 +65,7 @@ def _networks(cls, **changes):
 def test_killed_and_resumed_with_spectral_norm_and_a_penalty_now_and_then(tmp_path):
     """Power iterations and the count of lazy penalties come back from the checkpoint."""
     training = Training(images=160, batch_size=8, precision="fp32", checkpoint_every=40)
-    adversary = Adversary(r1=10.0, r1_every=3, augment=("translation",))
+    adversary = Adversary(normalisation="spectral", r1=10.0, r1_every=3, augment=("translation",))
     config = CganConfig(**(TINY | {"training": training, "adversary": adversary}))
     fit(tmp_path / "whole", Cgan, config)
     kill(tmp_path / "killed", make=Cgan, config=config)

@@ -1,27 +1,17 @@
 """The paper's residual cGAN: residual blocks, with the condition injected in every layer."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
-from racines_models.adversary import Adversary
 from racines_models.generators.gan import PyramidGan, PyramidGanConfig
-
-
-def _adversary() -> Adversary:
-    return Adversary(normalisation="none", r1=1.0)
 
 
 @dataclass(frozen=True)
 class ResidualCganConfig(PyramidGanConfig):
-    """As `PyramidGanConfig`, with a discriminator that costs no more than the others.
-
-    R1 checks it: under spectral weights a residual discriminator of this depth learns slower than
-    its generator, and stays at chance.
-    """
+    """As `PyramidGanConfig`, with a discriminator that costs no more than the others."""
 
     name: ClassVar[str] = "residual-cgan"
     discriminator_width: int = 12
-    adversary: Adversary = field(default_factory=_adversary)
 
 
 class ResidualCgan(PyramidGan):

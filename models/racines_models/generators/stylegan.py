@@ -1,19 +1,14 @@
 """The paper's conditional StyleGAN: a style made of noise and condition scales every layer."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import ClassVar
 
 from torch import nn
 
 from racines_data.errors import RacinesError
-from racines_models.adversary import Adversary
 from racines_models.generators.gan import ConditionalGan, GanConfig
 from racines_models.networks.discriminator import Discriminator
 from racines_models.networks.style import StyleSynthesis
-
-
-def _adversary() -> Adversary:
-    return Adversary(normalisation="none", r1=1.0)
 
 
 @dataclass(frozen=True)
@@ -31,7 +26,6 @@ class StyleGanConfig(GanConfig):
     learning_rate: float = 2e-3
     discriminator_learning_rate: float = 5e-4
     beta1: float = 0.0
-    adversary: Adversary = field(default_factory=_adversary)
 
     def __post_init__(self) -> None:
         """Refuse what cannot train."""

@@ -30,7 +30,7 @@ changes of the augmentation."""
 
 
 def _adversary() -> Adversary:
-    return Adversary(joining="last", normalisation="batch")
+    return Adversary(joining="last", normalisation="batch", r1=0.0)
 
 
 @dataclass(frozen=True)
