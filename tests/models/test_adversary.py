@@ -153,9 +153,9 @@ def test_each_switch_changes_the_training(store, tmp_path):
         {"loss": "hinge"},
         {"joining": "last"},
         {"joining": "layers"},
-        {"normalisation": "none"},
+        {"normalisation": "spectral"},
         {"normalisation": "batch"},
-        {"r1": 10.0},
+        {"r1": 0.0},
         {"augment": ("brightness",)},
     ]
     files = [_file(store, tmp_path / str(i), **each) for i, each in enumerate(switches)]
