@@ -36,13 +36,14 @@ class PPOConfig:
     """Run folder, for the reward `paper`; models/runs/grader if empty."""
     frames: int = 300_000
     """Environment steps in all; rounded up to whole updates."""
-    envs: int = 256
+    envs: int = 64
     """Environments side by side."""
-    update_every: int = 8_192
+    update_every: int = 2_048
     """Environment steps between updates, a multiple of `envs`."""
-    epochs: int = 5
+    epochs: int = 10
     """Passes over the steps of an update."""
-    minibatch: int = 2_048
+    minibatch: int = 512
+    """Steps of a gradient step. Small updates made often learn from fewest environment steps."""
     clip: float = 0.2
     """Clip range of the probability ratio."""
     actor_lr: float = 1e-3
