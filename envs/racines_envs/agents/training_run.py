@@ -3,7 +3,6 @@
 import time
 import warnings
 from abc import ABC, abstractmethod
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 from racines_envs.agents.encoders import open_encoder
+from racines_envs.agents.identity import environment_identity, settings_identity
 from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.agents.policy import PolicyAgent
 from racines_envs.agents.training_config import TrainingConfig
@@ -76,12 +76,8 @@ class TrainingRun(ABC):
         }
         self.frames, self.best, self.history = 0, (-1.0, 0.0), []
         self.seconds = self._before = self._began = 0.0
-        identity = {"agent": cls.name, "seed": seed, **asdict(config)}
-        identity |= {
-            "hidden": list(config.hidden),
-            "encoder_sha256": self.encoder.sha256 if self.encoder is not None else None,
-            "phantom": phantom_recipe(self.where["phantom"]),
-        }
+        identity = settings_identity(cls.name, config, seed, self.encoder)
+        identity |= environment_identity(config, self.where["phantom"], grader, data)
         self.checkpoint = Checkpoint(folder, identity)
 
     def run(self, resume: bool | None) -> Any:
