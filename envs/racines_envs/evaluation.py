@@ -12,7 +12,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_envs import intervals
-from racines_envs.agents import agent_class, load_agent
+from racines_envs.agents import agent_class, load_agent, sees
 from racines_envs.agents.onnx_policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
@@ -194,6 +194,7 @@ def _document(
     return {
         "schema": SCHEMA,
         "agent": agent_class(name).name,
+        "sees": sees(agent),
         "task": {
             "view": task.view,
             "backend": config.backend,

@@ -160,8 +160,11 @@ def _methods(ranking: list[Ranked]) -> str:
 
 
 def _sees(track: Track, record: Record) -> tuple[str, ...]:
-    """Return what an agent observes; a generator observes nothing."""
-    return (record["scores"]["task"]["observation"],) if track.name == "agents" else ()
+    """Return what an agent goes by, in a tuple; a generator looks at nothing."""
+    if track.name != "agents":
+        return ()
+    scores = record["scores"]
+    return (scores.get("sees", scores["task"]["observation"]),)  # older records do not tell
 
 
 def _usual_n(record: Record, columns: list[Column]) -> int:

@@ -9,7 +9,7 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_envs.actions import IDLE
-from racines_envs.agents import agent_class, agent_names, load_agent
+from racines_envs.agents import agent_class, agent_names, load_agent, sees
 from racines_envs.agents.behaviour_cloning import BehaviourCloningAgent, BehaviourCloningConfig
 from racines_envs.agents.dqn import DQNAgent, DQNConfig
 from racines_envs.agents.hill_climber import HillClimberAgent
@@ -88,6 +88,8 @@ class TestContract:
         assert agent_class(agent.name) is type(agent)
         assert asdict(type(agent).Config()) is not None
         assert agent.observation in OBSERVATIONS
+        told = {"planner": "truth", "random": "nothing", "hill-climber": "grade"}
+        assert sees(agent) == told.get(agent.name, agent.observation)
 
 
 def test_unknown_agents_and_classes_that_are_none_are_refused(tmp_path):

@@ -18,7 +18,7 @@ class Agent(Protocol):
     Config: ClassVar[type]
     """A dataclass whose defaults are usable, filled from the params section of this name."""
     observation: str
-    """What it looks at: `image`, `params` or `multimodal`."""
+    """What the environment shows it: `image`, `params` or `multimodal`."""
 
     def attach(self, core: ScanCore) -> None:
         """Meet the environment before a rollout. Only an upper bound may keep hold of it."""
@@ -49,6 +49,15 @@ class Agent(Protocol):
             RacinesError: no policy there.
         """
         ...
+
+
+def sees(agent: Agent) -> str:
+    """Return what an agent goes by: its attribute `sees`, or else all that it is shown.
+
+    Some are shown more than they use, or told more: `grade` for the grader's opinion of the image,
+    `truth` for the simulator's state, `nothing`.
+    """
+    return getattr(agent, "sees", agent.observation)
 
 
 class Untrained:
