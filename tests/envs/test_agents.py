@@ -20,6 +20,7 @@ from racines_envs.agents.random import RandomAgent
 from racines_envs.core import OBSERVATIONS
 from racines_envs.making import make_core
 from racines_envs.rollout import rollout
+from racines_envs.runs import find_run
 from racines_envs.starts import evaluation_seeds
 from tests.envs.fakes import FakeGrader, FakePhantom
 
@@ -99,10 +100,15 @@ def test_unknown_agents_and_classes_that_are_none_are_refused(tmp_path):
         agent_class("pathlib:Path")
     with pytest.raises(RacinesError, match="cannot load"):
         agent_class("nowhere.at.all:Agent")
-    with pytest.raises(RacinesError, match="nothing to learn"):
-        RandomAgent.train(None, tmp_path)
     with pytest.raises(RacinesError, match="racines train agent ppo"):
         load_agent("ppo", tmp_path)
+
+
+def test_what_has_nothing_to_learn_leaves_its_settings(tmp_path):
+    """So that each run has its folder, which other commands find it by."""
+    RandomAgent.train(RandomAgent.Config(), tmp_path / "floor")
+    assert find_run(str(tmp_path / "floor")).agent == "random"
+    assert json.loads((tmp_path / "floor/metrics.json").read_text()) == {}
 
 
 def test_the_random_agent_uses_all_actions_alike(phantom):

@@ -35,7 +35,7 @@ def test_tables_show_figures_intervals_n_and_the_papers_figures_apart(results):
         "phantom-smoke · generators",
         f"generators · {REPORTED}",
         "phantom-smoke · agents · PL, phantom backend",
-        "phantom-smoke · agents · SC, phantom backend",
+        "phantom-smoke · agents · SC from the image, phantom backend",
         f"agents · {REPORTED}",
     ]
     assert tables[0].rows[0][:2] == ("1", "vae-gan")

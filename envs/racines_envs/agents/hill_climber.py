@@ -7,7 +7,7 @@ the image alone; each try is a step of the episode.
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -17,6 +17,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.randomness import uniform
 from racines_envs.actions import ACTIONS, IDLE
+from racines_envs.agents.protocol import SETTINGS, Untrained
 from racines_envs.backends import GRADER_FOLDER, make_grader
 from racines_envs.core import ScanCore
 from racines_envs.making import check_grader
@@ -26,7 +27,6 @@ MOVES = len(ACTIONS) - 1
 """All actions but idle; action 2i goes one way and 2i + 1 back."""
 PUBLISHED = Path("models/weights/grader")
 """The grader that comes with the repository."""
-SETTINGS = "config.json"
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class _Memory:
     """Steps of a walk still to go."""
 
 
-class HillClimberAgent:
+class HillClimberAgent(Untrained):
     """Repeats a step while the grader likes the images better; undoes it when not."""
 
     name: ClassVar[str] = "hill-climber"
@@ -183,15 +183,6 @@ class HillClimberAgent:
         walk = memory.walking > 0
         memory.walking = memory.walking - walk.long()
         return walk
-
-    @classmethod
-    def train(cls, config: HillClimberConfig, run_dir: Path, **where: Any) -> Self:
-        """Write the settings down, for `load`; there is nothing to learn."""
-        from racines_data.files import write_json
-
-        write_json(Path(run_dir) / "metrics.json", {})
-        write_json(Path(run_dir) / SETTINGS, {"agent": cls.name, "config": asdict(config)})
-        return cls(config)
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
