@@ -66,17 +66,13 @@ def find_entry(settings: dict[str, Any], spec: str, name: str | None = None) -> 
     values = entries.get(own) or {}
     if not isinstance(values, dict):
         raise RacinesError(f"agents.{own}: {values!r} is no mapping: give the run's settings")
-    agent = values.get("agent", spec if spec in entries else own)
+    agent = values.get("agent", own)
     if not isinstance(agent, str):
         raise RacinesError(f"agents.{own}.agent: {agent!r}: give the name of an agent")
-    if spec not in entries:
-        values = values if agent == own else {}  # the entry of that name is another agent's
-        agent = spec
+    if spec not in entries:  # an entry of that name may be another agent's
+        values, agent = values if agent == own else {}, spec
     known = {field.name for field in fields(agent_class(agent).Config)}
-    # What learns for a view has it in its settings; for the others it is that of the evaluation.
-    chosen = {
-        key: value
-        for key, value in values.items()
-        if key != "agent" and (key != "view" or key in known)
-    }
+    # What learns for a view has it among its settings; for others it is the evaluation's alone.
+    apart = {"agent"} if "view" in known else {"agent", "view"}
+    chosen = {key: value for key, value in values.items() if key not in apart}
     return Entry(name or own, agent, chosen, values.get("view"))
