@@ -9,6 +9,7 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.behaviour_cloning import BehaviourCloningAgent, BehaviourCloningConfig
 from racines_envs.agents.behaviour_cloning import _Imitation as Imitation
 from racines_envs.agents.dqn import DQNAgent, DQNConfig
+from racines_envs.agents.identity import environment_identity
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
 from racines_envs.agents.training_run import TrainingRun
 from racines_models.grader import Grader, GraderConfig
@@ -89,6 +90,22 @@ def test_moved_artefacts_go_on_and_changed_ones_are_refused(phantom, tmp_path, d
     (tmp_path / "grader").rename(tmp_path / "elsewhere")
     resume(encoder=str(tmp_path / "moved"), grader=str(tmp_path / "elsewhere"))
     assert dies["calls"] == 2, "the first half was not trained again"
+
+
+def test_a_generator_counts_by_its_weights(phantom, tmp_path):
+    def identity(folder):
+        config = replace(PPO, backend="generator", generator=str(folder))
+        return environment_identity(config, phantom)
+
+    weights = tmp_path / "cgan/model.safetensors"
+    weights.parent.mkdir()
+    weights.write_bytes(b"weights")
+    first = identity(tmp_path / "cgan")
+    assert first["generator"] and first["grader"] is None
+    weights.parent.rename(tmp_path / "moved")
+    assert identity(tmp_path / "moved") == first
+    (tmp_path / "moved/model.safetensors").write_bytes(b"others")
+    assert identity(tmp_path / "moved") != first
 
 
 def test_a_cloned_policy_goes_on_with_a_moved_encoder_only(phantom, tmp_path, monkeypatch):
