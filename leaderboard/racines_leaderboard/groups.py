@@ -20,15 +20,16 @@ def by_task(records: list[Record]) -> dict[str, list[Record]]:
     bounds: dict[tuple[str, str], list[Record]] = {}
     for record in records:
         task = record["scores"].get("task")
-        place = (task["view"], task["backend"]) if task else ("", "")
+        view, backend, shown = (
+            (task["view"], task["backend"], task["observation"]) if task else ("", "", "")
+        )
         if is_bound(record):
-            bounds.setdefault(place, []).append(record)
+            bounds.setdefault((view, backend), []).append(record)
         else:
-            shown = task["observation"] if task else ""
-            groups.setdefault((*place, shown), []).append(record)
-    for place, floor_and_ceiling in bounds.items():
-        held = [group for key, group in groups.items() if key[:2] == place]
-        for group in held or [groups.setdefault((*place, ""), [])]:
+            groups.setdefault((view, backend, shown), []).append(record)
+    for (view, backend), floor_and_ceiling in bounds.items():
+        held = [group for key, group in groups.items() if key[:2] == (view, backend)]
+        for group in held or [groups.setdefault((view, backend, ""), [])]:
             group.extend(floor_and_ceiling)
     return {_task_title(*key): group for key, group in sorted(groups.items())}
 
