@@ -4,6 +4,7 @@ The stages run for real under DVC in a scratch repository, with a stand-in for `
 each stage's outputs with a digest of that stage's dependencies and parameters, in no time.
 """
 
+import ast
 import json
 import os
 import shutil
@@ -16,8 +17,16 @@ import pytest
 import yaml
 
 from racines_data.config import PROFILES, read_params
+from racines_data.views import VIEWS
+from racines_envs.agents import agent_names
+from racines_envs.entries import find_entry
 from racines_models.registry import generator_names
 from tests.conftest import ROOT
+
+REPLAY = {"backends_replay.py", "recorded.py", "pose_index.py"}
+ENVIRONMENT = {
+    "backends.py", "core.py", "data_versions.py", "forces.py", "rewards.py", "sensing.py",
+}  # fmt: skip
 
 STAND_IN = """#!{python}
 import hashlib, json, pathlib, sys
@@ -130,6 +139,10 @@ def test_a_change_runs_again_what_follows_from_it_and_nothing_else(pipeline: Pat
     change(pipeline, "agents.ppo.actor_lr", 0.5)
     assert repro(pipeline) == ["agents@ppo", "evaluate@ppo", "leaderboard"]
 
+    entry = {"agent": "ppo", "view": "PL"}
+    change(pipeline, "agents.ppo-pl", entry)
+    assert repro(pipeline) == ["agents@ppo-pl", "evaluate@ppo-pl", "leaderboard"]
+
     (pipeline / "racines_data" / "README.md").write_text("words")
     assert repro(pipeline) == [], "documentation is no dependency"
 
@@ -152,7 +165,20 @@ def test_profiles_have_the_same_sections():
     for name, content in contents.items():
         assert content["board"] == boards[name]
         assert list(content) == list(default)
-        assert list(content["agents"]) == list(default["agents"])
+        assert {"random", "planner", "ppo"} <= set(content["agents"])
+
+
+@pytest.mark.parametrize("name", ["smoke", "reference"])
+def test_the_first_and_the_last_profile_run_every_agent(name: str):
+    """One to see that all run, the other for the published table, on every view."""
+    params = read_params(profile=name)
+    entries = [find_entry(params, run) for run in params["agents"]]
+    assert {entry.agent for entry in entries} == set(agent_names()) - {"onnx"}  # which is a file
+    if name == "reference":
+        seen = {(entry.agent, entry.view or "SC") for entry in entries}
+        assert seen >= {(agent, view) for agent in ("random", "planner", "ppo") for view in VIEWS}
+        shown = {each.settings.get("observation") for each in entries if each.agent == "ppo"}
+        assert shown == {None, "image", "multimodal"}
 
 
 def test_the_reference_profile_trains_every_generator():
@@ -174,6 +200,7 @@ def test_every_stage_is_a_plain_command_of_ours():
         "grader",
         "student",
         "pose",
+        "encoder",
         "generators",
         "scores",
         "gallery",
@@ -201,3 +228,47 @@ def test_what_dvc_caches_is_ignored_by_git():
         ["git", "check-ignore", *cached], cwd=ROOT, capture_output=True, text=True
     )
     assert done.stdout.split() == cached
+
+
+def test_runs_of_every_profile_are_ignored_by_git():
+    """So that a switch of profile leaves nothing that a commit would take along."""
+    names = {name for profile in PROFILES for name in read_params(profile=profile)["agents"]}
+    paths = [f"envs/runs/{name}" for name in sorted(names)]
+    paths += [f"envs/runs/scores/{name}.png" for name in sorted(names)] + ["models/runs/encoder"]
+    done = subprocess.run(["git", "check-ignore", *paths], cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.split() == paths
+
+
+def imported(path: Path) -> set[Path]:
+    """Return the modules of environments that one imports, inside functions as well."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            for name in (node.module, *(f"{node.module}.{each.name}" for each in node.names)):
+                module = ROOT / "envs" / Path(*name.split(".")).with_suffix(".py")
+                if name.startswith("racines_envs") and module.is_file():
+                    found.add(module)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("stage", "starts", "apart"),
+    [
+        # No profile trains on a replay; exploration draws poses and steps through no environment.
+        ("agents", ["agents/ppo.py", "agents/dqn.py", "agents/behaviour_cloning.py"], REPLAY),
+        ("encoder", ["exploration.py"], REPLAY | ENVIRONMENT),
+    ],
+)
+def test_a_stage_names_the_code_that_it_runs(stage: str, starts: list[str], apart: set[str]):
+    written = yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"][stage]
+    deps = [ROOT / dep for dep in written.get("do", written)["deps"]]
+    code = ROOT / "envs/racines_envs"
+    todo, seen = [code / start for start in starts], set()
+    while todo:
+        path = todo.pop()
+        if path in seen or path.name in apart:
+            continue
+        seen.add(path)
+        todo.extend(imported(path))
+        assert any(dep == path or dep in path.parents for dep in deps), path
+    assert len(seen) > 4

@@ -8,11 +8,16 @@ from racines_data.build import make_source, read_data_section
 from racines_data.config import PROFILES, fill, read_params, section
 from racines_data.phantom import PhantomConfig
 from racines_envs.agents import agent_class
+from racines_envs.entries import find_entry
 from racines_envs.evaluation import EvaluationConfig
+from racines_envs.exploration import ExplorationConfig
 from racines_models.grader import GraderConfig
 from racines_models.pose_regressor import PoseConfig
 from racines_models.registry import generator_class
 from racines_models.student import StudentConfig
+
+ENCODER = "models/runs/encoder"
+"""What the stage of that name makes."""
 
 
 @pytest.mark.parametrize("profile", PROFILES)
@@ -25,10 +30,13 @@ def test_every_section_is_known_to_its_owner(profile: str):
     fill(StudentConfig, section(params, "student"), "student")
     fill(PoseConfig, section(params, "pose"), "pose")
     fill(EvaluationConfig, section(params, "evaluation"), "evaluation")
-    for group, named in (("generators", generator_class), ("agents", agent_class)):
-        assert set(params[group]) <= {
-            point.name for point in entry_points(group=f"racines.{group}")
-        }
-        for name in params[group]:
-            path = f"{group}.{name}"
-            fill(named(name).Config, section(params, path), path)
+    fill(ExplorationConfig, section(params, "encoder"), "encoder")
+    registered = {point.name for point in entry_points(group="racines.generators")}
+    assert set(params["generators"]) <= registered
+    for name in params["generators"]:
+        path = f"generators.{name}"
+        fill(generator_class(name).Config, section(params, path), path)
+    for name in params["agents"]:
+        entry = find_entry(params, name)
+        fill(agent_class(entry.agent).Config, entry.settings, entry.where)
+        assert entry.name == name and entry.settings.get("encoder", ENCODER) == ENCODER

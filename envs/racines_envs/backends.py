@@ -61,6 +61,16 @@ def open_source(spec: str | Path, device: torch.device | str = "cpu") -> ImageSo
     return open_generator(name, run, str(device))
 
 
+def source_weights(spec: str | Path) -> dict[str, str]:
+    """Return the SHA-256 of each weights file of the generator that a spec names, by file name."""
+    from racines_models.provenance import weights_sha256
+    from racines_models.registry import weights_of
+
+    name, _, folder = str(spec).partition("@")
+    place = Path(folder or name)
+    return weights_sha256(place) if place.is_dir() else weights_of(name, folder or None)
+
+
 def _whose(folder: Path) -> str:
     """Return the name of the generator that a run folder holds."""
     path = folder / "config.json"

@@ -7,8 +7,8 @@ import typer
 
 from racines_envs.settings import given, phantom_config, read_settings
 
-RUNS = Path("envs/runs")
-
+AgentOrRun = "Registered agent, module:Class, or a run of the section agents."
+Name = Annotated[str | None, typer.Option(help="What to call the run; as the agent, or its entry.")]
 Params = Annotated[Path | None, typer.Option(help="Settings; ./params.yaml if it is there.")]
 Profile = Annotated[
     str | None,
@@ -28,7 +28,7 @@ def register(train: typer.Typer, evaluate: typer.Typer) -> None:
 
 
 def train_agent(
-    agent: Annotated[str, typer.Argument(help="Registered agent, or module:Class.")] = "ppo",
+    agent: Annotated[str, typer.Argument(help=AgentOrRun)] = "ppo",
     view: Annotated[str | None, typer.Option(help="Target view.")] = None,
     observation: Annotated[str | None, typer.Option(help="image, params or multimodal.")] = None,
     reward: Annotated[str | None, typer.Option(help="paper, oracle or shaped.")] = None,
@@ -44,7 +44,8 @@ def train_agent(
     frames: Annotated[int | None, typer.Option(help="Environment steps.")] = None,
     device: Annotated[str | None, typer.Option(help="cpu or cuda.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the training.")] = None,
-    run_dir: Annotated[Path | None, typer.Option(help="Where to write; envs/runs/<agent>.")] = None,
+    name: Name = None,
+    run_dir: Annotated[Path | None, typer.Option(help="Where to write; envs/runs/<run>.")] = None,
     resume: Annotated[
         bool | None,
         typer.Option("--resume/--fresh", help="Continue a run, or start anew; else as it fits."),
@@ -54,18 +55,19 @@ def train_agent(
     as_json: Annotated[bool, typer.Option("--json", help="Print the metrics as JSON.")] = False,
 ) -> None:
     """Train an agent; options override the settings."""
-    from racines_data.config import fill, section
+    from racines_data.config import fill
     from racines_envs.agents import agent_class
+    from racines_envs.entries import find_entry
 
     settings = read_settings(params, profile)
+    entry = find_entry(settings, agent, name)
     chosen = given(
         view=view, observation=observation, reward=reward, backend=backend, generator=generator,
         grader=grader, encoder=encoder, frames=frames, device=device,
     )  # fmt: skip
-    cls = agent_class(agent)
-    values = section(settings, f"agents.{cls.name}") | chosen
-    config: Any = fill(cls.Config, values, f"agents.{cls.name}")
-    folder = run_dir or RUNS / cls.name
+    cls = agent_class(entry.agent)
+    config: Any = fill(cls.Config, entry.settings | chosen, entry.where)
+    folder = run_dir or entry.folder
     cls.train(
         config,
         folder,
@@ -76,11 +78,11 @@ def train_agent(
         progress=not as_json,
     )
     metrics = (folder / "metrics.json").read_text()
-    typer.echo(metrics if as_json else f"policy and metrics are in {folder}")
+    typer.echo(metrics if as_json else f"settings, metrics and policy, if any, are in {folder}")
 
 
 def evaluate_agent(
-    agent: Annotated[str, typer.Argument(help="Registered agent, or module:Class.")],
+    agent: Annotated[str, typer.Argument(help=AgentOrRun)],
     view: Annotated[str | None, typer.Option(help="Target view.")] = None,
     starts: Annotated[int | None, typer.Option(help="Episodes from each start set.")] = None,
     backend: Annotated[str | None, typer.Option(help="phantom, generator or replay.")] = None,
@@ -93,9 +95,10 @@ def evaluate_agent(
     latency: Annotated[
         int | None, typer.Option(help="Decisions to time one at a time; 0 for none.")
     ] = None,
-    run_dir: Annotated[Path | None, typer.Option(help="The policy; envs/runs/<agent>.")] = None,
+    name: Name = None,
+    run_dir: Annotated[Path | None, typer.Option(help="The policy; envs/runs/<run>.")] = None,
     scores: Annotated[
-        Path | None, typer.Option(help="Scores file; envs/runs/scores/<agent>.json.")
+        Path | None, typer.Option(help="Scores file; envs/runs/scores/<run>.json.")
     ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Picture of trajectories; beside the scores, .png.")
@@ -108,18 +111,25 @@ def evaluate_agent(
     import json
 
     from racines_data.config import fill, section
-    from racines_envs.agents import agent_class
+    from racines_envs.entries import find_entry
     from racines_envs.evaluation import EvaluationConfig, evaluate, write_evaluation
 
     settings = read_settings(params, profile)
-    chosen = given(
+    entry = find_entry(settings, agent, name)
+    chosen = given(view=entry.view) | given(
         view=view, starts=starts, backend=backend, generator=generator, reward=reward,
         data=data, grader=grader, device=device, seed=seed, latency=latency,
     )  # fmt: skip
     config = fill(EvaluationConfig, section(settings, "evaluation") | chosen, "evaluation")
-    name = agent_class(agent).name
-    result = evaluate(agent, run_dir or RUNS / name, config, phantom_config(settings))
-    out = scores or RUNS / "scores" / f"{name}.json"
+    result = evaluate(
+        entry.agent,
+        run_dir or entry.folder,
+        config,
+        phantom_config(settings),
+        run=entry.name,
+        board=settings.get("board"),
+    )
+    out = scores or entry.scores
     write_evaluation(result, out, picture or out.with_suffix(".png"))
     if as_json:
         typer.echo(json.dumps(result.scores, indent=2))

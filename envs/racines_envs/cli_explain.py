@@ -28,9 +28,9 @@ def explain(
     ] = None,
     device: Annotated[str | None, typer.Option(help="cpu or cuda.")] = None,
     seed: Annotated[int | None, typer.Option(help="Names the start set.")] = None,
-    run_dir: Annotated[Path | None, typer.Option(help="The policy; envs/runs/<agent>.")] = None,
+    run_dir: Annotated[Path | None, typer.Option(help="The policy; envs/runs/<run>.")] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder to write; envs/runs/explain/<agent>.")
+        Path | None, typer.Option(help="Folder to write; envs/runs/explain/<run>.")
     ] = None,
     pictures: Annotated[int, typer.Option(help="Episodes that are drawn.")] = 4,
     params: Annotated[
@@ -43,23 +43,24 @@ def explain(
     import json
 
     from racines_data.config import fill, section
-    from racines_envs.agents import agent_class
-    from racines_envs.cli import RUNS
+    from racines_envs.entries import find_entry
     from racines_envs.explain import ExplainConfig, write_explanation
     from racines_envs.explain import explain as explain_agent
+    from racines_envs.runs import RUNS
     from racines_envs.settings import given, phantom_config, read_settings
 
     settings = read_settings(params, profile)
-    chosen = given(
+    entry = find_entry(settings, agent)
+    chosen = given(view=entry.view) | given(
         view=view, starts=starts, every=every, frames=frames, steps=steps, backend=backend,
         data=data,
         random_maps=random_maps, generator=generator, reward=reward, grader=grader,
         device=device, seed=seed,
     )  # fmt: skip
     config = fill(ExplainConfig, section(settings, "explain") | chosen, "explain")
-    name = agent_class(agent).name
-    result = explain_agent(agent, run_dir or RUNS / name, config, phantom_config(settings))
-    folder = out or RUNS / "explain" / name
+    place = run_dir or entry.folder
+    result = explain_agent(entry.agent, place, config, phantom_config(settings))
+    folder = out or RUNS / "explain" / entry.name
     write_explanation(result, folder, pictures)
     if as_json:
         typer.echo(json.dumps(result.scores, indent=2))

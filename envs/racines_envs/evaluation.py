@@ -12,7 +12,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_envs import intervals
-from racines_envs.agents import agent_class, load_agent
+from racines_envs.agents import agent_class, load_agent, sees
 from racines_envs.agents.onnx_policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
@@ -74,7 +74,13 @@ class Evaluation:
 
 
 def evaluate(
-    name: str, run_dir: Path, config: EvaluationConfig, phantom: Any = None, grader: Any = None
+    name: str,
+    run_dir: Path,
+    config: EvaluationConfig,
+    phantom: Any = None,
+    grader: Any = None,
+    run: str | None = None,
+    board: str | None = None,
 ) -> Evaluation:
     """Run the agent that lies in `run_dir` and score it; all episodes of all sets at once.
 
@@ -84,6 +90,8 @@ def evaluate(
         config: The evaluation.
         phantom: A phantom or its configuration; the shared default by default.
         grader: Instead of the folder in the config.
+        run: What the scores call it; the agent's name by default.
+        board: The board that the scores are for, if they are for one.
 
     Raises:
         RacinesError: unknown names, missing weights, or an agent that was trained for another view.
@@ -109,6 +117,7 @@ def evaluate(
         metrics["latency"] = latency_figure(times, config.resamples)
     by_seed = measure_by_seed(episodes, steps, config.sets, config.resamples)
     scores = _document(name, run_dir, config, core, agent, metrics, by_seed)
+    scores |= {"agent": run or scores["submission"]} | ({"board": board} if board else {})
     return Evaluation(
         scores | {"seconds": time.perf_counter() - began}, episodes, core, config.pictured
     )
@@ -194,6 +203,8 @@ def _document(
     return {
         "schema": SCHEMA,
         "agent": agent_class(name).name,
+        "submission": agent_class(name).name,
+        "sees": sees(agent),
         "task": {
             "view": task.view,
             "backend": config.backend,

@@ -60,8 +60,12 @@ def save(figure: Any, path: Path) -> None:
 
 def _title(evaluation: Any, count: int) -> str:
     task = evaluation.scores["task"]
-    sees = {"params": "the pose", "image": "the image"}.get(task["observation"], "both")
-    return f"{evaluation.scores['agent']} (sees {sees}), {task['view']}: {count} fixed starts"
+    names = {"params": "the pose", "image": "the image", "multimodal": "both"}
+    sees = evaluation.scores["sees"]
+    return (
+        f"{evaluation.scores['agent']} (sees {names.get(sees, sees)}), {task['view']}: "
+        f"{count} fixed starts"
+    )
 
 
 def _path(episodes: Any, row: int) -> tuple[np.ndarray, np.ndarray]:

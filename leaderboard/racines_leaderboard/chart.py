@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from racines_data.files import write_atomic
-from racines_leaderboard.rank import Ranked, Record, figure, rank
-from racines_leaderboard.table import by_task
+from racines_leaderboard.groups import rankings
+from racines_leaderboard.rank import Ranked, Record, figure
 from racines_leaderboard.tracks import Column, Track
 
 INK = "#1f3a5f"
@@ -17,8 +17,7 @@ PANELS_A_ROW = 5
 
 def write_chart(path: Path, track: Track, records: list[Record]) -> bool:
     """Draw the results of a track as a PNG file; return False where there is none to draw."""
-    rankings = [rank(track, group) for group in by_task(records).values()]
-    ranking = [ranked for group in rankings for ranked in group]
+    ranking = rankings(track, records)
     columns = [c for c in track.columns if any(figure(r.record, c.key) for r in ranking)]
     if not columns:
         return False

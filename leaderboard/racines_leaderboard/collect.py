@@ -43,7 +43,8 @@ def made_elsewhere(folders: list[Path], board: str) -> list[Path]:
 
 
 def _board_of(path: Path) -> str | None:
-    return (_read_scores(path)[0].get("dataset") or {}).get("board")
+    scores = _read_scores(path)[0]
+    return scores.get("board") or (scores.get("dataset") or {}).get("board")
 
 
 def collect(
@@ -94,7 +95,8 @@ def _record(path: Path, submissions: Path, board: str) -> Record:
         "track": track.name,
         "name": name,
         "tier": "self-reported",
-        "submission": find_submission(submissions, track.name, name),
+        # Several runs of one method share its submission.
+        "submission": find_submission(submissions, track.name, scores.get("submission", name)),
         "scores": scores,
     }
     check(record, "record", str(path))

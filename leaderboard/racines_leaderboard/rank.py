@@ -10,10 +10,15 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True)
 class Ranked:
-    """A result with its place; equal systems share a place, as in 1, 2, 2, 4."""
+    """A result with its place; equal systems share a place, as in 1, 2, 2, 4. A bound has none."""
 
-    place: int
+    place: int | None
     record: Record
+
+
+def is_bound(record: Record) -> bool:
+    """Return whether a result is a ceiling that knows the truth, or a floor that sees nothing."""
+    return record["scores"].get("sees") in ("truth", "nothing")
 
 
 def figure(record: Record, key: str) -> dict[str, Any] | None:
@@ -23,14 +28,23 @@ def figure(record: Record, key: str) -> dict[str, Any] | None:
 
 
 def rank(track: Track, records: list[Record]) -> list[Ranked]:
-    """Order the results of a track by its rule, best first; equal ones by name."""
+    """Order the results of a track by its rule, best first; equal ones by name.
+
+    Bounds stand among the others by their figures, and take no place.
+    """
     columns = {column.key: column for column in track.columns}
-    judged = [columns[key] for key in track.ranked_by]
+    deciding = [columns[key] for key in track.ranked_by]
     if track.mean_rank:
-        keys = _mean_ranks(judged, records)
+        keys = _mean_ranks(deciding, records)
     else:
-        keys = [tuple(_badness(record, column) for column in judged) for record in records]
-    return [Ranked(place, records[i]) for place, i in _places(keys, records)]
+        keys = [tuple(_badness(record, column) for column in deciding) for record in records]
+    order = sorted(range(len(records)), key=lambda i: (keys[i], records[i]["name"]))
+    rivals = [keys[i] for i in order if not is_bound(records[i])]
+    ranking = []
+    for i in order:
+        place = 1 + sum(key < keys[i] for key in rivals)
+        ranking.append(Ranked(None if is_bound(records[i]) else place, records[i]))
+    return ranking
 
 
 def _badness(record: Record, column: Column) -> float:
@@ -48,8 +62,3 @@ def _mean_ranks(columns: list[Column], records: list[Record]) -> list[tuple[floa
         for i, value in enumerate(values):
             totals[i] += 1 + sum(other < value for other in values)
     return [(total / len(columns),) for total in totals]
-
-
-def _places(keys: list[tuple[float, ...]], records: list[Record]) -> list[tuple[int, int]]:
-    order = sorted(range(len(records)), key=lambda i: (keys[i], records[i]["name"]))
-    return [(1 + sum(key < keys[i] for key in keys), i) for i in order]

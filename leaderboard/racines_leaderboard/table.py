@@ -12,6 +12,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table as RichTable
 
+from racines_leaderboard.groups import by_task, rankings
 from racines_leaderboard.rank import Ranked, Record, figure, rank
 from racines_leaderboard.tracks import TRACKS, Column, Track
 
@@ -53,16 +54,6 @@ def board_tables(
     return tables
 
 
-def by_task(records: list[Record]) -> dict[str, list[Record]]:
-    """Group the results that compare: agents by view and backend, generators all together."""
-    groups: dict[str, list[Record]] = {}
-    for record in records:
-        task = record["scores"].get("task")
-        key = f"{task['view']}, {task['backend']} backend" if task else ""
-        groups.setdefault(key, []).append(record)
-    return dict(sorted(groups.items()))
-
-
 def markdown(table: Table) -> str:
     """Return a table as Markdown: a title in bold, the table, its notes."""
     rows = [table.head, ("---",) * len(table.head), *table.rows]
@@ -99,8 +90,7 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
             {"rank": ranked.place, "name": ranked.record["name"], "tier": ranked.record["tier"]}
             | ({"task": ranked.record["scores"]["task"]} if track.name == "agents" else {})
             | {"metrics": ranked.record["scores"]["metrics"]}
-            for records in by_task(content[track.name]).values()
-            for ranked in rank(track, records)
+            for ranked in rankings(track, content[track.name])
         ]
         for track in TRACKS
     }
@@ -134,7 +124,7 @@ def _table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     for ranked in ranking:
         usual = _usual_n(ranked.record, columns)
         cells = [cell(ranked.record, column, usual) for column in columns]
-        system = (str(ranked.place), ranked.record["name"], *_sees(track, ranked.record))
+        system = (str(ranked.place or "–"), ranked.record["name"], *_sees(track, ranked.record))
         rows.append((*system, *cells, f"{usual:,}", ranked.record["tier"]))
     sees = ("Sees",) if track.name == "agents" else ()
     head = ("#", "System", *sees, *(column.title for column in columns), "n", "Tier")
@@ -160,8 +150,11 @@ def _methods(ranking: list[Ranked]) -> str:
 
 
 def _sees(track: Track, record: Record) -> tuple[str, ...]:
-    """Return what an agent observes; a generator observes nothing."""
-    return (record["scores"]["task"]["observation"],) if track.name == "agents" else ()
+    """Return what an agent goes by, in a tuple; a generator looks at nothing."""
+    if track.name != "agents":
+        return ()
+    scores = record["scores"]
+    return (scores.get("sees", scores["task"]["observation"]),)  # older records do not tell
 
 
 def _usual_n(record: Record, columns: list[Column]) -> int:

@@ -98,7 +98,8 @@ AGENTS = Track(
     mean_rank=False,
     rule=(
         "Ranked by true success, then steps, then final grade; the return is shown and never "
-        "ranks. Equal figures share a rank."
+        "ranks. Equal figures share a rank. What goes by the truth or by nothing is a bound and "
+        "has no rank."
     ),
     counted="episodes from the fixed starts",
 )

@@ -9,7 +9,7 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_envs.actions import IDLE
-from racines_envs.agents import agent_class, agent_names, load_agent
+from racines_envs.agents import agent_class, agent_names, load_agent, sees
 from racines_envs.agents.behaviour_cloning import BehaviourCloningAgent, BehaviourCloningConfig
 from racines_envs.agents.dqn import DQNAgent, DQNConfig
 from racines_envs.agents.hill_climber import HillClimberAgent
@@ -20,6 +20,7 @@ from racines_envs.agents.random import RandomAgent
 from racines_envs.core import OBSERVATIONS
 from racines_envs.making import make_core
 from racines_envs.rollout import rollout
+from racines_envs.runs import find_run
 from racines_envs.starts import evaluation_seeds
 from tests.envs.fakes import FakeGrader, FakePhantom
 
@@ -88,6 +89,8 @@ class TestContract:
         assert agent_class(agent.name) is type(agent)
         assert asdict(type(agent).Config()) is not None
         assert agent.observation in OBSERVATIONS
+        told = {"planner": "truth", "random": "nothing", "hill-climber": "grade"}
+        assert sees(agent) == told.get(agent.name, agent.observation)
 
 
 def test_unknown_agents_and_classes_that_are_none_are_refused(tmp_path):
@@ -97,10 +100,15 @@ def test_unknown_agents_and_classes_that_are_none_are_refused(tmp_path):
         agent_class("pathlib:Path")
     with pytest.raises(RacinesError, match="cannot load"):
         agent_class("nowhere.at.all:Agent")
-    with pytest.raises(RacinesError, match="nothing to learn"):
-        RandomAgent.train(None, tmp_path)
     with pytest.raises(RacinesError, match="racines train agent ppo"):
         load_agent("ppo", tmp_path)
+
+
+def test_what_has_nothing_to_learn_leaves_its_settings(tmp_path):
+    """So that each run has its folder, which other commands find it by."""
+    RandomAgent.train(RandomAgent.Config(), tmp_path / "floor")
+    assert find_run(str(tmp_path / "floor")).agent == "random"
+    assert json.loads((tmp_path / "floor/metrics.json").read_text()) == {}
 
 
 def test_the_random_agent_uses_all_actions_alike(phantom):

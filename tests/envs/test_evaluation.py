@@ -154,7 +154,7 @@ def test_scores_follow_the_leaderboards_schema_and_the_picture_is_drawn(phantom,
     write_evaluation(result, tmp_path / "planner.json", tmp_path / "planner.png")
     content = read_json(tmp_path / "planner.json", "agent-scores")
     assert content["task"]["start_set"] == {"seeds": [0], "starts": 20}
-    assert content["weights"] is None
+    assert content["weights"] is None and content["sees"] == "truth"
     picture = np.asarray(Image.open(tmp_path / "planner.png").convert("L"))
     assert picture.shape[0] > 300 and picture.std() > 5
 

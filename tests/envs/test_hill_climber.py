@@ -73,9 +73,36 @@ def test_it_repeats_and_a_row_ignores_its_batch():
     assert abs(whole.positions[:steps, 3] - alone.positions[:, 0]).max() < 1e-6
 
 
+class CountingGrader(GlowGrader):
+    """Counts the images that it is asked about."""
+
+    def __init__(self):
+        self.asked = 0
+
+    def probabilities_and_grade(self, images):
+        self.asked += len(images)
+        return super().probabilities_and_grade(images)
+
+
+def test_what_has_ended_is_not_judged_and_nothing_else_changes(monkeypatch):
+    seeds, graders = evaluation_seeds(20), [CountingGrader(), CountingGrader()]
+    core, agent = climb(graders[0], 20, margin=0.02)
+    first = rollout(core, agent, seeds)
+    core, agent = climb(graders[1], 20, margin=0.02)
+    judge = HillClimberAgent._judge
+    with monkeypatch.context() as patch:
+        patch.setattr(agent, "_judge", lambda seen, ended: judge(agent, seen, ended & False))
+        second = rollout(core, agent, seeds)
+    assert all((first.final[key] == second.final[key]).all() for key in first.final)
+    assert (first.positions == second.positions).all()
+    assert graders[0].asked == first.final["steps"].sum()
+    assert graders[1].asked == 20 * first.final["steps"].max() > graders[0].asked
+
+
 @pytest.mark.parametrize("reach", [1, 3])
 def test_it_undoes_what_did_not_help_and_walks_off_where_nothing_does(reach):
     core, agent = climb(BlindGrader(), 4, reach=reach, patience=3, walk=5)
+    core.reset(seed=0)
     agent.attach(core)
     seeds = evaluation_seeds(4)
     actions = [agent.act({"image": torch.zeros(4, 128, 128)}, seeds) for _ in range(8 * reach + 6)]
@@ -88,6 +115,7 @@ def test_it_undoes_what_did_not_help_and_walks_off_where_nothing_does(reach):
 
 def test_it_stays_where_the_grader_sees_a_hit():
     core, agent = climb(GlowGrader(), 2)
+    core.reset(seed=0)
     agent.attach(core)
     bright = {"image": torch.full((2, 128, 128), 255, dtype=torch.uint8)}
     for _ in range(3):

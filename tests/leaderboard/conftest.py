@@ -39,7 +39,11 @@ def generator_scores(name: str, recipe: str = DIGEST, **figures: float | None) -
 
 
 def agent_scores(
-    name: str, view: str = "SC", recipe: str = DIGEST, **figures: float
+    name: str,
+    view: str = "SC",
+    recipe: str = DIGEST,
+    observation: str = "image",
+    **figures: float,
 ) -> dict[str, Any]:
     values = {"success_true": 0.5, "steps": 50.0, "final_grade": 5.0, "return": 10.0} | figures
     return {
@@ -48,7 +52,7 @@ def agent_scores(
         "task": {
             "view": view,
             "backend": "phantom",
-            "observation": "image",
+            "observation": observation,
             "reward": "paper",
             "start_set": "fixed-100",
         },

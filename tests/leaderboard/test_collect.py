@@ -63,6 +63,19 @@ def test_scores_that_another_profile_left_stay_out(tmp_path, write_scores):
     assert not list((tmp_path / "again").rglob("old.json"))
 
 
+def test_runs_of_one_method_share_its_submission_and_tell_their_board(tmp_path, write_scores):
+    submission(tmp_path / "submissions", "ppo", "agents")
+    mine = agent_scores("ppo-image") | {"submission": "ppo", "board": "phantom-smoke"}
+    other = agent_scores("ppo-pl", view="PL") | {"submission": "ppo", "board": "phantom-default"}
+    folder = write_scores("g", mine, other)
+    others = made_elsewhere([folder], "phantom-smoke")
+    assert others == [folder / "ppo-pl.json"]
+    (path,) = collect([folder], tmp_path / "r", tmp_path / "submissions", "phantom-smoke", others)
+    record = read_board(tmp_path / "r", "phantom-smoke")["agents"][0]
+    assert path.stem == record["name"] == "ppo-image"
+    assert record["submission"]["name"] == "ppo"
+
+
 def test_collecting_again_writes_the_same_bytes(tmp_path, write_scores):
     folder = write_scores("g", generator_scores("one"))
     results = tmp_path / "results"

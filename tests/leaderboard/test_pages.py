@@ -20,7 +20,9 @@ def results(tmp_path, write_scores):
         generator_scores("mean-image", ssim=0.25, kid=None),
     )
     agents = write_scores(
-        "a", agent_scores("ppo", success_true=0.75), agent_scores("other", view="PL")
+        "a",
+        agent_scores("ppo", success_true=0.75),
+        agent_scores("other", view="PL") | {"sees": "truth"},
     )
     collect([generators, agents], tmp_path / "results", tmp_path, "phantom-smoke")
     return tmp_path / "results"
@@ -33,7 +35,7 @@ def test_tables_show_figures_intervals_n_and_the_papers_figures_apart(results):
         "phantom-smoke · generators",
         f"generators · {REPORTED}",
         "phantom-smoke · agents · PL, phantom backend",
-        "phantom-smoke · agents · SC, phantom backend",
+        "phantom-smoke · agents · SC from the image, phantom backend",
         f"agents · {REPORTED}",
     ]
     assert tables[0].rows[0][:2] == ("1", "vae-gan")
@@ -47,6 +49,7 @@ def test_tables_show_figures_intervals_n_and_the_papers_figures_apart(results):
     assert "0.4253" in markdown(tables[1]) and "0.4253" not in text
     assert "75.0 (65.0 – 85.0)" in markdown(tables[3])
     assert tables[3].head[2] == "Sees" and tables[3].rows[0][2] == "image"
+    assert tables[2].rows[0][2] == "truth", "not all that it is shown, but what it says it goes by"
 
 
 def test_further_figures_stand_in_a_table_of_their_own(tmp_path, write_scores):

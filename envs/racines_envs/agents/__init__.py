@@ -1,6 +1,6 @@
 """Agents: what chooses the next action. A new agent is one file and one entry point."""
 
-from racines_envs.agents.protocol import Agent
+from racines_envs.agents.protocol import Agent, sees
 from racines_envs.agents.registry import agent_class, agent_names, load_agent
 
-__all__ = ["Agent", "agent_class", "agent_names", "load_agent"]
+__all__ = ["Agent", "agent_class", "agent_names", "load_agent", "sees"]

@@ -5,7 +5,7 @@ reward, grader nor oracle; only the recorded images, poses, views and grades.
 """
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,6 +17,7 @@ from racines_data.store import FrameStore, open_store
 from racines_envs.actions import ACTIONS, IDLE
 from racines_envs.agents.demonstrations import Demonstrations, demonstrations, encode_params
 from racines_envs.agents.encoders import open_encoder
+from racines_envs.agents.identity import settings_identity
 from racines_envs.agents.policy import PolicyAgent, make_actor
 from racines_envs.agents.training_run import copy_state
 from racines_envs.making import find_task, make_phantom
@@ -153,12 +154,8 @@ class _Imitation:
         if config.observation != "image":
             self.space = make_phantom(phantom, "cpu", self.task.anatomy).workspace
         self.epoch, self.seconds, self.best, self.history = 0, 0.0, float("inf"), []
-        identity = {"agent": BehaviourCloningAgent.name, "seed": seed, **asdict(config)}
-        identity |= {
-            "hidden": list(config.hidden),
-            "encoder_sha256": self.encoder.sha256 if self.encoder is not None else None,
-            "data": store.digest,
-        }
+        identity = settings_identity(BehaviourCloningAgent.name, config, seed, self.encoder)
+        identity |= {"data": store.digest}
         self.checkpoint = Checkpoint(folder, identity)
 
     def run(self, resume: bool | None) -> BehaviourCloningAgent:

@@ -11,36 +11,20 @@ from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 from racines_envs.agents.policy import PolicyAgent, make_actor
+from racines_envs.agents.training_config import TrainingConfig
 from racines_envs.agents.training_run import TrainingRun
 
 
 @dataclass(frozen=True)
-class DQNConfig:
+class DQNConfig(TrainingConfig):
     """Settings of a training; the defaults learn a view from the probe's pose on two CPU cores."""
 
-    view: str = "SC"
-    """The target view."""
-    observation: str = "params"
-    """`image`, `params` or `multimodal`."""
-    encoder: str = ""
-    """What looks at the image: `pose` (the published pose regressor, frozen), a folder of another,
-    or "" for convolutions that learn from reward alone."""
-    reward: str = "shaped"
-    """`paper` (needs a grader), `oracle` or `shaped`."""
-    backend: str = "phantom"
-    """What draws the images; nothing is drawn where nothing looks."""
-    generator: str = ""
-    """Name or run folder, for the backend `generator`."""
-    grader: str = ""
-    """Run folder, for the reward `paper`; models/runs/grader if empty."""
     frames: int = 200_000
-    """Environment steps in all; rounded up to whole updates."""
-    envs: int = 64
-    """Environments side by side."""
     update_every: int = 512
-    """Environment steps between rounds of updates, a multiple of `envs`."""
+    max_gradient: float = 10.0
+    validate_every: int = 20_000
     updates: int = 32
-    """Gradient steps a round."""
+    """Gradient steps after `update_every` environment steps."""
     batch_size: int = 256
     """Steps drawn from the replay buffer for a gradient step."""
     buffer: int = 100_000
@@ -57,21 +41,6 @@ class DQNConfig:
     """The same at the end."""
     explore_until: float = 0.4
     """Share of the frames over which it falls, linearly."""
-    gamma: float = 0.97
-    """Discount."""
-    reward_scale: float = 0.05
-    """Multiplies rewards before learning; reports stay unscaled."""
-    max_gradient: float = 10.0
-    """Gradient norm at which to clip."""
-    hidden: tuple[int, ...] = (128, 128)
-    """Widths of the dense layers."""
-    validate_every: int = 20_000
-    """Environment steps between validations; also between checkpoints."""
-    validation_starts: int = 100
-    """Episodes a validation, from starts that no evaluation uses."""
-    threads: int = 1
-    """CPU threads; small networks are fastest with one. 0 leaves torch as it is."""
-    device: str = "cpu"
 
 
 class DQNAgent(PolicyAgent):
@@ -99,7 +68,8 @@ class DQNAgent(PolicyAgent):
         Raises:
             RacinesError: settings that do not fit together, or a checkpoint of another run.
         """
-        return _Training(config, Path(run_dir), seed, phantom, grader, progress, data).run(resume)
+        run = _Training(cls, config, Path(run_dir), seed, phantom, grader, progress, data)
+        return run.run(resume)
 
 
 class _Training(TrainingRun):
@@ -107,18 +77,13 @@ class _Training(TrainingRun):
 
     trained = ("actor", "optimiser")
 
-    def __init__(self, config: DQNConfig, *where: Any) -> None:
-        if config.update_every % config.envs:
-            raise RacinesError(
-                f"agents.dqn.update_every is {config.update_every}: give a multiple of envs "
-                f"({config.envs})"
-            )
+    def __init__(self, cls: type[DQNAgent], config: DQNConfig, *where: Any) -> None:
         if not config.batch_size <= config.warmup <= config.buffer:
             raise RacinesError(
                 f"agents.dqn: batch_size {config.batch_size}, warmup {config.warmup} and buffer "
                 f"{config.buffer} must not fall"
             )
-        super().__init__(DQNAgent, config, *where)
+        super().__init__(cls, config, *where)
 
     def _build(self) -> None:
         from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer

@@ -6,7 +6,8 @@ the image alone; each try is a step of the episode.
 """
 
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -16,6 +17,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.randomness import uniform
 from racines_envs.actions import ACTIONS, IDLE
+from racines_envs.agents.protocol import SETTINGS, Untrained
 from racines_envs.backends import GRADER_FOLDER, make_grader
 from racines_envs.core import ScanCore
 from racines_envs.making import check_grader
@@ -25,7 +27,6 @@ MOVES = len(ACTIONS) - 1
 """All actions but idle; action 2i goes one way and 2i + 1 back."""
 PUBLISHED = Path("models/weights/grader")
 """The grader that comes with the repository."""
-SETTINGS = "config.json"
 
 
 @dataclass(frozen=True)
@@ -71,12 +72,13 @@ class _Memory:
     """Steps of a walk still to go."""
 
 
-class HillClimberAgent:
+class HillClimberAgent(Untrained):
     """Repeats a step while the grader likes the images better; undoes it when not."""
 
     name: ClassVar[str] = "hill-climber"
     Config: ClassVar[type] = HillClimberConfig
     observation: str = "image"
+    sees: ClassVar[str] = "grade"
 
     def __init__(self, config: HillClimberConfig | None = None, grader: Any = None) -> None:
         """Take settings, and a grader instead of the folder in them."""
@@ -84,6 +86,7 @@ class HillClimberAgent:
         self._grader: Any = grader
         self._memory: _Memory | None = None
         self._target, self._goal = 0, RewardConfig()
+        self._ended: Callable[[], Tensor] | None = None
 
     def attach(self, core: ScanCore) -> None:
         """Learn which view is wanted and what a hit is; forget the episodes before.
@@ -95,6 +98,7 @@ class HillClimberAgent:
             self._grader = make_grader(self._folder(), self.config.device)
         check_grader(self._grader, core.task)
         self._target, self._goal, self._memory = core.task.target, core.rewards, None
+        self._ended = lambda: core.state.done
 
     def _folder(self) -> Path:
         if self.config.grader:
@@ -104,16 +108,19 @@ class HillClimberAgent:
 
     @torch.no_grad()
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
-        """Return the next step of each row's search; rows are those of the call before."""
-        if self._grader is None:
+        """Return the next step of each row's search; rows are those of the call before.
+
+        A row whose episode has ended idles, and its image is not judged again.
+        """
+        if self._grader is None or self._ended is None:
             raise RacinesError("the hill-climber needs its task: call attach(core) first")
-        p, g = self._grader.probabilities_and_grade(observation["image"])
-        p, g = p[:, self._target].float().to(seeds.device), g.float().to(seeds.device)
+        ended = self._ended().to(seeds.device)
+        p, g = self._judge(observation["image"], ended)
         score = self.score(p, g)
         if self._memory is None or len(self._memory.base) != len(score):
             self._memory = self._start(score, seeds)
         action = self._next(self._memory, score, seeds)
-        arrived = (p >= self._goal.probability) & (g >= self._goal.grade)
+        arrived = ended | ((p >= self._goal.probability) & (g >= self._goal.grade))
         # Whatever was under way is over: from a hit the search begins again.
         self._memory.probing &= ~arrived
         self._memory.walking *= ~arrived
@@ -121,6 +128,17 @@ class HillClimberAgent:
         self._memory.tried *= ~arrived
         self._memory.last = torch.where(arrived, IDLE, action)
         return self._memory.last
+
+    def _judge(self, images: Tensor, ended: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (N,) p of the target view and (N,) grades, zeros where the episode has ended."""
+        p = torch.zeros(len(ended), device=ended.device)
+        g = torch.zeros_like(p)
+        rows = (~ended).nonzero().squeeze(1)
+        if len(rows):
+            judged, grades = self._grader.probabilities_and_grade(images[rows.to(images.device)])
+            p[rows] = judged[:, self._target].float().to(p.device)
+            g[rows] = grades.float().to(g.device)
+        return p, g
 
     def score(self, probability: Tensor, grade: Tensor) -> Tensor:
         """Return what is climbed: log-odds of the view up to the ceiling, then the grade too.
@@ -165,15 +183,6 @@ class HillClimberAgent:
         walk = memory.walking > 0
         memory.walking = memory.walking - walk.long()
         return walk
-
-    @classmethod
-    def train(cls, config: HillClimberConfig, run_dir: Path, **where: Any) -> Self:
-        """Write the settings down, for `load`; there is nothing to learn."""
-        from racines_data.files import write_json
-
-        write_json(Path(run_dir) / "metrics.json", {})
-        write_json(Path(run_dir) / SETTINGS, {"agent": cls.name, "config": asdict(config)})
-        return cls(config)
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:

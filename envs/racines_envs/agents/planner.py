@@ -28,6 +28,7 @@ class PlannerAgent(Untrained):
 
     name: ClassVar[str] = "planner"
     Config: ClassVar[type] = PlannerConfig
+    sees: ClassVar[str] = "truth"
 
     def __init__(self) -> None:
         self._core: ScanCore | None = None

@@ -9,65 +9,33 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
-from racines_data.errors import RacinesError
 from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.agents.policy import PolicyAgent, make_actor
+from racines_envs.agents.training_config import TrainingConfig
 from racines_envs.agents.training_run import TrainingRun
 
 
 @dataclass(frozen=True)
-class PPOConfig:
-    """Settings of a training; the defaults learn a view from the probe's pose on two CPU cores."""
+class PPOConfig(TrainingConfig):
+    """Settings of a training; the defaults learn a view from the probe's pose on two CPU cores.
 
-    view: str = "SC"
-    """The target view."""
-    observation: str = "params"
-    """`image`, `params` or `multimodal`."""
-    encoder: str = ""
-    """What looks at the image: `pose` (the published pose regressor, frozen), a folder of another,
-    or "" for convolutions that learn from reward alone, as in the paper."""
-    reward: str = "shaped"
-    """`paper` (needs a grader), `oracle` or `shaped`."""
-    backend: str = "phantom"
-    """`phantom`, `generator` or `replay`; nothing is drawn where nothing looks."""
-    generator: str = ""
-    """Name or run folder, for the backend `generator`."""
-    grader: str = ""
-    """Run folder, for the reward `paper`; models/runs/grader if empty."""
-    frames: int = 300_000
-    """Environment steps in all; rounded up to whole updates."""
-    envs: int = 256
-    """Environments side by side."""
-    update_every: int = 8_192
-    """Environment steps between updates, a multiple of `envs`."""
-    epochs: int = 5
+    Small updates made often learn from fewest environment steps.
+    """
+
+    epochs: int = 10
     """Passes over the steps of an update."""
-    minibatch: int = 2_048
+    minibatch: int = 512
+    """Steps of a gradient step."""
     clip: float = 0.2
     """Clip range of the probability ratio."""
     actor_lr: float = 1e-3
     critic_lr: float = 1e-3
     anneal: bool = True
     """Let both rates fall linearly to zero."""
-    gamma: float = 0.97
-    """Discount."""
     gae_lambda: float = 0.95
     """λ of the generalised advantage estimate."""
     entropy: float = 0.01
     """Weight of the entropy bonus."""
-    reward_scale: float = 0.05
-    """Multiplies rewards before learning; reports stay unscaled."""
-    max_gradient: float = 0.5
-    """Gradient norm at which to clip."""
-    hidden: tuple[int, ...] = (128, 128)
-    """Widths of the dense layers."""
-    validate_every: int = 50_000
-    """Environment steps between validations; also between checkpoints."""
-    validation_starts: int = 100
-    """Episodes a validation, from starts that no evaluation uses."""
-    threads: int = 1
-    """CPU threads; small networks are fastest with one. 0 leaves torch as it is."""
-    device: str = "cpu"
 
 
 class PPOAgent(PolicyAgent):
@@ -107,21 +75,14 @@ class PPOAgent(PolicyAgent):
         Raises:
             RacinesError: settings that do not fit together, or a checkpoint of another run.
         """
-        return _Training(config, Path(run_dir), seed, phantom, grader, progress, data).run(resume)
+        run = _Training(cls, config, Path(run_dir), seed, phantom, grader, progress, data)
+        return run.run(resume)
 
 
 class _Training(TrainingRun):
     """One run: environment, networks, loss, and the loop."""
 
     trained = ("actor", "critic", "optimiser")
-
-    def __init__(self, config: PPOConfig, *where: Any) -> None:
-        if config.update_every % config.envs:
-            raise RacinesError(
-                f"agents.ppo.update_every is {config.update_every}: give a multiple of envs "
-                f"({config.envs})"
-            )
-        super().__init__(PPOAgent, config, *where)
 
     def _build(self) -> None:
         from torch.distributions import Categorical

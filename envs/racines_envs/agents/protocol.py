@@ -1,13 +1,15 @@
 """What an agent is."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 import torch
 from torch import Tensor
 
-from racines_data.errors import RacinesError
 from racines_envs.core import ScanCore
+
+SETTINGS = "config.json"
 
 
 @runtime_checkable
@@ -18,7 +20,7 @@ class Agent(Protocol):
     Config: ClassVar[type]
     """A dataclass whose defaults are usable, filled from the params section of this name."""
     observation: str
-    """What it looks at: `image`, `params` or `multimodal`."""
+    """What the environment shows it: `image`, `params` or `multimodal`."""
 
     def attach(self, core: ScanCore) -> None:
         """Meet the environment before a rollout. Only an upper bound may keep hold of it."""
@@ -36,8 +38,7 @@ class Agent(Protocol):
     def train(cls, config: Any, run_dir: Path, **where: Any) -> Self:
         """Learn, and leave `policy.safetensors`, `config.json` and `metrics.json` in `run_dir`.
 
-        Raises:
-            RacinesError: this agent has nothing to learn.
+        What has nothing to learn leaves the last two.
         """
         ...
 
@@ -49,6 +50,15 @@ class Agent(Protocol):
             RacinesError: no policy there.
         """
         ...
+
+
+def sees(agent: Agent) -> str:
+    """Return what an agent goes by: its attribute `sees`, or else all that it is shown.
+
+    Some are shown more than they use, or told more: `grade` for the grader's opinion of the image,
+    `truth` for the simulator's state, `nothing`.
+    """
+    return getattr(agent, "sees", agent.observation)
 
 
 class Untrained:
@@ -63,10 +73,12 @@ class Untrained:
 
     @classmethod
     def train(cls, config: Any, run_dir: Path, **where: Any) -> Self:
-        """Refuse: there is nothing to learn."""
-        raise RacinesError(
-            f"agent {cls.name!r} has nothing to learn: run `racines eval agent {cls.name}`"
-        )
+        """Write the settings down, so that a run has its folder; there is nothing to learn."""
+        from racines_data.files import write_json
+
+        write_json(Path(run_dir) / "metrics.json", {})
+        write_json(Path(run_dir) / SETTINGS, {"agent": cls.name, "config": asdict(config)})
+        return cls.load(Path(run_dir))
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:

@@ -20,6 +20,7 @@ class RandomAgent(Untrained):
 
     name: ClassVar[str] = "random"
     Config: ClassVar[type] = RandomConfig
+    sees: ClassVar[str] = "nothing"
 
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
         """Draw (N,) actions from the seeds."""

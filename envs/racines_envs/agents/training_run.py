@@ -3,7 +3,6 @@
 import time
 import warnings
 from abc import ABC, abstractmethod
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +10,12 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
+from racines_data.errors import RacinesError
 from racines_envs.agents.encoders import open_encoder
+from racines_envs.agents.identity import environment_identity, settings_identity
 from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.agents.policy import PolicyAgent
+from racines_envs.agents.training_config import TrainingConfig
 from racines_envs.making import find_task, make_core, make_phantom, phantom_recipe
 from racines_envs.rewards import RewardConfig
 from racines_envs.rollout import rollout
@@ -24,8 +26,7 @@ from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
 class TrainingRun(ABC):
     """One run of one learner; a subclass builds its networks and its loop.
 
-    Its config has `view`, `observation`, `encoder`, `reward`, `backend`, `generator`, `grader`,
-    `frames`, `gamma`, `hidden`, `validate_every`, `validation_starts`, `threads` and `device`.
+    Its config is a `TrainingConfig`.
     """
 
     actor: ObservationNetwork
@@ -38,7 +39,7 @@ class TrainingRun(ABC):
     def __init__(
         self,
         cls: type[PolicyAgent],
-        config: Any,
+        config: TrainingConfig,
         folder: Path,
         seed: int,
         phantom: Any,
@@ -46,8 +47,18 @@ class TrainingRun(ABC):
         progress: bool,
         data: Path | str | None = None,
     ) -> None:
-        """Join settings and places; nothing is built before `run`."""
-        self.config, self.folder, self.seed, self.progress = config, folder, seed, progress
+        """Join settings and places; nothing is built before `run`.
+
+        Raises:
+            RacinesError: settings that do not fit together, or what they name is not there.
+        """
+        if config.update_every % config.envs:
+            raise RacinesError(
+                f"agents.{cls.name}.update_every is {config.update_every}: give a multiple of envs "
+                f"({config.envs})"
+            )
+        self.folder, self.seed, self.progress = folder, seed, progress
+        self.config: Any = config
         looks = config.observation != "params"
         self.encoder = open_encoder(config.encoder, config.device) if looks else None
         anatomy = find_task(config.view, phantom).anatomy
@@ -65,12 +76,8 @@ class TrainingRun(ABC):
         }
         self.frames, self.best, self.history = 0, (-1.0, 0.0), []
         self.seconds = self._before = self._began = 0.0
-        identity = {"agent": cls.name, "seed": seed, **asdict(config)}
-        identity |= {
-            "hidden": list(config.hidden),
-            "encoder_sha256": self.encoder.sha256 if self.encoder is not None else None,
-            "phantom": phantom_recipe(self.where["phantom"]),
-        }
+        identity = settings_identity(cls.name, config, seed, self.encoder)
+        identity |= environment_identity(config, self.where["phantom"], grader, data)
         self.checkpoint = Checkpoint(folder, identity)
 
     def run(self, resume: bool | None) -> Any:

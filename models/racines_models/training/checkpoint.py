@@ -3,6 +3,7 @@
 import os
 import pickle
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import torch
 from racines_data.errors import RacinesError
 
 FOLDER = "checkpoint"
+MISSING = "there is none"
 
 
 class Checkpoint:
@@ -33,7 +35,7 @@ class Checkpoint:
         os.replace(partial, self._path)
 
     def read(self, resume: bool | None) -> dict[str, Any] | None:
-        """Return the state to continue from, or None to start anew.
+        """Return the state to continue from, or None to start anew; why is said on stderr.
 
         Args:
             resume: as `Run.resume`.
@@ -43,7 +45,7 @@ class Checkpoint:
         """
         if resume is False:
             return None
-        problem = "there is none"
+        problem = MISSING
         if self._path.is_file():
             try:
                 # weights_only: tensors and plain values, never pickled code.
@@ -55,6 +57,8 @@ class Checkpoint:
                 problem = f"it cannot be read ({error})"
         if resume:
             raise RacinesError(f"{self._path}: cannot resume: {problem}; use --fresh")
+        if problem != MISSING:
+            print(f"racines: {self._path}: {problem}: training starts anew", file=sys.stderr)
         return None
 
     def _difference(self, found: dict[str, Any]) -> str:

@@ -1,0 +1,45 @@
+"""Settings that every agent which learns by acting has; see `training_run`."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """What is learned where, and the parts of a training that no method changes."""
+
+    view: str = "SC"
+    """The target view."""
+    observation: str = "params"
+    """`image`, `params` or `multimodal`."""
+    encoder: str = ""
+    """What looks at the image: `pose` (the published pose regressor, frozen), a folder of another,
+    or "" for convolutions that learn from reward alone, as in the paper."""
+    reward: str = "shaped"
+    """`paper` (needs a grader), `oracle` or `shaped`."""
+    backend: str = "phantom"
+    """`phantom`, `generator` or `replay`; nothing is drawn where nothing looks."""
+    generator: str = ""
+    """Name or run folder, for the backend `generator`."""
+    grader: str = ""
+    """Run folder, for the reward `paper`; models/runs/grader if empty."""
+    frames: int = 300_000
+    """Environment steps in all; rounded up to whole updates."""
+    envs: int = 64
+    """Environments side by side."""
+    update_every: int = 2_048
+    """Environment steps between updates, a multiple of `envs`."""
+    gamma: float = 0.97
+    """Discount."""
+    reward_scale: float = 0.05
+    """Multiplies rewards before learning; reports stay unscaled."""
+    max_gradient: float = 0.5
+    """Gradient norm at which to clip."""
+    hidden: tuple[int, ...] = (128, 128)
+    """Widths of the dense layers."""
+    validate_every: int = 50_000
+    """Environment steps between validations; also between checkpoints."""
+    validation_starts: int = 100
+    """Episodes a validation, from starts that no evaluation uses."""
+    threads: int = 1
+    """CPU threads; small networks are fastest with one. 0 leaves torch as it is."""
+    device: str = "cpu"
