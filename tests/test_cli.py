@@ -29,6 +29,11 @@ HELP = [
     ("replay",),
     ("leaderboard",),
     ("submit",),
+    ("expert",),
+    ("expert", "sample"),
+    ("expert", "simulate"),
+    ("expert", "oracle"),
+    ("expert", "score"),
 ]
 
 
@@ -68,6 +73,10 @@ REFUSED = [
     (("leaderboard", "--board", "b", "--collect", "absent"), "absent: no scores"),
     (("leaderboard", "--params", "absent.yaml"), "absent.yaml: no such file"),
     (("submit", "absent.yaml"), "absent.yaml: no such file"),
+    (("expert", "sample", "--truth", "--out", "kit"), "no dataset"),
+    (("expert", "simulate", "absent"), "absent/kit.json: no such file"),
+    (("expert", "oracle", "absent"), "absent/kit.json: no such file"),
+    (("expert", "score", "absent", "anna.jsonl"), "absent/kit.json: no such file"),
     (("data", "build", "--profile", "huge"), "unknown profile 'huge'"),
     (("data", "build", "--source", "nowhere"), "nowhere"),
     (("data", "validate", "absent"), "absent"),

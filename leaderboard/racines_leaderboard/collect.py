@@ -10,6 +10,8 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
+from racines_leaderboard.expert.board import FOLDER as EXPERTS
+from racines_leaderboard.expert.board import with_experts
 from racines_leaderboard.schema import check, read_json
 from racines_leaderboard.submission import find_submission
 from racines_leaderboard.tracks import TRACKS, Track
@@ -20,11 +22,14 @@ TRACK_OF = {f"racines.{track.schema}/1": track for track in TRACKS}
 
 def boards(results: Path) -> list[str]:
     """Return the names of the boards that hold a result."""
-    return sorted({path.parts[-3] for path in results.glob("*/*/*.json")})
+    tracks = {track.name for track in TRACKS}
+    return sorted(
+        {path.parts[-3] for path in results.glob("*/*/*.json") if path.parts[-2] in tracks}
+    )
 
 
 def read_board(results: Path, board: str) -> dict[str, list[Record]]:
-    """Read the records of a board, by track.
+    """Read the records of a board, by track; generators with what experts say of them.
 
     Raises:
         RacinesError: a damaged record, or one that says it belongs elsewhere.
@@ -33,6 +38,7 @@ def read_board(results: Path, board: str) -> dict[str, list[Record]]:
     for track in TRACKS:
         paths = sorted((results / board / track.name).glob("*.json"))
         content[track.name] = [_read_record(path, board, track) for path in paths]
+    content["generators"] = with_experts(content["generators"], results / board / EXPERTS)
     return content
 
 

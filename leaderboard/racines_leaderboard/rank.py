@@ -6,6 +6,8 @@ from typing import Any
 from racines_leaderboard.tracks import Column, Track
 
 Record = dict[str, Any]
+EXPERT = "expert_"
+"""Begins the keys of figures that an expert study gave."""
 
 
 @dataclass(frozen=True)
@@ -22,8 +24,12 @@ def is_bound(record: Record) -> bool:
 
 
 def figure(record: Record, key: str) -> dict[str, Any] | None:
-    """Return a figure of a result, or None where it is absent or has no value."""
-    metric = record["scores"]["metrics"].get(key)
+    """Return a figure of a result, or None where it is absent or has no value.
+
+    Figures of experts come from a study that was checked, never from the scores of a submission.
+    """
+    source = record.get("expert", {}) if key.startswith(EXPERT) else record["scores"]["metrics"]
+    metric = source.get(key)
     return metric if metric is not None and metric["value"] is not None else None
 
 

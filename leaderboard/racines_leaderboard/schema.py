@@ -12,7 +12,8 @@ from referencing import Registry, Resource
 
 from racines_data.errors import RacinesError
 
-KINDS = ("any", "generator-scores", "agent-scores", "submission", "record")
+EXPERT_KINDS = ("expert-kit", "expert-key", "expert-rating", "expert-scores", "expert-record")
+KINDS = ("any", "generator-scores", "agent-scores", "submission", "record", *EXPERT_KINDS)
 
 
 def check(document: Any, kind: str, where: str) -> None:
@@ -21,7 +22,7 @@ def check(document: Any, kind: str, where: str) -> None:
     Raises:
         RacinesError: the first fault, with the file, the field and what was expected.
     """
-    error = best_match(_validator(kind).iter_errors(document))
+    error = best_match(validator(kind).iter_errors(document))
     if error is None:
         return
     field = ".".join(str(part) for part in error.absolute_path) or "top level"
@@ -49,7 +50,8 @@ def _not_finite(path: Path, constant: str) -> NoReturn:
 
 
 @functools.cache
-def _validator(kind: str) -> Draft202012Validator:
+def validator(kind: str) -> Draft202012Validator:
+    """Return what checks documents of a kind, to be kept where there are many."""
     folder = resources.files("racines_leaderboard") / "schemas"
     contents = {
         name: json.loads((folder / f"{name}.json").read_text())

@@ -90,6 +90,7 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
             {"rank": ranked.place, "name": ranked.record["name"], "tier": ranked.record["tier"]}
             | ({"task": ranked.record["scores"]["task"]} if track.name == "agents" else {})
             | {"metrics": ranked.record["scores"]["metrics"]}
+            | ({"expert": ranked.record["expert"]} if "expert" in ranked.record else {})
             for ranked in rankings(track, content[track.name])
         ]
         for track in TRACKS
@@ -130,7 +131,7 @@ def _table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     head = ("#", "System", *sees, *(column.title for column in columns), "n", "Tier")
     basis = f"In brackets: 95 % intervals. n: {track.counted}."
     basis = " ".join(filter(None, (basis, _basis(ranking), _ceiling(ranking))))
-    notes = (track.rule, basis, _methods(ranking))
+    notes = (track.rule, basis, _methods(ranking), _experts(ranking))
     return Table(title, head, tuple(rows), tuple(filter(None, notes)))
 
 
@@ -147,6 +148,19 @@ def _methods(ranking: list[Ranked]) -> str:
         if r.record["submission"]
     ]
     return f"Systems: {'; '.join(told)}." if told else ""
+
+
+def _experts(ranking: list[Ranked]) -> str:
+    """Say what experts agree with, and whose study is left out."""
+    told = []
+    if any("expert" in r.record for r in ranking):
+        told.append(
+            "Expert: a blinded study of the generator's images, views that agree with the truth of "
+            "the pose, and grades that differ from it by at most 1; it does not rank."
+        )
+    if stale := [r.record["name"] for r in ranking if r.record.get("expert_stale")]:
+        told.append(f"Left out: studies of other weights or data ({', '.join(stale)}).")
+    return " ".join(told)
 
 
 def _sees(track: Track, record: Record) -> tuple[str, ...]:

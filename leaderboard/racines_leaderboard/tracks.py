@@ -55,6 +55,8 @@ GENERATORS = Track(
         Column("pose_error_mm", "Pose error", "lower", 1, unit="mm"),
         Column("pose_error_deg", "Pose error", "lower", 1, unit="°"),
         Column("view_agreement", "View agreement", "higher", 1, 100.0, "%"),
+        Column("expert_view", "Expert, view", "higher", 1, 100.0, "%"),
+        Column("expert_grade", "Expert, grade", "higher", 1, 100.0, "%"),
     ),
     ranked_by=("ssim", "psnr", "fid", "kid", "pose_error_mm"),
     mean_rank=True,

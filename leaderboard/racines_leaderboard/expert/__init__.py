@@ -1,0 +1,1 @@
+"""The expert study: a blinded kit of images, ratings of it, and how they agree."""

@@ -1,0 +1,135 @@
+"""Agreement beyond chance: Cohen's kappa, plain and weighted, and Fleiss' kappa of several raters.
+
+Cohen, A coefficient of agreement for nominal scales, 1960; Weighted kappa, 1968. Intervals resample
+whole trajectories, since frames of one sweep are near-copies. Where trajectories are few, many a
+resample lacks a view, which moves kappa itself; there they are left out in turn instead.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from racines_models.bootstrap import LEVEL, jackknife
+
+MANY = 20
+"""Fewest trajectories that are resampled; of fewer each is left out in turn."""
+
+
+def kappa(counts: np.ndarray, cost: np.ndarray) -> np.ndarray:
+    """Return Cohen's kappa of (..., K, K) counts; NaN where chance alone leaves no disagreement.
+
+    `cost` is the (K, K) disagreement of each pair of answers, 0 on the diagonal.
+    """
+    rows, columns = counts.sum(-1), counts.sum(-2)
+    found = (counts * cost).sum((-2, -1)) * counts.sum((-2, -1))
+    chance = np.einsum("...i,ij,...j->...", rows, cost, columns)
+    return 1.0 - np.divide(found, chance, out=np.full(chance.shape, np.nan), where=chance > 0)
+
+
+def nominal(size: int) -> np.ndarray:
+    """Return the cost of views: any two differ as much as any others."""
+    return 1.0 - np.eye(size)
+
+
+def quadratic(size: int) -> np.ndarray:
+    """Return the cost of grades: the square of their difference."""
+    grades = np.arange(size, dtype=np.float64)
+    return np.square(grades[:, None] - grades)
+
+
+def confusion(
+    reference: np.ndarray, given: np.ndarray, groups: np.ndarray, size: int
+) -> np.ndarray:
+    """Count answers in each group.
+
+    Args:
+        reference: (n,) int64 answers 0 to size - 1, -1 where there is none.
+        given: (R, n) int64 answers of R raters, likewise.
+        groups: (n,) int64 groups from 0.
+        size: Number of answers to choose from.
+
+    Returns:
+        (R, G, size, size) int64 counts, rows the reference.
+    """
+    raters, count = given.shape[0], int(groups.max(initial=-1)) + 1
+    place = np.broadcast_to(groups, given.shape) + count * np.arange(raters)[:, None]
+    pairs = (place * size + np.broadcast_to(reference, given.shape)) * size + given
+    both = (given >= 0) & (reference >= 0)
+    counts = np.bincount(pairs[both], minlength=raters * count * size**2)
+    return counts.reshape(raters, count, size, size)
+
+
+def kappa_figure(
+    counts: np.ndarray, cost: np.ndarray, rule: str, resamples: int = 1000, seed: int = 0
+) -> dict[str, Any]:
+    """Return the mean of R raters' kappas with an interval by trajectory.
+
+    Args:
+        counts: (R, C, K, K) counts by rater and trajectory.
+        cost: (K, K) disagreement of each pair of answers.
+        rule: What the figure is, for its settings.
+        resamples: Bootstrap resamples.
+        seed: Of the resamples.
+    """
+    n = int(counts.sum((1, 2, 3)).max(initial=0))
+    seen = counts[:, counts.sum((0, 2, 3)) > 0]
+    clusters = seen.shape[1]
+    settings = {"rule": rule, "trajectories": clusters}
+    value = _mean(kappa(seen.sum(1), cost))
+
+    def told(weights: np.ndarray) -> np.ndarray:
+        return kappa(np.einsum("bc,rckl->brkl", weights, seen, optimize=True), cost).mean(1)
+
+    counted = clusters if value is not None else 0
+    low, high, method = _interval(told, counted, resamples, seed)
+    settings |= {"interval": method}
+    return {"value": value, "low": low, "high": high, "n": n, "settings": settings}
+
+
+def fleiss_figure(
+    views: np.ndarray, groups: np.ndarray, size: int, resamples: int = 1000, seed: int = 0
+) -> dict[str, Any]:
+    """Return Fleiss' kappa of (R, n) views over the images that all R raters answered."""
+    import torch
+    from torchmetrics.functional.nominal import fleiss_kappa
+
+    complete = (views >= 0).all(0)
+    votes = torch.from_numpy((views[:, complete, None] == np.arange(size)).sum(0))
+    unique, cluster = np.unique(groups[complete], return_inverse=True)
+
+    def told(weights: np.ndarray) -> np.ndarray:
+        rows = [torch.from_numpy(np.repeat(np.arange(len(votes)), w[cluster])) for w in weights]
+        return np.array([float(fleiss_kappa(votes[row], mode="counts")) for row in rows])
+
+    value = _mean(told(np.ones((1, len(unique)), np.int64))) if len(votes) else None
+    clusters = len(unique) if value is not None else 0
+    low, high, method = _interval(told, clusters, resamples, seed)
+    settings = {"rule": "Fleiss' kappa of the views", "library": "torchmetrics", "interval": method}
+    return {"value": value, "low": low, "high": high, "n": len(votes), "settings": settings}
+
+
+def _interval(
+    statistic: Callable[[np.ndarray], np.ndarray], clusters: int, resamples: int, seed: int
+) -> tuple[float | None, float | None, str]:
+    """Return the ends of a 95 % interval and how it was made.
+
+    `statistic` takes (B, clusters) int64 weights of the trajectories and returns (B,) values.
+    """
+    if clusters < 2:
+        return None, None, "none: fewer than two trajectories, or no value"
+    if clusters < MANY:
+        rows = np.arange(clusters)
+        left = jackknife(lambda keep: float(statistic(keep[None].astype(np.int64))[0]), rows, MANY)
+        if left.low is None or left.high is None or not np.isfinite(left.low):
+            return None, None, "none: a trajectory alone holds all but one answer"
+        return max(left.low, -1.0), min(left.high, 1.0), left.method
+    share = np.full(clusters, 1 / clusters)
+    drawn = statistic(np.random.default_rng(seed).multinomial(clusters, share, size=resamples))
+    low, high = np.quantile(drawn[np.isfinite(drawn)], [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
+    return float(low), float(high), f"percentile bootstrap by trajectory, {resamples} resamples"
+
+
+def _mean(values: np.ndarray) -> float | None:
+    value = float(values.mean())
+    return value if np.isfinite(value) else None

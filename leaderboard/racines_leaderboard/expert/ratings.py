@@ -1,0 +1,167 @@
+"""Ratings: one JSON Lines file a rater, a line an answer, appended and never rewritten.
+
+A line stands by itself: it names its kit and its rater. A last line without its end is what a
+crash left of an answer that was never acknowledged; readers leave it out.
+"""
+
+import json
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jsonschema.exceptions import ValidationError, best_match
+
+from racines_data.errors import RacinesError
+from racines_leaderboard.expert.kit import Kit
+from racines_leaderboard.expert.names import KINDS, MACHINES
+from racines_leaderboard.schema import validator
+
+SCHEMA = "racines.ratings/1"
+RATER = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+LONGEST = 32
+SHOWN = 10
+"""Most faults named at once."""
+
+
+@dataclass(frozen=True)
+class Rating:
+    """One answer."""
+
+    image: str
+    view: str
+    grade: int
+    seconds: float | None
+    """Time from the image's appearance to the answer."""
+
+
+@dataclass(frozen=True)
+class Ratings:
+    """What one rater answered."""
+
+    rater: str
+    kind: str
+    about: str
+    answers: dict[str, Rating]
+
+
+def check_rater(rater: str, kind: str) -> str:
+    """Return a rater's name if it can name a file and does not sound like another kind.
+
+    Raises:
+        RacinesError: other than lower-case letters, digits and dashes, too long, or misleading.
+    """
+    if not RATER.fullmatch(rater) or len(rater) > LONGEST:
+        raise RacinesError(
+            f"rater {rater[:80]!r}: give a pseudonym of 1 to {LONGEST} of a-z, 0-9 and single '-'"
+        )
+    if kind not in KINDS:
+        raise RacinesError(f"rater {rater}: kind {kind!r} is none of {', '.join(KINDS)}")
+    word = rater.split("-")[0]
+    if word in MACHINES and word != kind:
+        raise RacinesError(f"rater {rater}: names that begin with {word} are kept for machines")
+    return rater
+
+
+def parse(text: bytes, where: str, kit: Kit) -> list[dict[str, Any]]:
+    """Return the records of complete lines, each checked by itself.
+
+    Raises:
+        RacinesError: lines at fault, each by number and reason.
+    """
+    records, faults = [], []
+    for number, line in enumerate(text.split(b"\n")[:-1], 1):
+        record, fault = _record(line, kit)
+        if fault is not None:
+            faults.append(f"line {number}: {fault}")
+        records.append(record)
+    _refuse(where, faults)
+    return records
+
+
+def read_ratings(path: Path, kit: Kit) -> Ratings:
+    """Read one rater's answers to a kit.
+
+    Raises:
+        RacinesError: no such file, none in it, or faults: another kit's answers, unknown images
+            or views, grades off the scale, images answered twice, several raters in one file.
+    """
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise RacinesError(f"{path}: not readable: {error.strerror}") from error
+    records = parse(text, str(path), kit)
+    if not records:
+        raise RacinesError(f"{path}: no ratings yet")
+    first = {key: records[0].get(key, "") for key in ("rater", "kind", "about")}
+    check_rater(first["rater"], first["kind"])
+    answers: dict[str, Rating] = {}
+    faults = []
+    for number, record in enumerate(records, 1):
+        image = record["image"]
+        if image in answers:
+            faults.append(f"line {number}: image {image} is answered a second time")
+        for key, value in first.items():
+            if record.get(key, "") != value:
+                faults.append(f"line {number}: {key} {record.get(key)!r}, but line 1 has {value!r}")
+        answers[image] = Rating(image, record["view"], int(record["grade"]), record["seconds"])
+    _refuse(str(path), faults)
+    return Ratings(**first, answers=answers)
+
+
+def read_all(paths: Sequence[Path], kit: Kit, partial: bool = False) -> list[Ratings]:
+    """Read the files of several raters.
+
+    Args:
+        paths: A file a rater.
+        kit: What they rated.
+        partial: Take raters who have not answered every image.
+
+    Raises:
+        RacinesError: a file at fault, one rater in two files, kinds mixed, or images missing.
+    """
+    if not paths:
+        raise RacinesError("no ratings: name at least one file")
+    everyone = [read_ratings(path, kit) for path in paths]
+    names = [ratings.rater for ratings in everyone]
+    for path, name in zip(paths, names, strict=True):
+        if names.count(name) > 1:
+            raise RacinesError(f"{path}: rater {name} has two files; give each rater's once")
+    if len(kinds := sorted({ratings.kind for ratings in everyone})) > 1:
+        raise RacinesError(f"ratings of {' and '.join(kinds)} raters: score each kind by itself")
+    for path, ratings in zip(paths, everyone, strict=True):
+        missing = [image for image in kit.images if image not in ratings.answers]
+        if missing and not partial:
+            raise RacinesError(
+                f"{path}: {len(missing)} of {len(kit.images)} images not rated: "
+                f"{_some(missing, ', ')}; finish them, or score what there is with --partial"
+            )
+    return everyone
+
+
+def _record(line: bytes, kit: Kit) -> tuple[dict[str, Any], str | None]:
+    try:
+        record = json.loads(line)
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        return {}, f"not JSON: {error}"
+    found = best_match(validator("expert-rating").iter_errors(record))
+    if isinstance(found, ValidationError):
+        field = ".".join(map(str, found.absolute_path))
+        return record, f"{field}: {found.message}" if field else found.message
+    if not math.isfinite(record["seconds"] or 0.0):
+        return record, f"seconds: {record['seconds']}: give a time, or null"
+    if record["kit"] != kit.digest:
+        return record, f"kit {record['kit'][:12]}: these are ratings of another kit"
+    return record, kit.fault(record["image"], record["view"], record["grade"])
+
+
+def _refuse(where: str, faults: list[str]) -> None:
+    if faults:
+        raise RacinesError(f"{where}: {_some(faults, '; ')}")
+
+
+def _some(items: list[str], between: str) -> str:
+    more = f" and {len(items) - SHOWN} more" if len(items) > SHOWN else ""
+    return between.join(items[:SHOWN]) + more
