@@ -100,13 +100,14 @@ class _Timed:
 
 def attach(core: ScanCore, watch: Stopwatch) -> None:
     """Have the parts of a core timed, from now on."""
-    phantom = _Timed(core.phantom, watch, judge="truth", judge_alike="truth", wrench="contact")
+    timed: Any = _Timed  # it stands for a part of any kind
+    phantom = timed(core.phantom, watch, judge="truth", judge_alike="truth", wrench="contact")
     own = core.forces is core.phantom
-    core.forces = phantom if own else _Timed(core.forces, watch, wrench="contact")
+    core.forces = phantom if own else timed(core.forces, watch, wrench="contact")
     core.phantom = phantom
-    core.images = _Timed(core.images, watch, generate="render")
+    core.images = timed(core.images, watch, generate="render")
     if core.grader is not None:
-        core.grader = _Timed(core.grader, watch, probabilities_and_grade="grade")
+        core.grader = timed(core.grader, watch, probabilities_and_grade="grade")
     core._reward = watch.timed("reward", core._reward)
 
 
@@ -198,12 +199,16 @@ def _operations(env: VectorScanEnv, count: int) -> list[dict[str, Any]]:
         kinds.append(ProfilerActivity.CUDA)
     env.reset(seed=0)
     action = np.zeros(env.num_envs, dtype=np.int64)
-    for _ in range(2):  # the profiler's own start falls into the first trace
-        with profile(activities=kinds) as trace:
+
+    def trace() -> Any:
+        with profile(activities=kinds) as told:
             for _ in range(3):
                 env.step(action)
+        return told.key_averages()
+
+    trace()  # the profiler's own start falls into the first
     own = "self_device_time_total" if accelerated else "self_cpu_time_total"
-    times = {event.key: getattr(event, own) for event in trace.key_averages()}
+    times = {event.key: getattr(event, own) for event in trace()}
     whole = sum(times.values())
     longest = sorted(times, key=lambda name: -times[name])[:count]
     return [{"name": name, "share": times[name] / whole} for name in longest]
