@@ -18,13 +18,14 @@ Profile = Annotated[
 
 def register(train: typer.Typer, evaluate: typer.Typer) -> None:
     """Add the agent commands to the shared verbs."""
-    from racines_envs import cli_encoder, cli_eval, cli_forces
+    from racines_envs import cli_encoder, cli_eval, cli_forces, cli_speed
 
     cli_encoder.register(train)
     train.command("agent")(train_agent)
     evaluate.command("agent")(evaluate_agent)
     cli_eval.register(evaluate)
     cli_forces.register(evaluate)
+    cli_speed.register(evaluate)
 
 
 def train_agent(

@@ -51,7 +51,7 @@ def transfer(
     from racines_envs.transfer_pages import draw_transfer, transfer_markdown
 
     settings = read_settings(params, profile)
-    chosen = given(view=view, starts=starts, seeds=_integers(seeds), device=device)
+    chosen = given(view=view, starts=starts, seeds=integers(seeds), device=device)
     config = fill(work.TransferConfig, section(settings, "transfer") | chosen, "transfer")
     runs = find_runs(_listed(agents))
     content = work.transfer(runs, _listed(backends), config, phantom_config(settings))
@@ -90,7 +90,7 @@ def rewards(
 
     settings = read_settings(params, profile)
     chosen = given(
-        view=view, starts=starts, seeds=_integers(seeds), grader=grader, device=device,
+        view=view, starts=starts, seeds=integers(seeds), grader=grader, device=device,
         rewards=tuple(_listed([reward])) if reward else None,
     )  # fmt: skip
     config = fill(work.RewardReportConfig, section(settings, "rewards") | chosen, "rewards")
@@ -128,7 +128,7 @@ def _listed(values: list[str]) -> list[str]:
     return [word for value in values for word in value.split(",") if word]
 
 
-def _integers(text: str | None) -> tuple[int, ...] | None:
+def integers(text: str | None) -> tuple[int, ...] | None:
     """Return the integers of a list; what is none is bad usage."""
     try:
         return None if text is None else tuple(int(word) for word in _listed([text]))

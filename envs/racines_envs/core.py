@@ -247,7 +247,7 @@ class ScanCore:
             pose = Pose(pose.position[rows], pose.rotation[rows])
             wrench, seeds = wrench[rows], seeds[rows]
         parameters = pose_to_parameters(pose, wrench)
-        truth = self.phantom.judge(pose)
+        truth = self._truth(pose)
         sensed = {
             "parameters": parameters,
             "view": truth.view,
@@ -268,6 +268,11 @@ class ScanCore:
             sensed = {k: self._sensed[k].index_copy(0, rows, v) for k, v in sensed.items()}
         self._sensed = sensed
         self.score = self.scored_by("grader" if self.reward_name == "paper" else "oracle")
+
+    def _truth(self, pose: Pose) -> Any:
+        """Return the truth of (B,) poses, each as if it were alone where the phantom can tell."""
+        judge = getattr(self.phantom, "judge_alike", None) or self.phantom.judge
+        return judge(pose)
 
     def scored_by(self, source: str) -> Score:
         """Return the scores of all rows by the `oracle` or, where one looks, the `grader`."""

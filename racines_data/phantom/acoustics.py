@@ -62,15 +62,15 @@ class Beams(NamedTuple):
     """(L, L) and (S, S): the mean echo power around, from the left and from the right."""
     veil_along: Tensor
     near: Tensor
-    """(S,) share of the near profile."""
+    """(N,) share of the near profile, of the N samples that lie before the focus."""
     turn: Tensor
-    """(S,) phase by which a neighbouring sub-band differs, rad."""
-    tgc: Tensor
-    """(S,) dB that undo the attenuation of gel, both ways."""
+    """(looks, 2, S) cosine and sine of the phase by which each sub-band differs from the first."""
     ringing: Tensor
     """(S,) power of what bounces between the layers under the probe."""
-    aside: Tensor
-    """(L, S) dB that a steered beam loses, and the near field by its gain."""
+    hiss: Tensor
+    """(S,) power of the electronic noise, as the TGC lifts it."""
+    lift: Tensor
+    """(L, S) dB: the TGC, less what a steered beam loses, and the near field by its gain."""
     clutter: Tensor
     """(2, L, S) reverberation of the face, fixed to the probe."""
     noise: Tensor
@@ -87,6 +87,11 @@ def make_beams(probe: ProbeConfig, gel_attenuation: float, device: torch.device)
     elevation = spread * (0.0006 + probe.elevation_sigma * (depth - probe.focus).abs())
     spacing = float(angle[1] - angle[0])
     sigma = probe.lateral_sigma / spacing
+    share = ((probe.focus - depth) / probe.focus).clamp(0.0, 1.0)
+    turn = torch.arange(probe.looks).unsqueeze(1) * (depth * (LOOK_STEP / probe.axial_sigma))
+    tgc = 2.0 * gel_attenuation * probe.frequency * 100.0 * depth
+    aside = probe.near_gain * torch.exp(-depth / NEAR_FIELD)
+    aside = aside - probe.directivity * (angle / probe.half_angle).square().unsqueeze(1)
     lobes = probe.side_lobes * _profile(probe.beams, probe.side_lobe_sigma / spacing)
     beams = Beams(
         sin=angle.sin(),
@@ -98,12 +103,11 @@ def make_beams(probe: ProbeConfig, gel_attenuation: float, device: torch.device)
         lateral_near=_profile(probe.beams, 2.2 * sigma) + lobes,
         veil_across=_mean_over(probe.beams, VEIL_ANGLE / spacing) * 10.0 ** (probe.haze / 10.0),
         veil_along=_mean_over(probe.samples, VEIL_DEPTH / step).T.contiguous(),
-        near=((probe.focus - depth) / probe.focus).clamp(0.0, 1.0),
-        turn=depth * (LOOK_STEP / probe.axial_sigma),
-        tgc=2.0 * gel_attenuation * probe.frequency * 100.0 * depth,
+        near=share[share > 0.0],
+        turn=torch.stack([turn.cos(), turn.sin()], 1),
         ringing=10.0 ** (probe.reverberation / 10.0) * torch.exp(-depth / RINGING_DEPTH),
-        aside=probe.near_gain * torch.exp(-depth / NEAR_FIELD)
-        - probe.directivity * (angle / probe.half_angle).square().unsqueeze(1),
+        hiss=10.0 ** ((probe.noise + 0.62 * tgc) / 10.0),
+        lift=tgc + aside,
         clutter=_clutter(probe, depth),
         noise=normal(sample_seeds(2, 1), NOISE_BANK)[0],
     )
@@ -151,22 +155,23 @@ def sample_echoes(volume: Volume, beams: Beams, probe: ProbeConfig, pose: Pose) 
     incidence.addcmul_(levels[..., 6].to(torch.float32), direction[..., 2:3])
 
     step_cm = 100.0 * probe.depth / probe.samples
+    strength = incidence.abs()
     loss = attenuation * (ATTENUATION_STEP * probe.frequency * step_cm)
-    loss = torch.where(attenuation >= 255.0, AIR_LOSS * step_cm, loss)
-    loss += SPECULAR_LOSS * incidence.abs()
-    travelled = loss.cumsum(-1) - loss
-    received = torch.exp((beams.tgc + beams.aside - 2.0 * travelled) * (math.log(10.0) / 20.0))
+    loss.masked_fill_(attenuation >= 255.0, AIR_LOSS * step_cm)
+    loss += SPECULAR_LOSS * strength
+    received = loss.cumsum(-1).sub_(loss).mul_(2.0)
+    received = torch.sub(beams.lift, received, out=received).mul_(math.log(10.0) / 20.0).exp_()
+    received *= SCATTERER_STEP
     # A gradient seen at an angle loses to its cosine; the packed incidence is |g| cos θ already,
     # and the square makes the echo directional, as from a surface rough on a wavelength's scale.
-    specular = incidence * incidence.abs() * (SPECULAR_GAIN * SPECULAR_GAIN / SCATTERER_STEP)
-    received *= SCATTERER_STEP
-    across = incidence.abs_().mul_((1.0 - ALONG_SHEETS) / SHEET).clamp_max_(1.0 - ALONG_SHEETS)
+    specular = incidence.mul_(strength).mul_(SPECULAR_GAIN * SPECULAR_GAIN / SCATTERER_STEP)
+    across = strength.mul_((1.0 - ALONG_SHEETS) / SHEET).clamp_max_(1.0 - ALONG_SHEETS)
     across += ALONG_SHEETS
     echoes = torch.empty((len(index), 2, *index.shape[1:]), device=index.device)
-    torch.mul(
-        specular.addcmul_(scatterers[..., 0].to(torch.float32), across), received, out=echoes[:, 0]
-    )
-    torch.mul(scatterers[..., 1].to(torch.float32) * across, received, out=echoes[:, 1])
+    real, imaginary = echoes.unbind(1)
+    specular.addcmul_(scatterers[..., 0].to(torch.float32), across)
+    torch.mul(specular, received, out=real)
+    torch.mul(scatterers[..., 1].to(torch.float32), across, out=imaginary).mul_(received)
     return echoes
 
 
@@ -178,10 +183,9 @@ def _voxel_index(
     for axis, size in enumerate(volume.shape):
         start = (position[:, axis] - volume.origin[axis]) / volume.voxel
         where = direction[..., axis : axis + 1] * (beams.depth / volume.voxel)
-        where = torch.addcmul(
-            where, beams.elevation, (elevation_axis[:, axis] / volume.voxel).view(-1, 1, 1)
-        )
-        where = (where + (start + 0.5).view(-1, 1, 1)).clamp_(0.0, size - 1.0).to(torch.int32)
+        aslant = (elevation_axis[:, axis] / volume.voxel).view(-1, 1, 1)
+        where.addcmul_(beams.elevation, aslant).add_((start + 0.5).view(-1, 1, 1))
+        where = where.clamp_(0.0, size - 1.0).to(torch.int32)
         index = where if index is None else index.mul_(size).add_(where)
     assert index is not None
     return index
@@ -194,30 +198,40 @@ def form_image(echoes: Tensor, beams: Beams, look: int = 0) -> Tensor:
     phases turned along the beam, hence another, independent speckle.
     """
     if look:
-        turn = beams.turn * look
-        cos, sin = turn.cos(), turn.sin()
+        cos, sin = beams.turn[look]
         real, imaginary = echoes.unbind(1)
-        echoes = torch.stack([real * cos - imaginary * sin, real * sin + imaginary * cos], 1)
+        echoes = torch.empty_like(echoes)
+        torch.mul(real, cos, out=echoes[:, 0]).sub_(imaginary * sin)
+        torch.mul(real, sin, out=echoes[:, 1]).add_(imaginary * cos)
     field = echoes.flatten(0, 1)
     field = torch.bmm(field, beams.axial.expand(len(field), -1, -1))
-    far = torch.bmm(beams.lateral_far.expand(len(field), -1, -1), field)
-    near = torch.bmm(beams.lateral_near.expand(len(field), -1, -1), field)
-    return (torch.lerp(far, near, beams.near) * SPECKLE_GAIN).view(echoes.shape)
+    blurred = torch.bmm(beams.lateral_far.expand(len(field), -1, -1), field)
+    shallow = field[..., : len(beams.near)]
+    near = torch.bmm(beams.lateral_near.expand(len(field), -1, -1), shallow)
+    blurred[..., : len(beams.near)].lerp_(near, beams.near)
+    return blurred.mul_(SPECKLE_GAIN).view(echoes.shape)
 
 
 def add_face(
     field: Tensor, beams: Beams, probe: ProbeConfig, coupling: Tensor, seeds: Tensor
 ) -> Tensor:
-    """Add coupling loss, reverberation and noise to (B, 2, L, S); coupling is (B, L) in 0-1."""
+    """Add coupling loss, reverberation and noise to (B, 2, L, S), in place; coupling is (B, L)."""
     gain = coupling.unsqueeze(1).unsqueeze(-1)
     size = field[0].numel()
     start = derive(seeds, 11).remainder(NOISE_BANK - size)
     noise = beams.noise.unfold(0, size, 1).index_select(0, start).view(field.shape)
-    level = 10.0 ** ((probe.noise + 0.62 * beams.tgc) / 10.0)
-    level = level + beams.ringing * coupling.square().unsqueeze(-1)
-    field = field * gain
+    level = beams.ringing * coupling.square().unsqueeze(-1)
+    level += beams.hiss
+    field *= gain
     # What is scattered many times comes from all around and has lost its phase, as noise has.
-    around = torch.bmm(field.square().sum(1), beams.veil_along.expand(len(field), -1, -1))
+    around = torch.bmm(echo_power(field), beams.veil_along.expand(len(field), -1, -1))
     around = torch.bmm(beams.veil_across.expand(len(field), -1, -1), around)
-    noise = noise * (around + level).mul_(0.5).sqrt_().unsqueeze(1)
-    return field + beams.clutter * (1.0 - 0.65 * gain) + noise
+    noise *= around.add_(level).mul_(0.5).sqrt_().unsqueeze(1)
+    field += beams.clutter * (1.0 - 0.65 * gain)
+    return field.add_(noise)
+
+
+def echo_power(field: Tensor) -> Tensor:
+    """Return the (B, L, S) squared magnitude of (B, 2, L, S) complex echoes."""
+    real, imaginary = field.unbind(1)
+    return real.square().add_(imaginary.square())

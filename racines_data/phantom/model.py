@@ -22,6 +22,12 @@ from racines_data.views import labels_of
 
 CHUNK = 64
 """Frames rendered at once: bounds the memory of the polar grids (about 1 MB a frame)."""
+CACHED = {"cpu": 16}
+"""Frames whose polar grids are worked on at once by device type, else the chunk: sixteen fit the
+caches of a CPU, two threads included. The coupling of a chunk is computed at once all the same,
+since a CPU may round it otherwise in what is left after the last full vector."""
+VECTORS = 32
+"""Rows that fill whole vectors of a CPU, whatever their columns."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +95,11 @@ class Phantom:
     def render(self, pose: Pose, seeds: Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 images of poses on this device, unchecked."""
         parts = [
-            self._render_chunk(Pose(*(x[i : i + CHUNK] for x in pose)), seeds[i : i + CHUNK])
+            part
             for i in range(0, len(seeds), CHUNK)
+            for part in self._render_chunk(
+                Pose(*(x[i : i + CHUNK] for x in pose)), seeds[i : i + CHUNK]
+            )
         ]
         if not parts:
             return torch.zeros((0, 128, 128), dtype=torch.uint8, device=self.device)
@@ -98,23 +107,28 @@ class Phantom:
 
     def envelope(self, pose: Pose, seeds: Tensor) -> Tensor:
         """Return the (B, beams, samples) envelope of one look, uncompressed; 1 is myocardium."""
-        return next(self._looks(pose, seeds)).sqrt()
+        return next(self._looks(pose, seeds, self.coupling(pose))).sqrt()
 
-    def _looks(self, pose: Pose, seeds: Tensor) -> Iterator[Tensor]:
+    def _looks(self, pose: Pose, seeds: Tensor, coupling: Tensor) -> Iterator[Tensor]:
         """Yield the (B, beams, samples) echo power of each look."""
         probe = self.config.probe
         echoes = acoustics.sample_echoes(self._volume, self._beams, probe, pose)
-        coupling = self.coupling(pose)
         for look in range(probe.looks):
             field = acoustics.form_image(echoes, self._beams, look)
             noise = seeds if look == 0 else derive(seeds, look)
             field = acoustics.add_face(field, self._beams, probe, coupling, noise)
-            yield field.square().sum(1)
+            yield acoustics.echo_power(field)
 
-    def _render_chunk(self, pose: Pose, seeds: Tensor) -> Tensor:
-        probe = self.config.probe
-        looks = [log_compress(power, probe) for power in self._looks(pose, seeds)]
-        return self._converter.convert(sum(looks[1:], looks[0]) / len(looks))
+    def _render_chunk(self, pose: Pose, seeds: Tensor) -> Iterator[Tensor]:
+        """Yield the images of at most `CHUNK` poses, some at a time."""
+        probe, size = self.config.probe, CACHED.get(self.device.type, CHUNK)
+        inputs = (*pose, seeds, self.coupling(pose))
+        for position, rotation, noise, coupling in zip(
+            *(x.split(size) for x in inputs), strict=True
+        ):
+            powers = self._looks(Pose(position, rotation), noise, coupling)
+            looks = [log_compress(power, probe) for power in powers]
+            yield self._converter.convert(sum(looks[1:], looks[0]) / len(looks))
 
     def coupling(self, pose: Pose) -> Tensor:
         """Return (B, beams) acoustic coupling in 0-1."""
@@ -137,6 +151,19 @@ class Phantom:
     def judge(self, pose: Pose) -> Truth:
         """Judge poses on this device, unchecked."""
         return self._oracle.judge(pose, self.config.probe, self.coupling(pose))
+
+    def judge_alike(self, pose: Pose) -> Truth:
+        """Judge poses so that a pose's truth ignores those beside it, to the last bit.
+
+        A CPU's vector functions round otherwise than its scalar ones, which get what is left after
+        the last full vector: so the rows are filled up to whole vectors.
+        """
+        count = len(pose.position)
+        if self.device.type != "cpu" or count % VECTORS == 0:
+            return self.judge(pose)
+        rows = torch.arange(count + -count % VECTORS).remainder(count)
+        truth = self.judge(Pose(pose.position[rows], pose.rotation[rows]))
+        return Truth(*(each[:count] for each in truth))
 
     def target(self, view: str) -> Pose:
         """Return the nominal pose of a view, a batch of one.
