@@ -42,6 +42,11 @@ def files_of(document: dict[str, Any]) -> list[dict[str, Any]]:
     return [each for each in document["artefacts"] if each["kind"] != "adapter"]
 
 
+def rescored(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the artefacts that scores are made of again; all of one kind."""
+    return [each for each in document["artefacts"] if KINDS[each["kind"]].rescored]
+
+
 def check_artefacts(document: dict[str, Any], where: str) -> None:
     """Check kinds, names and adapters of a document that fits the schema; nothing is opened.
 
@@ -69,6 +74,26 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
         raise RacinesError(
             f"{where}: dataset.digest: missing: the content or recipe digest of the data"
         )
+    _check_roads(document, where)
+
+
+def _check_roads(document: dict[str, Any], where: str) -> None:
+    """Check that it is plain what is scored, and that the tier asked for can be reached."""
+    kinds = [each["kind"] for each in rescored(document)]
+    if len(set(kinds)) > 1 or (len(kinds) > 1 and kinds[0] != "generator"):
+        raise RacinesError(
+            f"{where}: artefacts: {', '.join(kinds)}: give one that is scored again; only "
+            "generators may be several, the seeds of one method"
+        )
+    needs = {"recomputed": bool(kinds)}
+    needs["reproduced"] = any("adapter" in each for each in document["artefacts"])
+    if not needs.get(document["tier"], True):
+        wanted = (
+            "merged code, an adapter"
+            if document["tier"] == "reproduced"
+            else ("predictions, a generator, a policy or a trace")
+        )
+        raise RacinesError(f"{where}: tier: {document['tier']} needs {wanted}")
 
 
 def check_adapter(target: str, where: str) -> None:

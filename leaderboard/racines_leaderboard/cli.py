@@ -20,7 +20,7 @@ import racines_envs.cli_export
 import racines_models.cli
 import racines_models.cli_export
 from racines_data.errors import RacinesError
-from racines_leaderboard import commands
+from racines_leaderboard import cli_submit, commands
 
 app = typer.Typer(
     help="RACINES, the open benchmark for robotic cardiac ultrasound. Not a medical device.",
@@ -43,6 +43,7 @@ racines_envs.cli_drive.register(app)
 racines_envs.cli_explain.register(app)
 racines_envs.cli_export.register(racines_models.cli_export.export)
 commands.register(app)
+cli_submit.register(app)
 
 
 @app.callback(invoke_without_command=True)

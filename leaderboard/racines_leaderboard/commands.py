@@ -1,4 +1,4 @@
-"""The commands `racines leaderboard` and `racines submit`."""
+"""The command `racines leaderboard`."""
 
 import json
 from pathlib import Path
@@ -11,9 +11,8 @@ SUBMISSIONS = Path("leaderboard/submissions")
 
 
 def register(app: typer.Typer) -> None:
-    """Add the commands to the root."""
+    """Add the command to the root."""
     app.command("leaderboard")(leaderboard)
-    app.command("submit")(submit)
 
 
 def leaderboard(
@@ -63,24 +62,6 @@ def leaderboard(
             raise RacinesError(f"{readme}: no such file")
         write_atomic(readme, with_tables(readme.read_text(), results, str(readme)))
     _show({name: results_of.read_board(results, name) for name in names}, as_json, details)
-
-
-def submit(
-    file: Annotated[Path, typer.Argument(help="The submission.yaml.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print the submission as JSON.")] = False,
-) -> None:
-    """Check a submission and the weights that it names."""
-    from racines_leaderboard.submission import read_submission
-
-    document = read_submission(file)
-    if as_json:
-        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
-        return
-    typer.echo(f"{file}: sound ({document['name']}, {document['track']}).")
-    typer.echo(
-        f"Next: put it at leaderboard/submissions/{document['name']}/submission.yaml, its scores "
-        "under models/runs/scores or envs/runs/scores, and run `racines leaderboard --collect`."
-    )
 
 
 def _board_of(params: Path, board: str | None) -> str:

@@ -12,7 +12,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Protocol
 
 from racines_data.errors import RacinesError
 
@@ -106,7 +106,15 @@ def read_bounded(folder: Path, name: str, where: str, limit: int) -> bytes:
     return content
 
 
-def measure(stream: BinaryIO, where: str, out: BinaryIO | None = None) -> tuple[str, int]:
+class Readable(Protocol):
+    """Gives bytes."""
+
+    def read(self, count: int, /) -> bytes:
+        """Return at most `count` bytes; none at the end."""
+        ...
+
+
+def measure(stream: Readable, where: str, out: BinaryIO | None = None) -> tuple[str, int]:
     """Return the sha256 and the size of a stream, copied into `out` on the way.
 
     Raises:
