@@ -71,9 +71,9 @@ def test_a_bomb_that_says_so_is_refused_by_its_footer(tmp_path, monkeypatch):
 
 
 def test_a_bomb_that_lies_in_its_footer_dies_in_the_child(tmp_path):
-    """256 MiB of zeros; the footer's sizes are made small, the page unpacks all the same."""
+    """128 MiB of zeros; the footer's sizes are made small, the page unpacks all the same."""
     path = predictions(
-        tmp_path / "b.parquet", [bytes(2**28)], compression="zstd", use_dictionary=False
+        tmp_path / "b.parquet", [bytes(2**27)], compression="zstd", use_dictionary=False
     )
     content = path.read_bytes()
     told = pq.read_metadata(path).row_group(0)
@@ -83,7 +83,7 @@ def test_a_bomb_that_lies_in_its_footer_dies_in_the_child(tmp_path):
         content = content.replace(honest, _varint(2 * 100, len(honest)))
     path.write_bytes(content)
     assert pq.read_metadata(path).row_group(0).column(2).total_uncompressed_size == 100
-    tight = Limits(memory=3 * 2**28)
+    tight = Limits(memory=2**29)
     check_content(predictions(tmp_path / "s.parquet", [b"png"]), "predictions", "generators", tight)
     with pytest.raises(RacinesError, match="b.parquet: .*memory limit"):
         check_content(path, "predictions", "generators", tight)
