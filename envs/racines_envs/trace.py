@@ -149,7 +149,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _start_set(told: dict[str, Any], path: Path) -> tuple[list[int], int]:
-    sets, starts = told.get("seeds"), told.get("starts")
+    sets, starts = told.get("seeds", []), told.get("starts", 0)
     whole = isinstance(sets, list) and all(type(s) is int and 0 <= s < 2**31 for s in sets)
     fits = whole and type(starts) is int and set(told) == {"seeds", "starts"} and starts > 0
     if not fits or not sets or len(set(sets)) != len(sets) or len(sets) * starts > MAX_EPISODES:
