@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import command
-from tests.leaderboard.conftest import generator_scores
+from tests.leaderboard.conftest import generator_scores, write_submission
 
 HELP = [
     (),
@@ -77,6 +77,8 @@ REFUSED = [
     (("expert", "simulate", "absent"), "absent/kit.json: no such file"),
     (("expert", "oracle", "absent"), "absent/kit.json: no such file"),
     (("expert", "score", "absent", "anna.jsonl"), "absent/kit.json: no such file"),
+    (("leaderboard", "--recompute", "nobody"), "params.yaml: no such file"),
+    (("leaderboard", "--recompute", "nobody", "--params", "absent.yaml"), "absent.yaml"),
     (("data", "build", "--profile", "huge"), "unknown profile 'huge'"),
     (("data", "build", "--source", "nowhere"), "nowhere"),
     (("data", "validate", "absent"), "absent"),
@@ -121,13 +123,13 @@ def test_params_name_the_board(tmp_path: Path):
 
 
 def test_submit(tmp_path: Path):
-    path = tmp_path / "submission.yaml"
-    path.write_text(
-        "name: mine\ntrack: agents\nauthors: [A]\nmethod: m\nsource: s\nlicence: MIT\n"
-        "description: d\n"
-    )
-    assert "sound" in command(tmp_path, "racines", "submit", "submission.yaml").stdout
-    done = command(tmp_path, "racines", "submit", "submission.yaml", "--json")
+    path = write_submission(tmp_path / "in", track="agents")
+    assert "sound" in command(tmp_path, "racines", "submit", "in").stdout
+    stored = tmp_path / "leaderboard/submissions/agents/mine/submission.yaml"
+    assert stored.exists()
+    done = command(tmp_path, "racines", "submit", "in", "--replace", "--json")
     assert json.loads(done.stdout)["name"] == "mine"
     path.write_text(path.read_text() + "extra: 1\n")
-    assert "'extra'" in command(tmp_path, "racines", "submit", "submission.yaml", code=1).stderr
+    words = ("racines", "submit", "in/submission.yaml", "--replace")
+    assert "'extra'" in command(tmp_path, *words, code=1).stderr
+    assert "extra" not in stored.read_text()

@@ -12,10 +12,11 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_envs import intervals
-from racines_envs.agents import agent_class, load_agent, sees
+from racines_envs.agents import load_agent, sees
 from racines_envs.agents.onnx_policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
+from racines_envs.agents.trace import TraceAgent
 from racines_envs.backends import make_grader
 from racines_envs.core import ScanCore
 from racines_envs.latency import decision_times, latency_figure
@@ -73,54 +74,83 @@ class Evaluation:
     pictured: int
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """An agent before its starts."""
+
+    agent: Agent
+    core: ScanCore
+    seeds: Tensor
+    """(n,) of the starts, set after set."""
+    grader: Any
+
+
 def evaluate(
     name: str,
     run_dir: Path,
     config: EvaluationConfig,
     phantom: Any = None,
     grader: Any = None,
+    agent: Agent | None = None,
     run: str | None = None,
     board: str | None = None,
 ) -> Evaluation:
     """Run the agent that lies in `run_dir` and score it; all episodes of all sets at once.
 
     Args:
-        name: Registered agent, or `module:Class`.
+        name: Registered agent, `module:Class`, `FILE.onnx`, or a trace, `FILE.json`.
         run_dir: What its training left; not read for agents without weights.
         config: The evaluation.
         phantom: A phantom or its configuration; the shared default by default.
         grader: Instead of the folder in the config.
+        agent: One that is open already, instead of the one that name and folder say.
         run: What the scores call it; the agent's name by default.
         board: The board that the scores are for, if they are for one.
 
     Raises:
-        RacinesError: unknown names, missing weights, or an agent that was trained for another view.
+        RacinesError: unknown names, missing weights, an agent that was trained for another view, or
+            a trace that was recorded elsewhere.
     """
     began = time.perf_counter()
+    ready = prepare(name, run_dir, config, phantom, grader, agent)
+    agent, core, seeds, grader = ready.agent, ready.core, ready.seeds, ready.grader
+    episodes = rollout(core, agent, seeds.to(core.device))
+    if isinstance(agent, TraceAgent):
+        agent.check_ended(episodes)
+    steps = reference_steps(config.view, seeds, core.phantom, config.device)
+    metrics = measure(episodes, steps, config.resamples)
+    if grader is not None:
+        metrics |= _graded(core, grader)
+    if config.latency and not isinstance(agent, TraceAgent):
+        alone = _core(config, agent, core.phantom, grader, 1, core.images)
+        times = decision_times(alone, agent, seeds.to(core.device), config.latency)
+        metrics["latency"] = latency_figure(times, config.resamples)
+    by_seed = measure_by_seed(episodes, steps, config.sets, config.resamples)
+    scores = _document(run_dir, config, core, agent, metrics, by_seed)
+    scores |= {"agent": run or scores["submission"]} | ({"board": board} if board else {})
+    return Evaluation(
+        scores | {"seconds": time.perf_counter() - began}, episodes, core, config.pictured
+    )
+
+
+def prepare(
+    name: str,
+    run_dir: Path,
+    config: EvaluationConfig,
+    phantom: Any = None,
+    grader: Any = None,
+    agent: Agent | None = None,
+) -> Prepared:
+    """Return an agent and the environment that it is judged in; arguments as of `evaluate`."""
     task = find_task(config.view, phantom)  # an unknown view is refused before anything is loaded
     seeds = start_seeds(config.starts, config.sets)
-    agent = load_agent(name, run_dir, config.device)
+    agent = agent or load_agent(name, run_dir, config.device)
     check_view(agent, config.view, name, run_dir)
     phantom = make_phantom(phantom, config.device, task.anatomy)
     if grader is None and config.grader:
         grader = make_grader(config.grader, config.device)
     check_grader(grader, task)
-    core = _core(config, agent, phantom, grader, len(seeds))
-    episodes = rollout(core, agent, seeds.to(core.device))
-    steps = reference_steps(config.view, seeds, core.phantom, config.device)
-    metrics = measure(episodes, steps, config.resamples)
-    if grader is not None:
-        metrics |= _graded(core, grader)
-    if config.latency:
-        alone = _core(config, agent, phantom, grader, 1, core.images)
-        times = decision_times(alone, agent, seeds.to(core.device), config.latency)
-        metrics["latency"] = latency_figure(times, config.resamples)
-    by_seed = measure_by_seed(episodes, steps, config.sets, config.resamples)
-    scores = _document(name, run_dir, config, core, agent, metrics, by_seed)
-    scores |= {"agent": run or scores["submission"]} | ({"board": board} if board else {})
-    return Evaluation(
-        scores | {"seconds": time.perf_counter() - began}, episodes, core, config.pictured
-    )
+    return Prepared(agent, _core(config, agent, phantom, grader, len(seeds)), seeds, grader)
 
 
 def start_seeds(starts: int, sets: Sequence[int]) -> Tensor:
@@ -186,7 +216,6 @@ def _graded(core: ScanCore, grader: Any) -> Figures:
 
 
 def _document(
-    name: str,
     run_dir: Path,
     config: EvaluationConfig,
     core: ScanCore,
@@ -198,17 +227,17 @@ def _document(
 
     task = core.task
     weights = weights_sha256(run_dir) if hasattr(agent, "view") and run_dir.is_dir() else {}
-    if isinstance(agent, OnnxPolicyAgent):
+    if isinstance(agent, (OnnxPolicyAgent, TraceAgent)):
         weights = {agent.path.name: agent.sha256}
     return {
         "schema": SCHEMA,
-        "agent": agent_class(name).name,
-        "submission": agent_class(name).name,
+        "agent": agent.name,
+        "submission": agent.name,
         "sees": sees(agent),
         "task": {
             "view": task.view,
             "backend": config.backend,
-            "observation": agent.observation,
+            "observation": getattr(agent, "seen", agent.observation),
             "reward": config.reward,
             "start_set": {"seeds": list(config.sets), "starts": config.starts},
             "definition": asdict(task),

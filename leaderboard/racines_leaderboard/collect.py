@@ -77,7 +77,7 @@ def collect(
         for path in (path for path in paths if path not in without):
             record = _record(path, submissions, board)
             records[results / board / record["track"] / f"{record['name']}.json"] = record
-    _one_dataset(records, results, board)
+    one_dataset(records, results, board)
     for path, record in records.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
@@ -127,7 +127,12 @@ def _read_record(path: Path, board: str, track: Track) -> Record:
     return record
 
 
-def _one_dataset(new: dict[Path, Record], results: Path, board: str) -> None:
+def one_dataset(new: dict[Path, Record], results: Path, board: str) -> None:
+    """Check that each track of a board stays on one dataset once new records are written.
+
+    Raises:
+        RacinesError: two records rest on different recipes.
+    """
     kept = [
         (results / board / name / f"{record['name']}.json", record)
         for name, records in read_board(results, board).items()

@@ -1,4 +1,4 @@
-"""The commands `racines leaderboard` and `racines submit`."""
+"""The command `racines leaderboard`."""
 
 import json
 from pathlib import Path
@@ -8,12 +8,15 @@ import typer
 
 RESULTS = Path("leaderboard/results")
 SUBMISSIONS = Path("leaderboard/submissions")
+DATA = Path("data/racines")
+GRADER, POSE = Path("models/runs/grader"), Path("models/runs/pose")
+CACHE = Path("models/runs/scores/reference")
+"""What is computed of the reference alone, shared with `racines eval generator`."""
 
 
 def register(app: typer.Typer) -> None:
-    """Add the commands to the root."""
+    """Add the command to the root."""
     app.command("leaderboard")(leaderboard)
-    app.command("submit")(submit)
 
 
 def leaderboard(
@@ -24,6 +27,14 @@ def leaderboard(
         list[Path] | None,
         typer.Option(help="Take the scores of this folder into the board first; repeatable."),
     ] = None,
+    recompute: Annotated[
+        list[str] | None,
+        typer.Option(help="Score this submission again first, NAME or TRACK/NAME; repeatable."),
+    ] = None,
+    data: Annotated[Path, typer.Option(help="With --recompute: the dataset.")] = DATA,
+    no_grader: Annotated[
+        bool, typer.Option("--no-grader", help="With --recompute: leave out what needs a grader.")
+    ] = False,
     results: Annotated[Path, typer.Option(help="Folder of the boards.")] = RESULTS,
     submissions: Annotated[Path, typer.Option(help="Folder of the submissions.")] = SUBMISSIONS,
     params: Annotated[
@@ -38,7 +49,7 @@ def leaderboard(
     details: Annotated[bool, typer.Option("--details", help="Show the further figures.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
 ) -> None:
-    """Collect scores into a board, rank it, and show it."""
+    """Collect scores into a board, or make them again, rank it, and show it."""
     from racines_data.errors import RacinesError
     from racines_data.files import write_atomic
     from racines_leaderboard import collect as results_of
@@ -53,6 +64,8 @@ def leaderboard(
         for path in others:
             typer.echo(f"racines: left out {path}: made for another board than {board}", err=True)
         results_of.collect(collect, results, submissions, board, others)
+    if recompute:
+        board = _recompute(recompute, params, board, data, no_grader, results, submissions)
     names = [board] if board else results_of.boards(results)
     if not set(names) <= set(results_of.boards(results)) or not names:
         raise RacinesError(f"{results}: no results of {board or 'any board'}")
@@ -65,22 +78,34 @@ def leaderboard(
     _show({name: results_of.read_board(results, name) for name in names}, as_json, details)
 
 
-def submit(
-    file: Annotated[Path, typer.Argument(help="The submission.yaml.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print the submission as JSON.")] = False,
-) -> None:
-    """Check a submission and the weights that it names."""
-    from racines_leaderboard.submission import read_submission
+def _recompute(
+    names: list[str],
+    params: Path | None,
+    board: str | None,
+    data: Path,
+    no_grader: bool,
+    results: Path,
+    submissions: Path,
+) -> str:
+    """Score submissions again with the settings of a params file; return its board."""
+    from racines_data.config import read_params
+    from racines_leaderboard.recompute import Ground, find, recompute
 
-    document = read_submission(file)
-    if as_json:
-        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
-        return
-    typer.echo(f"{file}: sound ({document['name']}, {document['track']}).")
-    typer.echo(
-        f"Next: put it at leaderboard/submissions/{document['name']}/submission.yaml, its scores "
-        "under models/runs/scores or envs/runs/scores, and run `racines leaderboard --collect`."
+    params = params or Path("params.yaml")
+    board = _board_of(params, board)
+    folders = [find(submissions, name) for name in names]
+    ground = Ground(
+        board,
+        read_params(params),
+        data,
+        grader=None if no_grader else GRADER,
+        pose=POSE if POSE.is_dir() else None,
+        cache=CACHE,
     )
+    for folder in folders:
+        record = recompute(folder, ground, results)
+        typer.echo(f"racines: scored again: {record['track']}/{record['name']}", err=True)
+    return board
 
 
 def _board_of(params: Path, board: str | None) -> str:

@@ -2,6 +2,7 @@
 
 import functools
 import json
+import math
 from importlib import resources
 from pathlib import Path
 from typing import Any, NoReturn
@@ -13,7 +14,15 @@ from referencing import Registry, Resource
 from racines_data.errors import RacinesError
 
 EXPERT_KINDS = ("expert-kit", "expert-key", "expert-rating", "expert-scores", "expert-record")
-KINDS = ("any", "generator-scores", "agent-scores", "submission", "record", *EXPERT_KINDS)
+KINDS = (
+    "any",
+    "generator-scores",
+    "agent-scores",
+    "submission",
+    "submission-1",
+    "record",
+    *EXPERT_KINDS,
+)
 
 
 def check(document: Any, kind: str, where: str) -> None:
@@ -36,13 +45,23 @@ def read_json(path: Path, kind: str) -> dict[str, Any]:
         RacinesError: missing or damaged file, NaN or infinity, or a field against the schema.
     """
     try:
-        document = json.loads(path.read_text(), parse_constant=lambda c: _not_finite(path, c))
+        document = json.loads(
+            path.read_text(),
+            parse_constant=lambda text: _not_finite(path, text),
+            parse_float=lambda text: _finite(path, text),
+        )
     except FileNotFoundError as error:
         raise RacinesError(f"{path}: no such file") from error
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise RacinesError(f"{path}: not readable as JSON: {error}") from error
     check(document, kind, str(path))
     return document
+
+
+def _finite(path: Path, text: str) -> float:
+    """Return a number; JSON's grammar has 1e999, which Python reads as infinity."""
+    value = float(text)
+    return value if math.isfinite(value) else _not_finite(path, text[:80])
 
 
 def _not_finite(path: Path, constant: str) -> NoReturn:

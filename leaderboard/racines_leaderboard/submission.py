@@ -1,73 +1,96 @@
-"""Submissions: one YAML a system, and the weights that it names."""
+"""Submissions: one folder a system, with one YAML and the artefacts that it names."""
 
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from racines_data.errors import RacinesError
-from racines_data.files import sha256_file
+from racines_leaderboard.artefacts import YAML, check_artefacts, files_of
+from racines_leaderboard.file_checks import measure, opened
 from racines_leaderboard.schema import check
+from racines_leaderboard.submission_text import read_yaml
 
-REFUSED = "weights must be safetensors or ONNX files: a pickle can run code when it is loaded"
+
+def read_document(path: Path) -> dict[str, Any]:
+    """Read and check a submission's YAML, not the files that it names.
+
+    Raises:
+        RacinesError: no regular file, not plain YAML, an unknown, absent or faulty field, or an
+            artefact that may not be.
+    """
+    document = read_yaml(path.parent, path.name)
+    if isinstance(document, dict) and document.get("schema") != "racines.submission/2":
+        raise RacinesError(
+            f"{path}: schema: give racines.submission/2 (a template: racines submit --new FOLDER)"
+        )
+    check(document, "submission", str(path))
+    check_artefacts(document, str(path))
+    return document
 
 
 def read_submission(path: Path) -> dict[str, Any]:
-    """Read and check a submission.yaml and the weights beside it.
+    """Read a submission, and check that its artefacts are those that the YAML names.
+
+    An artefact with a URL may be absent.
 
     Raises:
-        RacinesError: a missing or damaged file, an unknown or absent key, a name that is not
-            its folder's under `submissions/`, weights that are pickles, absent, or of another
-            digest.
+        RacinesError: as `read_document`; a file that is absent, no regular file, too large, a
+            pickle or an archive, or of another size or digest.
     """
-    try:
-        document = yaml.safe_load(path.read_text())
-    except FileNotFoundError as error:
-        raise RacinesError(f"{path}: no such file") from error
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise RacinesError(f"{path}: not readable as YAML: {error}") from error
-    _refuse_pickles(document, path)
-    check(document, "submission", str(path))
-    folder = path.resolve().parent
-    if folder.parent.name == "submissions" and folder.name != document["name"]:
-        raise RacinesError(f"{path}: name: {document['name']!r} stands in folder {folder.name!r}")
-    for i, weights in enumerate(document.get("weights", [])):
-        _check_weights(folder / weights["path"], weights["sha256"], f"{path}: weights.{i}")
+    document = read_document(path)
+    for artefact in files_of(document):
+        check_file(path.parent, artefact, str(path))
     return document
+
+
+def check_file(folder: Path, artefact: dict[str, Any], where: str) -> bool:
+    """Check one artefact's file against its entry; return whether it is there.
+
+    Raises:
+        RacinesError: see `read_submission`.
+    """
+    name = artefact["path"]
+    if "url" in artefact and not (folder / name).is_symlink() and not (folder / name).exists():
+        return False
+    with opened(folder, name, where) as stream:
+        check_measured(artefact, measure(stream, f"{where}: {name}"), where)
+    return True
+
+
+def check_measured(artefact: dict[str, Any], found: tuple[str, int], where: str) -> None:
+    """Check the digest and size that were found against those that the entry claims.
+
+    Raises:
+        RacinesError: they differ.
+    """
+    digest, size = found
+    if (digest, size) != (artefact["sha256"], artefact["size"]):
+        raise RacinesError(
+            f"{where}: {artefact['path']}: the file has sha256 {digest} and {size} bytes, the "
+            f"entry says {artefact['sha256']} and {artefact['size']}: write what the file has"
+        )
 
 
 def find_submission(folder: Path, track: str, name: str) -> dict[str, Any] | None:
     """Return the submission of a system, or None where none was written.
 
     Raises:
-        RacinesError: it is at fault, or belongs to the other track.
+        RacinesError: it is at fault, or does not stand where its track and name say.
     """
-    path = folder / name / "submission.yaml"
+    path = folder / track / name / YAML
+    if (folder / name / YAML).exists():
+        raise RacinesError(f"{folder / name}: move it to {folder / track / name}")
+    for place in (path.parent.parent, path.parent):
+        if place.is_symlink():
+            raise RacinesError(f"{place}: a symbolic link: put the folder itself there")
     if not path.exists():
         return None
     document = read_submission(path)
-    if document["track"] != track:
-        raise RacinesError(f"{path}: track: {document['track']!r}, but its scores are {track}")
+    for key, value in (("track", track), ("name", name)):
+        if document[key] != value:
+            raise RacinesError(f"{path}: {key}: {document[key]!r}, expected {value!r} by its place")
+    files = {entry["path"] for entry in files_of(document)}
+    known = {YAML, ".gitignore", *files, *(f"{name}.dvc" for name in files)}
+    for each in sorted(path.parent.iterdir()):
+        if each.name not in known:
+            raise RacinesError(f"{each}: no artefact of {path}: name it there, or remove it")
     return document
-
-
-def _refuse_pickles(document: Any, path: Path) -> None:
-    """Say why, before the schema says only that the name does not match."""
-    weights = document.get("weights") if isinstance(document, dict) else None
-    for i, entry in enumerate(weights if isinstance(weights, list) else []):
-        name = str(entry.get("path")) if isinstance(entry, dict) else ""
-        if not name.endswith((".safetensors", ".onnx")):
-            raise RacinesError(f"{path}: weights.{i}.path: {name!r} refused: {REFUSED}")
-
-
-def _check_weights(path: Path, sha256: str, where: str) -> None:
-    if not path.is_file():
-        raise RacinesError(f"{where}: {path.name}: no such file beside the submission")
-    with path.open("rb") as stream:
-        head = stream.read(9)
-    if head[:2] in (b"PK", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"):
-        raise RacinesError(f"{where}: {path.name} holds a pickle or an archive: {REFUSED}")
-    if path.suffix == ".safetensors" and head[8:9] != b"{":
-        raise RacinesError(f"{where}: {path.name} is not a safetensors file")
-    if (digest := sha256_file(path)) != sha256:
-        raise RacinesError(f"{where}.sha256: the file has {digest}")

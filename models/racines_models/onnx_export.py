@@ -18,8 +18,8 @@ from racines_data.files import write_atomic
 from racines_data.schema import PARAMETERS
 from racines_models.onnx_file import MAX_BYTES
 from racines_models.onnx_format import NOISE, OUTPUT, PARAMS, SCHEMA
-from racines_models.onnx_generator import open_session
 from racines_models.onnx_module import OnnxModule, import_onnx
+from racines_models.onnx_session import open_session
 
 OPSET = 18
 """Operator set written: the oldest that torch's exporter targets natively."""

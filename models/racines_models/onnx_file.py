@@ -1,6 +1,7 @@
 """An ONNX file opened as what a stranger sent: bounded, in one piece, standard operators only."""
 
 import json
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ DOMAINS = ("", "ai.onnx", "ai.onnx.ml")
 
 MAX_TEXT = 100_000
 """Most characters of one metadata value."""
+TENSORS = ("TensorProto", "SparseTensorProto")
 FLOAT, UINT8 = 1, 2
 """ONNX's element types."""
 
@@ -76,6 +78,13 @@ def _check_inside(model: Any, path: Path) -> None:
             raise RacinesError(
                 f"{path}: tensor {part.name!r} lies in another file: save the model as one file "
                 "(onnx.save(model, path, save_as_external_data=False))"
+            )
+        # Every element of a tensor takes a bit at least, and a file holds MAX_BYTES at most.
+        dims = part.dims if part.DESCRIPTOR.name in TENSORS else ()
+        if min(dims, default=0) < 0 or math.prod(dims) > 8 * MAX_BYTES:
+            raise RacinesError(
+                f"{path}: a tensor claims {' x '.join(map(str, dims))} elements, more than the "
+                f"{MAX_BYTES:,} bytes that are read can hold: export it again"
             )
 
 

@@ -1,5 +1,6 @@
 """A generator in an ONNX file, run by onnxruntime: no code of the file's maker in Python."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,16 @@ from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE, check_parameters
 from racines_data.randomness import sample_seeds
 from racines_models.onnx_format import NOISE, OUTPUT, PARAMS, read_onnx
+from racines_models.onnx_session import open_session
 from racines_models.provenance import sha256_bytes
 
 BATCH = {"cpu": 8, "cuda": 64}
 """Samples a call, by device type, where the graph leaves the batch free."""
 SLACK = 1e-3
 """How far a float image may leave [-1, 1] by rounding."""
+
+Opener = Callable[[bytes, str, str], Any]
+"""Returns what has onnxruntime's `run` and `get_providers`."""
 
 
 class OnnxGenerator:
@@ -29,12 +34,13 @@ class OnnxGenerator:
         RacinesError: the file is refused, or onnxruntime cannot load it.
     """
 
-    def __init__(self, path: Path, device: str = "cpu"):
+    def __init__(self, path: Path, device: str = "cpu", opener: Opener = open_session):
+        """Open a file; `opener` makes of its bytes, its name and the device what runs it."""
         self.path = Path(path)
         content, self.interface = read_onnx(self.path)
         self.name = self.interface.name
         self.sha256 = sha256_bytes(content)
-        self._session = open_session(content, str(self.path), device)
+        self._session = opener(content, str(self.path), device)
         self.provider: str = self._session.get_providers()[0]
         kind = "cuda" if self.provider.startswith("CUDA") else "cpu"
         self._batch = self.interface.batch or BATCH[kind]
@@ -63,6 +69,8 @@ class OnnxGenerator:
             (images,) = self._session.run(
                 [OUTPUT], {key: value[rows].numpy() for key, value in chunk.items()}
             )
+        except RacinesError:
+            raise
         except Exception as error:
             raise RacinesError(f"{self.path}: onnxruntime failed: {error}") from error
         return self._gray(images, self._batch)[:count]
@@ -82,27 +90,3 @@ class OnnxGenerator:
                 f"{self.path}: {OUTPUT} lies in {low:g} to {high:g}: give finite values in [-1, 1]"
             )
         return ((drawn + 1.0) * 127.5).round().clamp(0, 255).to(torch.uint8)
-
-
-def open_session(content: bytes, where: str, device: str) -> Any:
-    """Return the onnxruntime session of a model: one thread, deterministic, on CUDA if it can.
-
-    Raises:
-        RacinesError: onnxruntime cannot load it; begins with `where`.
-    """
-    import onnxruntime
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
-    options.use_deterministic_compute = True
-    options.log_severity_level = 4
-    providers = ["CPUExecutionProvider"]
-    if device.startswith("cuda") and "CUDAExecutionProvider" in (
-        onnxruntime.get_available_providers()
-    ):
-        providers.insert(0, "CUDAExecutionProvider")
-    try:
-        return onnxruntime.InferenceSession(content, options, providers=providers)
-    except Exception as error:
-        raise RacinesError(f"{where}: onnxruntime cannot load it: {error}") from error

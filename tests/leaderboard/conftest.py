@@ -1,11 +1,14 @@
 """Score files as the evaluations write them, with made-up figures."""
 
+import copy
+import hashlib
 import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 DIGEST = "ab" * 32
 ENVIRONMENT = {"python": "3.11.7", "torch": "2.13.0", "platform": "Linux", "cpu": "x86_64"}
@@ -64,6 +67,41 @@ def agent_scores(
         "environment": ENVIRONMENT,
         "seconds": 1.0,
     }
+
+
+SUBMISSION: dict[str, Any] = {
+    "schema": "racines.submission/2",
+    "name": "mine",
+    "track": "generators",
+    "authors": ["Somebody"],
+    "method": "a method",
+    "description": "What it is.",
+    "licence": "MIT",
+    "tier": "self-reported",
+    "dataset": {"source": "phantom", "version": "1.0.0", "digest": DIGEST},
+    "seeds": [0],
+    "code": {"url": "https://example.org/mine", "commit": "abcdef0"},
+    "training": {"budget": "1 image", "hardware": "one core"},
+}
+ADAPTER = {"kind": "adapter", "adapter": "racines_models.generators.vae_gan:VaeGan"}
+
+
+def artefact(kind: str, file: Path, **changes: Any) -> dict[str, Any]:
+    """Return the entry of a file; of one that is not there, with made-up figures."""
+    content = file.read_bytes() if file.is_file() else b"x"
+    sha256 = hashlib.sha256(content).hexdigest()
+    entry = {"kind": kind, "path": file.name, "sha256": sha256, "size": len(content) or 1}
+    return entry | changes
+
+
+def write_submission(folder: Path, *artefacts: dict[str, Any], **changes: Any) -> Path:
+    """Write a submission.yaml, of merged code if no artefact is given; None leaves a key out."""
+    document = SUBMISSION | {"artefacts": list(artefacts) or [ADAPTER]} | changes
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "submission.yaml"
+    kept = {key: copy.deepcopy(value) for key, value in document.items() if value is not None}
+    path.write_text(yaml.safe_dump(kept, sort_keys=False))
+    return path
 
 
 @pytest.fixture

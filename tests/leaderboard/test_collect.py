@@ -7,22 +7,15 @@ from typer.testing import CliRunner
 from racines_data.errors import RacinesError
 from racines_leaderboard.cli import app
 from racines_leaderboard.collect import boards, collect, made_elsewhere, read_board
-from tests.leaderboard.conftest import agent_scores, generator_scores
-
-SUBMISSION = """
-name: {name}
-track: {track}
-authors: [The RACINES developers]
-method: a method
-source: racines
-licence: Apache-2.0
-description: What it is.
-"""
+from racines_leaderboard.submission import find_submission
+from tests.leaderboard.conftest import agent_scores, generator_scores, write_submission
 
 
-def submission(folder: Path, name: str, track: str) -> None:
-    (folder / name).mkdir(parents=True)
-    (folder / name / "submission.yaml").write_text(SUBMISSION.format(name=name, track=track))
+def submission(folder: Path, name: str, track: str, said: str | None = None) -> Path:
+    place = folder / track / name
+    place.mkdir(parents=True)
+    write_submission(place, name=name, track=said or track)
+    return place
 
 
 def test_scores_become_records_of_a_board(tmp_path, write_scores):
@@ -132,7 +125,14 @@ def test_damaged_scores_name_file_and_field(tmp_path, write_scores, field, value
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [('{"schema": ', "not readable as JSON"), ('{"schema": NaN}', "holds NaN"), ("[]", "object")],
+    [
+        ('{"schema": ', "not readable as JSON"),
+        ('{"schema": NaN}', "holds NaN"),
+        ('{"schema": -Infinity}', "holds -Infinity"),
+        ('{"schema": 1e999}', "holds 1e999"),
+        ("[" * 100_000, "not readable"),
+        ("[]", "object"),
+    ],
 )
 def test_broken_json_is_refused(tmp_path, write_scores, text, message):
     folder = write_scores("g")
@@ -155,7 +155,42 @@ def test_a_record_in_the_wrong_place_is_refused(tmp_path, write_scores):
 
 
 def test_scores_of_the_other_track_than_the_submission(tmp_path, write_scores):
-    submission(tmp_path / "submissions", "one", "agents")
+    submission(tmp_path / "submissions", "one", "generators", said="agents")
     folder = write_scores("g", generator_scores("one"))
-    with pytest.raises(RacinesError, match="track: 'agents'"):
+    with pytest.raises(RacinesError, match="track: 'agents', expected 'generators'"):
         collect([folder], tmp_path / "results", tmp_path / "submissions", "b")
+
+
+def test_a_submission_is_found_only_where_it_belongs(tmp_path):
+    folder = tmp_path / "submissions"
+    place = submission(folder, "one", "generators")
+    assert find_submission(folder, "generators", "one") and (
+        find_submission(folder, "agents", "one") is None
+    )
+    (place / "more.pkl").write_bytes(b"x")
+    with pytest.raises(RacinesError, match="more.pkl: no artefact"):
+        find_submission(folder, "generators", "one")
+    (place / "more.pkl").unlink()
+    place.rename(folder / "one")
+    with pytest.raises(RacinesError, match="move it to .*generators/one"):
+        find_submission(folder, "generators", "one")
+    (folder / "generators" / "one").symlink_to(folder / "one")
+    (folder / "one").rename(tmp_path / "elsewhere")
+    with pytest.raises(RacinesError, match="symbolic link"):
+        find_submission(folder, "generators", "one")
+
+
+def test_a_record_of_an_earlier_version_is_still_read(tmp_path, write_scores):
+    results = tmp_path / "results"
+    (path,) = collect([write_scores("g", generator_scores("one"))], results, tmp_path, "b")
+    record = json.loads(path.read_text())
+    record["submission"] = {
+        "name": "one", "track": "generators", "authors": ["A"], "method": "m", "source": "s",
+        "licence": "MIT", "description": "d",
+    }  # fmt: skip
+    path.write_text(json.dumps(record))
+    assert read_board(results, "b")["generators"] == [record]
+    record["submission"]["pickle"] = "p"
+    path.write_text(json.dumps(record))
+    with pytest.raises(RacinesError, match="submission"):
+        read_board(results, "b")

@@ -16,8 +16,9 @@ from racines_models.generators.mean_image import MeanImage
 from racines_models.generators.nearest_pose import NearestPose
 from racines_models.generators.vae_gan import VaeGan, VaeGanConfig
 from racines_models.onnx_export import export_generator
-from racines_models.onnx_generator import OnnxGenerator, open_session
+from racines_models.onnx_generator import OnnxGenerator
 from racines_models.onnx_module import OnnxModule
+from racines_models.onnx_session import open_session
 from racines_models.protocol import Run
 from racines_models.registry import open_generator
 from racines_models.training.objective import Training

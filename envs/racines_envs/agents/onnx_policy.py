@@ -13,7 +13,8 @@ from racines_envs.actions import ACTIONS
 from racines_envs.agents.onnx_policy_format import IMAGE, OUTPUT, PARAMS, read_policy
 from racines_envs.agents.policy import choose
 from racines_envs.core import ScanCore
-from racines_models.onnx_generator import open_session
+from racines_models.onnx_generator import Opener
+from racines_models.onnx_session import open_session
 from racines_models.provenance import sha256_bytes
 
 BATCH = 8
@@ -41,7 +42,13 @@ class OnnxPolicyAgent:
     Config: ClassVar[type] = OnnxPolicyConfig
     observation: str = "image"
 
-    def __init__(self, path: Path | str, device: torch.device | str = "cpu") -> None:
+    def __init__(
+        self,
+        path: Path | str,
+        device: torch.device | str = "cpu",
+        opener: Opener = open_session,
+    ) -> None:
+        """Open a file; `opener` makes of its bytes, its name and the device what runs it."""
         self.path = Path(path)
         content, self.interface = read_policy(self.path)
         self.sha256 = sha256_bytes(content)
@@ -49,7 +56,7 @@ class OnnxPolicyAgent:
         self.observation = self.interface.observation
         if self.interface.view is not None:
             self.view = self.interface.view
-        self._session = open_session(content, str(self.path), str(device))
+        self._session = opener(content, str(self.path), str(device))
         self._batch = self.interface.batch or BATCH
 
     def attach(self, core: ScanCore) -> None:
@@ -85,6 +92,8 @@ class OnnxPolicyAgent:
             (logits,) = self._session.run(
                 [OUTPUT], {key: value[rows].numpy() for key, value in seen.items()}
             )
+        except RacinesError:
+            raise
         except Exception as error:
             raise RacinesError(f"{self.path}: onnxruntime failed: {error}") from error
         if logits.shape != (self._batch, len(ACTIONS)) or not np.isfinite(logits).all():

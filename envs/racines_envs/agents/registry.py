@@ -1,6 +1,6 @@
-"""Agents by name: entry points of the group `racines.agents`, `module:Class`, or `FILE.onnx`.
+"""Agents by name: entry points of the group `racines.agents`, `module:Class`, or a file.
 
-All are loaded lazily.
+`FILE.onnx` is a policy, `FILE.json` a trace. All are loaded lazily.
 """
 
 import importlib
@@ -13,8 +13,11 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.protocol import Agent
 
 GROUP = "racines.agents"
-FILES = "racines_envs.agents.onnx_policy:OnnxPolicyAgent"
-"""What opens a file."""
+FILES = {
+    ".onnx": "racines_envs.agents.onnx_policy:OnnxPolicyAgent",
+    ".json": "racines_envs.agents.trace:TraceAgent",
+}
+"""What opens a file, by its ending."""
 MEMBERS = ("name", "Config", "attach", "act", "train", "load")
 
 
@@ -28,21 +31,23 @@ def agent_names() -> list[str]:
 
 
 def is_file(spec: str) -> bool:
-    """Return whether a spec is the path of a policy in an ONNX file."""
-    return Path(spec).suffix.lower() == ".onnx"
+    """Return whether a spec is the path of a policy or a trace."""
+    return Path(spec).suffix.lower() in FILES
 
 
 def agent_class(spec: str) -> type[Agent]:
-    """Return the class of a registered name, of `module:Class`, or of policies in ONNX files.
+    """Return the class of a registered name, of `module:Class`, or of what opens a file.
 
     Raises:
         RacinesError: unknown name, or a class that is no agent.
     """
-    target = FILES if is_file(spec) else _points().get(spec, spec if ":" in spec else None)
+    named = _points().get(spec, spec if ":" in spec else None)
+    target = FILES[Path(spec).suffix.lower()] if is_file(spec) else named
     if target is None:
         known = ", ".join(agent_names())
         raise RacinesError(
-            f"unknown agent {spec!r}: choose one of {known}, or give module:Class or FILE.onnx"
+            f"unknown agent {spec!r}: choose one of {known}, or give module:Class, FILE.onnx or "
+            "a trace, FILE.json"
         )
     module, _, attribute = target.partition(":")
     try:
@@ -56,7 +61,7 @@ def agent_class(spec: str) -> type[Agent]:
 
 
 def load_agent(spec: str, run_dir: Path | str, device: torch.device | str = "cpu") -> Agent:
-    """Return the agent that a run left in `run_dir`; for `FILE.onnx` the folder is not read.
+    """Return the agent that a run left in `run_dir`; for a file the folder is not read.
 
     Raises:
         RacinesError: unknown name, or no policy in the folder.
