@@ -60,7 +60,7 @@ class Stopwatch:
     """Adds up the seconds of named phases; what a timed call calls counts as that call's."""
 
     def __init__(self, device: torch.device) -> None:
-        self.seconds = dict.fromkeys(PHASES, 0.0)
+        self.seconds: dict[str, float] = dict.fromkeys(PHASES, 0.0)
         self._device, self._inside = device, False
 
     def now(self) -> float:
