@@ -5,10 +5,15 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
+from racines_data.errors import RacinesError
+from racines_data.geometry import matrix_from_6d, matrix_to_euler
 from racines_envs.core import PARAMS_SIZE
 
 KEYS = {"image": ["image"], "params": ["params"], "multimodal": ["image", "params"]}
 """What a network of each observation reads, in order."""
+
+ROTATIONS = {"continuous": PARAMS_SIZE, "euler": 6}
+"""Numbers of a pose by how its rotation is read."""
 
 
 def keys_of(observation: str, encoded: bool) -> list[str]:
@@ -31,6 +36,7 @@ class ObservationNetwork(nn.Module):
         hidden: Sequence[int],
         gain: float,
         features: int = 0,
+        rotation: str = "continuous",
     ) -> None:
         """Build for an observation; `gain` scales the first outputs (small: near uniform).
 
@@ -40,8 +46,15 @@ class ObservationNetwork(nn.Module):
             hidden: Widths of the dense layers.
             gain: Of the head's first weights.
             features: Numbers that an encoder makes of an image, read in its place; 0 without one.
+            rotation: `continuous`: the parameters as they are; `euler`: position and angles.
+
+        Raises:
+            RacinesError: another rotation.
         """
         super().__init__()
+        if rotation not in ROTATIONS:
+            raise RacinesError(f"rotation is {rotation!r}: {' or '.join(ROTATIONS)}")
+        self.rotation = rotation
         self.keys = keys_of(observation, features > 0)
         self.image = _convolutions(hidden[0]) if "image" in self.keys else None
         self.params = self.scale = self.features = self.feature_scale = None
@@ -49,8 +62,8 @@ class ObservationNetwork(nn.Module):
             self.feature_scale = nn.BatchNorm1d(features, affine=False, momentum=None)
             self.features = _dense([features, hidden[0]])
         if "params" in self.keys:
-            self.scale = nn.BatchNorm1d(PARAMS_SIZE, affine=False, momentum=None)
-            self.params = _dense([PARAMS_SIZE, hidden[0]])
+            self.scale = nn.BatchNorm1d(ROTATIONS[rotation], affine=False, momentum=None)
+            self.params = _dense([ROTATIONS[rotation], hidden[0]])
         self.body = _dense([hidden[0] * len(self.keys), *hidden[1:]])
         self.head = nn.Linear(hidden[-1], outputs)
         for module in self.modules():
@@ -70,8 +83,15 @@ class ObservationNetwork(nn.Module):
             flat = image.reshape(-1, *image.shape[-3:]).float() / 127.5 - 1.0
             features.append(self.image(flat).view(*image.shape[:-3], -1))
         if self.params is not None and self.scale is not None:
-            features.append(self.params(_scaled(self.scale, values["params"])))
+            params = values["params"]
+            params = _with_angles(params) if self.rotation == "euler" else params
+            features.append(self.params(_scaled(self.scale, params)))
         return self.head(self.body(torch.cat(features, -1)))
+
+
+def _with_angles(params: Tensor) -> Tensor:
+    """Turn (…, 9) position and rotation's columns into (…, 6) position and Euler angles, rad."""
+    return torch.cat([params[..., :3], matrix_to_euler(matrix_from_6d(params[..., 3:]))], -1)
 
 
 def _scaled(scale: nn.Module, values: Tensor) -> Tensor:

@@ -22,7 +22,9 @@ _DRAWS = 23
 def make_actor(config: Any, encoder: PoseEncoder | None = None) -> ObservationNetwork:
     """Return an untrained actor of the config's `observation` and `hidden`, near uniform."""
     features = encoder.size if encoder is not None else 0
-    return ObservationNetwork(config.observation, len(ACTIONS), config.hidden, 0.01, features)
+    rotation = getattr(config, "rotation", "continuous")
+    outputs = len(ACTIONS)
+    return ObservationNetwork(config.observation, outputs, config.hidden, 0.01, features, rotation)
 
 
 def choose(logits: Tensor, seeds: Tensor, temperature: float) -> Tensor:

@@ -96,7 +96,9 @@ class _Training(TrainingRun):
         self.env = ScanEnv(config.view, config.envs, **self.where)
         self.actor = make_actor(config, self.encoder).to(config.device).eval()
         features = self.encoder.size if self.encoder is not None else 0
-        self.critic = ObservationNetwork(config.observation, 1, config.hidden, 1.0, features)
+        self.critic = ObservationNetwork(
+            config.observation, 1, config.hidden, 1.0, features, config.rotation
+        )
         keys: list[Any] = self.actor.keys
         self.critic.to(config.device).eval()
         self.policy = ProbabilisticActor(
