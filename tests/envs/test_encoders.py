@@ -1,5 +1,6 @@
 """Agents that look through a frozen pose regressor."""
 
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -77,12 +78,16 @@ def test_ppo_acts_on_images_alone_after_training_on_features(
     assert image.grad is not None and float(image.grad.abs().sum()) > 0
 
 
-def test_a_policy_refuses_another_encoder(phantom, folder, tmp_path):
-    config = replace(TINY, encoder=str(folder), frames=256)
+def test_a_policy_finds_its_encoder_by_hash_and_refuses_another(phantom, folder, tmp_path):
+    named = shutil.copytree(folder, tmp_path / "named")
+    config = replace(TINY, encoder=str(named), frames=256)
     PPOAgent.train(config, tmp_path / "run", phantom=phantom, progress=False)
     torch.manual_seed(1)
     other = PoseRegressor(PoseNetwork(64, 0.125), PoseConfig(width=0.125))
     other.save(tmp_path / "run" / "encoder")
+    loaded = load_agent("ppo", tmp_path / "run")
+    assert loaded.encoder.sha256 == open_encoder(str(folder)).sha256
+    other.save(named)
     with pytest.raises(RacinesError, match="trained with another encoder"):
         load_agent("ppo", tmp_path / "run")
 

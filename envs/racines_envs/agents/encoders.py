@@ -11,9 +11,9 @@ from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 
-PUBLISHED = {"pose": Path("models/weights/pose")}
-"""What comes with the repository: the pose regressor of the dataset's sweeps, which is lost where
-tasks start; `racines train encoder` trains one that is not."""
+PUBLISHED = {"explored": Path("models/weights/encoder"), "pose": Path("models/weights/pose")}
+"""What comes with the repository: what `racines train encoder` made of the profile `reference`, and
+the pose regressor of the dataset's sweeps, which is lost where tasks start."""
 BESIDE = "encoder"
 """Folder beside a policy that holds the encoder's own copy."""
 
@@ -33,29 +33,41 @@ class PoseEncoder(nn.Module):
         return self.network(self.network.normalise(images))  # pyright: ignore[reportCallIssue]
 
 
-def open_encoder(spec: str, device: str = "cpu", near: Path | None = None) -> PoseEncoder | None:
+def open_encoder(
+    spec: str, device: str = "cpu", near: Path | None = None, sha256: str | None = None
+) -> PoseEncoder | None:
     """Return the frozen encoder that a config names; None for "", a policy that learns to see.
 
     Args:
-        spec: `pose` for the published regressor, a folder of one, or "".
+        spec: `explored` or `pose` (published, see `PUBLISHED`), a folder of another, or "".
         device: Where it runs.
         near: Folder of a policy; a copy of the encoder in it goes first.
+        sha256: Hash of the weights that are wanted. The copy, the folder, then the published ones
+            are searched for them; without it the first of these that is there is taken.
 
     Raises:
-        RacinesError: no pose regressor there.
+        RacinesError: no pose regressor there, or none of the hash.
     """
     if not spec:
         return None
     from racines_models.pose_regressor import PoseRegressor
 
-    beside = near / BESIDE if near else None
-    folder = PUBLISHED.get(spec, Path(spec))
-    if beside is not None and beside.is_dir():
-        folder = beside
-    if not folder.is_dir():
+    named = PUBLISHED.get(spec, Path(spec))
+    beside = [near / BESIDE] if near is not None else []
+    found = [folder for folder in (*beside, named) if folder.is_dir()]
+    if sha256 is not None:
+        found += [folder for folder in PUBLISHED.values() if folder.is_dir()]
+    if not found:
         raise RacinesError(
-            f"encoder {spec!r}: no pose regressor in {folder}: run from the repository, train one "
+            f"encoder {spec!r}: no pose regressor in {named}: run from the repository, train one "
             "with `racines train encoder`, or name its folder"
         )
-    regressor = PoseRegressor.load(folder, device)
-    return PoseEncoder(regressor.network, regressor.sha256)
+    for folder in found:
+        regressor = PoseRegressor.load(folder, device)
+        if sha256 is None or regressor.sha256 == sha256:
+            return PoseEncoder(regressor.network, regressor.sha256)
+    searched = ", ".join(dict.fromkeys(map(str, found)))
+    raise RacinesError(
+        f"{near or spec}: the policy was trained with another encoder (sha256 {sha256}) than is in "
+        f"{searched}; put that one into {near or spec}/{BESIDE}"
+    )

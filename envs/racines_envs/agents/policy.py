@@ -11,7 +11,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.randomness import uniform
 from racines_envs.actions import ACTIONS
-from racines_envs.agents.encoders import BESIDE, PoseEncoder, open_encoder
+from racines_envs.agents.encoders import PoseEncoder, open_encoder
 from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.core import ScanCore
 
@@ -112,12 +112,8 @@ class PolicyAgent:
         if content.get("agent") != cls.name:
             raise RacinesError(f"{described}: a policy of {content.get('agent')!r}, not {cls.name}")
         config = fill(cls.Config, content["config"], str(described))
-        encoder = open_encoder(getattr(config, "encoder", ""), str(device), Path(run_dir))
-        if encoder is not None and encoder.sha256 != content.get("encoder_sha256"):
-            raise RacinesError(
-                f"{described}: the policy was trained with another encoder (sha256 "
-                f"{content.get('encoder_sha256')}); put that one into {run_dir}/{BESIDE}"
-            )
+        spec, sha256 = getattr(config, "encoder", ""), str(content.get("encoder_sha256"))
+        encoder = open_encoder(spec, str(device), Path(run_dir), sha256)
         actor = make_actor(config, encoder)
         try:
             actor.load_state_dict(load_file(policy))

@@ -12,8 +12,8 @@ class TrainingConfig:
     observation: str = "params"
     """`image`, `params` or `multimodal`."""
     encoder: str = ""
-    """What looks at the image: `pose` (the published pose regressor, frozen), a folder of another,
-    or "" for convolutions that learn from reward alone, as in the paper."""
+    """What looks at the image: `explored` (published; see `encoders.py`) or the folder of another
+    pose regressor, frozen; "" for convolutions that learn from reward alone, as in the paper."""
     rotation: str = "continuous"
     """How a network reads the pose's rotation: `continuous`, its first two columns, or `euler`, the
     angles that the paper records, which jump by 2π near the pose that looks straight down."""
