@@ -157,6 +157,17 @@ def test_ppo_trains_saves_and_loads(phantom, tmp_path, observation):
     assert not (tmp_path / "checkpoint").exists()
 
 
+def test_ppo_trains_under_another_rule_of_the_end(phantom, tmp_path):
+    config = replace(TINY, observation="params", frames=256, update_every=128, validate_every=256)
+    PPOAgent.train(
+        replace(config, termination="timeout"), tmp_path, phantom=phantom, progress=False
+    )
+    history = json.loads((tmp_path / "metrics.json").read_text())["history"]
+    assert [row["validation/steps"] for row in history] == [200.0]
+    with pytest.raises(RacinesError, match="termination"):
+        PPOAgent.train(replace(config, termination="never"), tmp_path, phantom=phantom)
+
+
 def test_ppo_is_reproducible_and_leaves_the_global_random_state_alone(phantom, tmp_path):
     torch.manual_seed(123)
     before = torch.get_rng_state()

@@ -19,6 +19,8 @@ class TrainingConfig:
     angles that the paper records, which jump by 2π near the pose that looks straight down."""
     reward: str = "shaped"
     """`paper` (needs a grader), `oracle` or `shaped`."""
+    termination: str = ""
+    """`first_hit`, `k_hits` or `timeout` in training; the task's own rule if empty."""
     backend: str = "phantom"
     """`phantom`, `generator` or `replay`; nothing is drawn where nothing looks."""
     generator: str = ""

@@ -67,6 +67,7 @@ class TrainingRun(ABC):
             "backend": config.backend,
             "observation": config.observation,
             "reward": config.reward,
+            "termination": config.termination or None,
             "generator": config.generator or None,
             "grader": grader or config.grader or None,
             "data": data,
