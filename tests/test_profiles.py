@@ -39,4 +39,5 @@ def test_every_section_is_known_to_its_owner(profile: str):
     for name in params["agents"]:
         entry = find_entry(params, name)
         fill(agent_class(entry.agent).Config, entry.settings, entry.where)
-        assert entry.name == name and entry.settings.get("encoder", ENCODER) == ENCODER
+        assert entry.name == name
+        assert entry.settings.get("encoder") in (None, "", ENCODER)
