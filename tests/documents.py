@@ -1,5 +1,6 @@
 """Code blocks of a Markdown page, and how they are run."""
 
+import os
 import re
 import shlex
 from collections.abc import Callable
@@ -12,7 +13,7 @@ FENCE = re.compile(
 )
 FILE = re.compile(r"# ([\w./-]+\.(?:py|yaml|toml))\n")
 """First line of a block that is a file: its name."""
-SHELL = set("|&;<*$`(")
+SHELL = set("|&;<*`(")
 """A line with one of these needs a shell."""
 
 
@@ -73,7 +74,7 @@ def run_page(page: Path, folder: Path, command: Callable[..., Any]) -> int:
 
 
 def _run_line(line: str, folder: Path, command: Callable[..., Any]) -> None:
-    words = shlex.split(line, comments=True)
+    words = shlex.split(os.path.expandvars(line), comments=True)
     if words[0] == "racines" and not SHELL & set(line):
         command(folder, *words)
     else:
