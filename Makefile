@@ -54,7 +54,7 @@ bench: $(READY) ## measure speed; run alone, on a quiet machine
 	pytest tests/benchmarks -n 0 --benchmark-only
 
 docs: $(READY) ## build the pages under docs/ into site/
-	mkdocs build --strict -q
+	NO_MKDOCS_2_WARNING=1 mkdocs build --strict -q
 
 clean: ## remove what the pipeline and the tools made, the DVC cache included; keeps .venv
 	git clean -fdXq data models/runs envs/runs
