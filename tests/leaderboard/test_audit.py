@@ -52,7 +52,7 @@ def drawn(ground) -> Path:
 @pytest.fixture
 def steered(ground) -> Path:
     """The record of a trace that was handed in and scored."""
-    trace = record_a_trace((0, 1, 2), inbox(Path.cwd(), "in") / "trace.json")
+    trace = record_a_trace((0, 1, 2), inbox(Path.cwd(), "steered") / "trace.json")
     recipe: Any = phantom_recipe(make_phantom(None))
     folder = submitted(Path.cwd(), "trace", trace, recipe["recipe_digest"])
     recompute(folder, ground, RESULTS)

@@ -93,6 +93,13 @@ class Bench:
         assert self.store is not None
         return take_sample(self.store, self.scores.split, self.scores.samples)
 
+    @functools.cached_property
+    def inception(self) -> dict[str, Any]:
+        """The settings of Inception's features here."""
+        from racines_models import scoring
+
+        return scoring.InceptionFeatures("cpu").settings
+
     def judge(self, kind: str, sha256: str | None) -> Path | None:
         """Return the folder of the judge whose weights have a hash, if it is here."""
         for folder in self.judge_folders(kind):

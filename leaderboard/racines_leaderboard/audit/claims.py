@@ -27,7 +27,8 @@ def seal(record: Record) -> list[Verdict]:
 
 def submission(record: Record, bench: Bench) -> list[Verdict]:
     """Check the submission in a record against the YAML and the artefacts that lie here."""
-    held, name = record["submission"], record["scores"].get("submission", record["name"])
+    held, scores = record["submission"], record["scores"]
+    name = held["name"] if held else scores.get("submission", record["name"])
     try:
         here = find_submission(bench.places.submissions, record["track"], name)
     except RacinesError as error:

@@ -6,6 +6,7 @@ tolerance   elsewhere: the figures that rank within 0.0004; the others within 0.
 half        from half-precision weights: the same, or a quarter of the interval's half-width
 """
 
+import dataclasses
 import json
 from collections.abc import Iterator
 from typing import Any
@@ -102,7 +103,7 @@ def _numbers(
             reason = "one of the two is missing"
         say = holds if passes else fails
         verdict = say(f"{subject}.{number}", f"made again: {reason}", claimed, found)
-        yield Verdict(**(vars(verdict) | {"tolerance": bound}))
+        yield dataclasses.replace(verdict, tolerance=bound)
 
 
 def _tolerance(key: str, told: dict[str, Any], tier: str, track: str) -> float:

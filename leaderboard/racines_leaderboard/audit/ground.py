@@ -8,7 +8,7 @@ from typing import Any
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
 from racines_leaderboard.audit.bench import JUDGES, Bench
-from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, unknown
+from racines_leaderboard.audit.verdicts import UNKNOWN, Verdict, equal, fails, holds, unknown
 from racines_leaderboard.collect import Record
 
 
@@ -46,25 +46,33 @@ def dataset(record: Record, bench: Bench) -> list[Verdict]:
 
 
 def judges(record: Record, bench: Bench, peers: list[Record]) -> list[Verdict]:
-    """Check that the extractors are the benchmark's own, and those of the board's other rows."""
-    from racines_models import scoring
-
+    """Check that the extractors are the benchmark's own; where they are not here, the board's."""
     verdicts = []
     for kind, told in record["scores"]["extractors"].items():
-        subject = f"extractors.{kind}"
-        others = [each["scores"]["extractors"].get(kind) for each in peers]
-        strangers = [other for other in others if other not in (None, told)]
-        if len(strangers) * 2 > len([other for other in others if other is not None]):
-            reason = "most rows of the board were judged by another"
-            verdicts.append(fails(subject, reason, told.get("sha256"), strangers[0].get("sha256")))
-        elif kind == "inception":
-            here = scoring.InceptionFeatures("cpu").settings
-            verdicts.append(equal(subject, told, here, "weights, layer, resizer and range here"))
-        elif kind in JUDGES:
-            verdicts.append(_judge(subject, kind, told.get("sha256"), record, bench))
-        else:
-            verdicts.append(unknown(subject, "an extractor unknown to this code"))
+        subject, sha256 = f"extractors.{kind}", told.get("sha256")
+        if kind == "inception":
+            reason = "weights, layer, resizer and range here"
+            verdicts.append(equal(subject, told, bench.inception, reason))
+            continue
+        verdict = unknown(subject, "an extractor unknown to this code", sha256)
+        if kind in JUDGES:
+            verdict = _judge(subject, kind, sha256, record, bench)
+        if verdict.verdict == UNKNOWN:
+            verdict = _of_board(verdict, told, [p["scores"]["extractors"].get(kind) for p in peers])
+        verdicts.append(verdict)
     return verdicts
+
+
+def _of_board(
+    verdict: Verdict, told: dict[str, Any], others: list[dict[str, Any] | None]
+) -> Verdict:
+    """Return the verdict on a judge that is not here by those of two or more other rows."""
+    named = [other for other in others if other is not None]
+    strangers = [other for other in named if other != told]
+    if len(named) < 2 or 2 * len(strangers) <= len(named):
+        return verdict
+    reason = "most rows of the board were judged by another"
+    return fails(verdict.subject, reason, verdict.claimed, strangers[0].get("sha256"))
 
 
 def _judge(subject: str, kind: str, sha256: str | None, record: Record, bench: Bench) -> Verdict:

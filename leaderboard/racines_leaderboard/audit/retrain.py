@@ -44,7 +44,9 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
     else:
         verdicts.append(unknown("reproduced", reason))
         made = {}
-    told = {"road": "trained again", "agreement": "interval"} if made else {}
+    told = {}
+    if made:
+        told = {"road": "trained again", "agreement": "interval", "from": "another training"}
     tier = record["tier"]
     report = Report(bench.board, track.name, record["name"], tier, tuple(verdicts), told)
     if made and report.holds:
