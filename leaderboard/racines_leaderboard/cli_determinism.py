@@ -16,11 +16,13 @@ def determinism(
     stage: Annotated[
         list[str] | None, typer.Option(help="Only stages that begin so; repeatable.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Write the report: .json, or Markdown.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Write the report as JSON, stage by stage; a killed run goes on."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Measure how far each stage repeats itself: bitwise, or by the largest difference."""
-    from racines_data.files import write_atomic, write_json
     from racines_leaderboard.determinism.run import Outcome, markdown, measure
 
     def tell(outcome: Outcome) -> None:
@@ -28,9 +30,5 @@ def determinism(
         line = f"{outcome.stage}, {outcome.compared}: {said} ({outcome.seconds} s)"
         typer.echo(f"racines: {line}", err=True)
 
-    document = measure(stage or (), tell)
-    if out is not None and out.suffix == ".json":
-        write_json(out, document)
-    elif out is not None:
-        write_atomic(out, markdown(document))
+    document = measure(stage or (), tell, out)
     typer.echo(json.dumps(document, indent=2) if as_json else markdown(document))

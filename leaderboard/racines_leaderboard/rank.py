@@ -1,10 +1,12 @@
 """Ranking the results of one track; what the intervals do not separate shares a rank.
 
 By one figure: the best leads a group of all that follow, as far as their 95 % intervals overlap the
-leader's; the next one leads the next group. The rank of a group is one more than the number of
-those before it. A leader is what keeps the rule sound. Overlap is not transitive, so without one a
-long chain of neighbours would share a rank with a first and a last that are far apart. And groups
-are runs of the order by value, so a wide interval never overtakes a better figure.
+leader's; the next one leads the next group. A group shares the mean of the ranks that its members
+would take alone, as in 1.5, 1.5, 3: so the ranks of all add up to the same sum whoever is tied, and
+a tie of others neither helps nor hurts. A leader is what keeps the rule sound. Overlap is not
+transitive, so without one a long chain of neighbours would share a rank with a first and a last
+that are far apart. And groups are runs of the order by value, so a wide interval never overtakes a
+better figure.
 """
 
 from dataclasses import dataclass
@@ -82,16 +84,22 @@ def _badness(record: Record, column: Column) -> tuple[float, float, float]:
     return metric["value"], ends[0], ends[1]
 
 
-def _group_ranks(column: Column, records: list[Record]) -> list[int]:
-    """Return each record's rank by one figure, shared within the interval of a group's leader."""
+def _group_ranks(column: Column, records: list[Record]) -> list[float]:
+    """Return each record's rank by one figure; a group shares the mean of its members' ranks."""
     figures = [_badness(record, column) for record in records]
-    ranks, reach = [0] * len(records), -float("inf")
-    rank = 0
-    for place, i in enumerate(sorted(range(len(records)), key=lambda i: figures[i][0]), start=1):
+    groups: list[list[int]] = []
+    reach = -float("inf")
+    for i in sorted(range(len(records)), key=lambda i: figures[i][0]):
         _, best, worst = figures[i]
-        if rank == 0 or best > reach:
-            rank, reach = place, worst
-        ranks[i] = rank
+        if not groups or best > reach:
+            groups.append([])
+            reach = worst
+        groups[-1].append(i)
+    ranks, before = [0.0] * len(records), 0
+    for group in groups:
+        for i in group:
+            ranks[i] = before + (1 + len(group)) / 2
+        before += len(group)
     return ranks
 
 
@@ -110,7 +118,7 @@ def _ranks_in_turn(columns: list[Column], records: list[Record]) -> list[tuple[f
         for rows in groups.values():
             ranks = _group_ranks(column, [records[i] for i in rows])
             for i, rank in zip(rows, ranks, strict=True):
-                keys[i] += (float(rank),)
+                keys[i] += (rank,)
     return keys
 
 

@@ -81,6 +81,33 @@ def test_a_real_stage_repeats_itself(tmp_path, capsys):
     assert "| mean-image, drawing | bitwise | bitwise | bitwise |" in capsys.readouterr().out
 
 
+def test_a_killed_run_goes_on(tmp_path, monkeypatch):
+    runs: list[str] = []
+
+    def stage(name: str, fault: bool) -> Stage:
+        def make(work: Work, setup: Setup):
+            runs.append(name)
+            if fault:
+                raise KeyboardInterrupt
+            return {"a": torch.zeros(1)}
+
+        return Stage(name, "units", make, ("again",))
+
+    out = tmp_path / "report.json"
+    monkeypatch.setattr(module, "stages", lambda: [stage("one", False), stage("two", True)])
+    with pytest.raises(KeyboardInterrupt):
+        measure(out=out)
+    monkeypatch.setattr(module, "stages", lambda: [stage("one", False), stage("two", False)])
+    document = measure(out=out)
+    assert [each["stage"] for each in document["outcomes"]] == ["one", "two"]
+    assert runs == ["one", "one", "two", "two", "two"]
+    told = json.loads(out.read_text())
+    told["environment"]["cpu"] = "another"
+    out.write_text(json.dumps(told))
+    measure(out=out)
+    assert len(runs) == 9, "what another machine measured is measured again"
+
+
 def test_threads_are_given_back():
     before = torch.get_num_threads()
     with pytest.raises(KeyError), threads(before + 1):

@@ -114,6 +114,18 @@ def test_a_wide_interval_never_overtakes_a_better_figure():
     assert places(GENERATORS, best, second, wide) == {"best": 1, "second": 2, "wide": 2}
 
 
+def test_a_tie_of_others_neither_helps_nor_hurts():
+    # By SSIM: lone, then two alike; by FID: the two, then lone. Three ranks stay with the figures.
+    lone = generator_scores("lone", ssim=0.9, fid=90.0)
+    alike = [
+        interval(generator_scores("a", ssim=0.5, fid=50.0), "ssim", 0.4, 0.6),
+        interval(generator_scores("b", ssim=0.5, fid=51.0), "ssim", 0.4, 0.6),
+    ]
+    apart = [generator_scores("a", ssim=0.51, fid=50.0), generator_scores("b", fid=51.0)]
+    assert places(GENERATORS, lone, *apart) == {"a": 1, "lone": 2, "b": 3}
+    assert places(GENERATORS, lone, *alike) == {"a": 1, "lone": 2, "b": 3}
+
+
 def test_agents_tied_in_success_are_told_apart_by_steps():
     quick = interval(agent_scores("quick", success_true=0.95, steps=20.0), "success_true", 0.9, 1)
     sure = interval(agent_scores("sure", success_true=0.97, steps=40.0), "success_true", 0.93, 1)

@@ -1,5 +1,6 @@
 """Running the stages in every way, and comparing what comes out."""
 
+import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -11,6 +12,7 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.files import write_json
 from racines_leaderboard.determinism.setup import Arrays, Setup, Stage, Work, threads
 from racines_leaderboard.determinism.stages import stages
 
@@ -45,9 +47,17 @@ class Outcome:
 
 
 def measure(
-    names: Sequence[str] = (), tell: Callable[[Outcome], None] | None = None
+    names: Sequence[str] = (),
+    tell: Callable[[Outcome], None] | None = None,
+    out: Path | None = None,
 ) -> dict[str, Any]:
     """Run all stages, or those whose names begin with one of `names`; return the report.
+
+    Args:
+        names: Beginnings of stages' names; all if empty.
+        tell: Told of each outcome as it comes.
+        out: JSON file, written as stages end. What it holds of this code and machine is kept, so
+            that a killed run goes on.
 
     Raises:
         RacinesError: no stage of such a name.
@@ -56,15 +66,35 @@ def measure(
     if not chosen:
         known = ", ".join(each.name for each in stages())
         raise RacinesError(f"no stage {', '.join(names)}: choose among {known}")
-    began, outcomes = time.perf_counter(), []
+    outcomes, before = _kept(out)
+    began = time.perf_counter()
+    document = _document(outcomes, before)
     with TemporaryDirectory() as folder:
         work = Work(Path(folder))
         for stage in chosen:
-            for outcome in compare_stage(stage, work):
-                outcomes.append(outcome)
-                if tell is not None:
-                    tell(outcome)
-    return _document(outcomes, time.perf_counter() - began)
+            if any(each.stage == stage.name for each in outcomes):
+                continue
+            made = compare_stage(stage, work)
+            outcomes += made
+            document = _document(outcomes, before + time.perf_counter() - began)
+            if out is not None:
+                write_json(out, document)
+            for outcome in made if tell is not None else ():
+                tell(outcome)
+    return document
+
+
+def _kept(out: Path | None) -> tuple[list[Outcome], float]:
+    """Return the outcomes that a former run of this code on this machine left, and its seconds."""
+    if out is None or not out.is_file():
+        return [], 0.0
+    try:
+        told, here = json.loads(out.read_text()), _document([], 0.0)
+        if any(told[key] != here[key] for key in ("schema", "code", "environment")):
+            return [], 0.0
+        return [Outcome(**each) for each in told["outcomes"]], told["seconds"]
+    except (ValueError, KeyError, TypeError):
+        return [], 0.0  # another file, or of another version: measured again
 
 
 def compare_stage(stage: Stage, work: Work) -> list[Outcome]:

@@ -23,8 +23,8 @@ SETTINGS: dict[str, Any] = {
     "data": {"frames": FRAMES, "workers": 1, "phantom": {"shortest": 10, "longest": 20}},
     "grader": {"input_size": 32, "view_stage": {"epochs": 1}, "grade_stage": {"epochs": 1}},
 }
-TRAINING: dict[str, Any] = {"images": 32, "batch_size": 8, "ema": 0.0, "warmup_images": 0}
-"""Of each generator that trains: four steps."""
+TRAINING: dict[str, Any] = {"images": 24, "batch_size": 8, "ema": 0.0, "warmup_images": 0}
+"""Of each generator that trains: three steps."""
 SMALL: dict[str, dict[str, Any]] = {
     "vae-gan": {"width": 8, "encoder_width": 4, "discriminator_width": 4},
     "scene-field": {"voxel": 0.008, "coarse_voxel": 0.02},
