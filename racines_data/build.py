@@ -154,6 +154,18 @@ def build(
     return manifest
 
 
+def recipe_of(values: Mapping[str, Any]) -> str:
+    """Return the recipe digest of the dataset that a `data` section builds; nothing is built.
+
+    Raises:
+        RacinesError: as `build`; so for recordings, whose recipe is known once they are read.
+    """
+    config, sections = read_data_section(values)
+    source = make_source(config, sections.get(config.source))
+    many = make_multi_phantom(source, config, sections.get(MULTI_PHANTOM))
+    return recipe_digest(_recipe(source, config, many))
+
+
 def peak_memory(workers: int) -> int:
     """Return an upper bound of the bytes that this process and its workers held at once.
 

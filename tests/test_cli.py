@@ -29,6 +29,8 @@ HELP = [
     ("replay",),
     ("leaderboard",),
     ("submit",),
+    ("audit",),
+    ("determinism",),
     ("expert",),
     ("expert", "sample"),
     ("expert", "simulate"),

@@ -26,6 +26,9 @@ def submit(
     fetch: Annotated[
         bool, typer.Option("--fetch", help="Fetch the artefacts that are at a URL.")
     ] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Check it where it lies; nothing is copied.")
+    ] = False,
     new: Annotated[
         bool, typer.Option("--new", help="Write a submission.yaml to fill in, and stop.")
     ] = False,
@@ -38,9 +41,11 @@ def submit(
 
         typer.echo(f"written: {write_template(source, track)}: fill it in, then: racines submit")
         return
-    from racines_leaderboard.intake import take_in
+    if check and (replace or fetch):
+        raise typer.BadParameter("--check copies nothing: leave out --replace and --fetch")
+    from racines_leaderboard.intake import look_at, take_in
 
-    taken = take_in(source, out, replace=replace, fetching=fetch)
+    taken = look_at(source) if check else take_in(source, out, replace=replace, fetching=fetch)
     if as_json:
         typer.echo(json.dumps(_plain(taken), indent=2, ensure_ascii=False))
         return

@@ -13,6 +13,7 @@ from racines_data.files import write_atomic
 from racines_leaderboard.expert.board import FOLDER as EXPERTS
 from racines_leaderboard.expert.board import with_experts
 from racines_leaderboard.schema import check, read_json
+from racines_leaderboard.seal import sealed
 from racines_leaderboard.submission import find_submission
 from racines_leaderboard.tracks import TRACKS, Track
 
@@ -37,7 +38,7 @@ def read_board(results: Path, board: str) -> dict[str, list[Record]]:
     content = {}
     for track in TRACKS:
         paths = sorted((results / board / track.name).glob("*.json"))
-        content[track.name] = [_read_record(path, board, track) for path in paths]
+        content[track.name] = [read_record(path, board, track) for path in paths]
     content["generators"] = with_experts(content["generators"], results / board / EXPERTS)
     return content
 
@@ -105,6 +106,7 @@ def _record(path: Path, submissions: Path, board: str) -> Record:
         "submission": find_submission(submissions, track.name, scores.get("submission", name)),
         "scores": scores,
     }
+    record = sealed(record)
     check(record, "record", str(path))
     return record
 
@@ -117,7 +119,12 @@ def _read_scores(path: Path) -> tuple[dict[str, Any], Track]:
     return read_json(path, track.schema), track
 
 
-def _read_record(path: Path, board: str, track: Track) -> Record:
+def read_record(path: Path, board: str, track: Track) -> Record:
+    """Read one record.
+
+    Raises:
+        RacinesError: damaged, against the schemas, or one that says it belongs elsewhere.
+    """
     record = read_json(path, "record")
     expected = {"board": board, "track": track.name, "name": path.stem}
     for key, value in expected.items():

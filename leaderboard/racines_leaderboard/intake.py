@@ -77,6 +77,27 @@ def take_in(
     return Taken(target, document, tuple(remote))
 
 
+def look_at(source: Path, limits: Limits | None = None) -> Taken:
+    """Check a submission where it lies, as `take_in` does; nothing is written beside it.
+
+    Its name may be taken: what is looked at may be what took it.
+
+    Raises:
+        RacinesError: anything at fault.
+    """
+    path = source / YAML if source.is_dir() else source
+    document = read_document(path)
+    remote = []
+    with tempfile.TemporaryDirectory() as folder:
+        for artefact in files_of(document):
+            if not _bring(path, artefact, Path(folder), None):
+                remote.append(artefact["path"])
+                continue
+            copy = Path(folder) / artefact["path"]
+            check_content(copy, artefact["kind"], document["track"], limits)
+    return Taken(path.parent, document, tuple(remote))
+
+
 def _check_free(target: Path, document: dict[str, Any], replace: bool, path: Path) -> None:
     """Refuse a name that is taken, unless one of its authors replaces it, and links on the way."""
     for place in (target.parent.parent, target.parent, target):

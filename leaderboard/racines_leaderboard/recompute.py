@@ -14,6 +14,7 @@ from racines_leaderboard.collect import Record, one_dataset
 from racines_leaderboard.confined import Limits
 from racines_leaderboard.content_checks import check_content
 from racines_leaderboard.schema import check
+from racines_leaderboard.seal import sealed
 from racines_leaderboard.submission import find_submission
 from racines_leaderboard.tracks import AGENTS, GENERATORS
 
@@ -68,6 +69,16 @@ def recompute(folder: Path, ground: Ground, results: Path) -> Record:
         RacinesError: a submission at fault or without an artefact that can be scored, one made for
             other data, a file that breaks a limit, or figures that do not belong on the board.
     """
+    document, scores = scores_again(folder, ground)
+    return _write(document, scores, ground.board, results)
+
+
+def scores_again(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return a submission's document, and the scores of its artefact; nothing is written.
+
+    Raises:
+        RacinesError: see `recompute`.
+    """
     document = find_submission(folder.parents[1], folder.parent.name, folder.name)
     if document is None:
         raise RacinesError(f"{folder}: no submission there")
@@ -84,7 +95,7 @@ def recompute(folder: Path, ground: Ground, results: Path) -> Record:
     make = _generator_scores if document["track"] == GENERATORS.name else _agent_scores
     scores = make(document, artefacts[0]["kind"], paths, ground)
     files = {artefact["path"]: artefact["sha256"] for artefact in artefacts}
-    return _write(document, scores | {"weights": files}, ground.board, results)
+    return document, scores | {"weights": files}
 
 
 def _write(document: dict[str, Any], scores: dict[str, Any], board: str, results: Path) -> Record:
@@ -103,11 +114,11 @@ def _write(document: dict[str, Any], scores: dict[str, Any], board: str, results
         text = json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False)
     except ValueError as error:
         raise RacinesError(f"{path}: a figure is not finite: {error}") from error
-    record = json.loads(text)  # as it will be read: with lists where there are tuples
+    record = sealed(json.loads(text))  # as it will be read: with lists where there are tuples
     check(record, "record", str(path))
     check(record["scores"], track.schema, f"{path}: scores")
     one_dataset({path: record}, results, board)
-    write_atomic(path, text + "\n")
+    write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
     return record
 
 

@@ -21,6 +21,7 @@ KINDS = (
     "submission",
     "submission-1",
     "record",
+    "audit",
     *EXPERT_KINDS,
 )
 

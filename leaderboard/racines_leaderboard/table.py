@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from racines_leaderboard.groups import by_task, rankings
-from racines_leaderboard.rank import Ranked, Record, figure, rank
+from racines_leaderboard.rank import Ranked, Record, figure, rank, tied
 from racines_leaderboard.tracks import TRACKS, Column, Track
 
 REPORTED = "reported in the paper, on other data"
@@ -121,11 +121,12 @@ def cell(record: Record, column: Column, usual_n: int) -> str:
 
 def _table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     columns = _shown(track.columns, ranking)
-    rows = []
+    rows, shared = [], tied(ranking)
     for ranked in ranking:
         usual = _usual_n(ranked.record, columns)
         cells = [cell(ranked.record, column, usual) for column in columns]
-        system = (str(ranked.place or "–"), ranked.record["name"], *_sees(track, ranked.record))
+        place = f"{ranked.place or '–'}{'=' if ranked.place in shared else ''}"
+        system = (place, ranked.record["name"], *_sees(track, ranked.record))
         rows.append((*system, *cells, f"{usual:,}", ranked.record["tier"]))
     sees = ("Sees",) if track.name == "agents" else ()
     head = ("#", "System", *sees, *(column.title for column in columns), "n", "Tier")

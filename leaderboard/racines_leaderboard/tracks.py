@@ -63,7 +63,8 @@ GENERATORS = Track(
     rule=(
         "Ranked by the mean of the ranks in SSIM, PSNR, FID, KID and pose error (mm): two figures "
         "of likeness to the frame at the same pose, two of likeness of the whole set, one of what "
-        "the image says of the pose. A missing figure ranks last. Equal means share a rank."
+        "the image says of the pose. A missing figure ranks last. Within the interval of the best "
+        "of a group, figures share a rank; equal means share a place, marked =."
     ),
     counted="frames of the test split",
     details=(
@@ -100,7 +101,8 @@ AGENTS = Track(
     mean_rank=False,
     rule=(
         "Ranked by true success, then steps, then final grade; the return is shown and never "
-        "ranks. Equal figures share a rank. What goes by the truth or by nothing is a bound and "
+        "ranks. Within the interval of the best of a group, figures are tied, and the next figure "
+        "decides; a shared place is marked =. What goes by the truth or by nothing is a bound and "
         "has no rank."
     ),
     counted="episodes from the fixed starts",

@@ -24,9 +24,9 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
     """Write a half-precision copy of a run: `config.json` and each `*.safetensors`.
 
     Large float32 tensors become float16, the rest stays. `config.json` is the run's, with
-    `weights_files` (dtype, bytes and sha256 by file) and `training` (the run's metrics) added, and
-    the `plots` that the metrics name beside it. It is written last, so that a folder which has one
-    is whole.
+    `weights_files` (dtype, and by file its bytes, its sha256, and that of the run's file that it
+    was made of) and `training` (the run's metrics) added, and the `plots` that the metrics name
+    beside it. It is written last, so that a folder which has one is whole.
 
     Returns:
         The written `config.json`.
@@ -45,7 +45,9 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
     for file in files:
         data = save(_halved(load_weights(file), file))
         write_atomic(out / file.name, data)
-        described[file.name] = {"bytes": len(data), "sha256": sha256_bytes(data)}
+        described[file.name] = {
+            "bytes": len(data), "sha256": sha256_bytes(data), "made_of": sha256_file(file)
+        }  # fmt: skip
     content["weights_files"] = {"dtype": "float16", "files": described}
     metrics = run / "metrics.json"
     if metrics.is_file():

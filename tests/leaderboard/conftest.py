@@ -105,6 +105,21 @@ def write_submission(folder: Path, *artefacts: dict[str, Any], **changes: Any) -
 
 
 @pytest.fixture
+def ground(workplace, monkeypatch):
+    """The ground of a tiny board, with block means in the place of Inception."""
+    from racines_leaderboard.confined import Limits
+    from racines_leaderboard.recompute import Ground
+    from racines_models import scoring
+    from tests.conftest import TINY
+    from tests.models.test_scores import Coarse
+
+    monkeypatch.chdir(workplace)
+    monkeypatch.setattr(scoring, "InceptionFeatures", Coarse)
+    limits = Limits(memory=2**30, call_seconds=30)
+    return Ground("tiny", TINY, workplace / "data/racines", grader=None, limits=limits)
+
+
+@pytest.fixture
 def write_scores(tmp_path: Path) -> Callable[..., Path]:
     """Write scores documents into a folder, each under its system's name."""
 

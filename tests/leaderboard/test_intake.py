@@ -60,6 +60,18 @@ def test_a_submission_is_copied_whole_and_reread(inbox, tmp_path):
     assert not list((tmp_path / "out").rglob(".*")), "no temporary folder stays"
 
 
+def test_a_check_copies_nothing_and_finds_what_taking_in_would(inbox, tmp_path):
+    before = tree(tmp_path)
+    words = ["submit", str(inbox), "--check", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0 and "sound (mine, generators)" in done.stdout
+    assert tree(tmp_path) == before
+    (inbox / "mine.onnx").write_bytes(pickle.dumps([1]))
+    assert isinstance(CliRunner().invoke(app, words).exception, RacinesError)
+    assert CliRunner().invoke(app, [*words, "--replace"]).exit_code == 2
+    assert tree(tmp_path) == before
+
+
 def _zip(payload: bytes) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import yaml
@@ -17,42 +16,16 @@ from racines_envs.trace_recording import record_trace
 from racines_leaderboard import recompute as module
 from racines_leaderboard.cli import app
 from racines_leaderboard.collect import read_board
-from racines_leaderboard.confined import Limits
 from racines_leaderboard.intake import take_in
-from racines_leaderboard.recompute import Ground, find, recompute
-from racines_models import scoring
+from racines_leaderboard.recompute import find, recompute
 from racines_models.onnx_generator import OnnxGenerator
 from racines_models.predictions import Task, write_predictions
 from racines_models.sample import take_sample
-from racines_models.scoring import ScoresConfig, score
+from racines_models.scoring import score
 from tests.conftest import TINY
 from tests.leaderboard.conftest import artefact, generator_scores, write_submission
 from tests.leaderboard.graphs import harmful, sound_generator, sound_policy
-from tests.models.test_scores import Coarse
-
-CONFIG = ScoresConfig(samples=16, resamples=20, speed=False)
-
-
-@pytest.fixture
-def ground(workplace, monkeypatch):
-    monkeypatch.chdir(workplace)
-    monkeypatch.setattr(scoring, "InceptionFeatures", Coarse)
-    limits = Limits(memory=2**30, call_seconds=30)
-    return Ground("tiny", TINY, workplace / "data/racines", grader=None, limits=limits)
-
-
-def submitted(root: Path, kind: str, path: Path, digest: str, **changes) -> Path:
-    """Take a submission of one file in; return its folder."""
-    track = "agents" if kind in ("policy", "trace") else "generators"
-    dataset = {"source": "phantom", "version": "1.0.0", "digest": digest}
-    about = {"track": track, "dataset": dataset, "tier": "recomputed"} | changes
-    write_submission(path.parent, artefact(kind, path), **about)
-    return take_in(path.parent, root / "leaderboard/submissions").folder
-
-
-def inbox(root: Path, name: str) -> Path:
-    (root / name).mkdir()
-    return root / name
+from tests.leaderboard.handed_in import CONFIG, inbox, submitted
 
 
 def test_a_generator_and_its_predictions_get_the_scores_of_the_open_road(ground, tmp_path):

@@ -1,0 +1,1 @@
+"""The audit: whether what a record says holds, number by number."""

@@ -1,0 +1,114 @@
+"""What the records of a board are held against: its settings, the data and the judges here."""
+
+import functools
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from racines_data.config import PROFILES, fill, read_params, section
+from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
+from racines_leaderboard.confined import Limits
+
+if TYPE_CHECKING:
+    from racines_data.store import FrameStore
+    from racines_models.judge import ScoresConfig
+    from racines_models.sample import Sample
+
+JUDGES = {"grader": "grader.safetensors", "pose": "model.safetensors"}
+"""File of a judge's weights in its folder."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where things lie."""
+
+    results: Path = Path("leaderboard/results")
+    submissions: Path = Path("leaderboard/submissions")
+    data: Path = Path("data/racines")
+    params: Path = Path("params.yaml")
+    """Settings of its own board; those of other boards are packaged."""
+    runs: Path = Path("models/runs")
+    """Of generators and judges, each in a folder of its name."""
+    weights: Path = Path("models/weights")
+    """Half-precision copies, likewise."""
+    agents: Path = Path("envs/runs")
+    judges: dict[str, Path] = field(default_factory=dict)
+    """Folders of a grader and a pose regressor, before those in `runs` and `weights`."""
+    limits: Limits = field(default_factory=Limits)
+
+
+class Bench:
+    """One board's settings, data and judges, each opened once and when it is asked for."""
+
+    def __init__(self, board: str, places: Places) -> None:
+        self.board, self.places = board, places
+
+    @functools.cached_property
+    def settings(self) -> dict[str, Any] | None:
+        """The settings of the board; None where neither params file nor profile is for it."""
+        if self.places.params.is_file():
+            values = read_params(self.places.params)
+            if values.get("board") == self.board:
+                return values
+        packaged = (read_params(profile=name) for name in PROFILES)
+        return next((values for values in packaged if values.get("board") == self.board), None)
+
+    @functools.cached_property
+    def scores(self) -> "ScoresConfig":
+        """How the board scores generators; defaults where its settings are unknown."""
+        from racines_models.judge import ScoresConfig
+
+        return fill(ScoresConfig, section(self.settings or {}, "scores"), "scores")
+
+    @functools.cached_property
+    def recipe(self) -> str | None:
+        """Recipe digest of the dataset that the settings build; None for imported data."""
+        from racines_data.build import recipe_of
+
+        if self.settings is None:
+            return None
+        try:
+            return recipe_of(section(self.settings, "data"))
+        except RacinesError:
+            return None
+
+    @functools.cached_property
+    def store(self) -> "FrameStore | None":
+        """The dataset here, if there is one."""
+        from racines_data.store import open_store
+
+        return open_store(self.places.data) if self.places.data.is_dir() else None
+
+    def data_for(self, recipe: str | None) -> "FrameStore | None":
+        """Return the dataset here if it is of a recipe."""
+        store = self.store
+        return store if store is not None and store.manifest["recipe_digest"] == recipe else None
+
+    @functools.cached_property
+    def sample(self) -> "Sample":
+        """The frames of the dataset here that generators are scored on."""
+        from racines_models.sample import take_sample
+
+        assert self.store is not None
+        return take_sample(self.store, self.scores.split, self.scores.samples)
+
+    @functools.cached_property
+    def inception(self) -> dict[str, Any]:
+        """The settings of Inception's features here."""
+        from racines_models import scoring
+
+        return scoring.InceptionFeatures("cpu").settings
+
+    def judge(self, kind: str, sha256: str | None) -> Path | None:
+        """Return the folder of the judge whose weights have a hash, if it is here."""
+        for folder in self.judge_folders(kind):
+            if sha256 == sha256_file(folder / JUDGES[kind]):
+                return folder
+        return None
+
+    def judge_folders(self, kind: str) -> list[Path]:
+        """Return where judges of a kind lie: the one given, or else those of the usual places."""
+        usual = [self.places.runs / kind, self.places.weights / kind]
+        folders = [self.places.judges[kind]] if kind in self.places.judges else usual
+        return [folder for folder in folders if (folder / JUDGES[kind]).is_file()]

@@ -1,0 +1,115 @@
+"""Numbers that were made again against those of a record, each within what its tier allows.
+
+bitwise     the same libraries, processor, threads, data and weights: every bit
+tolerance   elsewhere: the figures that rank within 0.0004; the others within 0.001 of their
+            size, or two items of n
+half        from half-precision weights: the same, or a quarter of the interval's half-width
+"""
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from racines_leaderboard.audit.figures import TIMED
+from racines_leaderboard.audit.roads import HALF
+from racines_leaderboard.audit.verdicts import Verdict, fails, holds, unknown
+from racines_leaderboard.collect import Record
+from racines_leaderboard.tracks import TRACKS
+
+BITWISE, TOLERANCE = "bitwise", "tolerance"
+PRIMARY = 4e-4
+"""Of the figures that rank, in their own unit: below half of 0.001."""
+OTHERS, ITEMS = 1e-3, 2.0
+SHARE = 0.25
+"""Of the half-width of an interval, for half-precision weights."""
+NUMBERS = ("value", "low", "high", "n")
+MACHINE = ("torch", "cpu", "threads", "device")
+CONTINUOUS = ("ssim", "psnr", "fid", "kid", "final_grade", "spl", "position_error", "return")
+"""Figures that are equal to the last bit by no accident."""
+
+
+def agreement(record: Record, made: dict[str, Any], road: str) -> str:
+    """Return how near the numbers must come: `bitwise`, `tolerance` or `half precision`.
+
+    The name of a processor does not tell all of it. Where the machines are the same by name and
+    not half of the continuous figures are equal, they are not the same.
+    """
+    if road == HALF:
+        return HALF
+    told, here = record["scores"]["environment"], made["environment"]
+    same = all(told.get(key) == here.get(key) for key in MACHINE)
+    same &= told["python"].split(".")[:2] == here["python"].split(".")[:2]
+    if record["track"] == "generators":
+        same &= record["scores"]["dataset"]["digest"] == made["dataset"]["digest"]
+    pairs = [
+        (metrics[key]["value"], made["metrics"][key]["value"])
+        for metrics in (record["scores"]["metrics"],)
+        for key in CONTINUOUS
+        if key in metrics and key in made["metrics"]
+    ]
+    equal = sum(a == b for a, b in pairs)
+    return BITWISE if same and 2 * equal >= len(pairs) else TOLERANCE
+
+
+def compare(record: Record, made: dict[str, Any], tier: str) -> list[Verdict]:
+    """Return one verdict for each number of a record."""
+    made = json.loads(json.dumps(made))
+    verdicts = []
+    for subject, key, told, here in _pairs(record["scores"], made):
+        if TIMED.fullmatch(key):
+            verdicts.append(unknown(subject, "a time: it depends on the machine", told["value"]))
+        elif here is None:
+            reason = (
+                "the record does not say which grader saw it"
+                if key == "success_grader"
+                else "its judge is not here, or its road does not draw again"
+            )
+            verdicts.append(unknown(subject, reason, told["value"]))
+        else:
+            verdicts.extend(_numbers(subject, key, told, here, tier, record["track"]))
+    for kind, told in record["scores"].get("extractors", {}).items():
+        if kind in made.get("extractors", {}):
+            here = made["extractors"][kind]
+            say = holds if told == here else fails
+            verdicts.append(say(f"extractors.{kind}.settings", "those that it was scored with"))
+    return verdicts
+
+
+def _pairs(
+    told: dict[str, Any], made: dict[str, Any]
+) -> Iterator[tuple[str, str, dict[str, Any], dict[str, Any] | None]]:
+    for key, metric in told["metrics"].items():
+        yield f"metrics.{key}", key, metric, made["metrics"].get(key)
+    for seed, metrics in told.get("by_seed", {}).items():
+        here = made.get("by_seed", {}).get(seed, {})
+        for key, metric in metrics.items():
+            yield f"by_seed.{seed}.{key}", key, metric, here.get(key)
+
+
+def _numbers(
+    subject: str, key: str, told: dict[str, Any], here: dict[str, Any], tier: str, track: str
+) -> Iterator[Verdict]:
+    allowed = _tolerance(key, told, tier, track)
+    for number in NUMBERS:
+        claimed, found = told[number], here[number]
+        reason = "equal to the last bit"
+        passes = claimed == found
+        bound = 0.0 if number == "n" or tier == BITWISE else allowed
+        if not passes and None not in (claimed, found):
+            passes = abs(claimed - found) <= bound
+            reason = f"differs by {abs(claimed - found):.2g}"
+        elif not passes:
+            reason = "one of the two is missing"
+        say = holds if passes else fails
+        verdict = say(f"{subject}.{number}", f"made again: {reason}", claimed, found)
+        yield dataclasses.replace(verdict, tolerance=bound)
+
+
+def _tolerance(key: str, told: dict[str, Any], tier: str, track: str) -> float:
+    ranking = next(each for each in TRACKS if each.name == track).ranked_by
+    size = max(1.0, abs(told["value"] or 0.0))
+    bound = PRIMARY if key in ranking else size * max(OTHERS, ITEMS / max(told["n"], 1))
+    if tier == HALF and None not in (told["low"], told["high"]):
+        return max(bound, SHARE * (told["high"] - told["low"]) / 2)
+    return bound

@@ -1,0 +1,145 @@
+"""What scores rest on: the dataset and the judges, or the phantom and its task; and the seeds."""
+
+import json
+from dataclasses import asdict
+from types import SimpleNamespace
+from typing import Any
+
+from racines_data.config import fill, section
+from racines_data.errors import RacinesError
+from racines_leaderboard.audit.bench import JUDGES, Bench
+from racines_leaderboard.audit.verdicts import UNKNOWN, Verdict, equal, fails, holds, unknown
+from racines_leaderboard.collect import Record
+
+
+def dataset(record: Record, bench: Bench) -> list[Verdict]:
+    """Check source, version, digests and sample of the dataset that a generator was scored on."""
+    told, verdicts = record["scores"]["dataset"], []
+    recipe = told["recipe_digest"]
+    if bench.recipe is None:
+        reason = f"no settings of board {bench.board} here that name a recipe: give --params"
+        verdicts.append(unknown("dataset.recipe_digest", reason, recipe))
+    else:
+        reason = "the recipe that the board's settings build"
+        verdicts.append(equal("dataset.recipe_digest", recipe, bench.recipe, reason))
+    verdicts.append(equal("dataset.split", told["split"], bench.scores.split, "scores.split"))
+    store, where = bench.data_for(recipe), bench.places.data
+    if store is None:
+        reason = f"no dataset of that recipe in {where}"
+        keys = ("source", "version", "digest", "sample")
+        return verdicts + [
+            unknown(f"dataset.{key}", reason, told[key]) for key in keys if key in told
+        ]
+    here = store.manifest
+    reason = f"the manifest of {where}"
+    for key in ("source", "version"):
+        verdicts.append(equal(f"dataset.{key}", told[key], here[key], reason))
+    if told["digest"] == here["digest"]:
+        verdicts.append(holds("dataset.digest", reason, told["digest"], here["digest"]))
+    else:
+        built = "the same recipe, built elsewhere: a few pixels differ"
+        verdicts.append(unknown("dataset.digest", built, told["digest"], here["digest"]))
+    if "sample" in told:
+        reason = f"digest of the rows of {bench.scores.samples:,} frames at most"
+        verdicts.append(equal("dataset.sample", told["sample"], bench.sample.digest, reason))
+    return verdicts
+
+
+def judges(record: Record, bench: Bench, peers: list[Record]) -> list[Verdict]:
+    """Check that the extractors are the benchmark's own; where they are not here, the board's."""
+    verdicts = []
+    for kind, told in record["scores"]["extractors"].items():
+        subject, sha256 = f"extractors.{kind}", told.get("sha256")
+        if kind == "inception":
+            reason = "weights, layer, resizer and range here"
+            verdicts.append(equal(subject, told, bench.inception, reason))
+            continue
+        verdict = unknown(subject, "an extractor unknown to this code", sha256)
+        if kind in JUDGES:
+            verdict = _judge(subject, kind, sha256, record, bench)
+        if verdict.verdict == UNKNOWN:
+            verdict = _of_board(verdict, told, [p["scores"]["extractors"].get(kind) for p in peers])
+        verdicts.append(verdict)
+    return verdicts
+
+
+def _of_board(
+    verdict: Verdict, told: dict[str, Any], others: list[dict[str, Any] | None]
+) -> Verdict:
+    """Return the verdict on a judge that is not here by those of two or more other rows."""
+    named = [other for other in others if other is not None]
+    strangers = [other for other in named if other != told]
+    if len(named) < 2 or 2 * len(strangers) <= len(named):
+        return verdict
+    reason = "most rows of the board were judged by another"
+    return fails(verdict.subject, reason, verdict.claimed, strangers[0].get("sha256"))
+
+
+def _judge(subject: str, kind: str, sha256: str | None, record: Record, bench: Bench) -> Verdict:
+    from racines_data.files import sha256_file
+
+    if folder := bench.judge(kind, sha256):
+        return holds(subject, f"the weights in {folder}", sha256, sha256)
+    own = record["scores"]["dataset"]["recipe_digest"]
+    for folder in bench.judge_folders(kind):
+        if _trained_on(folder).get("recipe_digest") == own:
+            here = sha256_file(folder / JUDGES[kind])
+            return fails(subject, f"{folder}, trained on these data, is another", sha256, here)
+    return unknown(subject, f"no {kind} with these weights here", sha256)
+
+
+def _trained_on(folder: Any) -> dict[str, Any]:
+    try:
+        return json.loads((folder / "config.json").read_text()).get("dataset") or {}
+    except (OSError, ValueError):
+        return {}
+
+
+def drawing_seeds(record: Record, bench: Bench) -> list[Verdict]:
+    """Check the seeds that images were drawn with against the board's settings."""
+    if bench.settings is None:
+        return [unknown("seeds", f"no settings of board {bench.board} here: give --params")]
+    from racines_models.scoring import take_turns
+
+    told, runs = record["scores"]["seeds"], record["scores"].get("runs", 1)
+    allowed = []
+    for stochastic in (True, False):  # what draws the same whatever the seed draws once a run
+        stand_in: Any = SimpleNamespace(card=SimpleNamespace(stochastic=stochastic))
+        turns = take_turns([stand_in] * runs, bench.scores.seeds)
+        allowed.append([seed for _, seed in turns])
+    reason = "scores.seeds of the board's settings; without noise the first alone"
+    verdict = holds if told in allowed else fails
+    return [verdict("seeds", reason, told, allowed[0])]
+
+
+def task(record: Record, bench: Bench) -> list[Verdict]:
+    """Check phantom, task, reward, backend and starts of an agent's scores."""
+    if bench.settings is None:
+        return [unknown("task", f"no settings of board {bench.board} here: give --params")]
+    from racines_envs.evaluation import EvaluationConfig
+    from racines_envs.making import find_task, phantom_recipe
+    from racines_envs.settings import phantom_config
+
+    scores, told = record["scores"], record["scores"]["task"]
+    config = fill(EvaluationConfig, section(bench.settings, "evaluation"), "evaluation")
+    phantom = phantom_config(bench.settings)
+    verdicts = []
+    here = phantom_recipe(SimpleNamespace(config=phantom)) or {}
+    for key, value in (scores.get("phantom") or {}).items():
+        reason = "the phantom of the board's settings"
+        verdicts.append(equal(f"phantom.{key}", value, here.get(key), reason))
+    try:
+        defined = json.loads(json.dumps(asdict(find_task(told["view"], phantom))))
+    except RacinesError as error:
+        return [*verdicts, fails("task.view", str(error), told["view"])]
+    if "definition" in told:
+        same = equal("task.definition", told["definition"], defined, "the task as it is here")
+        verdicts.append(same)
+    for key in ("backend", "reward"):
+        reason = f"evaluation.{key} of the board's settings"
+        verdicts.append(equal(f"task.{key}", told[key], getattr(config, key), reason))
+    starts = {"seeds": list(config.sets), "starts": config.starts}
+    reason = "the start sets of the board's settings"
+    verdicts.append(equal("task.start_set", told["start_set"], starts, reason))
+    verdicts.append(equal("seeds", scores["seeds"], list(config.sets), reason))
+    return verdicts

@@ -1,0 +1,122 @@
+"""Training again: merged code, by the board's settings; whether its figures hold.
+
+Another training ends elsewhere, but for the same machine. So a figure holds if the new one lies
+within the old one's 95 % interval. Where all figures that rank hold, the record's tier becomes
+`reproduced`, and what came out is kept in it.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from racines_data.config import fill
+from racines_data.errors import RacinesError
+from racines_data.files import write_atomic
+from racines_leaderboard.audit.bench import Bench
+from racines_leaderboard.audit.roads import fitted, score_agent, score_run
+from racines_leaderboard.audit.run import check, peers
+from racines_leaderboard.audit.verdicts import Report, Verdict, fails, holds, unknown
+from racines_leaderboard.audit.weights import named, submitted
+from racines_leaderboard.collect import Record, read_record
+from racines_leaderboard.seal import sealed
+from racines_leaderboard.tracks import TRACKS, Track
+
+
+def retrain(path: Path, bench: Bench, into: Path) -> Report:
+    """Audit a record by training its system again; write the tier if all that ranks holds.
+
+    Args:
+        path: The record.
+        bench: Its board.
+        into: Folder of the runs; one that was killed goes on.
+    """
+    track = next(each for each in TRACKS if each.name == path.parent.name)
+    try:
+        record = read_record(path, bench.board, track)
+    except RacinesError as error:
+        return Report(bench.board, track.name, path.stem, "", (fails("record", str(error)),))
+    verdicts = check(record, bench, peers(path, bench, track))
+    reason = _obstacle(record, bench)
+    if reason is None:
+        folder = into / bench.board / track.name / record["name"]
+        made = json.loads(json.dumps(_train(record, bench, folder)))
+        verdicts += _within(record, made, track)
+    else:
+        verdicts.append(unknown("reproduced", reason))
+        made = {}
+    told = {}
+    if made:
+        told = {"road": "trained again", "agreement": "interval", "from": "another training"}
+    tier = record["tier"]
+    report = Report(bench.board, track.name, record["name"], tier, tuple(verdicts), told)
+    if made and report.holds:
+        _write(path, record, made)
+    return report
+
+
+def _obstacle(record: Record, bench: Bench) -> str | None:
+    """Say why a system cannot be trained again."""
+    if submitted(record):
+        return "its code is not merged: only its artefacts can be scored again"
+    if bench.settings is None:
+        return f"no settings of board {bench.board} here: give --params"
+    recipe = (record["scores"].get("dataset") or {}).get("recipe_digest")
+    if record["track"] == "generators" and bench.data_for(recipe) is None:
+        return f"no dataset of its recipe in {bench.places.data}"
+    return None
+
+
+def _train(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
+    if record["track"] == "generators":
+        with fitted(record, bench, folder) as run:
+            return score_run(record, bench, run)
+    _train_agent(record, bench, folder)
+    return score_agent(record, bench, folder)
+
+
+def _train_agent(record: Record, bench: Bench, folder: Path) -> None:
+    from racines_envs.agents import agent_class
+    from racines_envs.entries import find_entry
+    from racines_envs.settings import phantom_config
+
+    if not named(record):
+        return
+    assert bench.settings is not None
+    entry = find_entry(bench.settings, record["name"])
+    cls = agent_class(entry.agent)
+    config: Any = fill(cls.Config, entry.settings, entry.where)
+    cls.train(
+        config,
+        folder,
+        seed=bench.settings.get("seed", 0),
+        phantom=phantom_config(bench.settings),
+        data=bench.places.data,
+        progress=False,
+    )
+
+
+def _within(record: Record, made: dict[str, Any], track: Track) -> list[Verdict]:
+    """Return whether each figure that ranks lies in the record's interval; others are told."""
+    verdicts = []
+    for key, told in record["scores"]["metrics"].items():
+        here, subject = made["metrics"].get(key), f"reproduced.{key}"
+        if here is None or here["value"] is None or told["low"] is None:
+            verdicts.append(unknown(subject, "no interval, or not made here", told["value"]))
+            continue
+        inside = told["low"] <= here["value"] <= told["high"]
+        reason = f"95 % interval {told['low']:.6g} to {told['high']:.6g}"
+        if key in track.ranked_by:
+            say = holds if inside else fails
+            verdicts.append(say(subject, f"in its {reason}", told["value"], here["value"]))
+        else:
+            where = "inside" if inside else "outside"
+            reason = f"does not rank: {where} its {reason}"
+            verdicts.append(unknown(subject, reason, told["value"], here["value"]))
+    return verdicts
+
+
+def _write(path: Path, record: Record, made: dict[str, Any]) -> None:
+    keys = ("seeds", "metrics", "weights", "code", "environment")
+    found = {key: made[key] for key in keys}
+    record = sealed(record | {"tier": "reproduced", "reproduced": found})
+    write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")

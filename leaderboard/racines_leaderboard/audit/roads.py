@@ -1,0 +1,174 @@
+"""How the numbers of a record are made again: from which files, and how near they must come.
+
+artefacts       the submitted files, through the confined roads of `racines leaderboard --recompute`
+run             the weights that the record names, in the folder of their run
+fitted          a method that does not train: fitted again on the data
+half precision  the published copy of the weights that the record names
+no weights      an agent that learns nothing
+"""
+
+import contextlib
+import dataclasses
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from racines_data.config import fill, section
+from racines_data.errors import RacinesError
+from racines_leaderboard.audit.bench import Bench
+from racines_leaderboard.audit.weights import named, published, run_of, submitted
+from racines_leaderboard.collect import Record
+from racines_leaderboard.recompute import Ground, scores_again
+
+HALF = "half precision"
+
+
+@dataclass(frozen=True)
+class Road:
+    """A way to the numbers."""
+
+    name: str
+    told: str
+    score: Callable[[], dict[str, Any]]
+
+
+def find_road(record: Record, bench: Bench) -> Road | str:
+    """Return the best way to make a record's numbers again, or why there is none."""
+    if bench.settings is None:
+        return f"no settings of board {bench.board} here: give --params"
+    if record["track"] == "agents":
+        return _agent_artefact(record, bench) if submitted(record) else _agent(record, bench)
+    if bench.data_for(record["scores"]["dataset"]["recipe_digest"]) is None:
+        return f"no dataset of its recipe in {bench.places.data}"
+    if submitted(record):
+        return _artefact(record, bench, ground(record, bench))
+    return _generator(record, bench)
+
+
+def ground(record: Record, bench: Bench) -> Ground:
+    """Return the board's ground with the judges that a record names, where they are here."""
+    told = record["scores"].get("extractors", {})
+    judge = {
+        kind: bench.judge(kind, told.get(kind, {}).get("sha256")) for kind in ("grader", "pose")
+    }
+    places = bench.places
+    return Ground(
+        bench.board,
+        bench.settings or {},
+        places.data,
+        grader=judge["grader"],
+        pose=judge["pose"],
+        cache=places.runs / "scores" / "reference",
+        limits=places.limits,
+    )
+
+
+def _artefact(record: Record, bench: Bench, on: Ground) -> Road:
+    folder = bench.places.submissions / record["track"] / record["name"]
+    return Road("artefacts", f"the artefacts in {folder}", lambda: scores_again(folder, on)[1])
+
+
+def _agent_artefact(record: Record, bench: Bench) -> Road:
+    return _artefact(record, bench, dataclasses.replace(ground(record, bench), grader=None))
+
+
+def _generator(record: Record, bench: Bench) -> Road | str:
+    from racines_models.registry import generator_class, weights_of
+
+    name, folder = record["name"], run_of(record, bench)
+    try:
+        cls = generator_class(name)
+    except RacinesError:
+        return f"{name} is no registered generator, and has no artefact that can be scored again"
+    if folder.is_dir() and weights_of(name, folder) == named(record):
+        return Road("run", f"the weights in {folder}", lambda: score_run(record, bench, folder))
+    trains = "training" in {each.name for each in dataclasses.fields(cls.Config)}
+    if not trains:
+        told = "it does not train: fitted again on the data"
+        return Road("fitted", told, lambda: _fitted(record, bench))
+    copies = published(record, bench)
+    if copies is not None and set(copies) == set(named(record)):
+        copy = bench.places.weights / name
+        told = f"the half-precision copy of the weights, {copy}"
+        return Road(HALF, told, lambda: score_run(record, bench, copy))
+    return f"no weights of it here: neither {folder} nor a published copy; --retrain trains anew"
+
+
+def _fitted(record: Record, bench: Bench) -> dict[str, Any]:
+    with fitted(record, bench, None) as folder:
+        return score_run(record, bench, folder)
+
+
+@contextlib.contextmanager
+def fitted(record: Record, bench: Bench, folder: Path | None) -> Iterator[Path]:
+    """Fit a merged generator by the board's settings; give the folder of its run.
+
+    Args:
+        record: Names it.
+        bench: Its board.
+        folder: Where the run is kept and, if it was cut short, goes on; None: nowhere.
+    """
+    from racines_models.protocol import Run
+    from racines_models.registry import generator_class
+    from racines_models.training.repeats import train_seeds
+
+    assert bench.settings is not None and bench.store is not None
+    store, name = bench.store, record["name"]
+    cls = generator_class(name)
+    settings = section(bench.settings, "generators").get(name) or {}
+    config: Any = fill(cls.Config, settings, f"generators.{name}")
+    repeats = getattr(getattr(config, "training", None), "repeats", 1)
+    with contextlib.ExitStack() as stack:
+        if folder is None:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory())) / name
+        run = Run(folder, bench.settings.get("seed", 0), "cpu", progress=False)
+        train_seeds(lambda one: cls(config).fit(store, one), run, repeats)
+        yield folder
+
+
+def score_run(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
+    """Return the scores of the generator in a run's folder, by the judges that a record names."""
+    from racines_models.grader import Grader
+    from racines_models.pose_regressor import PoseRegressor
+    from racines_models.registry import open_runs, weights_of
+    from racines_models.scoring import score
+
+    assert bench.store is not None
+    on, name = ground(record, bench), record["name"]
+    return score(
+        open_runs(name, folder, device="cpu"),
+        bench.store,
+        dataclasses.replace(bench.scores, speed=False),
+        name,
+        grader=None if on.grader is None else Grader.load(on.grader, "cpu"),
+        pose=None if on.pose is None else PoseRegressor.load(on.pose, "cpu"),
+        cache=on.cache,
+    ).content | {"weights": weights_of(name, folder)}
+
+
+def _agent(record: Record, bench: Bench) -> Road | str:
+    folder, told = run_of(record, bench), named(record)
+    if not told:
+        return Road("no weights", "it learns nothing", lambda: score_agent(record, bench, folder))
+    from racines_models.provenance import weights_sha256
+
+    if folder.is_dir() and weights_sha256(folder) == told:
+        return Road("run", f"the policy in {folder}", lambda: score_agent(record, bench, folder))
+    return f"no policy of it in {folder}; --retrain trains anew"
+
+
+def score_agent(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
+    """Return the scores of a merged agent, its policy in a folder, by the board's settings."""
+    from racines_envs.entries import find_entry
+    from racines_envs.evaluation import EvaluationConfig, evaluate
+    from racines_envs.settings import phantom_config
+
+    assert bench.settings is not None
+    entry = find_entry(bench.settings, record["name"])
+    config = fill(EvaluationConfig, section(bench.settings, "evaluation"), "evaluation")
+    view = record["scores"]["task"]["view"]
+    config = dataclasses.replace(config, view=view, grader="", latency=0, device="cpu")
+    phantom = phantom_config(bench.settings)
+    return evaluate(entry.agent, folder, config, phantom, run=entry.name).scores

@@ -1,0 +1,115 @@
+"""The audit of one record: checks without scoring, then the numbers made again."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from racines_data.errors import RacinesError
+from racines_leaderboard.audit import claims, figures, ground, weights
+from racines_leaderboard.audit.bench import Bench
+from racines_leaderboard.audit.compare import agreement, compare
+from racines_leaderboard.audit.roads import find_road
+from racines_leaderboard.audit.verdicts import (
+    SKIPPED,
+    Report,
+    Verdict,
+    equal,
+    fails,
+    holds,
+    unknown,
+)
+from racines_leaderboard.collect import Record, read_record
+from racines_leaderboard.tracks import TRACKS, Track
+
+
+def audit(path: Path, bench: Bench, quick: bool = False) -> Report:
+    """Audit the record in a file.
+
+    Args:
+        path: `<results>/<board>/<track>/<name>.json`.
+        bench: Its board.
+        quick: Leave out what makes the numbers again.
+    """
+    track = next(each for each in TRACKS if each.name == path.parent.name)
+    try:
+        record = read_record(path, bench.board, track)
+    except RacinesError as error:
+        verdicts = (fails("record", str(error)),)
+        return Report(bench.board, track.name, path.stem, "", verdicts)
+    verdicts = [holds("record", "fits its schema, and stands where it says")]
+    verdicts += check(record, bench, peers(path, bench, track))
+    told: dict[str, Any] = {}
+    if quick:
+        verdicts += [
+            Verdict(f"metrics.{key}", SKIPPED, "--quick makes no number again", metric["value"])
+            for key, metric in record["scores"]["metrics"].items()
+        ]
+    else:
+        again, told = made_again(record, bench)
+        settled = {each.subject for each in again}
+        verdicts = [each for each in verdicts if each.subject not in settled] + again
+    return Report(bench.board, track.name, record["name"], record["tier"], tuple(verdicts), told)
+
+
+def check(record: Record, bench: Bench, others: list[Record]) -> list[Verdict]:
+    """Return the verdicts that need no scoring."""
+    verdicts = claims.seal(record) + claims.submission(record, bench) + claims.code(record)
+    verdicts += claims.scores_file(record, bench)
+    if record["track"] == "generators":
+        verdicts += ground.dataset(record, bench) + ground.drawing_seeds(record, bench)
+        verdicts += ground.judges(record, bench, others)
+    else:
+        verdicts += ground.task(record, bench)
+    verdicts += weights.check_weights(record, bench) + weights.check_content(record, bench)
+    return verdicts + figures.check_figures(record, bench)
+
+
+def peers(path: Path, bench: Bench, track: Track) -> list[Record]:
+    """Return the other records of a track, without those that are damaged."""
+    found = []
+    for other in sorted(path.parent.glob("*.json")):
+        if other != path:
+            try:
+                found.append(read_record(other, bench.board, track))
+            except RacinesError:
+                continue
+    return found
+
+
+def made_again(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, Any]]:
+    """Make the numbers of a record again; return a verdict a number, and how it was done."""
+    road = find_road(record, bench)
+    metrics = record["scores"]["metrics"]
+    if isinstance(road, str):
+        return [unknown(f"metrics.{key}", road, each["value"]) for key, each in metrics.items()], {}
+    try:
+        made = json.loads(json.dumps(road.score()))
+    except RacinesError as error:
+        return [fails("metrics", f"made from {road.told}: {error}")], {"road": road.name}
+    tier = agreement(record, made, road.name)
+    verdicts = compare(record, made, tier)
+    if road.name == "fitted":
+        verdicts += [
+            equal(f"weights.{name}", sha256, made["weights"].get(name), road.told)
+            for name, sha256 in weights.named(record).items()
+        ]
+    told = {"road": road.name, "agreement": tier, "from": road.told}
+    return verdicts, told | {"environment": made["environment"]}
+
+
+def find_records(results: Path, names: list[str], board: str | None) -> list[Path]:
+    """Return the records of some names, NAME or TRACK/NAME; all of them if no name is given.
+
+    Raises:
+        RacinesError: a board without results, or a name that no board has.
+    """
+    tracks = {track.name for track in TRACKS}
+    paths = [p for p in sorted(results.glob(f"{board or '*'}/*/*.json")) if p.parts[-2] in tracks]
+    if not paths:
+        raise RacinesError(f"{results}: no results of {board or 'any board'}")
+    for name in names:
+        if not any(name in (p.stem, f"{p.parent.name}/{p.stem}") for p in paths):
+            known = ", ".join(sorted({p.stem for p in paths}))
+            raise RacinesError(f"{name!r}: no such result; those there: {known}")
+    wanted = set(names)
+    return [p for p in paths if not wanted or {p.stem, f"{p.parent.name}/{p.stem}"} & wanted]

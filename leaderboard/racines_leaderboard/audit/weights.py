@@ -1,0 +1,151 @@
+"""The weights that a record names against the files here, byte for byte."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
+from racines_leaderboard.artefacts import files_of, rescored
+from racines_leaderboard.audit.bench import Bench
+from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, unknown
+from racines_leaderboard.collect import Record
+
+
+def named(record: Record) -> dict[str, str]:
+    """Return the sha256 of each file of weights that a record names."""
+    told = record["scores"]["weights"] or {}
+    return dict(told.get("files", told))
+
+
+def submitted(record: Record) -> bool:
+    """Return whether a record's scores are made of artefacts that lie in its submission."""
+    document = record["submission"] or {}
+    return document.get("schema") == "racines.submission/2" and bool(rescored(document))
+
+
+def run_of(record: Record, bench: Bench) -> Path:
+    """Return the folder that the run of a merged system leaves its weights in."""
+    folder = bench.places.runs if record["track"] == "generators" else bench.places.agents
+    return folder / record["name"]
+
+
+def check_weights(record: Record, bench: Bench) -> list[Verdict]:
+    """Check every file that a record names: an artefact, or weights of merged code."""
+    told = named(record)
+    if not told:
+        return [holds("weights", "it names none: it learns nothing")]
+    if submitted(record):
+        return _artefacts(record, told, bench)
+    return [
+        verdict for name, sha256 in told.items() for verdict in _file(record, name, sha256, bench)
+    ]
+
+
+def _artefacts(record: Record, told: dict[str, str], bench: Bench) -> list[Verdict]:
+    folder = bench.places.submissions / record["track"] / record["name"]
+    claimed = {each["path"]: each["sha256"] for each in files_of(record["submission"])}
+    verdicts = []
+    for name, sha256 in told.items():
+        subject, path = f"weights.{name}", folder / name
+        if claimed.get(name) != sha256:
+            reason = "another than the submission in the record says"
+            verdicts.append(fails(subject, reason, sha256, claimed.get(name)))
+        elif path.is_symlink() or not path.is_file():
+            verdicts.append(unknown(subject, f"{path} is not here", sha256))
+        else:
+            verdicts.append(equal(subject, sha256, sha256_file(path), f"the file {path}"))
+    return verdicts
+
+
+def _file(record: Record, name: str, sha256: str, bench: Bench) -> list[Verdict]:
+    subject = f"weights.{name}"
+    path = run_of(record, bench) / name
+    if path.is_file():
+        here = sha256_file(path)
+        if here == sha256:
+            return [holds(subject, f"the file {path}", sha256, here)]
+        if _data_of(path.parent) in (None, _data_of_record(record)):
+            return [fails(subject, f"the file {path}, trained on these data", sha256, here)]
+    copied = published(record, bench)
+    if copied is None or name not in copied:
+        return [unknown(subject, f"no {path} with these weights", sha256)]
+    return _published(subject, sha256, copied[name], bench.places.weights / record["name"] / name)
+
+
+def published(record: Record, bench: Bench) -> dict[str, Any] | None:
+    """Return what is said of the half-precision files of a record's weights, if they lie here."""
+    described = bench.places.weights / record["name"] / "config.json"
+    if not described.is_file() or record["track"] != "generators":
+        return None
+    content = json.loads(described.read_text())
+    data = content.get("data") or content.get("dataset") or {}
+    if data.get("recipe_digest") != _data_of_record(record):
+        return None
+    return content.get("weights_files", {}).get("files")
+
+
+def _published(subject: str, sha256: str, told: dict[str, Any], path: Path) -> list[Verdict]:
+    copy = f"{subject}.half_precision"
+    if not path.is_file():
+        return [fails(copy, f"{path} is missing", told["sha256"])]
+    verdicts = [equal(copy, told["sha256"], sha256_file(path), f"the file {path}")]
+    made_of = told.get("made_of")
+    if made_of != sha256 and made_of is not None:
+        return [*verdicts, fails(subject, f"{path} was made of other weights", sha256, made_of)]
+    reason = f"only their half-precision copy is here, {path}; its scores are held to theirs"
+    return [*verdicts, unknown(subject, reason, sha256, made_of)]
+
+
+def _data_of(folder: Path) -> str | None:
+    try:
+        content = json.loads((folder / "config.json").read_text())
+    except (OSError, ValueError):
+        return None
+    told = content.get("data") or content.get("dataset") or content.get("environment") or {}
+    return (told.get("phantom") or told).get("recipe_digest")
+
+
+def _data_of_record(record: Record) -> str | None:
+    scores = record["scores"]
+    return (scores.get("dataset") or scores.get("phantom") or {}).get("recipe_digest")
+
+
+def check_content(record: Record, bench: Bench) -> list[Verdict]:
+    """Check what an artefact says that it was made for: data and frames, or starts and task."""
+    if not submitted(record):
+        return []
+    folder, verdicts = bench.places.submissions / record["track"] / record["name"], []
+    for artefact in rescored(record["submission"]):
+        path, subject = folder / artefact["path"], f"artefacts.{artefact['path']}"
+        try:
+            if artefact["kind"] == "predictions":
+                verdicts += _predictions(subject, path, record, bench)
+            elif artefact["kind"] == "trace":
+                verdicts += _trace(subject, path, record)
+        except RacinesError as error:
+            verdicts.append(fails(subject, str(error)))
+    return verdicts
+
+
+def _predictions(subject: str, path: Path, record: Record, bench: Bench) -> list[Verdict]:
+    from racines_models.predictions_reader import Predictions
+
+    dataset = record["scores"]["dataset"]
+    store = bench.data_for(dataset["recipe_digest"])
+    if store is None:
+        return [unknown(f"{subject}.dataset", f"no dataset of its recipe in {bench.places.data}")]
+    told = Predictions(path, store, dataset["split"]).metadata
+    reason = "drawn of the frames that the record names"
+    return [equal(f"{subject}.sample", dataset.get("sample"), told["sample"], reason)]
+
+
+def _trace(subject: str, path: Path, record: Record) -> list[Verdict]:
+    from racines_envs.trace import read_trace
+
+    told, task = read_trace(path).told, record["scores"]["task"]
+    reason = "recorded on what the record names"
+    return [
+        equal(f"{subject}.{key}", task[key], told[key], reason)
+        for key in ("start_set", "backend", "reward")
+    ]

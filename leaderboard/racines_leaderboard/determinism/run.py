@@ -1,0 +1,196 @@
+"""Running the stages in every way, and comparing what comes out."""
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.files import write_json
+from racines_leaderboard.determinism.setup import Arrays, Setup, Stage, Work, threads
+from racines_leaderboard.determinism.stages import stages
+
+SCHEMA = "racines.determinism/1"
+FIRST = Setup()
+VARIANTS: dict[str, tuple[str, Setup]] = {
+    "again": ("twice", FIRST),
+    "threads": ("1 and 2 threads", Setup(threads=2)),
+    "batch": ("batch 64 and 1", Setup(batch=1)),
+    "workers": ("1 and 2 workers", Setup(workers=2)),
+    "onnx": ("PyTorch and ONNX", Setup(device="onnx")),
+    "cuda": ("CPU and CUDA", Setup(device="cuda")),
+}
+"""What is compared with the first run, which has one thread, batch 64 and the CPU."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One stage in two ways."""
+
+    stage: str
+    compared: str
+    bitwise: bool | None
+    """None where the second way is not to be had; `note` says why."""
+    largest: float | None
+    """Largest absolute difference."""
+    share: float | None
+    """Of the numbers that differ."""
+    unit: str
+    seconds: float
+    note: str = ""
+
+
+def measure(
+    names: Sequence[str] = (),
+    tell: Callable[[Outcome], None] | None = None,
+    out: Path | None = None,
+) -> dict[str, Any]:
+    """Run all stages, or those whose names begin with one of `names`; return the report.
+
+    Args:
+        names: Beginnings of stages' names; all if empty.
+        tell: Told of each outcome as it comes.
+        out: JSON file, written as stages end. What it holds of this code and machine is kept, so
+            that a killed run goes on.
+
+    Raises:
+        RacinesError: no stage of such a name.
+    """
+    chosen = [each for each in stages() if not names or each.name.startswith(tuple(names))]
+    if not chosen:
+        known = ", ".join(each.name for each in stages())
+        raise RacinesError(f"no stage {', '.join(names)}: choose among {known}")
+    outcomes, before = _kept(out)
+    began = time.perf_counter()
+    document = _document(outcomes, before)
+    with TemporaryDirectory() as folder:
+        work = Work(Path(folder))
+        for stage in chosen:
+            if any(each.stage == stage.name for each in outcomes):
+                continue
+            made = compare_stage(stage, work)
+            outcomes += made
+            document = _document(outcomes, before + time.perf_counter() - began)
+            if out is not None:
+                write_json(out, document)
+            for outcome in made if tell is not None else ():
+                tell(outcome)
+    return document
+
+
+def _kept(out: Path | None) -> tuple[list[Outcome], float]:
+    """Return the outcomes that a former run of this code on this machine left, and its seconds."""
+    if out is None or not out.is_file():
+        return [], 0.0
+    try:
+        told, here = json.loads(out.read_text()), _document([], 0.0)
+        if any(told[key] != here[key] for key in ("schema", "code", "environment")):
+            return [], 0.0
+        return [Outcome(**each) for each in told["outcomes"]], told["seconds"]
+    except (ValueError, KeyError, TypeError):
+        return [], 0.0  # another file, or of another version: measured again
+
+
+def compare_stage(stage: Stage, work: Work) -> list[Outcome]:
+    """Run a stage in each of its ways; a way that is not to be had here is told with the reason."""
+    first: Arrays | None = None
+    outcomes = []
+    for name in stage.compared:
+        told, setup = VARIANTS[name]
+        began = time.perf_counter()
+        if setup.device == "cuda" and not torch.cuda.is_available():
+            outcomes.append(_absent(stage, told, "no CUDA device here"))
+            continue
+        try:
+            if first is None:
+                first = _run(stage, work, FIRST)
+            second = _run(stage, work, setup)
+        except RacinesError as error:
+            outcomes.append(_absent(stage, told, str(error)))
+            continue
+        seconds = round(time.perf_counter() - began, 2)
+        outcomes.append(Outcome(stage.name, told, *differences(first, second), stage.unit, seconds))
+    return outcomes
+
+
+def _run(stage: Stage, work: Work, setup: Setup) -> Arrays:
+    with threads(setup.threads):
+        return {key: value.clone() for key, value in stage.make(work, setup).items()}
+
+
+def _absent(stage: Stage, told: str, reason: str) -> Outcome:
+    return Outcome(stage.name, told, None, None, None, stage.unit, 0.0, reason)
+
+
+def differences(first: Arrays, second: Arrays) -> tuple[bool, float, float]:
+    """Return whether arrays are equal bit by bit, the largest difference, the share that differs.
+
+    Raises:
+        ValueError: other names or shapes.
+    """
+    if {k: v.shape for k, v in first.items()} != {k: v.shape for k, v in second.items()}:
+        raise ValueError("the two runs made arrays of other names or shapes")
+    largest, differing, count = 0.0, 0, 0
+    for key, a in first.items():
+        gap = _gap(a, second[key])
+        largest = max(largest, float(gap.max()) if gap.numel() else 0.0)
+        differing += int((gap > 0).sum())
+        count += gap.numel()
+    return differing == 0, largest, differing / max(count, 1)
+
+
+def _gap(a: Tensor, b: Tensor) -> Tensor:
+    """Absolute differences; NaN in both is none, NaN in one is infinite."""
+    a, b = a.double(), b.double()
+    gap = (a - b).abs()
+    gap[a == b] = 0.0  # infinities
+    both = a.isnan() & b.isnan()
+    gap[both] = 0.0
+    gap[(a.isnan() ^ b.isnan())] = float("inf")
+    return gap
+
+
+def _document(outcomes: list[Outcome], seconds: float) -> dict[str, Any]:
+    from racines_models.provenance import code_version, environment
+
+    return {
+        "schema": SCHEMA,
+        "seconds": round(seconds, 1),
+        "code": code_version(),
+        "environment": environment("cuda" if torch.cuda.is_available() else "cpu"),
+        "outcomes": [asdict(each) for each in outcomes],
+    }
+
+
+def markdown(document: dict[str, Any]) -> str:
+    """Return a report as Markdown: a row a stage, a column a way."""
+    ways = list(dict.fromkeys(each["compared"] for each in document["outcomes"]))
+    rows: dict[str, dict[str, str]] = {}
+    for each in document["outcomes"]:
+        rows.setdefault(each["stage"], {})[each["compared"]] = cell(each)
+    here = document["environment"]
+    lines = [
+        f"| stage | {' | '.join(ways)} |",
+        f"| --- |{' --- |' * len(ways)}",
+        *(
+            f"| {stage} | {' | '.join(told.get(way, '') for way in ways)} |"
+            for stage, told in rows.items()
+        ),
+    ]
+    about = f"torch {here['torch']}, {here['cpu']}, {here['platform']}"
+    return "\n".join([*lines, "", f"{about}. {document['seconds']:.0f} s.", ""])
+
+
+def cell(outcome: dict[str, Any]) -> str:
+    """Return what a table says of an outcome."""
+    if outcome["bitwise"] is None:
+        return "–"
+    if outcome["bitwise"]:
+        return "bitwise"
+    return f"{outcome['largest']:.2g} {outcome['unit']} ({100 * outcome['share']:.2g} % differ)"
