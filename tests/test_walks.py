@@ -22,8 +22,9 @@ def walk(name: str, folder: Path) -> None:
 
 
 def records(folder: Path, track: str) -> dict[str, dict[str, Any]]:
-    paths = sorted((folder / f"leaderboard/results/first-steps/{track}").glob("*.json"))
-    return {path.stem: json.loads(path.read_text()) for path in paths}
+    """Return the records of a track by name, in order."""
+    paths = (folder / f"leaderboard/results/first-steps/{track}").glob("*.json")
+    return {path.stem: json.loads(path.read_text()) for path in sorted(paths, key=lambda p: p.stem)}
 
 
 def test_every_walk_is_tested_here():
