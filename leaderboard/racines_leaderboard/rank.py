@@ -77,7 +77,7 @@ def _badness(record: Record, column: Column) -> tuple[float, float, float]:
     """A figure and the better and worse end of its interval: lower is better, infinite missing."""
     metric = figure(record, column.key)
     if metric is None:
-        return (float("inf"),) * 3
+        return float("inf"), float("inf"), float("inf")
     ends = [metric["value"] if metric[key] is None else metric[key] for key in ("low", "high")]
     if column.better == "higher":
         return -metric["value"], -ends[1], -ends[0]

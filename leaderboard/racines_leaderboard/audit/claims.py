@@ -15,6 +15,9 @@ from racines_leaderboard.collect import Record
 from racines_leaderboard.seal import KEY, seal_of
 from racines_leaderboard.submission import find_submission
 
+MACHINE = ("torch", "cpu", "threads", "device")
+"""What floating point depends on, of an environment."""
+
 
 def seal(record: Record) -> list[Verdict]:
     """Check that a record says what it said when it was written."""
@@ -73,6 +76,24 @@ def _commit(commit: str) -> Verdict:
     if done.returncode == 1:
         return unknown(subject, "a commit of another branch", commit)
     return unknown(subject, "no such commit in this checkout", commit)
+
+
+def environment(record: Record) -> list[Verdict]:
+    """Say whether the scores were made on a machine like this one."""
+    from racines_models import provenance
+
+    told = record["scores"]["environment"]
+    if others := differing(told, provenance.environment()):
+        reason = f"made elsewhere ({', '.join(others)} differ): numbers are held within tolerance"
+        return [unknown("environment", reason)]
+    return [holds("environment", f"as here: {', '.join(MACHINE)}")]
+
+
+def differing(told: dict[str, Any], here: dict[str, Any]) -> list[str]:
+    """Return in which of what floating point depends on two environments differ."""
+    versions = [each["python"].split(".")[:2] for each in (told, here)]
+    found = [] if versions[0] == versions[1] else ["python"]
+    return found + [key for key in MACHINE if told.get(key) != here.get(key)]
 
 
 def scores_file(record: Record, bench: Bench) -> list[Verdict]:

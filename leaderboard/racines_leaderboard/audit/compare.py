@@ -11,6 +11,7 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
+from racines_leaderboard.audit.claims import differing
 from racines_leaderboard.audit.figures import TIMED
 from racines_leaderboard.audit.roads import HALF
 from racines_leaderboard.audit.verdicts import Verdict, fails, holds, unknown
@@ -24,7 +25,6 @@ OTHERS, ITEMS = 1e-3, 2.0
 SHARE = 0.25
 """Of the half-width of an interval, for half-precision weights."""
 NUMBERS = ("value", "low", "high", "n")
-MACHINE = ("torch", "cpu", "threads", "device")
 CONTINUOUS = ("ssim", "psnr", "fid", "kid", "final_grade", "spl", "position_error", "return")
 """Figures that are equal to the last bit by no accident."""
 
@@ -37,9 +37,7 @@ def agreement(record: Record, made: dict[str, Any], road: str) -> str:
     """
     if road == HALF:
         return HALF
-    told, here = record["scores"]["environment"], made["environment"]
-    same = all(told.get(key) == here.get(key) for key in MACHINE)
-    same &= told["python"].split(".")[:2] == here["python"].split(".")[:2]
+    same = not differing(record["scores"]["environment"], made["environment"])
     if record["track"] == "generators":
         same &= record["scores"]["dataset"]["digest"] == made["dataset"]["digest"]
     pairs = [

@@ -120,12 +120,11 @@ def fitted(record: Record, bench: Bench, folder: Path | None) -> Iterator[Path]:
     settings = section(bench.settings, "generators").get(name) or {}
     config: Any = fill(cls.Config, settings, f"generators.{name}")
     repeats = getattr(getattr(config, "training", None), "repeats", 1)
-    with contextlib.ExitStack() as stack:
-        if folder is None:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory())) / name
-        run = Run(folder, bench.settings.get("seed", 0), "cpu", progress=False)
+    with tempfile.TemporaryDirectory() as aside:
+        place = Path(aside) / name if folder is None else folder
+        run = Run(place, bench.settings.get("seed", 0), "cpu", progress=False)
         train_seeds(lambda one: cls(config).fit(store, one), run, repeats)
-        yield folder
+        yield place
 
 
 def score_run(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:

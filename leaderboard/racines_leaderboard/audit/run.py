@@ -54,7 +54,7 @@ def audit(path: Path, bench: Bench, quick: bool = False) -> Report:
 def check(record: Record, bench: Bench, others: list[Record]) -> list[Verdict]:
     """Return the verdicts that need no scoring."""
     verdicts = claims.seal(record) + claims.submission(record, bench) + claims.code(record)
-    verdicts += claims.scores_file(record, bench)
+    verdicts += claims.environment(record) + claims.scores_file(record, bench)
     if record["track"] == "generators":
         verdicts += ground.dataset(record, bench) + ground.drawing_seeds(record, bench)
         verdicts += ground.judges(record, bench, others)

@@ -79,8 +79,9 @@ def measure(
             document = _document(outcomes, before + time.perf_counter() - began)
             if out is not None:
                 write_json(out, document)
-            for outcome in made if tell is not None else ():
-                tell(outcome)
+            if tell is not None:
+                for outcome in made:
+                    tell(outcome)
     return document
 
 
