@@ -6,6 +6,7 @@ import gradio as gr
 
 from racines_leaderboard.collect import boards
 from racines_leaderboard.studio import boards as shown
+from racines_leaderboard.studio.boards_html import charts_html, tables_html
 from racines_leaderboard.studio.notice import missing_html, refusing
 from racines_leaderboard.studio.place import Place
 from racines_leaderboard.studio.provenance import provenance_html
@@ -62,9 +63,7 @@ def _wire(
 
     def show(*values: Any) -> tuple[str, str, Any, str]:
         wanted = shown.selected(place.results, *values)
-        tables, charts = (
-            make(place.results, wanted) for make in (shown.tables_html, shown.charts_html)
-        )
+        tables, charts = (make(place.results, wanted) for make in (tables_html, charts_html))
         offered = shown.names(place.results, wanted)
         return tables, charts, gr.Dropdown(choices=offered, value=None), ""
 
