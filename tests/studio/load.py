@@ -104,7 +104,7 @@ def _data(visitor: Visitor, call: Any, name: str) -> None:
 
 def _study(visitor: Visitor, call: Any, name: str) -> None:
     kit = visitor.offered("study_begin", 0)[0]
-    kind = visitor.offered("study_begin", 3)[0]
+    kind = visitor.offered("study_begin", 2)[0]
     call("study_begin", kit, name, kind, "", "")
     for done in range(1, 4):
         shown = call("study_save", None, "Random", None)

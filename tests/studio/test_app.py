@@ -45,7 +45,7 @@ def test_a_forged_value_is_refused_and_its_markup_comes_back_as_text(served: str
     from tests.studio.load import Visitor
 
     visitor = Visitor(served, seed=99)
-    trial = visitor.offered("study_begin", 3)[0]
+    trial = visitor.offered("study_begin", 2)[0]
     for event, values in {
         "boards_show": ["<script>", "generators", "all", "all", [], False],
         "data_move": ["frames", "../../etc", 1],

@@ -100,7 +100,7 @@ def test_two_visitors_do_not_see_each_others_study(visit: Visit, place):
     # Somebody else of the same name is turned away; with the code, anna goes on.
     third = visit()
     begin(third, "anna")
-    assert "the name is taken" in third.locator(".toast-wrap").inner_text(timeout=10_000)
+    assert "the name is taken" in third.locator(".toast-body").inner_text(timeout=10_000)
     code = anna.locator("#study-code code").nth(1).inner_text()
     begin(third, "anna", code)
     assert "anna" in progress(third, 1)
@@ -109,7 +109,7 @@ def test_two_visitors_do_not_see_each_others_study(visit: Visit, place):
 def test_markup_in_a_field_is_refused_and_shown_as_text(visit: Visit, tmp_path: Path):
     page = visit()
     begin(page, "<img src=x onerror=pwned=1>")
-    toast = page.locator(".toast-wrap")
+    toast = page.locator(".toast-body")
     assert "<" in toast.inner_text(timeout=10_000)
     assert "&lt;" not in toast.inner_text()
     assert page.locator(".toast-wrap img[src=x]").count() == 0

@@ -46,7 +46,7 @@ def table_html(table: Table, names: bool = True) -> str:
         lines.append(f"{cells}</tr>")
     notes = "".join(f"<p>{text(note, 2000)}</p>" for note in table.notes)
     return (
-        f'<div class="rc-scroll"><table><caption>{text(table.title)}</caption>'
+        f'<h3 class="rc-title">{text(table.title)}</h3><div class="rc-scroll"><table>'
         f"<thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table></div>"
         f'<div class="rc-note">{notes}</div>'
     )
