@@ -1,5 +1,6 @@
 """The boards as HTML: tables with their intervals, and a chart a figure."""
 
+import dataclasses
 import functools
 import re
 from pathlib import Path
@@ -12,7 +13,7 @@ from racines_leaderboard.studio.boards import Selection, ranked_groups, track_of
 from racines_leaderboard.studio.escape import text
 from racines_leaderboard.studio.pictures import drawn, element
 from racines_leaderboard.table import Table, ranked_table, reported_table, shown_columns
-from racines_leaderboard.tracks import Column, Track
+from racines_leaderboard.tracks import Column
 
 _INTERVAL = re.compile(r"(?P<value>\S+) \((?P<between>.+)\)(?P<n>, n = [\d,]+)?")
 _WORDS = ("", "#", "System", "Sees", "Tier")
@@ -25,7 +26,7 @@ def tables_html(results: Path, wanted: Selection) -> str:
     for title, ranking in ranked_groups(results, wanted).items():
         parts.append(table_html(ranked_table(title, track, ranking)))
         if wanted.details and shown_columns(track.details, ranking):
-            further = Track(**(vars(track) | {"columns": track.details}))
+            further = dataclasses.replace(track, columns=track.details)
             detailed = ranked_table(f"{title} · in detail", further, ranking).bare()
             parts.append(table_html(detailed))
     if not parts:

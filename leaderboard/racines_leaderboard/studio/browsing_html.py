@@ -44,7 +44,7 @@ def facts_html(sweep: Sweep) -> str:
 def parameters_html(sweep: Sweep, frame: int) -> str:
     """Return the twelve parameters of a frame as a table."""
     values = sweep.store.parameters[sweep.first + frame].tolist()
-    named = dict(zip(PARAMETERS, values, strict=True))
+    named: dict[str, float] = dict(zip(PARAMETERS, values, strict=True))
     rows = []
     for kind, unit in UNITS.items():
         scale = SCALES.get(kind, 1.0)

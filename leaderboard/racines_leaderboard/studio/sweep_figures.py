@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
@@ -65,7 +66,8 @@ def path_figure(sweep: Sweep) -> Marked | None:
         assert isinstance(axis, Axes3D)
         _path(axis, sweep, tip, beam)
         FigureCanvasAgg(figure).draw()  # fixes the limits and the place of the axes
-        flat = np.column_stack(proj_transform(*tip.T, axis.get_proj())[:2])
+        x, y, z = tip.T
+        flat = np.column_stack(proj_transform(x, y, z, axis.get_proj())[:2])
         places[:] = _shares(figure, axis.transData.transform(flat))
         return figure
 
@@ -103,15 +105,9 @@ def _path(axis: Axes3D, sweep: Sweep, tip: np.ndarray, beam: np.ndarray) -> None
     axis.set_title("Probe's tip, mm; gray: the beam", pad=0)
     for letter in "xyz":
         getattr(axis, f"set_{letter}label")(letter, labelpad=-4)
-        getattr(axis, f"{letter}axis").set_major_locator(_ticks())
+        getattr(axis, f"{letter}axis").set_major_locator(MaxNLocator(4))
     axis.tick_params(pad=-1, labelsize=7.5)
     axis.set_box_aspect((1.2, 1.0, 0.62), zoom=1.05)  # pyright: ignore[reportArgumentType]
-
-
-def _ticks() -> Any:
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(4)
 
 
 def _shares(figure: Figure, pixels: np.ndarray) -> np.ndarray:
