@@ -42,7 +42,7 @@ def build(place: Place) -> None:
         )
     with gr.Row():
         tiers = gr.CheckboxGroup(list(TIERS), value=list(TIERS), label="Tier", min_width=300)
-        details = gr.Checkbox(False, label="Further figures", min_width=140)
+        details = gr.Checkbox(False, label="Further figures", min_width=300)
     tables = gr.HTML(js_on_load=ROW_CLICKED, elem_id="boards-tables")
     charts = gr.HTML(elem_id="boards-charts")
     system = gr.Dropdown([], label="Where a result comes from (or click its row)")
