@@ -59,6 +59,8 @@ def run_page(page: Path, folder: Path, command: Callable[..., Any]) -> int:
             code += block.text + "\n\n"
             ran += 1
             continue
+        if not block.file and block.language != "bash":
+            continue  # a text or settings that others read
         if code:
             command(folder, "python", "-c", code)
             code = ""
@@ -66,7 +68,7 @@ def run_page(page: Path, folder: Path, command: Callable[..., Any]) -> int:
             path = folder / block.file
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(block.text)
-        elif block.language == "bash":
+        else:
             for line in command_lines(block.text):
                 _run_line(line, folder, command)
                 ran += 1
