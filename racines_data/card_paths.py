@@ -23,7 +23,7 @@ def trajectories_figure(frames: Frames, manifest: dict[str, Any]) -> Figure:
     sweeps = _best_sweeps(frames)
     figure = Figure(figsize=(10.0, 5.0) if sweeps else (6.4, 5.0))
     left = (-0.01, 0.10, 0.62, 0.92) if sweeps else (0.0, 0.10, 0.94, 0.92)
-    _paths(figure, left, frames, _block_top(manifest))
+    _paths(figure, left, frames, block_top(manifest))
     if sweeps:
         _grades(figure, frames, sweeps)
     return figure
@@ -40,7 +40,7 @@ def _paths(
     axis.set_proj_type("persp", focal_length=0.6)
     axis.view_init(elev=28, azim=-58)
     if top is not None:
-        corners = _rectangle(*top)
+        corners = rectangle(*top)
         face = Poly3DCollection([corners], facecolor="#d9c7a8", edgecolor="#8c7a5b", alpha=0.35)
         axis.add_collection3d(face)
     colours, used = view_colours(frames.labels), {}
@@ -66,13 +66,13 @@ def _paths(
     axis.set_box_aspect((1.2, 1.0, 0.62), zoom=1.1)  # pyright: ignore[reportArgumentType]
 
 
-def _rectangle(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def rectangle(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return (4, 3) corners of a box's top face, mm."""
     x, y, z = (low[0], high[0]), (low[1], high[1]), high[2]
     return 1e3 * np.array([[x[i], y[j], z] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))])
 
 
-def _block_top(manifest: dict[str, Any]) -> tuple[np.ndarray, np.ndarray] | None:
+def block_top(manifest: dict[str, Any]) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the block's corners, m, if the recipe is one of the phantom."""
     settings = manifest.get("recipe", {}).get("settings", {})
     block = settings.get("acquisition", {}).get("phantom", {}).get("block")

@@ -1,6 +1,7 @@
 """One chart a track: every figure of the table as a dot with its interval, a panel a figure."""
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -29,7 +30,7 @@ def write_chart(path: Path, track: Track, records: list[Record]) -> bool:
     for axis in axes.flat[len(columns) :]:
         axis.set_visible(False)
     for axis, column in zip(axes.flat, columns, strict=False):
-        _panel(axis, column, ranking)
+        panel(axis, column, ranking)
     canvas.suptitle(f"{track.name.capitalize()}: best at the top; bars are 95 % intervals", size=10)
     image = io.BytesIO()
     canvas.savefig(image, format="png", dpi=130)
@@ -38,7 +39,8 @@ def write_chart(path: Path, track: Track, records: list[Record]) -> bool:
     return True
 
 
-def _panel(axis: Axes, column: Column, ranking: list[Ranked]) -> None:
+def panel(axis: Axes, column: Column, ranking: Sequence[Ranked]) -> None:
+    """Draw one figure of N results, a line each, as dots with their 95 % intervals."""
     for row, ranked in enumerate(ranking):
         metric = figure(ranked.record, column.key)
         if metric is None:

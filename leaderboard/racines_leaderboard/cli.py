@@ -20,7 +20,7 @@ import racines_envs.cli_export
 import racines_models.cli
 import racines_models.cli_export
 from racines_data.errors import RacinesError
-from racines_leaderboard import cli_submit, commands
+from racines_leaderboard import cli_studio, cli_submit, commands
 from racines_leaderboard.expert.cli import expert
 
 app = typer.Typer(
@@ -46,6 +46,7 @@ racines_envs.cli_export.register(racines_models.cli_export.export)
 commands.register(app)
 app.add_typer(expert, name="expert")
 cli_submit.register(app)
+cli_studio.register(app)
 
 
 @app.callback(invoke_without_command=True)

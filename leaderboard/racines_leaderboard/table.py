@@ -45,12 +45,12 @@ def board_tables(
         for task, records in by_task(content[track.name]).items():
             title = " · ".join(part for part in (board, track.name, task) if part)
             ranking = rank(track, records)
-            tables.append(_table(title, track, ranking))
-            if details and _shown(track.details, ranking):
+            tables.append(ranked_table(title, track, ranking))
+            if details and shown_columns(track.details, ranking):
                 further = dataclasses.replace(track, columns=track.details)
-                tables.append(_table(f"{title} · in detail", further, ranking).bare())
+                tables.append(ranked_table(f"{title} · in detail", further, ranking).bare())
         if content[track.name]:
-            tables.append(_reported(track))
+            tables.append(reported_table(track))
     return tables
 
 
@@ -119,8 +119,9 @@ def cell(record: Record, column: Column, usual_n: int) -> str:
     return text if metric["n"] == usual_n else f"{text}, n = {metric['n']:,}"
 
 
-def _table(title: str, track: Track, ranking: list[Ranked]) -> Table:
-    columns = _shown(track.columns, ranking)
+def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:
+    """Return one ranking as a table, with what there is to say of it; `ranking` holds a result."""
+    columns = shown_columns(track.columns, ranking)
     rows = []
     for ranked in ranking:
         usual = _usual_n(ranked.record, columns)
@@ -135,7 +136,7 @@ def _table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     return Table(title, head, tuple(rows), tuple(filter(None, notes)))
 
 
-def _shown(columns: tuple[Column, ...], ranking: list[Ranked]) -> list[Column]:
+def shown_columns(columns: Sequence[Column], ranking: Sequence[Ranked]) -> list[Column]:
     """Return the columns that any of the results fills."""
     return [c for c in columns if any(figure(r.record, c.key) for r in ranking)]
 
@@ -199,7 +200,8 @@ def _ceiling(ranking: list[Ranked]) -> str:
     return f"On the true frames {' and '.join(told)}." if told else ""
 
 
-def _reported(track: Track) -> Table:
+def reported_table(track: Track) -> Table:
+    """Return the paper's own figures of a track."""
     paper = published()
     systems = paper[track.name]
     names = list(dict.fromkeys(name for system in systems for name in system["figures"]))

@@ -1,0 +1,91 @@
+"""Where a result comes from: who made it, the data, the code, and the basis of every figure."""
+
+from typing import Any
+
+from racines_leaderboard.rank import Record
+from racines_leaderboard.studio.escape import link, text
+
+SHORT = 16
+"""Characters of a digest that are shown."""
+
+
+def provenance_html(record: Record) -> str:
+    """Return a record's provenance and its figures as HTML."""
+    told = "".join(f"<dt>{text(name)}</dt><dd>{value}</dd>" for name, value in _facts(record))
+    return f'<div class="rc-facts"><dl>{told}</dl>{_figures(record)}</div>'
+
+
+def _facts(record: Record) -> list[tuple[str, str]]:
+    submission, scores = record["submission"] or {}, record["scores"]
+    code = scores.get("code") or {}
+    facts: list[tuple[str, str]] = [
+        ("Board", text(record["board"])),
+        ("Tier", text(record["tier"])),
+        ("Method", text(submission.get("method", ""))),
+        ("Description", text(submission.get("description", ""), 1500)),
+        ("Authors", text(", ".join(submission.get("authors", [])))),
+        ("Licence", text(submission.get("licence", ""))),
+        ("Page", link(submission.get("url", ""))),
+        ("Paper", link(submission.get("paper", ""))),
+        ("Source code", _submitted_code(submission.get("code"))),
+        ("Data", _data(scores)),
+        ("Task", _task(scores.get("task"))),
+        ("Seeds", text(", ".join(map(str, scores.get("seeds", []))))),
+        ("Weights", _digests(scores.get("weights"))),
+        ("Scored by", text(f"racines {code.get('version', '')} {code.get('commit') or ''}")),
+        ("Environment", text(_pairs(scores.get("environment") or {}))),
+        ("Seconds", text(scores.get("seconds", ""))),
+    ]
+    return [(name, value) for name, value in facts if value.strip()]
+
+
+def _submitted_code(code: Any) -> str:
+    if not isinstance(code, dict):
+        return ""
+    where = link(code["url"]) if "url" in code else text(code.get("package", ""))
+    return f"{where} {text(code.get('commit', code.get('version', '')))}"
+
+
+def _data(scores: dict[str, Any]) -> str:
+    data = scores.get("dataset") or scores.get("phantom") or {}
+    source = f"{data.get('source', 'phantom')} {data.get('version', '')}"
+    digests = {key: data[key] for key in ("digest", "recipe_digest") if data.get(key)}
+    return f"{text(source)}, {_digests(digests)}"
+
+
+def _task(task: Any) -> str:
+    plain = {k: v for k, v in (task or {}).items() if isinstance(v, str)}
+    return text(_pairs(plain))
+
+
+def _digests(digests: Any) -> str:
+    if not isinstance(digests, dict):
+        return ""
+    told = (
+        f"{text(name)} <code>{text(str(value)[:SHORT])}…</code>" for name, value in digests.items()
+    )
+    return ", ".join(told)
+
+
+def _pairs(content: dict[str, Any]) -> str:
+    return ", ".join(f"{key} {value}" for key, value in content.items() if value is not None)
+
+
+def _figures(record: Record) -> str:
+    """Every figure with its n, its interval, and how that was made."""
+    rows = []
+    for name, metric in record["scores"]["metrics"].items():
+        if metric["value"] is None:
+            continue
+        ends = [metric.get("low"), metric.get("high")]
+        between = "–" if None in ends else " – ".join(f"{end:.4g}" for end in ends)
+        how = (metric.get("settings") or {}).get("interval", "")
+        cells = (f"{metric['value']:.4g}", between, f"{metric['n']:,}")
+        line = "".join(f"<td>{text(cell)}</td>" for cell in cells)
+        ends_of_row = (f'<td class="rc-text">{text(each)}</td>' for each in (name, how))
+        rows.append(f"<tr>{line.join(ends_of_row)}</tr>")
+    head = '<th class="rc-text">Figure</th><th>Value</th><th>95 %</th><th>n</th>'
+    return (
+        f'<div class="rc-scroll"><table><thead><tr>{head}<th class="rc-text">Interval by</th></tr>'
+        f"</thead><tbody>{''.join(rows)}</tbody></table></div>"
+    )

@@ -1,0 +1,1 @@
+"""The tabs of the Studio, a module each with `build(place)`."""

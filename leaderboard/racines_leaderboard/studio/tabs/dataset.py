@@ -1,0 +1,87 @@
+"""Tab: the dataset, trajectory by trajectory and frame by frame."""
+
+from typing import Any
+
+import gradio as gr
+from gradio.context import Context
+
+from racines_data.schema import SPLITS
+from racines_leaderboard.studio.notice import missing_html, refusing
+from racines_leaderboard.studio.place import Place
+
+
+def build(place: Place) -> None:
+    """Build the tab."""
+    from racines_leaderboard.studio import browsing
+
+    found = browsing.configs(place.data)
+    if not found:
+        gr.HTML(
+            missing_html(
+                f"{place.data}: no dataset here. Build one, or fetch one:",
+                f"racines data build --out {place.data}",
+                "dvc pull",
+            )
+        )
+        return
+    labels = browsing.opened(place.data, found[0]).labels
+    with gr.Row():
+        config = gr.Radio(found, value=found[0], label="Data", visible=len(found) > 1)
+        split = gr.Radio(list(SPLITS), value=SPLITS[0], label="Split")
+        view = gr.Dropdown([browsing.ALL, *labels], value=browsing.ALL, label="Aimed at")
+    names = browsing.sweeps(browsing.opened(place.data, found[0]), SPLITS[0], browsing.ALL)
+    name = gr.Dropdown(names, value=names[0], label="Trajectory", elem_id="data-trajectory")
+    facts = gr.HTML(elem_id="data-facts")
+    frame = gr.Slider(1, 2, value=1, step=1, label="Frame", elem_id="data-frame")
+    with gr.Row():
+        with gr.Column(min_width=280):
+            image = gr.HTML(elem_id="data-image")
+            parameters = gr.HTML(elem_id="data-parameters")
+        with gr.Column(min_width=280):
+            figures = gr.HTML(elem_id="data-figures")
+    filters = [config, split, view]
+    _wire(place, filters, name, frame, [facts, frame, image, parameters, figures])
+
+
+def _wire(place: Place, filters: list[Any], name: Any, frame: Any, shown: list[Any]) -> None:
+    from racines_leaderboard.studio import browsing, browsing_html
+
+    config = filters[0]
+
+    def listed(config: Any, split: Any, view: Any) -> Any:
+        names = browsing.sweeps(browsing.opened(place.data, config), split, view)
+        return gr.Dropdown(choices=names, value=names[0] if names else None)
+
+    def at(config: Any, name: Any, frame: Any) -> tuple[Any, int]:
+        sweep = browsing.sweep(browsing.opened(place.data, config), name)
+        return sweep, browsing.frame_of(sweep, frame)
+
+    def show(config: Any, name: Any) -> list[Any]:
+        if name is None:  # a filter that no trajectory passes
+            return ["", gr.Slider(), "", "", '<p class="rc-note">No trajectory fits.</p>']
+        sweep, first = at(config, name, 1)
+        slider = gr.Slider(maximum=max(sweep.frames, 2), value=1)
+        return [browsing_html.facts_html(sweep), slider, *_pictures(sweep, first)]
+
+    def move(config: Any, name: Any, frame: Any) -> list[Any]:
+        return _pictures(*at(config, name, frame))
+
+    def _pictures(sweep: Any, frame: int) -> list[str]:
+        html = browsing_html
+        makers = (html.image_html, html.parameters_html, html.figures_html)
+        return [make(sweep, frame) for make in makers]
+
+    private: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
+    gr.on(
+        [each.change for each in filters], refusing(listed), filters, name,
+        api_name="data_listed", **private,
+    )  # fmt: skip
+    page = Context.root_block
+    assert page is not None
+    # Not at a change of `config`: the name is the old one's until the filters have run.
+    triggers = [page.load, name.change]
+    gr.on(triggers, refusing(show), [config, name], shown, api_name="data_show", **private)
+    frame.input(
+        refusing(move), [config, name, frame], shown[2:], api_name="data_move",
+        trigger_mode="always_last", **private,
+    )  # fmt: skip

@@ -1,0 +1,161 @@
+"""Tab: the expert study, one blinded image at a time, by buttons or keys."""
+
+from typing import Any
+
+import gradio as gr
+
+from racines_data.views import RANDOM
+from racines_leaderboard.expert.session import ABOUT
+from racines_leaderboard.studio import labelling
+from racines_leaderboard.studio.codes import LONGEST as CODE
+from racines_leaderboard.studio.labelling import KINDS, NAME, Sitting
+from racines_leaderboard.studio.labelling_html import (
+    code_html,
+    finished_html,
+    image_html,
+    instructions_html,
+    progress_html,
+)
+from racines_leaderboard.studio.notice import missing_html, refusing
+from racines_leaderboard.studio.place import Place
+
+VIEW_KEYS = "asdfghjkl"
+KEYS = """
+const views = 'asdfghjkl', page = (id) => document.getElementById(id);
+const press = (id, n) => page(id)?.querySelectorAll('label input')[n]?.click();
+document.addEventListener('keydown', (event) => {
+  const shown = page('study-save');
+  if (!shown || shown.offsetParent === null) return;
+  if (event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
+  if (event.target.closest('textarea, input:not([type=radio]), [contenteditable]')) return;
+  const key = event.key.toLowerCase();
+  if (views.includes(key)) press('study-view', views.indexOf(key));
+  else if (/^[0-9]$/.test(key)) press('study-grade', (Number(key) + 9) % 10);
+  else if (key === 'enter') shown.click();
+  else if (key === 'backspace') page('study-undo').click();
+  else return;
+  event.preventDefault();
+});
+"""
+HELP = (
+    '<p class="rc-note rc-keys">Keys: a, s, d, … the view; 1 to 9 and 0 for 10 the grade; Enter '
+    "saves; Backspace takes back a choice that is not saved.</p>"
+)
+
+
+def build(place: Place) -> None:
+    """Build the tab."""
+    found = labelling.kits(place.kits)
+    if not found:
+        gr.HTML(
+            missing_html(
+                f"{place.kits}: no kit of images to rate. Draw one:",
+                "racines expert sample --generator nearest-pose --truth --out study/kit",
+            )
+        )
+        return
+    sitting = gr.State(None)
+    with gr.Column() as door:
+        fields = _door(found)
+        instructions = gr.HTML()
+        start = gr.Button("Begin or go on", variant="primary", elem_id="study-begin")
+    with gr.Column(visible=False) as desk:
+        progress = gr.HTML(elem_id="study-progress")
+        with gr.Row():
+            with gr.Column(scale=3, min_width=280):
+                image = gr.HTML(elem_id="study-image")
+            with gr.Column(scale=2, min_width=280):
+                view, grade, save, undo = _answers()
+        done = gr.HTML(elem_id="study-done")
+        leave = gr.Button("Leave; go on another time", size="sm", elem_id="study-leave")
+        gr.HTML(HELP, js_on_load=KEYS)
+        code = gr.HTML(elem_id="study-code")
+    shown = [sitting, door, desk, progress, image, done, code, view, grade, save, undo]
+    _wire(place, fields, start, (save, undo, leave), shown)
+    private: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
+    gr.on(
+        None,
+        refusing(lambda kit: instructions_html(labelling.open_kit(place.kits, kit))),
+        fields[0], instructions, api_name="study_instructions", **private,
+    )  # fmt: skip
+
+
+def _door(found: list[str]) -> list[Any]:
+    with gr.Row():
+        kit = gr.Dropdown(found, value=found[0], label="Study", min_width=220)
+        name = gr.Textbox(
+            label="Name", info="A pseudonym: a-z, 0-9 and dashes.", max_length=NAME, max_lines=1,
+            elem_id="study-name", min_width=220,
+        )  # fmt: skip
+        code = gr.Textbox(
+            label="Code", info="Only to go on under a name that was begun.", max_length=CODE,
+            max_lines=1, elem_id="study-given", min_width=220,
+        )  # fmt: skip
+    kind = gr.Radio(list(KINDS), value=next(iter(KINDS)), label="Who you are")
+    about = gr.Textbox(
+        label="About you", info="For the report, such as: sonographer, 12 years.",
+        max_length=ABOUT, max_lines=1, elem_id="study-about",
+    )  # fmt: skip
+    return [kit, name, kind, about, code]
+
+
+def _answers() -> tuple[gr.Radio, gr.Radio, gr.Button, gr.Button]:
+    view = gr.Radio([], label="View", elem_id="study-view", elem_classes="rc-pills")
+    grade = gr.Radio(
+        [], label="Grade, 1 poor to 10 excellent; none without a view", elem_id="study-grade",
+        elem_classes="rc-pills",
+    )  # fmt: skip
+    with gr.Row():
+        save = gr.Button(
+            "Save and next", variant="primary", elem_id="study-save", min_width=140, scale=2
+        )
+        undo = gr.Button("Undo", elem_id="study-undo", min_width=80)
+    return view, grade, save, undo
+
+
+def _wire(place: Place, fields: list[Any], start: Any, buttons: Any, shown: list[Any]) -> None:
+    save, undo, leave = buttons
+    sitting, view, grade = shown[0], shown[7], shown[8]
+
+    def begin(*given: Any) -> list[Any]:
+        return _shown(labelling.begin(place.kits, *given))
+
+    def answer(sitting: Any, view: Any, grade: Any) -> list[Any]:
+        if not isinstance(sitting, Sitting):
+            return _shown(None)
+        return _shown(labelling.answer(sitting, view, grade))
+
+    private: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
+    start.click(refusing(begin), fields, shown, api_name="study_begin", **private)
+    save.click(refusing(answer), [sitting, view, grade], shown, api_name="study_save", **private)
+    undo.click(None, None, [view, grade], js="() => [null, null]", api_name="study_undo")
+    leave.click(lambda: _shown(None), None, shown, api_name="study_leave", **private)
+
+
+def _shown(sitting: Sitting | None) -> list[Any]:
+    """Return what the page shows: the door without a sitting, else its image or the end."""
+    if sitting is None:
+        empty = [gr.Radio(choices=[], value=None)] * 2
+        hidden = [gr.Button(visible=True)] * 2
+        return [None, gr.Column(visible=True), gr.Column(visible=False), *[""] * 4, *empty, *hidden]
+    document = labelling.Kit.open(sitting.kit).document
+    views = [(_label(view), view["name"]) for view in document["views"]]
+    grades = list(range(document["grades"]["lowest"], document["grades"]["highest"] + 1))
+    going = sitting.image is not None
+    return [
+        sitting,
+        gr.Column(visible=False),
+        gr.Column(visible=True),
+        progress_html(sitting),
+        image_html(sitting),
+        "" if going else finished_html(sitting),
+        code_html(sitting),
+        gr.Radio(choices=views, value=None, visible=going),
+        gr.Radio(choices=grades, value=None, visible=going),
+        gr.Button(visible=going),
+        gr.Button(visible=going),
+    ]
+
+
+def _label(view: dict[str, str]) -> str:
+    return view["name"] if view["name"] != RANDOM else f"{RANDOM}: {view['title']}"
