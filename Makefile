@@ -10,7 +10,7 @@ SHELL := /bin/bash
 READY := $(VENV)/.ready
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 
-.PHONY: help repro test test-fast test-exports lint types bench docs clean
+.PHONY: help repro studio test test-fast test-exports lint types bench docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -52,6 +52,9 @@ types: $(READY) ## check types
 
 bench: $(READY) ## measure speed; run alone, on a quiet machine
 	pytest tests/benchmarks -n 0 --benchmark-only
+
+studio: $(READY) ## show boards, study and data in a browser, at http://127.0.0.1:7860
+	racines studio
 
 docs: $(READY) ## build the pages under docs/ into site/
 	mkdocs build --strict -q

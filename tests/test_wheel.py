@@ -57,6 +57,7 @@ def test_the_wheel_holds_the_packages_and_their_data_and_nothing_else(wheel: Pat
         "racines_leaderboard/schemas/record.json",
         "racines_leaderboard/schemas/expert-kit.json",
         "racines_leaderboard/published.json",
+        "racines_leaderboard/studio/studio.css",
     ):
         assert name in names
 

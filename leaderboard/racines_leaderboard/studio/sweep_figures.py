@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -41,7 +42,7 @@ def grades_figure(sweep: Sweep) -> Marked:
         figure = Figure(figsize=(5.0, 2.5))
         axis = figure.add_axes((0.09, 0.22, 0.89, 0.63))
         _grades(axis, sweep)
-        figure.canvas.draw()
+        FigureCanvasAgg(figure).draw()  # fixes the limits and the place of the axes
         points = np.column_stack([sweep.times, np.zeros(sweep.frames)])
         places[:] = _shares(figure, axis.transData.transform(points))
         return figure
@@ -63,7 +64,7 @@ def path_figure(sweep: Sweep) -> Marked | None:
         axis = figure.add_axes((0.0, 0.02, 0.93, 0.90), projection="3d")
         assert isinstance(axis, Axes3D)
         _path(axis, sweep, tip, beam)
-        figure.canvas.draw()
+        FigureCanvasAgg(figure).draw()  # fixes the limits and the place of the axes
         flat = np.column_stack(proj_transform(*tip.T, axis.get_proj())[:2])
         places[:] = _shares(figure, axis.transData.transform(flat))
         return figure

@@ -27,7 +27,7 @@ def build(place: Place) -> None:
     labels = browsing.opened(place.data, found[0]).labels
     with gr.Row():
         config = gr.Radio(found, value=found[0], label="Data", visible=len(found) > 1)
-        split = gr.Radio(list(SPLITS), value=SPLITS[0], label="Split")
+        split = gr.Radio(list(SPLITS), value=SPLITS[0], label="Split", min_width=260)
         view = gr.Dropdown([browsing.ALL, *labels], value=browsing.ALL, label="Aimed at")
     names = browsing.sweeps(browsing.opened(place.data, found[0]), SPLITS[0], browsing.ALL)
     name = gr.Dropdown(names, value=names[0], label="Trajectory", elem_id="data-trajectory")

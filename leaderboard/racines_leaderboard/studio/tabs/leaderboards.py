@@ -6,6 +6,7 @@ import gradio as gr
 
 from racines_leaderboard.collect import boards
 from racines_leaderboard.studio import boards as shown
+from racines_leaderboard.studio.boards_html import charts_html, tables_html
 from racines_leaderboard.studio.notice import missing_html, refusing
 from racines_leaderboard.studio.place import Place
 from racines_leaderboard.studio.provenance import provenance_html
@@ -35,10 +36,12 @@ def build(place: Place) -> None:
         board = gr.Dropdown(found, value=found[-1], label="Board", min_width=200)
         track = gr.Radio(shown.TRACK_NAMES, value=shown.TRACK_NAMES[0], label="Track")
     with gr.Row(visible=False) as of_agents:
-        view = gr.Dropdown([shown.ALL], value=shown.ALL, label="View", min_width=140)
-        sees = gr.Radio([shown.ALL, *shown.SIGHT], value=shown.ALL, label="The agent sees")
+        view = gr.Dropdown([shown.ALL], value=shown.ALL, label="View", min_width=300)
+        sees = gr.Radio(
+            [shown.ALL, *shown.SIGHT], value=shown.ALL, label="The agent sees", min_width=300
+        )
     with gr.Row():
-        tiers = gr.CheckboxGroup(list(TIERS), value=list(TIERS), label="Tier")
+        tiers = gr.CheckboxGroup(list(TIERS), value=list(TIERS), label="Tier", min_width=300)
         details = gr.Checkbox(False, label="Further figures", min_width=140)
     tables = gr.HTML(js_on_load=ROW_CLICKED, elem_id="boards-tables")
     charts = gr.HTML(elem_id="boards-charts")
@@ -62,9 +65,7 @@ def _wire(
 
     def show(*values: Any) -> tuple[str, str, Any, str]:
         wanted = shown.selected(place.results, *values)
-        tables, charts = (
-            make(place.results, wanted) for make in (shown.tables_html, shown.charts_html)
-        )
+        tables, charts = (make(place.results, wanted) for make in (tables_html, charts_html))
         offered = shown.names(place.results, wanted)
         return tables, charts, gr.Dropdown(choices=offered, value=None), ""
 

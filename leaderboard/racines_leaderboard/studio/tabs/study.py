@@ -67,7 +67,7 @@ def build(place: Place) -> None:
             with gr.Column(scale=2, min_width=280):
                 view, grade, save, undo = _answers()
         done = gr.HTML(elem_id="study-done")
-        leave = gr.Button("Leave; go on another time", size="sm", elem_id="study-leave")
+        leave = gr.Button("Leave", size="sm", elem_id="study-leave")
         gr.HTML(HELP, js_on_load=KEYS)
         code = gr.HTML(elem_id="study-code")
     shown = [sitting, door, desk, progress, image, done, code, view, grade, save, undo]
@@ -149,7 +149,7 @@ def _shown(sitting: Sitting | None) -> list[Any]:
         progress_html(sitting),
         image_html(sitting),
         "" if going else finished_html(sitting),
-        code_html(sitting),
+        code_html(sitting) if going else "",
         gr.Radio(choices=views, value=None, visible=going),
         gr.Radio(choices=grades, value=None, visible=going),
         gr.Button(visible=going),
