@@ -6,10 +6,13 @@ import pytest
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.studio.place import Place
-from tests.conftest import command
+from tests.conftest import ROOT, command
+from tests.documents import blocks
 
 gradio = pytest.importorskip("gradio", reason='needs Gradio: pip install "racines[studio]"')
 httpx = pytest.importorskip("httpx", reason="comes with Gradio")
+from tests.studio.load import Visitor, run  # noqa: E402
+
 HEADS = {"files": ("a.py", b"print(1)")}
 
 
@@ -34,30 +37,30 @@ def test_no_part_of_the_page_takes_a_file(served: str):
 
 
 def test_many_visitors_at_once(served: str):
-    from tests.studio.load import run
-
     told = run(served, sessions=20, seconds=2.0)
     assert not told.errors
     assert {"boards_show", "data_move", "study_save"} <= set(told.seconds)
 
 
-def test_a_forged_value_is_refused_and_its_markup_comes_back_as_text(served: str):
-    from tests.studio.load import Visitor
+FORGED = {
+    "boards_show": ["<script>", "generators", "all", "all", [], False],
+    "boards_record": ["../mine", "tiny", "generators", "all", "all", [], False],
+    "data_move": ["frames", "../../etc", 1],
+    "data_listed": ["frames", "all", "all"],
+    "study_begin": ["../kit", "anna", "I try the page out", "", ""],
+}
 
-    visitor = Visitor(served, seed=99)
-    trial = visitor.offered("study_begin", 2)[0]
-    for event, values in {
-        "boards_show": ["<script>", "generators", "all", "all", [], False],
-        "data_move": ["frames", "../../etc", 1],
-        "study_begin": ["../kit", "anna", trial, "", ""],
-        "study_save": [{"rater": "anna", "image": "0001"}, "SC", 7],
-    }.items():
-        try:
-            answer = visitor.call(event, *values)
-        except RuntimeError as error:
-            assert "<script>" not in str(error)
-        else:  # a state that the browser makes up is not read
-            assert event == "study_save" and "answered" not in str(answer)
+
+@pytest.mark.parametrize("event", FORGED)
+def test_a_forged_value_is_refused(served: str, event: str):
+    with pytest.raises(RuntimeError, match="not in the list of choices|was not offered"):
+        Visitor(served, seed=99).call(event, *FORGED[event])
+
+
+def test_a_state_that_the_browser_makes_up_is_not_read(served: str):
+    forged = {"rater": "anna", "image": "0001", "kit": "kit", "ratings": "/tmp"}
+    answer = Visitor(served, seed=98).call("study_save", forged, None, None)
+    assert "answered" not in str(answer)
 
 
 def test_a_place_without_anything_says_what_to_run(tmp_path: Path):
@@ -84,8 +87,6 @@ def test_one_tab_can_be_shown_alone(place: Place):
 
 def test_a_space_is_three_lines(tmp_path: Path, place: Place, monkeypatch: pytest.MonkeyPatch):
     from racines_leaderboard.studio import app
-    from tests.conftest import ROOT
-    from tests.documents import blocks
 
     (code,) = [b.text for b in blocks(ROOT / "docs/studio.md") if "serve(" in b.text]
     assert len(code.strip().splitlines()) == 4

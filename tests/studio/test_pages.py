@@ -28,6 +28,8 @@ def test_leaderboards(visit: Visit, tmp_path: Path, size):
     page.locator("#boards-tables tr[data-name=mine] td").first.click()
     page.wait_for_selector("#boards-record dl")
     assert HOSTILE[:40] in page.inner_text("#boards-record"), "shown as text"
+    label = page.get_by_text("Further figures", exact=True).bounding_box()
+    assert label["x"] + label["width"] <= size[0]
     photograph(page, tmp_path / "generators.png")
     page.get_by_label("agents").click()
     page.wait_for_selector("#boards-tables tr[data-name=pl-image]")

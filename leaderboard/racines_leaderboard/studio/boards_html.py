@@ -1,6 +1,6 @@
 """The boards as HTML: tables with their intervals, and a chart a figure."""
 
-import functools
+import dataclasses
 import re
 from pathlib import Path
 
@@ -10,13 +10,15 @@ from racines_leaderboard.chart import panel
 from racines_leaderboard.rank import Ranked
 from racines_leaderboard.studio.boards import Selection, ranked_groups, track_of
 from racines_leaderboard.studio.escape import text
-from racines_leaderboard.studio.pictures import drawn, element
+from racines_leaderboard.studio.pictures import Drawings, drawn, element
 from racines_leaderboard.table import Table, ranked_table, reported_table, shown_columns
-from racines_leaderboard.tracks import Column, Track
+from racines_leaderboard.tracks import Column
 
 _INTERVAL = re.compile(r"(?P<value>\S+) \((?P<between>.+)\)(?P<n>, n = [\d,]+)?")
 _WORDS = ("", "#", "System", "Sees", "Tier")
 """Columns that hold words; the others hold numbers."""
+WIDTH, LETTER, LONGEST = 4.2, 0.075, 30
+"""Of a chart, and of a letter of its names, inches; and how many letters of a name are shown."""
 
 
 def tables_html(results: Path, wanted: Selection) -> str:
@@ -25,7 +27,7 @@ def tables_html(results: Path, wanted: Selection) -> str:
     for title, ranking in ranked_groups(results, wanted).items():
         parts.append(table_html(ranked_table(title, track, ranking)))
         if wanted.details and shown_columns(track.details, ranking):
-            further = Track(**(vars(track) | {"columns": track.details}))
+            further = dataclasses.replace(track, columns=track.details)
             detailed = ranked_table(f"{title} · in detail", further, ranking).bare()
             parts.append(table_html(detailed))
     if not parts:
@@ -69,16 +71,27 @@ class _Frozen(tuple[Ranked, ...]):
         return hash(tuple((ranked.place, ranked.record["name"]) for ranked in self))
 
 
-@functools.lru_cache(maxsize=256)
+_charts: Drawings[bytes] = Drawings(256)
+
+
 def _chart(column: Column, ranking: _Frozen) -> bytes:
     def draw() -> Figure:
-        figure = Figure(figsize=(4.2, 0.6 + 0.3 * len(ranking)), layout="constrained")
-        axis = figure.subplots()
+        height = 0.6 + 0.3 * len(ranking)
+        figure = Figure(figsize=(WIDTH, height))
+        axis = figure.add_axes((0.3, 0.32 / height, 0.67, 1.0 - 0.6 / height))
         panel(axis, column, ranking)
+        names = [_cut(label.get_text()) for label in axis.get_yticklabels()]
+        axis.set_yticks(axis.get_yticks(), names)
+        left = (0.15 + LETTER * max(map(len, names))) / WIDTH
+        axis.set_position((left, 0.32 / height, 0.97 - left, 1.0 - 0.6 / height))
         axis.locator_params(axis="x", nbins=5)
         return figure
 
-    return drawn(draw)
+    return _charts.get((column, ranking), lambda: drawn(draw))
+
+
+def _cut(name: str) -> str:
+    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
 
 
 def _once(groups: dict[str, list[Ranked]]) -> list[Ranked]:

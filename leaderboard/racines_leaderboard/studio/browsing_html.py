@@ -1,12 +1,11 @@
 """What the dataset's page shows of a frame: image, labels, parameters, and where it lies."""
 
-import functools
 import math
 
 from racines_data.schema import PARAMETERS
 from racines_leaderboard.studio.browsing import Sweep
 from racines_leaderboard.studio.escape import text
-from racines_leaderboard.studio.pictures import element, image_png, ultrasound
+from racines_leaderboard.studio.pictures import Drawings, element, image_png, ultrasound
 from racines_leaderboard.studio.sweep_figures import Marked, grades_figure, path_figure
 
 UNITS = {"force": "N", "torque": "N·m", "position": "mm", "rotation": "°"}
@@ -44,7 +43,7 @@ def facts_html(sweep: Sweep) -> str:
 def parameters_html(sweep: Sweep, frame: int) -> str:
     """Return the twelve parameters of a frame as a table."""
     values = sweep.store.parameters[sweep.first + frame].tolist()
-    named = dict(zip(PARAMETERS, values, strict=True))
+    named: dict[str, float] = dict(zip(PARAMETERS, values, strict=True))
     rows = []
     for kind, unit in UNITS.items():
         scale = SCALES.get(kind, 1.0)
@@ -70,9 +69,11 @@ def figures_html(sweep: Sweep, frame: int) -> str:
     return "".join(parts)
 
 
-@functools.lru_cache(maxsize=64)
+_drawings: Drawings[tuple[Marked, Marked | None]] = Drawings(64)
+
+
 def _figures(sweep: Sweep) -> tuple[Marked, Marked | None]:
-    return grades_figure(sweep), path_figure(sweep)
+    return _drawings.get(sweep, lambda: (grades_figure(sweep), path_figure(sweep)))
 
 
 def _number(value: float) -> str:

@@ -2,19 +2,20 @@
 
 from pathlib import Path
 
-import gradio as gr
+from gradio.themes import Base
+from gradio.themes.utils import colors, sizes
 
 MUTED, PAPER, ACCENT = "#56626d", "#f6f8f9", "#24527a"
 SYSTEM = ("system-ui", "-apple-system", "Segoe UI", "Roboto", "sans-serif")
 MONO = ("ui-monospace", "SFMono-Regular", "Menlo", "monospace")
 
 
-def theme() -> gr.themes.Base:
+def theme() -> Base:
     """Return the theme: slate and blue, hairlines, no shadows."""
-    base = gr.themes.Base(
-        primary_hue=gr.themes.colors.blue,
-        neutral_hue=gr.themes.colors.slate,
-        radius_size=gr.themes.sizes.radius_sm,
+    base = Base(
+        primary_hue=colors.blue,
+        neutral_hue=colors.slate,
+        radius_size=sizes.radius_sm,
         font=SYSTEM,
         font_mono=MONO,
     )

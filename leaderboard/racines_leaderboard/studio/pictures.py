@@ -3,7 +3,8 @@
 import base64
 import io
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -15,17 +16,38 @@ from racines_leaderboard.studio.escape import text
 
 DPI = 180
 """Of figures: about twice a screen's, so that their text stays sharp."""
-_drawing = threading.Lock()
+_drawing = threading.RLock()
 """Matplotlib's settings belong to the process: one figure at a time."""
+Drawing = TypeVar("Drawing")
 
 
-def drawn(draw: Callable[[], Figure]) -> bytes:
-    """Draw a figure in the house style and return it as PNG."""
+class Drawings(Generic[Drawing]):
+    """The latest drawings by key, for all visitors; nobody draws what another is drawing."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._kept: dict[Hashable, Drawing] = {}
+
+    def get(self, key: Hashable, draw: Callable[[], Drawing]) -> Drawing:
+        """Return what was drawn for a key, or draw it and keep it in the oldest one's place."""
+        if key not in self._kept:
+            with _drawing:
+                if key not in self._kept:
+                    made = draw()
+                    self._kept = dict([*self._kept.items(), (key, made)][-self._size :])
+                    return made
+        return self._kept.get(key) or draw()
+
+
+def drawn(draw: Callable[[], Figure], after: Callable[[Figure], None] | None = None) -> bytes:
+    """Draw a figure in the house style and return it as PNG; `after` may measure it."""
     with _drawing, card_style():
         figure = draw()
         figure.set_dpi(DPI)
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
+        if after is not None:
+            after(figure)
         pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     return _png(pixels.quantize(128, dither=Image.Dither.NONE))
 
@@ -49,5 +71,5 @@ def ultrasound(png: bytes, alt: str) -> str:
 
 def _png(image: Image.Image) -> bytes:
     buffer = io.BytesIO()
-    image.save(buffer, "PNG", optimize=True)
+    image.save(buffer, "PNG")
     return buffer.getvalue()

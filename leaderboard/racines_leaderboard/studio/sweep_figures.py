@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
@@ -42,12 +42,13 @@ def grades_figure(sweep: Sweep) -> Marked:
         figure = Figure(figsize=(5.0, 2.5))
         axis = figure.add_axes((0.09, 0.22, 0.89, 0.63))
         _grades(axis, sweep)
-        FigureCanvasAgg(figure).draw()  # fixes the limits and the place of the axes
-        points = np.column_stack([sweep.times, np.zeros(sweep.frames)])
-        places[:] = _shares(figure, axis.transData.transform(points))
         return figure
 
-    return Marked(drawn(draw), places)
+    def measure(figure: Figure) -> None:
+        points = np.column_stack([sweep.times, np.zeros(sweep.frames)])
+        places[:] = _shares(figure, figure.axes[0].transData.transform(points))
+
+    return Marked(drawn(draw, measure), places)
 
 
 def path_figure(sweep: Sweep) -> Marked | None:
@@ -64,12 +65,16 @@ def path_figure(sweep: Sweep) -> Marked | None:
         axis = figure.add_axes((0.0, 0.02, 0.93, 0.90), projection="3d")
         assert isinstance(axis, Axes3D)
         _path(axis, sweep, tip, beam)
-        FigureCanvasAgg(figure).draw()  # fixes the limits and the place of the axes
-        flat = np.column_stack(proj_transform(*tip.T, axis.get_proj())[:2])
-        places[:] = _shares(figure, axis.transData.transform(flat))
         return figure
 
-    return Marked(drawn(draw), places)
+    def measure(figure: Figure) -> None:
+        axis = figure.axes[0]
+        assert isinstance(axis, Axes3D)
+        x, y, z = tip.T
+        flat = np.column_stack(proj_transform(x, y, z, axis.get_proj())[:2])
+        places[:] = _shares(figure, axis.transData.transform(flat))
+
+    return Marked(drawn(draw, measure), places)
 
 
 def _grades(axis: Axes, sweep: Sweep) -> None:
@@ -103,15 +108,9 @@ def _path(axis: Axes3D, sweep: Sweep, tip: np.ndarray, beam: np.ndarray) -> None
     axis.set_title("Probe's tip, mm; gray: the beam", pad=0)
     for letter in "xyz":
         getattr(axis, f"set_{letter}label")(letter, labelpad=-4)
-        getattr(axis, f"{letter}axis").set_major_locator(_ticks())
+        getattr(axis, f"{letter}axis").set_major_locator(MaxNLocator(4))
     axis.tick_params(pad=-1, labelsize=7.5)
     axis.set_box_aspect((1.2, 1.0, 0.62), zoom=1.05)  # pyright: ignore[reportArgumentType]
-
-
-def _ticks() -> Any:
-    from matplotlib.ticker import MaxNLocator
-
-    return MaxNLocator(4)
 
 
 def _shares(figure: Figure, pixels: np.ndarray) -> np.ndarray:

@@ -40,9 +40,8 @@ def build(place: Place) -> None:
         sees = gr.Radio(
             [shown.ALL, *shown.SIGHT], value=shown.ALL, label="The agent sees", min_width=300
         )
-    with gr.Row():
-        tiers = gr.CheckboxGroup(list(TIERS), value=list(TIERS), label="Tier", min_width=300)
-        details = gr.Checkbox(False, label="Further figures", min_width=140)
+    tiers = gr.CheckboxGroup(list(TIERS), value=list(TIERS), label="Tier")
+    details = gr.Checkbox(False, label="Further figures")
     tables = gr.HTML(js_on_load=ROW_CLICKED, elem_id="boards-tables")
     charts = gr.HTML(elem_id="boards-charts")
     system = gr.Dropdown([], label="Where a result comes from (or click its row)")
