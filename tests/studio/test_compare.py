@@ -55,7 +55,7 @@ def test_generators_with_weights_are_offered_and_nothing_else(place, monkeypatch
 
 
 def test_a_preset_shows_its_view(place):
-    values = compare.preset(place, "nominal pose of A4C")
+    values = compare.preset(place, "nominal A4C")
     cards = compare.compare(place, values, 0, [])
     assert [card.title for card in cards] == ["phantom", "nearest frame"]
     assert cards[0].notes[0].startswith("truth: A4C")
@@ -112,7 +112,7 @@ def test_other_inputs_are_refused(place):
         with pytest.raises(RacinesError):
             compare.compare(place, given, seed, ticked)
     with pytest.raises(RacinesError, match="not offered"):
-        compare.preset(place, "nominal pose of Random")
+        compare.preset(place, "nominal Random")
 
 
 def test_titles_are_text():

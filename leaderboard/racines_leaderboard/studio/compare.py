@@ -30,7 +30,7 @@ GROUPS = (
     ("torque", "N·m", 1.0, 0.01),
 )
 """Name, shown unit, shown units in one SI unit, and step, of three parameters each."""
-NOMINAL = "nominal pose of "
+NOMINAL = "nominal "
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ def _missing(place: Place, offered: Sequence[str]) -> str:
 
 
 def _preset(place: Place, name: Any) -> list[Any]:
-    return [f'<p class="rc-note">{text(name)}</p>', *compare.preset(place, name)]
+    return [f'<p class="rc-note">{text(name)} pose</p>', *compare.preset(place, name)]
 
 
 def _frame(place: Place, turn: Any) -> list[Any]:
