@@ -117,6 +117,22 @@ def compose_all(core: ScanCore, history: History | None = None) -> tuple[np.ndar
     return tuple(compose(core, row, history) for row in range(core.num_envs))
 
 
+def block_views(
+    core: ScanCore, row: int, steps: Steps, goal: bool = True, zoom: int = 1
+) -> tuple[Image.Image, Image.Image]:
+    """Draw the probe over the block, from above and from the front.
+
+    Args:
+        core: After a reset.
+        row: Which of its rows.
+        steps: What it has done.
+        goal: Draw the nominal pose, which an agent is not told.
+        zoom: Size of the pictures, in units of 286 x 318 pixels.
+    """
+    above = _view(core, row, steps, (0, 1), "from above", goal, zoom)
+    return above, _view(core, row, steps, (0, 2), "from the front", goal, zoom)
+
+
 def describe(core: ScanCore, row: int, steps: Steps) -> list[str]:
     """Return what the picture says in words: step, view and grade, p, force, errors, return."""
     return [text for text, _ in _words(core, row, steps)]
@@ -179,12 +195,15 @@ def _bounds(core: ScanCore) -> tuple[np.ndarray, np.ndarray]:
     return np.append(low[:2] - _MARGIN, top - _DEEP), np.append(high[:2] + _MARGIN, top)
 
 
-def _view(core: ScanCore, row: int, steps: Steps, axes: tuple[int, int], title: str) -> Image.Image:
+def _view(
+    core: ScanCore, row: int, steps: Steps, axes: tuple[int, int], title: str,
+    goal: bool = True, zoom: int = 1,
+) -> Image.Image:  # fmt: skip
     """Draw block, workspace, sector, path, nominal pose and probe, projected on two axes."""
     low, high = _bounds(core)
-    panel = Image.new("RGB", _SIDE, _PANEL)
+    panel = Image.new("RGB", (_SIDE[0] * zoom, _SIDE[1] * zoom), _PANEL)
     draw = ImageDraw.Draw(panel)
-    to_pixels = _projection(low, high + np.array([0.0, 0.0, _BODY + 0.02]), axes)
+    to_pixels = _projection(low, high + np.array([0.0, 0.0, _BODY + 0.02]), axes, zoom)
     draw.rectangle(_corners(to_pixels, low, high), outline=_LINE, fill=_BLOCK)
     workspace = core.phantom.workspace
     space = workspace.position_min.cpu().numpy(), workspace.position_max.cpu().numpy()
@@ -192,28 +211,31 @@ def _view(core: ScanCore, row: int, steps: Steps, axes: tuple[int, int], title: 
     rotation = core.state.rotation[row].cpu().numpy()
     draw.polygon(to_pixels(_fan(core, position, rotation)), outline=_PROBE, fill=_SECTOR)
     draw.rectangle(_corners(to_pixels, *space), outline=_SPACE)
-    target = (x[0].cpu().numpy() for x in core.target)
-    _draw_probe(draw, to_pixels, core, *target, colour=_GOAL)
+    if goal:
+        target = (x[0].cpu().numpy() for x in core.target)
+        _draw_probe(draw, to_pixels, core, *target, colour=_GOAL, width=zoom)
     if len(steps.positions) > 1:
         path = to_pixels(np.array(steps.positions))
-        draw.line(path, fill=_PATH, width=2)
-        x, y = path[0]
-        draw.ellipse((x - 4, y - 4, x + 4, y + 4), fill=_PATH)
-    _draw_probe(draw, to_pixels, core, position, rotation, colour=_PROBE, width=3)
+        draw.line(path, fill=_PATH, width=2 * zoom)
+        (x, y), radius = path[0], 4 * zoom
+        draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=_PATH)
+    _draw_probe(draw, to_pixels, core, position, rotation, colour=_PROBE, width=3 * zoom)
     across, up = ("xyz"[axis] for axis in axes)
-    label = f"{title}    {across} to the right, {up} up"
-    draw.text((8, 6), label, _TEXT, _font(13))
+    label, font = f"{title}    {across} to the right, {up} up", _font(13 * zoom)
+    draw.text((8 * zoom, 6 * zoom), label, _TEXT, font)
     names = (("probe", _PROBE), ("nominal", _GOAL), ("path", _PATH), ("workspace", _SPACE))
     for index, (text, colour) in enumerate(names):
-        draw.text((10 + 66 * index, _SIDE[1] - 22), text, colour, _font(13))
+        if goal or text != "nominal":
+            place = (10 + 66 * index) * zoom, (_SIDE[1] - 22) * zoom
+            draw.text(place, text, colour, font)
     return panel
 
 
-def _projection(low: np.ndarray, high: np.ndarray, axes: tuple[int, int]) -> Any:
+def _projection(low: np.ndarray, high: np.ndarray, axes: tuple[int, int], zoom: int = 1) -> Any:
     """Return a function from (n, 3) m to a list of pixels: one scale, centred, upwards."""
     a, size = list(axes), (high - low)[list(axes)]
-    scale = min((_SIDE[0] - 30) / size[0], (_SIDE[1] - 62) / size[1])
-    middle, centre = (low + high)[a] / 2, np.array(_SIDE) / 2
+    scale = zoom * min((_SIDE[0] - 30) / size[0], (_SIDE[1] - 62) / size[1])
+    middle, centre = (low + high)[a] / 2, zoom * np.array(_SIDE) / 2
 
     def to_pixels(points: np.ndarray) -> list[tuple[float, float]]:
         flat = (np.atleast_2d(points)[:, a] - middle) * scale * np.array([1.0, -1.0]) + centre

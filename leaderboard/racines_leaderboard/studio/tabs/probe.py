@@ -1,0 +1,172 @@
+"""The tab in which a visitor drives the probe, by buttons and keys."""
+
+import json
+import math
+from functools import partial
+from typing import Any
+
+import gradio as gr
+from gradio.context import Context
+
+from racines_data.errors import RacinesError
+from racines_leaderboard.studio import driving
+from racines_leaderboard.studio.notice import refusing
+from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.scene import Scene
+from racines_leaderboard.studio.scene_page import CSS, image_panel, side_panel
+
+GROUPS = (("Move", ("x", "y", "z")), ("Turn", ("rx", "ry", "rz")))
+"""Buttons, by what they do: an axis a column, a direction a row."""
+PLAIN = {
+    "+x": "right", "-x": "left", "+y": "out", "-y": "in", "+z": "press",
+    "-z": "lift", "+rx": "tilt +", "-rx": "tilt −", "+ry": "rock +", "-ry": "rock −",
+    "+rz": "turn +", "-rz": "turn −", "idle": "stay",
+}  # fmt: skip
+"""Each action in a word; the axes are the probe's, x to the right of its image."""
+ONE: dict[str, Any] = {
+    "concurrency_id": "probe", "concurrency_limit": 1, "api_visibility": "private",
+}  # fmt: skip
+"""Steps are taken one after the other, in the order in which they came."""
+STYLE = """<style>
+.probe-pad { gap: .4rem; }
+.probe-pad .row, .probe-pad .probe-row { gap: .4rem; }
+.probe-key { min-height: 48px; padding: .2rem .3rem !important; font-size: .88rem !important;
+  font-weight: 500 !important; touch-action: manipulation; min-width: 0 !important; }
+</style>"""
+INTRODUCTION = (
+    '<p class="rc-note">Steer the probe over the simulated block until the view is in sight for '
+    "three steps in a row: by the buttons, or by the keys on them. Directions are the probe's: "
+    "right and left in its image, out of the image and into it, down into the block and up.</p>"
+)
+KEYS_JS = """
+const keys = KEYS;
+const fields = 'textarea, select, [contenteditable="true"], input';
+const boxes = 'input[type=checkbox], input[type=radio]';
+let last = 0;
+function press(event) {
+  const target = event.target, letter = event.key.length === 1 && event.key !== ' ';
+  if (event.ctrlKey || event.altKey || event.metaKey) return;
+  if (target.matches && target.matches(fields) && !(letter && target.matches(boxes))) return;
+  const id = keys[letter ? event.key.toLowerCase() : event.key];
+  const button = id && document.getElementById(id);
+  if (!button || button.offsetParent === null) return;
+  event.preventDefault();
+  // A button that was clicked has the focus, and space would click it again.
+  if (document.activeElement) document.activeElement.blur();
+  // A key that is held down must not run ahead of what the page shows.
+  const now = performance.now();
+  if (event.repeat && now - last < 160) return;
+  last = now;
+  button.click();
+}
+if (!window.racinesProbeKeys) {
+  window.racinesProbeKeys = true;
+  document.addEventListener('keydown', press);
+}
+"""
+
+
+def build(place: Place) -> None:
+    """Build the tab."""
+    from racines_envs.tasks import TASKS
+
+    tab, lives, session = Context.block, driving.Lives(place), gr.State(None)
+    gr.HTML(STYLE + INTRODUCTION)
+    with gr.Row():
+        task = gr.Dropdown(list(TASKS), value="SC", label="Task", min_width=120)
+        kind = gr.Dropdown(list(driving.KINDS), value=driving.FIXED, label="Start", min_width=120)
+        number = gr.Number(0, label="Number", precision=0, minimum=0, min_width=90)
+    with gr.Row():
+        start = gr.Button("Start anew", variant="primary", elem_id="probe-start", min_width=120)
+        truth = gr.Checkbox(False, label="Show the truth", elem_id="probe-truth", min_width=120)
+    with gr.Row():
+        with gr.Column(scale=5, min_width=320):
+            image = gr.HTML(css_template=CSS, elem_id="probe-image")
+            buttons = _buttons()
+        with gr.Column(scale=4, min_width=320):
+            side = gr.HTML(css_template=CSS, elem_id="probe-side")
+    gr.HTML(js_on_load=KEYS_JS.replace("KEYS", json.dumps(_keys())))
+    chosen, shown = [task, kind, number, truth], [session, image, side]
+    busy, quiet = ONE | {"show_progress_on": [image]}, ONE | {"show_progress": "hidden"}
+    begin = refusing(partial(_begin, lives))
+    start.click(begin, chosen, shown, api_name="probe_start", **busy)
+    look = refusing(partial(_look, lives))
+    truth.input(look, [session, truth], [image, side], api_name="probe_look", **quiet)
+    for action, button in buttons.items():
+        press, name = refusing(partial(_step, lives, action)), f"probe_step_{action}"
+        button.click(
+            press, [session, truth], shown, trigger_mode="multiple", api_name=name, **quiet
+        )  # fmt: skip
+    if isinstance(tab, gr.Tab):
+        meet = refusing(partial(_open, lives))
+        tab.select(meet, [session, *chosen], shown, api_name="probe_open", **busy)
+
+
+def _buttons() -> dict[int, gr.Button]:
+    """Return a button for each action, by its index."""
+    from racines_envs.actions import ACTIONS, IDLE
+    from racines_envs.keyboard import KEYS
+    from racines_envs.tasks import TASKS
+
+    key_of = {action: key for key, action in KEYS.items()}
+    unit = TASKS["SC"]
+    steps = f"{1e3 * unit.step_translation:g} mm", f"{math.degrees(unit.step_rotation):.1f}°"
+    buttons = {}
+    with gr.Row(elem_classes="probe-pads"):
+        for (title, axes), step in zip(GROUPS, steps, strict=True):
+            with gr.Column(min_width=250, elem_classes="probe-pad"):
+                gr.HTML(f'<span class="rc-note">{title}, {step} a step</span>')
+                for sign in "+-":
+                    with gr.Row(elem_classes="probe-row"):
+                        for axis in axes:
+                            name = f"{sign}{axis}"
+                            label = f"{PLAIN[name]} ({key_of[name]})"
+                            buttons[ACTIONS.index(name)] = _button(label, name)
+    buttons[IDLE] = _button(f"{PLAIN['idle']} (space)", "idle")
+    return buttons
+
+
+def _button(label: str, action: str) -> gr.Button:
+    return gr.Button(label, elem_id=_id(action), elem_classes="probe-key", min_width=80)
+
+
+def _id(action: str) -> str:
+    return "probe-" + action.replace("-", "minus-").replace("+", "plus-")
+
+
+def _keys() -> dict[str, str]:
+    """Return the button's id by the key that presses it, as browsers name keys."""
+    from racines_envs.keyboard import KEYS
+
+    arrows = {"ArrowRight": "d", "ArrowLeft": "a", "ArrowUp": "w", "ArrowDown": "s"}
+    pressed = {key: _id(action) for key, action in KEYS.items()}
+    return pressed | {arrow: pressed[key] for arrow, key in arrows.items()}
+
+
+def _open(lives: driving.Lives, session: Any, *chosen: Any) -> tuple[Any, ...]:
+    """Begin the first episode of a visitor; later the tab is as it was left."""
+    if session is not None:
+        return gr.skip(), gr.skip(), gr.skip()
+    return _begin(lives, *chosen)
+
+
+def _begin(lives: driving.Lives, task: Any, kind: Any, number: Any, truth: Any) -> tuple[Any, ...]:
+    session = driving.begin(task, kind, number)
+    return session, *_pages(lives.look(session, truth is True))
+
+
+def _step(lives: driving.Lives, action: int, session: Any, truth: Any) -> tuple[Any, ...]:
+    if session is None:
+        raise RacinesError("no episode yet: press Start anew")
+    session, scene = lives.step(session, action, truth is True)
+    return session, *_pages(scene)
+
+
+def _look(lives: driving.Lives, session: Any, truth: Any) -> tuple[Any, Any]:
+    if session is None:
+        return gr.skip(), gr.skip()
+    return _pages(lives.look(session, truth is True))
+
+
+def _pages(scene: Scene) -> tuple[str, str]:
+    return image_panel(scene), side_panel(scene)
