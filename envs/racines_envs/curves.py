@@ -114,6 +114,7 @@ def draw_curves(content: dict[str, Any], path: Path, paper: bool = True) -> None
 
     matplotlib.use("agg")
     from matplotlib import pyplot as plt
+    from matplotlib.ticker import EngFormatter, MaxNLocator
 
     runs = content["runs"]
     panels = [name for name in PANELS if any(name in run["curves"] for run in runs)]
@@ -128,6 +129,8 @@ def draw_curves(content: dict[str, Any], path: Path, paper: bool = True) -> None
         if paper:
             _draw_paper(axes, name, runs)
         axes.set(xlabel="environment steps", title=PANELS[name])
+        axes.xaxis.set_major_locator(MaxNLocator(5))
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 50k
         axes.title.set_fontsize(10)
         axes.grid(alpha=0.25)
         if name == "validation/success":
