@@ -37,14 +37,10 @@ def test_a_published_policy_loads_and_arrives(folder):
     assert int(final["success"].sum()) >= STARTS - 1
 
 
-@pytest.mark.parametrize(
-    "folder",
-    [folder for folder in FOLDERS if (folder / "policy.onnx").is_file()],
-    ids=lambda folder: folder.name,
-)
-def test_its_onnx_file_acts_alike(folder):
-    agent = load_agent(read(folder)["agent"], folder)
-    opened = load_agent(str(folder / "policy.onnx"), folder)
+@pytest.mark.parametrize("path", sorted(Path("envs/weights").glob("*.onnx")), ids=lambda p: p.stem)
+def test_its_onnx_file_acts_alike(path):
+    folder = path.with_suffix("")
+    agent, opened = load_agent(read(folder)["agent"], folder), load_agent(str(path), folder)
     core = make_core("SC", 3, observation=agent.observation, reward="oracle")
     seen = core.reset(seed=0)
     torch.testing.assert_close(opened.logits(seen), agent.logits(seen), atol=1e-3, rtol=1e-3)

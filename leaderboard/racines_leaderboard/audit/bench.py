@@ -33,6 +33,8 @@ class Places:
     weights: Path = Path("models/weights")
     """Half-precision copies, likewise."""
     agents: Path = Path("envs/runs")
+    policies: Path = Path("envs/weights")
+    """Of agents that come with the repository, as they were trained."""
     judges: dict[str, Path] = field(default_factory=dict)
     """Folders of a grader and a pose regressor, before those in `runs` and `weights`."""
     limits: Limits = field(default_factory=Limits)

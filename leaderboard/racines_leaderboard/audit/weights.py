@@ -25,9 +25,20 @@ def submitted(record: Record) -> bool:
 
 
 def run_of(record: Record, bench: Bench) -> Path:
-    """Return the folder that the run of a merged system leaves its weights in."""
-    folder = bench.places.runs if record["track"] == "generators" else bench.places.agents
-    return folder / record["name"]
+    """Return the folder of a merged system's weights: its run's, or of an agent the published one.
+
+    The published one counts where it alone holds the files that the record names.
+    """
+    if record["track"] == "generators":
+        return bench.places.runs / record["name"]
+    run, kept = (place / record["name"] for place in (bench.places.agents, bench.places.policies))
+    told = named(record)
+    return kept if told and not _holds(run, told) and _holds(kept, told) else run
+
+
+def _holds(folder: Path, told: dict[str, str]) -> bool:
+    files = [(folder / name, sha256) for name, sha256 in told.items()]
+    return all(path.is_file() and sha256_file(path) == sha256 for path, sha256 in files)
 
 
 def check_weights(record: Record, bench: Bench) -> list[Verdict]:
