@@ -76,7 +76,7 @@ def sliders(place: Place) -> tuple[Slider, ...]:
     else:
         columns = store.parameters.double().numpy()
         spans = list(zip(np.nanmin(columns, 0), np.nanmax(columns, 0), strict=True))
-    found = dict(zip(PARAMETERS, spans, strict=True))
+    found: dict[str, Any] = dict(zip(PARAMETERS, spans, strict=True))
     return tuple(
         _slider(f"{group}_{axis}", unit, scale, step, *found[f"{group}_{axis}"])
         for group, unit, scale, step in GROUPS
@@ -144,7 +144,7 @@ def frame(place: Place, turn: int) -> tuple[list[float], str]:
     """
     store = load_store(place)
     rows = [] if store is None else store.order("test", place.seed)
-    if not len(rows):
+    if store is None or not len(rows):
         raise RacinesError("no test frames: build a dataset with `racines data build`")
     row = int(rows[turn % len(rows)])
     which = store.trajectories[int(store.trajectory_index[row])]
@@ -155,7 +155,7 @@ def frame(place: Place, turn: int) -> tuple[list[float], str]:
 def _to_sliders(place: Place, parameters: Sequence[float]) -> list[float]:
     from racines_data.schema import PARAMETERS
 
-    known = dict(zip(PARAMETERS, parameters, strict=True))
+    known: dict[str, float] = dict(zip(PARAMETERS, parameters, strict=True))
     return [slider.shown(known[slider.name]) for slider in sliders(place)]
 
 

@@ -76,6 +76,7 @@ class Live:
         )
         self._grader = load_grader(place, view_names(self.core))
         self._history = History(1)
+        self._taken: list[int] = []
         self._images: list[Any] = []
         self._judged: list[tuple[float, float]] = []
         self.core.reset(reset_seed(session.kind, session.number))
@@ -86,7 +87,7 @@ class Live:
     @property
     def actions(self) -> tuple[int, ...]:
         """What was done since the start."""
-        return tuple(self._history[0].actions[1:])
+        return tuple(self._taken)
 
     @property
     def done(self) -> bool:
@@ -100,6 +101,7 @@ class Live:
         if not self.done:
             chosen = torch.tensor([action], device=self.core.device)
             self.core.step(chosen)
+            self._taken.append(action)
             self._note(chosen)
 
     def scene(self, truth: bool) -> Scene:

@@ -50,7 +50,8 @@ def build(place: Place) -> None:
     turn, note = gr.State(0), gr.HTML(elem_id="generators-note")
     cards = gr.HTML(css_template=CSS, elem_id="generators-cards")
     moved = _sliders(handles, values)
-    busy, quiet = ONE | {"show_progress_on": [cards]}, ONE | {"show_progress": "hidden"}
+    busy: dict[str, Any] = ONE | {"show_progress_on": [cards]}
+    quiet: dict[str, Any] = ONE | {"show_progress": "hidden"}
     draw: dict[str, Any] = {
         "fn": refusing(partial(_draw, place)), "inputs": [seed, ticked, *moved], "outputs": [cards],
     }  # fmt: skip

@@ -87,7 +87,8 @@ def build(place: Place) -> None:
             side = gr.HTML(css_template=CSS, elem_id="probe-side")
     gr.HTML(js_on_load=KEYS_JS.replace("KEYS", json.dumps(_keys())))
     chosen, shown = [task, kind, number, truth], [session, image, side]
-    busy, quiet = ONE | {"show_progress_on": [image]}, ONE | {"show_progress": "hidden"}
+    busy: dict[str, Any] = ONE | {"show_progress_on": [image]}
+    quiet: dict[str, Any] = ONE | {"show_progress": "hidden"}
     begin = refusing(partial(_begin, lives))
     start.click(begin, chosen, shown, api_name="probe_start", **busy)
     look = refusing(partial(_look, lives))
