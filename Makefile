@@ -51,7 +51,7 @@ types: $(READY) ## check types
 	pyright
 
 bench: $(READY) ## measure speed; run alone, on a quiet machine
-	pytest tests/benchmarks -n 0 --benchmark-only
+	OMP_NUM_THREADS=$$(nproc) pytest tests/benchmarks -n 0 --benchmark-only
 
 studio: $(READY) ## show boards, study and data in a browser, at http://127.0.0.1:7860
 	racines studio
