@@ -31,6 +31,7 @@ def studio(
     weights: Annotated[Path, typer.Option(help="Published weights.")] = Path("models/weights"),
     runs: Annotated[Path, typer.Option(help="Trained generators.")] = Path("models/runs"),
     agents: Annotated[Path, typer.Option(help="Trained agents.")] = Path("envs/runs"),
+    policies: Annotated[Path, typer.Option(help="Published agents.")] = Path("envs/weights"),
     kits: Annotated[Path, typer.Option(help="Folder of expert kits.")] = Path("study"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of whatever is drawn by chance.")] = 0,
     device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "cpu",
@@ -49,7 +50,7 @@ def studio(
 
     place = Place(
         data, results, submissions, weights, runs, agents, kits, seed, pick_device(device),
-        max_sessions,
+        max_sessions, policies,
     )  # fmt: skip
     typer.echo(f"RACINES Studio: http://{host}:{port} (Ctrl-C stops it)")
     serve(place, host, port, tab)

@@ -39,8 +39,8 @@ def place(tmp_path, monkeypatch):
     monkeypatch.setattr(watching, "_maps", type(watching._maps)(8))
     policy(tmp_path / "runs" / "seeing")
     policy(tmp_path / "runs" / "blind", "params", "PL")
-    policy(tmp_path / "weights" / "agents" / "seeing")
-    return Place(data=None, agents=tmp_path / "runs", weights=tmp_path / "weights")
+    policy(tmp_path / "weights" / "seeing")
+    return Place(data=None, agents=tmp_path / "runs", policies=tmp_path / "weights")
 
 
 def test_what_can_be_watched(place, tmp_path):

@@ -25,3 +25,5 @@ class Place:
     device: str = "cpu"
     max_sessions: int = 200
     """Visitors whose state is kept; the one who was idle longest is forgotten first."""
+    policies: Path = Path("envs/weights")
+    """Published agents."""

@@ -83,7 +83,7 @@ class Episode:
 def agents(place: Place) -> dict[str, Found]:
     """Return the agents by label: those without files, the published policies, then the runs."""
     found = {name: Found(name, name, place.agents / name, None, 0) for name in UNTRAINED}
-    for parent, suffix in ((place.weights / "agents", " (published)"), (place.agents, "")):
+    for parent, suffix in ((place.policies, " (published)"), (place.agents, "")):
         for config in sorted(parent.glob("*/config.json")):
             label = f"{config.parent.name}{suffix}"
             run = _found(label, config)
