@@ -86,7 +86,9 @@ def _counts(
     views = bench.sample.frames.views
     frames = len(views)
     seen = int(((views >= 0) & (views != len(store.labels) - 1)).sum())
-    again, several = len(places_again(frames)), len(record["scores"]["seeds"]) > 1
+    again, scores = len(places_again(frames)), record["scores"]
+    # Every run draws as many sets; where each draws one, the first run draws some poses again.
+    several = len(scores["seeds"]) > scores.get("runs", 1)
     counts = {}
     for key in metrics:
         n, reason = frames, "frames of the sample"
