@@ -127,6 +127,7 @@ def evaluate(
         metrics["latency"] = latency_figure(times, config.resamples)
     by_seed = measure_by_seed(episodes, steps, config.sets, config.resamples)
     scores = _document(run_dir, config, core, agent, metrics, by_seed)
+    scores |= {"extractors": _extractors(agent, grader)}
     scores |= {"agent": run or scores["submission"]} | ({"board": board} if board else {})
     return Evaluation(
         scores | {"seconds": time.perf_counter() - began}, episodes, core, config.pictured
@@ -213,6 +214,16 @@ def _graded(core: ScanCore, grader: Any) -> Figures:
     p, g = grader.probabilities_and_grade(core.picture())
     hit = (p[:, core.task.target] >= core.rewards.probability) & (g >= core.rewards.grade)
     return {"success_grader": intervals.wilson(hit.cpu().numpy())}
+
+
+def _extractors(agent: Agent, grader: Any) -> dict[str, dict[str, Any]]:
+    """Return the settings of the graders that had a say, with their hashes.
+
+    `grader` judged the last images; `guide` is the one whose opinion the agent went by.
+    """
+    graders = {"grader": grader, "guide": getattr(agent, "guide", None)}
+    told = {kind: getattr(each, "settings", None) for kind, each in graders.items()}
+    return {kind: settings for kind, settings in told.items() if settings is not None}
 
 
 def _document(

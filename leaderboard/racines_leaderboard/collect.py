@@ -63,8 +63,9 @@ def collect(
 ) -> list[Path]:
     """Write one self-reported record for each scores file in the folders; return their paths.
 
-    Nothing is written unless every file is sound and each track stays on one dataset. Files in
-    `without` are left out.
+    A record that has been reproduced stays so as long as its scores are the same. Nothing is
+    written unless every file is sound and each track stays on one dataset. Files in `without` are
+    left out.
 
     Raises:
         RacinesError: a missing folder or one without scores, a damaged file, or scores made on
@@ -77,7 +78,8 @@ def collect(
             raise RacinesError(f"{folder}: no scores; run `racines eval` first")
         for path in (path for path in paths if path not in without):
             record = _record(path, submissions, board)
-            records[results / board / record["track"] / f"{record['name']}.json"] = record
+            place = results / board / record["track"] / f"{record['name']}.json"
+            records[place] = _still_reproduced(record, place)
     one_dataset(records, results, board)
     for path, record in records.items():
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -109,6 +111,16 @@ def _record(path: Path, submissions: Path, board: str) -> Record:
     record = sealed(record)
     check(record, "record", str(path))
     return record
+
+
+def _still_reproduced(record: Record, place: Path) -> Record:
+    """Return a record with the tier of the one at its place, if that was earned by these scores."""
+    if not place.is_file():
+        return record
+    before = read_json(place, "record")
+    if before["tier"] != "reproduced" or before["scores"] != record["scores"]:
+        return record
+    return sealed(record | {key: before[key] for key in ("tier", "reproduced") if key in before})
 
 
 def _read_scores(path: Path) -> tuple[dict[str, Any], Track]:

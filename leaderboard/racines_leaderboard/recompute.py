@@ -181,7 +181,7 @@ def _agent_scores(
         TraceAgent(paths[0]) if kind == "trace" else ConfinedPolicyAgent(paths[0], ground.limits)
     )
     config = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation")
-    judge = config.grader if ground.grader is not None else ""
+    judge = str(ground.grader) if ground.grader is not None and config.grader else ""
     view = getattr(agent, "view", config.view)
     config = dataclasses.replace(config, view=view, grader=judge, latency=0, device="cpu")
     phantom = phantom_config(ground.settings)

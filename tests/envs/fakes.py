@@ -1,6 +1,7 @@
 """A phantom of a few formulae, with the attributes that environments use."""
 
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -84,6 +85,8 @@ class FakePhantom:
 
 class FakeGrader:
     """Reads p and g off the image's mean gray level, so that it depends on the image alone."""
+
+    settings: ClassVar[dict[str, Any]] = {"id": "mean-level", "sha256": "ab" * 32}
 
     def probabilities_and_grade(self, images: Tensor) -> tuple[Tensor, Tensor]:
         level = images.float().mean((1, 2)) / 255.0

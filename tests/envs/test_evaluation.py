@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_envs import intervals
+from racines_envs.agents.hill_climber import HillClimberAgent
 from racines_envs.agents.random import RandomAgent
 from racines_envs.evaluation import EvaluationConfig, evaluate, measure, write_evaluation
 from racines_envs.rollout import Episodes
@@ -142,7 +143,16 @@ def test_one_decision_is_timed_where_wanted(phantom, tmp_path):
 def test_a_grader_judges_the_last_images(phantom, grader, tmp_path):
     scores = evaluate("planner", tmp_path, FEW, phantom, grader).scores
     assert scores["metrics"]["success_grader"]["n"] == 20
-    assert "success_grader" not in evaluate("planner", tmp_path, FEW, phantom).scores["metrics"]
+    assert scores["extractors"] == {"grader": grader.settings}
+    without = evaluate("planner", tmp_path, FEW, phantom).scores
+    assert "success_grader" not in without["metrics"] and without["extractors"] == {}
+
+
+def test_scores_name_the_grader_that_an_agent_goes_by(phantom, grader, tmp_path):
+    climber = HillClimberAgent(grader=grader)
+    config = replace(FEW, starts=2)
+    scores = evaluate("hill-climber", tmp_path, config, phantom, agent=climber).scores
+    assert scores["extractors"] == {"guide": grader.settings}
 
 
 def test_scores_follow_the_leaderboards_schema_and_the_picture_is_drawn(phantom, tmp_path):

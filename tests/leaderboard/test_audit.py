@@ -1,28 +1,32 @@
 """The audit: what was left alone holds, and each way of tampering is caught by name."""
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 import yaml
 from typer.testing import CliRunner
 
 from racines_data.store import open_store
+from racines_data.views import LABELS
 from racines_envs.agents.onnx_policy import OnnxPolicyAgent
-from racines_envs.evaluation import EvaluationConfig
+from racines_envs.evaluation import EvaluationConfig, evaluate
 from racines_envs.making import make_phantom, phantom_recipe
 from racines_envs.trace_recording import record_trace
 from racines_leaderboard.audit.bench import Bench, Places
 from racines_leaderboard.audit.retrain import retrain
 from racines_leaderboard.audit.run import audit
-from racines_leaderboard.audit.verdicts import FAILS, UNKNOWN, Report
+from racines_leaderboard.audit.verdicts import FAILS, HOLDS, UNKNOWN, Report
 from racines_leaderboard.cli import app
 from racines_leaderboard.collect import collect
 from racines_leaderboard.recompute import recompute
 from racines_leaderboard.schema import check
 from racines_leaderboard.seal import sealed
 from racines_models.generators.mean_image import MeanImage
+from racines_models.grader import Grader, GraderConfig
 from racines_models.onnx_generator import OnnxGenerator
 from racines_models.predictions import Task, write_predictions
 from racines_models.protocol import Run
@@ -71,6 +75,22 @@ def merged(ground) -> Path:
     (runs / "scores").mkdir()
     (runs / "scores/mean-image.json").write_text(json.dumps(scores))
     (path,) = collect([runs / "scores"], RESULTS, SUBMISSIONS, "tiny")
+    return path
+
+
+@pytest.fixture
+def climbed(ground) -> Path:
+    """The record of an agent that goes by the grader which judges its last images."""
+    torch.manual_seed(0)
+    settings = GraderConfig(input_size=32)
+    folder = Path("models/runs/grader")
+    folder.mkdir(parents=True)
+    Grader(Grader.build(settings, len(LABELS)), settings).save(folder)
+    config = EvaluationConfig(starts=4, grader=str(folder), latency=0)
+    scores = evaluate("hill-climber", Path("envs/runs/hill-climber"), config).scores
+    Path("envs/runs/scores").mkdir(parents=True)
+    Path("envs/runs/scores/hill-climber.json").write_text(json.dumps(scores))
+    (path,) = collect([Path("envs/runs/scores")], RESULTS, SUBMISSIONS, "tiny")
     return path
 
 
@@ -189,6 +209,24 @@ def test_a_swapped_extractor(drawn):
     assert failing(report) == {"extractors.inception", "extractors.inception.settings"}
 
 
+def test_the_graders_that_had_a_say_are_those_that_an_agents_record_names(climbed):
+    report = audited(climbed)
+    assert report.holds, failing(report)
+    again = {each.subject: each for each in report.verdicts if each.verdict == HOLDS}
+    for subject in ("extractors.grader", "extractors.guide", "metrics.success_grader.value"):
+        assert subject in again
+    record = json.loads(climbed.read_text())
+    record["scores"]["extractors"]["grader"]["sha256"] = "ab" * 32
+    climbed.write_text(json.dumps(sealed(record)))
+    said = {each.subject: each for each in audited(climbed).verdicts}
+    for subject in ("extractors.grader", "metrics.success_grader"):
+        assert said[subject].verdict == UNKNOWN
+    assert said["metrics.success_true.value"].verdict == HOLDS
+    shutil.rmtree("models/runs/grader")
+    said = {each.subject: each for each in audited(climbed).verdicts}
+    assert said["metrics.success_true"].reason == "the grader that it goes by is not here"
+
+
 def test_an_interval_made_with_another_n(drawn, steered):
     store = open_store("data/racines")
     fewer = CONFIG.__class__(samples=8, resamples=20, speed=False)
@@ -218,8 +256,6 @@ def test_results_edited_after_the_fact(drawn, merged):
 
 
 def test_what_is_not_here_is_said_to_be_unknown(merged):
-    import shutil
-
     shutil.rmtree("models/runs/mean-image")
     Path("data/racines").unlink()
     report = audited(merged)

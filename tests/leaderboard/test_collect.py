@@ -7,6 +7,7 @@ from typer.testing import CliRunner
 from racines_data.errors import RacinesError
 from racines_leaderboard.cli import app
 from racines_leaderboard.collect import boards, collect, made_elsewhere, read_board
+from racines_leaderboard.seal import sealed
 from racines_leaderboard.submission import find_submission
 from tests.leaderboard.conftest import agent_scores, generator_scores, write_submission
 
@@ -76,6 +77,22 @@ def test_collecting_again_writes_the_same_bytes(tmp_path, write_scores):
     first = path.read_bytes()
     collect([folder], results, tmp_path / "none", "b")
     assert path.read_bytes() == first
+
+
+def test_a_reproduced_record_stays_so_while_its_scores_are_the_same(tmp_path, write_scores):
+    scores = generator_scores("one")
+    folder = write_scores("g", scores)
+    (path,) = collect([folder], tmp_path / "results", tmp_path, "tiny")
+    keys = ("seeds", "metrics", "weights", "code", "environment")
+    earned = {"tier": "reproduced", "reproduced": {key: scores[key] for key in keys}}
+    record = sealed(json.loads(path.read_text()) | earned)
+    path.write_text(json.dumps(record))
+    collect([folder], tmp_path / "results", tmp_path, "tiny")
+    assert json.loads(path.read_text()) == record
+    scores["metrics"]["ssim"]["value"] += 0.001
+    collect([write_scores("g", scores)], tmp_path / "results", tmp_path, "tiny")
+    again = json.loads(path.read_text())
+    assert again["tier"] == "self-reported" and "reproduced" not in again
 
 
 @pytest.mark.parametrize(

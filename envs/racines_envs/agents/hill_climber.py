@@ -83,7 +83,8 @@ class HillClimberAgent(Untrained):
     def __init__(self, config: HillClimberConfig | None = None, grader: Any = None) -> None:
         """Take settings, and a grader instead of the folder in them."""
         self.config = config or HillClimberConfig()
-        self._grader: Any = grader
+        self.guide: Any = grader
+        """The grader whose opinion is climbed; None before the agent has met its task."""
         self._memory: _Memory | None = None
         self._target, self._goal = 0, RewardConfig()
         self._ended: Callable[[], Tensor] | None = None
@@ -94,9 +95,9 @@ class HillClimberAgent(Untrained):
         Raises:
             RacinesError: no grader there, or one of other views.
         """
-        if self._grader is None:
-            self._grader = make_grader(self._folder(), self.config.device)
-        check_grader(self._grader, core.task)
+        if self.guide is None:
+            self.guide = make_grader(self._folder(), self.config.device)
+        check_grader(self.guide, core.task)
         self._target, self._goal, self._memory = core.task.target, core.rewards, None
         self._ended = lambda: core.state.done
 
@@ -112,7 +113,7 @@ class HillClimberAgent(Untrained):
 
         A row whose episode has ended idles, and its image is not judged again.
         """
-        if self._grader is None or self._ended is None:
+        if self.guide is None or self._ended is None:
             raise RacinesError("the hill-climber needs its task: call attach(core) first")
         ended = self._ended().to(seeds.device)
         p, g = self._judge(observation["image"], ended)
@@ -135,7 +136,7 @@ class HillClimberAgent(Untrained):
         g = torch.zeros_like(p)
         rows = (~ended).nonzero().squeeze(1)
         if len(rows):
-            judged, grades = self._grader.probabilities_and_grade(images[rows.to(images.device)])
+            judged, grades = self.guide.probabilities_and_grade(images[rows.to(images.device)])
             p[rows] = judged[:, self._target].float().to(p.device)
             g[rows] = grades.float().to(g.device)
         return p, g

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 JUDGES = {"grader": "grader.safetensors", "pose": "model.safetensors"}
 """File of a judge's weights in its folder."""
+KINDS = {key: key for key in JUDGES} | {"guide": "grader"}
+"""What judge an extractor of a record is; a guide is the grader that an agent goes by."""
 
 
 @dataclass(frozen=True)

@@ -58,11 +58,9 @@ def compare(record: Record, made: dict[str, Any], tier: str) -> list[Verdict]:
         if TIMED.fullmatch(key):
             verdicts.append(unknown(subject, "a time: it depends on the machine", told["value"]))
         elif here is None:
-            reason = (
-                "the record does not say which grader saw it"
-                if key == "success_grader"
-                else "its judge is not here, or its road does not draw again"
-            )
+            reason = "its judge is not here, or its road does not draw again"
+            if key == "success_grader" and not record["scores"].get("extractors"):
+                reason = "the record does not say which grader saw it"
             verdicts.append(unknown(subject, reason, told["value"]))
         else:
             verdicts.extend(_numbers(subject, key, told, here, tier, record["track"]))

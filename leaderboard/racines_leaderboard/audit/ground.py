@@ -7,7 +7,7 @@ from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
-from racines_leaderboard.audit.bench import JUDGES, Bench
+from racines_leaderboard.audit.bench import JUDGES, KINDS, Bench
 from racines_leaderboard.audit.verdicts import UNKNOWN, Verdict, equal, fails, holds, unknown
 from racines_leaderboard.collect import Record
 
@@ -48,17 +48,18 @@ def dataset(record: Record, bench: Bench) -> list[Verdict]:
 def judges(record: Record, bench: Bench, peers: list[Record]) -> list[Verdict]:
     """Check that the extractors are the benchmark's own; where they are not here, the board's."""
     verdicts = []
-    for kind, told in record["scores"]["extractors"].items():
+    for kind, told in record["scores"].get("extractors", {}).items():
         subject, sha256 = f"extractors.{kind}", told.get("sha256")
         if kind == "inception":
             reason = "weights, layer, resizer and range here"
             verdicts.append(equal(subject, told, bench.inception, reason))
             continue
         verdict = unknown(subject, "an extractor unknown to this code", sha256)
-        if kind in JUDGES:
-            verdict = _judge(subject, kind, sha256, record, bench)
+        if kind in KINDS:
+            verdict = _judge(subject, KINDS[kind], sha256, record, bench)
         if verdict.verdict == UNKNOWN:
-            verdict = _of_board(verdict, told, [p["scores"]["extractors"].get(kind) for p in peers])
+            others = [peer["scores"].get("extractors", {}).get(kind) for peer in peers]
+            verdict = _of_board(verdict, told, others)
         verdicts.append(verdict)
     return verdicts
 
@@ -80,9 +81,9 @@ def _judge(subject: str, kind: str, sha256: str | None, record: Record, bench: B
 
     if folder := bench.judge(kind, sha256):
         return holds(subject, f"the weights in {folder}", sha256, sha256)
-    own = record["scores"]["dataset"]["recipe_digest"]
+    own = (record["scores"].get("dataset") or {}).get("recipe_digest")
     for folder in bench.judge_folders(kind):
-        if _trained_on(folder).get("recipe_digest") == own:
+        if own is not None and _trained_on(folder).get("recipe_digest") == own:
             here = sha256_file(folder / JUDGES[kind])
             return fails(subject, f"{folder}, trained on these data, is another", sha256, here)
     return unknown(subject, f"no {kind} with these weights here", sha256)

@@ -17,7 +17,7 @@ from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
-from racines_leaderboard.audit.bench import Bench
+from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.weights import named, published, run_of, submitted
 from racines_leaderboard.collect import Record
 from racines_leaderboard.recompute import Ground, scores_again
@@ -39,7 +39,8 @@ def find_road(record: Record, bench: Bench) -> Road | str:
     if bench.settings is None:
         return f"no settings of board {bench.board} here: give --params"
     if record["track"] == "agents":
-        return _agent_artefact(record, bench) if submitted(record) else _agent(record, bench)
+        on = ground(record, bench)
+        return _artefact(record, bench, on) if submitted(record) else _agent(record, bench)
     if bench.data_for(record["scores"]["dataset"]["recipe_digest"]) is None:
         return f"no dataset of its recipe in {bench.places.data}"
     if submitted(record):
@@ -49,10 +50,7 @@ def find_road(record: Record, bench: Bench) -> Road | str:
 
 def ground(record: Record, bench: Bench) -> Ground:
     """Return the board's ground with the judges that a record names, where they are here."""
-    told = record["scores"].get("extractors", {})
-    judge = {
-        kind: bench.judge(kind, told.get(kind, {}).get("sha256")) for kind in ("grader", "pose")
-    }
+    judge = {kind: _judge(record, bench, kind) for kind in ("grader", "pose")}
     places = bench.places
     return Ground(
         bench.board,
@@ -65,13 +63,14 @@ def ground(record: Record, bench: Bench) -> Ground:
     )
 
 
+def _judge(record: Record, bench: Bench, extractor: str) -> Path | None:
+    told = record["scores"].get("extractors", {}).get(extractor, {})
+    return bench.judge(KINDS[extractor], told.get("sha256"))
+
+
 def _artefact(record: Record, bench: Bench, on: Ground) -> Road:
     folder = bench.places.submissions / record["track"] / record["name"]
     return Road("artefacts", f"the artefacts in {folder}", lambda: scores_again(folder, on)[1])
-
-
-def _agent_artefact(record: Record, bench: Bench) -> Road:
-    return _artefact(record, bench, dataclasses.replace(ground(record, bench), grader=None))
 
 
 def _generator(record: Record, bench: Bench) -> Road | str:
@@ -149,6 +148,8 @@ def score_run(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
 
 def _agent(record: Record, bench: Bench) -> Road | str:
     folder, told = run_of(record, bench), named(record)
+    if "guide" in record["scores"].get("extractors", {}) and not _judge(record, bench, "guide"):
+        return "the grader that it goes by is not here"
     if not told:
         return Road("no weights", "it learns nothing", lambda: score_agent(record, bench, folder))
     from racines_models.provenance import weights_sha256
@@ -159,7 +160,12 @@ def _agent(record: Record, bench: Bench) -> Road | str:
 
 
 def score_agent(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
-    """Return the scores of a merged agent, its policy in a folder, by the board's settings."""
+    """Return the scores of a merged agent, its policy in a folder, by the board's settings.
+
+    The graders that had a say are those that the record names.
+    """
+    from racines_envs.agents import load_agent
+    from racines_envs.backends import make_grader
     from racines_envs.entries import find_entry
     from racines_envs.evaluation import EvaluationConfig, evaluate
     from racines_envs.settings import phantom_config
@@ -168,6 +174,12 @@ def score_agent(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
     entry = find_entry(bench.settings, record["name"])
     config = fill(EvaluationConfig, section(bench.settings, "evaluation"), "evaluation")
     view = record["scores"]["task"]["view"]
-    config = dataclasses.replace(config, view=view, grader="", latency=0, device="cpu")
+    judge, guide = (_judge(record, bench, kind) for kind in ("grader", "guide"))
+    config = dataclasses.replace(
+        config, view=view, grader=str(judge or ""), latency=0, device="cpu"
+    )
+    agent: Any = load_agent(entry.agent, folder, config.device)
+    if guide is not None:
+        agent.guide = make_grader(guide, config.device)
     phantom = phantom_config(bench.settings)
-    return evaluate(entry.agent, folder, config, phantom, run=entry.name).scores
+    return evaluate(entry.agent, folder, config, phantom, agent=agent, run=entry.name).scores

@@ -57,9 +57,9 @@ def check(record: Record, bench: Bench, others: list[Record]) -> list[Verdict]:
     verdicts += claims.environment(record) + claims.scores_file(record, bench)
     if record["track"] == "generators":
         verdicts += ground.dataset(record, bench) + ground.drawing_seeds(record, bench)
-        verdicts += ground.judges(record, bench, others)
     else:
         verdicts += ground.task(record, bench)
+    verdicts += ground.judges(record, bench, others)
     verdicts += weights.check_weights(record, bench) + weights.check_content(record, bench)
     return verdicts + figures.check_figures(record, bench)
 
