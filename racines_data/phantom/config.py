@@ -106,9 +106,9 @@ class WorkspaceConfig:
     """Distance of the tip from the block's edges, m."""
     lowest: float = 0.040
     highest: float = 0.134
+    """Height of the tip, m (the paper's range of position_z)."""
     press: float = 17.0
     """Normal force at which the robot's protective limit holds an operator back, N."""
-    """Height of the tip, m (the paper's range of position_z)."""
     tilt_max: float = 1.0
     """Angle between the beam axis and straight down, rad."""
     yaw_max: float = 2.5

@@ -1,8 +1,9 @@
 """Many visitors at once: `python -m tests.studio.load URL --sessions 20 --seconds 60`.
 
 Each is a session of its own that does what a browser does: it joins the queue and reads the stream
-of events. It looks at boards, moves through the dataset, and answers a study; every answer is
-checked to come from its own sitting.
+of events. It looks at boards, moves through the dataset, answers a study, drives the probe, lets
+generators draw, and watches an agent, as far as the page has these tabs; every answer is checked to
+come from its own sitting or episode.
 """
 
 import argparse
@@ -78,7 +79,7 @@ def spend(url: str, seconds: float, seed: int) -> Told:
 
         turn = 0
         while time.monotonic() < end:
-            doings = (_boards, _data, _study)
+            doings = [doing for event, doing in DOINGS.items() if event in visitor.events]
             doings[(turn + seed) % len(doings)](visitor, call, f"load-{seed}-{turn}")
             turn += 1
     except (AssertionError, RuntimeError, httpx.HTTPError) as error:
@@ -111,6 +112,48 @@ def _study(visitor: Visitor, call: Any, name: str) -> None:
         progress = next(part for part in shown if isinstance(part, str) and "answered" in part)
         assert f"{done} of " in progress and progress.count(name) == 1
     call("study_leave")
+
+
+def _probe(visitor: Visitor, call: Any, name: str) -> None:
+    task = visitor.random.choice(visitor.offered("probe_start", 0))
+    number, truth = visitor.random.randrange(2**31), visitor.random.random() < 0.5
+    call("probe_start", task, "seed", number, truth)
+    for step in range(1, 4):
+        action = visitor.random.randrange(12)
+        shown = call(f"probe_step_{action}", None, truth)[1]
+        assert f"{task}-v0</b>" in shown and f"step <b>{step}</b> of" in shown
+
+
+def _generators(visitor: Visitor, call: Any, name: str) -> None:
+    offered = visitor.offered("generators_draw", 1)
+    ticked = visitor.random.sample(offered, min(2, len(offered)))
+    pose = visitor.random.choice(visitor.offered("generators_set", 0))
+    note, *values = call("generators_set", pose)
+    assert pose in note
+    cards = call("generators_draw", visitor.random.randrange(2**31), ticked, *values)[0]
+    assert all(f"<b>{each}</b>" in cards for each in ticked)
+
+
+def _agent(visitor: Visitor, call: Any, name: str) -> None:
+    agent = visitor.random.choice(visitor.offered("agent_watch", 0)[:2])
+    task = visitor.random.choice(visitor.offered("agent_watch", 1))
+    number = visitor.random.randrange(4)
+    first = call("agent_watch", agent, task, number)[3]
+    assert f"{task}-v0</b>" in first and "step <b>0</b> of" in first
+    for step in (1, 2):
+        shown = call("agent_show", None, step, "off")[0]
+        assert f"{task}-v0</b>" in shown and f"step <b>{step}</b> of" in shown
+
+
+DOINGS = {
+    "boards_show": _boards,
+    "data_show": _data,
+    "study_begin": _study,
+    "probe_start": _probe,
+    "generators_draw": _generators,
+    "agent_watch": _agent,
+}
+"""What a visitor does, by the event that its tab has."""
 
 
 def run(url: str, sessions: int, seconds: float) -> Told:

@@ -51,7 +51,8 @@ def test_what_can_be_watched(place, tmp_path):
     (tmp_path / "runs" / "damaged").mkdir()
     (tmp_path / "runs" / "damaged" / "config.json").write_text("{")
     labels = list(watching.agents(place))
-    assert labels == ["planner", "random", "seeing (published)", "blind", "seeing"]
+    ours = ["planner", "random", "hill-climber"]
+    assert labels == [*ours, "seeing (published)", "blind", "seeing"]
     assert watching.tasks_of(place, "blind") == ["PL"]
     assert "SC" in watching.tasks_of(place, "planner") and "PL" in watching.tasks_of(
         place, "planner"
@@ -69,6 +70,14 @@ def test_it_is_the_evaluations_episode(place):
     first = watching.moment(episode, 0)
     assert not first.ended and first.action == "start" and (first.image != last.image).any()
     assert len(first.curves) == 2 and len(first.curves[0].grades) == episode.steps + 1
+
+
+def test_the_hill_climber_goes_by_the_pages_grader(place, monkeypatch):
+    episode = watching.watch(place, "hill-climber", "SC", 0)
+    assert isinstance(episode.agent.guide, FakeGrader) and episode.steps > 0
+    monkeypatch.setattr(watching, "load_grader", lambda place, labels: None)
+    with pytest.raises(RacinesError, match="goes by a grader"):
+        watching.watch(place, "hill-climber", "SC", 1)
 
 
 def test_all_who_ask_for_an_episode_share_it(place):

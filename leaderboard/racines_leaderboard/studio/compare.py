@@ -110,6 +110,23 @@ def first(place: Place) -> list[float]:
     return _to_sliders(place, store.parameters[best].tolist())
 
 
+def leading(place: Place, offered: Sequence[str]) -> list[str]:
+    """Return the offered generators, those with the highest SSIM on any board first."""
+    from racines_leaderboard.collect import boards, read_board
+
+    best: dict[str, float] = {}
+    try:
+        records = [
+            r for b in boards(place.results) for r in read_board(place.results, b)["generators"]
+        ]
+    except RacinesError:  # damaged results close their own tab, not this one
+        records = []
+    for record in records:
+        ssim = record["scores"]["metrics"]["ssim"]["value"]
+        best[record["name"]] = max(best.get(record["name"], 0.0), ssim or 0.0)
+    return sorted(offered, key=lambda label: -best.get(label, 0.0))
+
+
 def presets(place: Place) -> list[str]:
     """Return the names of the poses that can be set: the nominal one of each view."""
     from racines_data.phantom.anatomy import anatomy_views

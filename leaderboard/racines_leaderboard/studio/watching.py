@@ -20,8 +20,8 @@ from racines_leaderboard.studio.place import Place
 from racines_leaderboard.studio.scene import Curve, Scene, Snapshot, snapshot, take_scene
 from racines_leaderboard.studio.shared import Shared
 
-UNTRAINED = ("planner", "random")
-"""Agents that need no files."""
+UNTRAINED = ("planner", "random", "hill-climber")
+"""Agents that need no files of their own."""
 POLICY = "policy.safetensors"
 OFF, ACTION, TARGET = "off", "chosen action", "target view, by the grader"
 EXPLAINED = (OFF, ACTION, TARGET)
@@ -194,7 +194,8 @@ def _run(place: Place, found: Found, key: tuple[Any, ...]) -> Episode:
     from racines_envs.rendering import History, view_names
     from racines_envs.tasks import TASKS
 
-    agent, task = load_agent(found.agent, found.folder, place.device), TASKS[key[1]]
+    agent: Any = load_agent(found.agent, found.folder, place.device)
+    task = TASKS[key[1]]
     core = make_core(
         task,
         observation="multimodal",
@@ -203,6 +204,11 @@ def _run(place: Place, found: Found, key: tuple[Any, ...]) -> Episode:
         device=place.device,
         encoder=getattr(agent, "encoder", None),
     )
+    grader = load_grader(place, view_names(core))
+    if hasattr(agent, "guide"):
+        if grader is None:
+            raise RacinesError(f"{found.label}: goes by a grader, and none of these views is here")
+        agent.guide = grader
     history, moments, params = History(1), [], []
     agent.attach(core)
     seen, action = core.reset(reset_seed(FIXED, key[2])), None
@@ -214,7 +220,6 @@ def _run(place: Place, found: Found, key: tuple[Any, ...]) -> Episode:
             break
         action = agent.act(_asked_for(seen, agent.observation), core.decision_seeds())
         seen = core.step(action).observation
-    grader = load_grader(place, view_names(core))
     judged = _judged(grader, [moment.image for moment in moments], task.target)
     return Episode(
         key, agent, core, grader, tuple(moments), torch.cat(params), history[0], judged

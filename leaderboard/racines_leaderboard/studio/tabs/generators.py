@@ -17,7 +17,7 @@ from racines_leaderboard.studio.parts import load_store, trained_generators
 from racines_leaderboard.studio.place import Place
 
 TICKED = 4
-"""Generators that are ticked at first."""
+"""Generators that are ticked at first: those that lead a board."""
 ONE: dict[str, Any] = {
     "concurrency_id": "generators", "concurrency_limit": 1, "api_visibility": "private",
 }  # fmt: skip
@@ -46,7 +46,8 @@ def build(place: Place) -> None:
     with gr.Row():
         go = gr.Button("Set this pose", variant="primary", elem_id="generators-set", min_width=140)
         again = gr.Button("Random test frame", elem_id="generators-frame", min_width=140)
-    ticked = gr.CheckboxGroup(offered, value=offered[:TICKED], label="Generators")
+    best = compare.leading(place, offered)[:TICKED]
+    ticked = gr.CheckboxGroup(offered, value=best, label="Generators")
     turn, note = gr.State(0), gr.HTML(elem_id="generators-note")
     cards = gr.HTML(css_template=CSS, elem_id="generators-cards")
     moved = _sliders(handles, values)
