@@ -12,6 +12,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic, write_json
 from racines_models.provenance import sha256_bytes
+from racines_models.training.repeats import repeat_folders
 
 SMALL = 4_096
 """Tensors of at most so many entries stay as they are: normalisation and biases weigh nothing, and
@@ -26,7 +27,8 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
     Large float32 tensors become float16, the rest stays. `config.json` is the run's, with
     `weights_files` (dtype, and by file its bytes, its sha256, and that of the run's file that it
     was made of) and `training` (the run's metrics) added, and the `plots` that the metrics name
-    beside it. It is written last, so that a folder which has one is whole.
+    beside it. It is written last, so that a folder which has one is whole. The run's further seeds
+    are copied likewise, each into a folder of its name, and their files are named in it as well.
 
     Returns:
         The written `config.json`.
@@ -49,6 +51,9 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
             "bytes": len(data), "sha256": sha256_bytes(data), "made_of": sha256_file(file)
         }  # fmt: skip
     content["weights_files"] = {"dtype": "float16", "files": described}
+    for seed in repeat_folders(run):
+        told = publish(seed, out / seed.name)["weights_files"]["files"]
+        described |= {f"{seed.name}/{file}": each for file, each in told.items()}
     metrics = run / "metrics.json"
     if metrics.is_file():
         values = json.loads(metrics.read_text())

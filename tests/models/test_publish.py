@@ -1,6 +1,7 @@
 """Weights to hand out: half precision, hashes, and images that hardly change."""
 
 import json
+import shutil
 
 import pytest
 import torch
@@ -8,10 +9,12 @@ from safetensors.torch import load_file, save_file
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
 from racines_leaderboard.cli import app
 from racines_models.generators.vae_gan import VaeGan, VaeGanConfig
 from racines_models.protocol import Run
 from racines_models.publish import SMALL, load_weights, publish
+from racines_models.registry import open_runs, weights_of
 from racines_models.training.objective import Training
 
 CONFIG = VaeGanConfig(
@@ -71,6 +74,24 @@ def test_a_copy_of_a_copy_is_the_same_file(run, tmp_path):
     publish(tmp_path / "a", tmp_path / "b")
     a, b = (tmp_path / name / "model.safetensors" for name in "ab")
     assert a.read_bytes() == b.read_bytes()
+
+
+def test_further_seeds_are_copied_too(run, tmp_path):
+    three = tmp_path / "three"
+    shutil.copytree(run, three)
+    for seed in ("seed-1", "seed-2"):
+        shutil.copytree(run, three / seed)
+    files = publish(three, tmp_path / "out")["weights_files"]["files"]
+    assert (
+        set(files)
+        == set(weights_of("vae-gan", three))
+        == set(weights_of("vae-gan", tmp_path / "out"))
+    )
+    first, *others = open_runs("vae-gan", tmp_path / "out")
+    assert len(others) == 2 and first.card == others[0].card
+    for name, told in files.items():
+        assert sha256_file(tmp_path / "out" / name) == told["sha256"]
+        assert sha256_file(three / name) == told["made_of"]
 
 
 def test_another_file_under_the_name_is_refused(run, tmp_path):
