@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_data.store import open_store
+from racines_envs.agents.ppo import PPOAgent, PPOConfig
 from racines_envs.backends import open_source
 from racines_envs.data_versions import check_datasets, trained_on
 from racines_envs.making import make_core
@@ -52,6 +54,23 @@ def test_a_generator_is_found_whichever_way_it_is_named(runs, phantom, monkeypat
         core = make_core("SC", 2, backend="generator", generator=spec, phantom=phantom, **SETTINGS)
         assert torch.equal(core.reset(seed=0)["image"], mean.generate(core.parameters, 0)), spec
     assert open_source(mine).name == "mine"
+
+
+def test_what_sees_no_images_learns_the_same_in_a_generator_and_in_the_phantom(
+    runs, phantom, tmp_path
+):
+    """Motion, forces and truth are the phantom's whatever draws the images."""
+    plain = PPOConfig(
+        frames=256, envs=8, update_every=128, minibatch=64, epochs=1, hidden=(8, 8),
+        validate_every=128, validation_starts=4,
+    )  # fmt: skip
+    drawn = replace(plain, backend="generator", generator=str(runs / "models/runs/mean-image"))
+    for name, config in (("phantom", plain), ("generator", drawn)):
+        PPOAgent.train(config, tmp_path / name, phantom=phantom, progress=False)
+    one, other = (
+        (tmp_path / name / "policy.safetensors").read_bytes() for name in ("phantom", "generator")
+    )
+    assert one == other
 
 
 @pytest.mark.parametrize(
