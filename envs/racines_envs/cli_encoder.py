@@ -17,6 +17,9 @@ def register(train: typer.Typer) -> None:
 def train_encoder(
     out: Annotated[Path, typer.Option(help="Folder of the run.")] = Path("models/runs/encoder"),
     frames: Annotated[int | None, typer.Option(help="Frames drawn; section encoder.")] = None,
+    generator: Annotated[
+        str | None, typer.Option(help="Who draws the images: name, run folder or ONNX; phantom.")
+    ] = None,
     params: Annotated[
         Path | None, typer.Option(help="Settings; ./params.yaml if it is there.")
     ] = None,
@@ -43,6 +46,7 @@ def train_encoder(
     phantom = phantom_config(settings)
     values = {"anatomy": phantom.anatomy, **section(settings, "encoder")}
     values |= {} if frames is None else {"frames": frames}
+    values |= {} if generator is None else {"generator": generator}
     config = fill(ExplorationConfig, values, "encoder")
     chosen = settings.get("seed", 0) if seed is None else seed
     metrics = train(config, Run(out, chosen, device, resume, progress=not as_json), phantom)

@@ -30,6 +30,7 @@ from racines_data.phantom.anatomy import anatomy_views
 from racines_data.randomness import derive, normal, uniform
 from racines_data.store import Batch, FrameStore
 from racines_data.views import HEART, labels_of
+from racines_envs.backends import open_source, source_weights
 from racines_envs.making import make_phantom, phantom_recipe
 from racines_envs.starts import draw_starts
 from racines_envs.tasks import get_task
@@ -57,6 +58,8 @@ class ExplorationConfig:
     frames: int = 60_000
     """Frames drawn, of all tasks alike; those outside the workspace are left out."""
     anatomy: str = HEART
+    generator: str = ""
+    """Who draws the images of these poses, as for the backend `generator`; the phantom if empty."""
     pose: PoseConfig = field(
         default_factory=lambda: PoseConfig(training=PoseTraining(images=480_000))
     )
@@ -96,7 +99,11 @@ def explore(config: ExplorationConfig, phantom: Any, seed: int) -> ExploredFrame
         config: The settings.
         phantom: The phantom to scan.
         seed: Of poses and electronic noise.
+
+    Raises:
+        RacinesError: no such generator, or none of the settings.
     """
+    source = open_source(config.generator) if config.generator else None
     views = anatomy_views(config.anatomy)
     seeds = derive(torch.full((config.frames,), STREAM), seed, torch.arange(config.frames))
     parameters, images = [], []
@@ -104,13 +111,17 @@ def explore(config: ExplorationConfig, phantom: Any, seed: int) -> ExploredFrame
         pose = _between(get_task(views[row % len(views)], config.anatomy), phantom, chunk)
         inside = phantom.workspace.contains(pose)
         pose, chunk = Pose(*(part[inside] for part in pose)), chunk[inside]
-        images.append(phantom.render(pose, chunk))
-        parameters.append(pose_to_parameters(pose, phantom.wrench(pose)))
+        told = pose_to_parameters(pose, phantom.wrench(pose))
+        drawn = phantom.render(pose, chunk) if source is None else source.generate(told, chunk)
+        images.append(drawn.view(-1, IMAGE_SIZE, IMAGE_SIZE))
+        parameters.append(told)
     order = torch.randperm(sum(map(len, images)), generator=torch.Generator().manual_seed(seed))
     recipe = {"phantom": phantom_recipe(phantom), "frames": config.frames, "seed": seed}
+    if source is not None:
+        recipe |= {"generator": source_weights(config.generator)}
     manifest = {"source": "exploration", "version": None, "digest": None, "recipe_digest": recipe}
-    drawn = torch.cat(images).view(-1, IMAGE_SIZE, IMAGE_SIZE)[order]
-    return ExploredFrames(torch.cat(parameters)[order], drawn, labels_of(views), manifest)
+    labels = labels_of(views)
+    return ExploredFrames(torch.cat(parameters)[order], torch.cat(images)[order], labels, manifest)
 
 
 def _between(task: Any, phantom: Any, seeds: Tensor) -> Pose:

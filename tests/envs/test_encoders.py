@@ -9,6 +9,7 @@ from torchrl.envs.utils import check_env_specs
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose, pose_to_parameters
+from racines_data.store import open_store
 from racines_data.views import VIEWS
 from racines_envs import ScanEnv
 from racines_envs.agents import load_agent
@@ -18,8 +19,10 @@ from racines_envs.exploration import ExplorationConfig, explore, train_encoder
 from racines_envs.making import make_core
 from racines_envs.rollout import rollout
 from racines_envs.starts import evaluation_seeds
+from racines_models.generators.mean_image import MeanImage
 from racines_models.pose_regressor import PoseConfig, PoseNetwork, PoseRegressor, PoseTraining
 from racines_models.protocol import Run
+from racines_models.provenance import weights_sha256
 from tests.envs.fakes import FakePhantom
 from tests.models.conftest import pictures
 
@@ -120,6 +123,22 @@ def test_an_encoder_learns_where_the_probe_is(tmp_path):
     middle = told.mean(0)
     assert (read - told).norm(dim=1).mean() < 0.7 * (middle - told).norm(dim=1).mean()
     assert encoder(frames.images).shape == (len(told), encoder.size)
+
+
+def test_exploration_may_look_at_what_a_generator_draws(phantom, tiny_root, tmp_path):
+    folder = tmp_path / "mean-image"
+    folder.mkdir()
+    mean = MeanImage()
+    mean.fit(open_store(tiny_root), Run(folder, device="cpu", progress=False))
+    frames = explore(ExplorationConfig(frames=300, generator=str(folder)), phantom, seed=0)
+    scanned = explore(ExplorationConfig(frames=300), phantom, seed=0)
+    assert torch.equal(frames.parameters, scanned.parameters)
+    assert torch.equal(frames.images, mean.generate(frames.parameters, 0))
+    told, plain = (each.manifest["recipe_digest"] for each in (frames, scanned))
+    assert list(told.pop("generator").values()) == list(weights_sha256(folder).values())
+    assert told == plain
+    with pytest.raises(RacinesError, match="nothing"):
+        explore(ExplorationConfig(generator="nothing"), phantom, seed=0)
 
 
 def test_exploration_reaches_from_starts_to_targets_inside_the_workspace(phantom):
