@@ -17,7 +17,9 @@ from racines_envs.evaluation import EvaluationConfig, evaluate
 from racines_envs.making import make_phantom, phantom_recipe
 from racines_envs.trace_recording import record_trace
 from racines_leaderboard.audit.bench import Bench, Places
+from racines_leaderboard.audit.compare import compare
 from racines_leaderboard.audit.retrain import retrain
+from racines_leaderboard.audit.roads import HALF
 from racines_leaderboard.audit.run import audit
 from racines_leaderboard.audit.verdicts import FAILS, HOLDS, UNKNOWN, Report
 from racines_leaderboard.cli import app
@@ -253,6 +255,26 @@ def test_results_edited_after_the_fact(drawn, merged):
     assert audited(drawn).holds
     edit(merged, ssim={"value": 0.5, "low": 0.5})
     assert failing(audited(merged, quick=True)) == {"scores"}
+
+
+@pytest.mark.parametrize(
+    ("key", "number", "moved", "verdict"),
+    [
+        ("recall", "low", 0.009, HOLDS),
+        ("recall", "low", 0.03, UNKNOWN),
+        ("recall", "low", 0.05, FAILS),
+        ("recall", "n", 1, FAILS),
+        ("ssim", "value", 0.009, HOLDS),
+        ("ssim", "value", 0.03, FAILS),
+    ],
+)
+def test_a_half_precision_copy_speaks_against_what_it_can_tell(key, number, moved, verdict):
+    metric = {"value": 0.9, "low": 0.86, "high": 0.94, "n": 512}
+    record = {"track": "generators", "scores": {"metrics": {key: metric}}}
+    made = {"metrics": {key: metric | {number: metric[number] + moved}}}
+    found = {each.subject: each.verdict for each in compare(record, made, HALF)}
+    assert found.pop(f"metrics.{key}.{number}") == verdict
+    assert set(found.values()) == {HOLDS}
 
 
 def test_what_is_not_here_is_said_to_be_unknown(merged):
