@@ -10,12 +10,14 @@ import torch
 from racines_data.errors import RacinesError
 from racines_data.schema import PARAMETERS
 from racines_data.store import open_store
+from racines_leaderboard.collect import collect
 from racines_leaderboard.studio import compare, parts
 from racines_leaderboard.studio.compare_page import cards_page
 from racines_leaderboard.studio.place import Place
 from racines_models.generators.mean_image import MeanImage
 from racines_models.metrics import psnr, ssim
 from racines_models.protocol import Run
+from tests.leaderboard.conftest import generator_scores
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +54,19 @@ def test_generators_with_weights_are_offered_and_nothing_else(place, monkeypatch
     assert list(parts.trained_generators(place)) == ["other", "mean-image (run)"]
     monkeypatch.setattr(parts, "LARGEST", 10)
     assert not parts.trained_generators(place)
+
+
+def test_those_that_lead_a_board_come_first(tmp_path):
+    scores, results = tmp_path / "scores", tmp_path / "results"
+    scores.mkdir()
+    for name, value in (("good", 0.9), ("better", 0.95), ("poor", 0.4)):
+        document = generator_scores(name, ssim=value)
+        (scores / f"{name}.json").write_text(json.dumps(document))
+    records = collect([scores], results, tmp_path, "tiny")
+    place, offered = Place(results=results), ["apart", "good", "poor", "better"]
+    assert compare.leading(place, offered) == ["better", "good", "poor", "apart"]
+    records[0].write_text("{")
+    assert compare.leading(place, offered) == offered, "damaged results close their own tab alone"
 
 
 def test_a_preset_shows_its_view(place):
