@@ -20,7 +20,7 @@ from racines_data.config import fill
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.files import recover_folder, swap_folder
-from racines_data.load import MANIFEST, MULTI_PHANTOM
+from racines_data.manifest import MANIFEST, MULTI_PHANTOM
 from racines_data.shards import Part
 from racines_data.sources import Finding, Source, Unit, source_class, source_names
 from racines_data.splits import assign_group_splits, assign_splits, held_out_session

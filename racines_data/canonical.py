@@ -14,7 +14,7 @@ import pyarrow as pa
 from PIL import Image
 
 from racines_data.errors import RacinesError
-from racines_data.load import MULTI_PHANTOM, read_manifest
+from racines_data.manifest import MULTI_PHANTOM, read_manifest
 from racines_data.schema import PARAMETERS
 
 TOLERANCE = 1

@@ -10,18 +10,11 @@ from racines_data import card_sections as sections
 from racines_data.card_realism import realism_section
 from racines_data.croissant_rai import rai_fields
 from racines_data.datasheet import datasheet
-from racines_data.load import config_digest, manifest_labels
+from racines_data.manifest import ORIGINS, OTHER_ORIGIN, describe, manifest_labels
 from racines_data.records import features_of
 from racines_data.schema import trajectory_features
 from racines_data.views import LABELS
 
-ORIGINS = {
-    "phantom": "simulated ultrasound of the RACINES phantom; no frame comes from a scanner",
-    "release": "the published RACINES recordings, imported",
-    "cactus": "the published CACTUS images, imported; labels and grades without poses",
-    "tracked": "tracked freehand ultrasound, imported; poses of the tracked probe, no forces",
-}
-OTHER_ORIGIN = "a source of another package"
 LICENSES = {"phantom": "cc-by-4.0", "cactus": "cc-by-4.0"}
 TAGS = {"phantom": ["simulation", "synthetic"]}
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"))
@@ -51,22 +44,6 @@ def write_card(manifest: Mapping[str, Any]) -> str:
     ]
     body = "\n\n".join(part.strip() for part in parts if part.strip())
     return f"---\n{head}---\n{body}\n"
-
-
-def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:
-    """Return the description of a config.
-
-    It carries the digest because `datasets` keys its cache of a local folder by the configs, not by
-    the content of the files: without it a rebuilt dataset would be served stale. So it does the
-    grader's hash, where one has annotated the frames.
-    """
-    origin = ORIGINS.get(manifest["source"], OTHER_ORIGIN)
-    annotation = manifest.get("annotation") if config in ("frames", "sessions") else None
-    return (
-        f"source {manifest['source']} ({origin}); version {manifest['version']}; "
-        f"content sha256 {config_digest(manifest, config)}"
-        + (f"; annotated by grader {annotation['grader']}" if annotation else "")
-    )
 
 
 def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,9 +10,8 @@ import numpy as np
 import pyarrow as pa
 
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.load import manifest_labels
+from racines_data.manifest import METADATA, manifest_labels
 from racines_data.schema import CONTROLS, PARAMETERS, SPLITS
-from racines_data.store_writer import METADATA
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from matplotlib.figure import Figure
 from racines_data.card_frames import read_frames
 from racines_data.card_statistics import CACTUS_COUNTS, card_statistics, has_paper
 from racines_data.card_style import card_style, encode
-from racines_data.load import MULTI_PHANTOM
-from racines_data.store import store_name
+from racines_data.manifest import MULTI_PHANTOM, store_name
 
 FOLDER = "card"
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from racines_data.card_tables import number, table
 from racines_data.errors import RacinesError
-from racines_data.load import MULTI_PHANTOM
+from racines_data.manifest import MULTI_PHANTOM
 
 SCHEMA = "racines.realism/1"
 _DIGITS = {"kid": 4, "fid": 1, "local_contrast": 2}

@@ -22,7 +22,7 @@ from racines_data.card_realism import check_realism
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
 from racines_data.files import recover_folder, sha256_file, swap_folder, write_atomic
-from racines_data.load import CARD, MANIFEST, read_manifest, rebuild_hint
+from racines_data.manifest import CARD, MANIFEST, read_manifest, rebuild_hint
 
 LARGEST = 2_000_000
 """Bytes of a picture, at most: a card is read in a browser."""

@@ -5,7 +5,7 @@ from typing import Any
 
 from racines_data import card_tables
 from racines_data.card_statistics import has_paper
-from racines_data.load import MULTI_PHANTOM, manifest_labels
+from racines_data.manifest import MULTI_PHANTOM, manifest_labels
 
 _LIMITS = {
     "phantom": (

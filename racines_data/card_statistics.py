@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from racines_data.card_frames import Frames
-from racines_data.load import manifest_labels
+from racines_data.manifest import manifest_labels
 from racines_data.schema import PARAMETERS
 from racines_data.views import LABELS
 

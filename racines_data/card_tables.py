@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from racines_data.card_statistics import CACTUS_COUNTS, has_paper, unit_of
-from racines_data.load import MULTI_PHANTOM, manifest_labels
+from racines_data.manifest import MULTI_PHANTOM, manifest_labels
 from racines_data.schema import SPLITS
 from racines_data.views import PAPER_STATISTICS, VIEW_TITLES
 

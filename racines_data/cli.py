@@ -113,7 +113,7 @@ def validate(
     as_json: AsJson = False,
 ) -> None:
     """Check files, digests, rows, splits, copies and statistics; exit 1 if anything is wrong."""
-    from racines_data.load import default_root
+    from racines_data.manifest import default_root
     from racines_data.validate import to_json
     from racines_data.validate import validate as check
     from racines_data.validate_report import print_validation

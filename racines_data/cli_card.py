@@ -24,7 +24,7 @@ def card(
 ) -> None:
     """Write a dataset's card anew, with realism figures where given; the content stays."""
     from racines_data.card_rewrite import rewrite_card
-    from racines_data.load import CARD, default_root
+    from racines_data.manifest import CARD, default_root
 
     folder = default_root(root)
     manifest = rewrite_card(folder, realism or (), picture or (), draw)

@@ -29,7 +29,7 @@ def push(
     as_json: AsJson = False,
 ) -> None:
     """Upload a dataset to the Hub and tag it; the token is that of the environment (HF_TOKEN)."""
-    from racines_data.load import default_root
+    from racines_data.manifest import default_root
     from racines_data.push import plan_push
     from racines_data.push import push as push_dataset
 
@@ -79,7 +79,7 @@ def pull(
 ) -> None:
     """Fetch a dataset from the Hub, check every digest, and make its training store."""
     from racines_data.hub import download
-    from racines_data.load import read_manifest
+    from racines_data.manifest import read_manifest
 
     root = download(repo_id, version, out, stores=store)
     manifest = read_manifest(root)

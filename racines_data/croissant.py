@@ -15,10 +15,10 @@ from typing import Any
 
 from datasets import ClassLabel, Features, Image
 
-from racines_data.card import LICENSES, describe
+from racines_data.card import LICENSES
 from racines_data.croissant_rai import rai_fields
 from racines_data.files import sha256_file, write_atomic
-from racines_data.load import manifest_labels
+from racines_data.manifest import describe, manifest_labels
 from racines_data.records import features_of
 from racines_data.schema import CONTROLS, PARAMETERS, SPLITS, trajectory_features
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from racines_data.croissant_rai import rai_fields
-from racines_data.load import MULTI_PHANTOM
+from racines_data.manifest import MULTI_PHANTOM
 
 _MOTIVATION = (
     (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
-from racines_data.load import read_manifest
+from racines_data.manifest import read_manifest
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi

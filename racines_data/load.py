@@ -3,78 +3,22 @@
 Heavy imports stand in the functions: the package itself imports this module.
 """
 
-import json
-import os
-from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from racines_data.errors import RacinesError
-from racines_data.views import LABELS
+from racines_data.manifest import (
+    CARD,
+    ROOT_VARIABLE,
+    check_split,
+    default_root,
+    describe,
+    read_manifest,
+    rebuild_hint,
+)
 
 if TYPE_CHECKING:
     from datasets import Dataset, DatasetDict, IterableDataset, IterableDatasetDict
-
-MANIFEST = "manifest.json"
-CARD = "README.md"
-MULTI_PHANTOM = "multi_phantom"
-"""Name of the config of many simulated hearts."""
-DEFAULT_ROOT = Path("data/racines")
-ROOT_VARIABLE = "RACINES_DATA"
-
-
-def default_root(root: Path | str | None = None) -> Path:
-    """Return the dataset's folder: the one given, that of `RACINES_DATA`, or `data/racines`."""
-    return Path(root or os.environ.get(ROOT_VARIABLE) or DEFAULT_ROOT)
-
-
-def rebuild_hint(manifest: Mapping[str, Any]) -> str:
-    """Return what to do about a damaged dataset."""
-    source = manifest.get("source", "phantom")
-    return f"rebuild it: racines data build --source {source} (or fetch it again: dvc pull)"
-
-
-def read_manifest(root: Path) -> dict[str, Any]:
-    """Read the manifest of a dataset.
-
-    Raises:
-        RacinesError: there is no dataset, or its manifest is damaged.
-    """
-    path = root / MANIFEST
-    if not path.is_file():
-        raise RacinesError(
-            f"{root}: no dataset here; build one: racines data build --source phantom --out {root}"
-        )
-    try:
-        manifest = json.loads(path.read_text())
-        for key in ("source", "version", "digest", "recipe_digest", "files", "counts"):
-            manifest[key]
-    except (ValueError, KeyError, TypeError) as error:
-        raise RacinesError(f"{path}: damaged ({error}); {rebuild_hint({})}") from error
-    return manifest
-
-
-def config_digest(manifest: Mapping[str, Any], config: str = "frames") -> str:
-    """Return the content digest of a config: `multi_phantom` has its own, the others share one."""
-    return manifest[MULTI_PHANTOM]["digest"] if config == MULTI_PHANTOM else manifest["digest"]
-
-
-def manifest_labels(manifest: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the view labels of a dataset; older ones, which name none, have the cardiac ones."""
-    return tuple(manifest.get("labels") or LABELS)
-
-
-def check_split(split: str) -> str:
-    """Return the split if it is one.
-
-    Raises:
-        RacinesError: it is not.
-    """
-    from racines_data.schema import SPLITS
-
-    if split not in SPLITS:
-        raise RacinesError(f"unknown split {split!r}: choose one of {', '.join(SPLITS)}")
-    return split
 
 
 def load(
@@ -100,7 +44,6 @@ def load(
     """
     import datasets
 
-    from racines_data.card import describe
     from racines_data.digest import check_files
 
     if repo_id is not None:

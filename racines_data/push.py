@@ -13,11 +13,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from racines_data.card import describe
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
 from racines_data.hub import KIND, STORE_FOLDER, hub_errors, hub_files
-from racines_data.load import MANIFEST, read_manifest, rebuild_hint
+from racines_data.manifest import MANIFEST, describe, read_manifest, rebuild_hint
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi

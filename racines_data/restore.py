@@ -6,10 +6,9 @@ from pathlib import Path
 from racines_data.errors import RacinesError
 from racines_data.export.sweeps import read_sweeps
 from racines_data.files import sha256_file, write_atomic, write_once
-from racines_data.load import MANIFEST, read_manifest
+from racines_data.manifest import MANIFEST, STORES, read_manifest, store_name
 from racines_data.records import pixels_array
 from racines_data.schema import SPLITS
-from racines_data.store import STORES, store_name
 from racines_data.store_writer import write_store
 
 

@@ -23,11 +23,10 @@ from typing import IO
 
 import pyarrow as pa
 import torch
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from racines_data.digest import trajectory_digest
 from racines_data.errors import RacinesError
+from racines_data.progress import progress_bar
 from racines_data.records import check_trajectory, pixels_array, trajectory_to_table
 from racines_data.sources import Source, Unit, has_poses, labels_of_source
 
@@ -123,14 +122,6 @@ def stage_units(
         bar.advance(task, sum(units[index].frames for index in done))
         for indices in _produce(source, units, list(tasks.values()), folder, workers):
             bar.advance(task, sum(units[index].frames for index in indices))
-
-
-def progress_bar(shown: bool) -> Progress:
-    """Return a progress bar on stderr, hidden where nobody looks."""
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    console = Console(stderr=True)
-    hidden = not (shown and console.is_terminal)
-    return Progress(*columns, TimeRemainingColumn(), console=console, disable=hidden)
 
 
 def _is_staged(folder: Path, index: int) -> bool:

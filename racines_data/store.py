@@ -20,31 +20,21 @@ from racines_data.batch_memory import BatchMemory
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.load import (
+from racines_data.manifest import (
+    METADATA,
     MULTI_PHANTOM,
+    STORES,
     check_split,
     config_digest,
     default_root,
     manifest_labels,
     read_manifest,
     rebuild_hint,
+    store_name,
 )
 from racines_data.records import PIXELS
 from racines_data.schema import CONTROLS, PARAMETERS
-from racines_data.store_writer import METADATA
 from racines_data.views import LABELS
-
-STORES = ("frames", MULTI_PHANTOM)
-"""Configs that may have a store; `sessions` are the rows of `frames`."""
-
-
-def store_name(config: str) -> str:
-    """Return the file of a config's store in the dataset."""
-    return f"store/{config}.arrow"
-
-
-STORE = store_name("frames")
-"""The store of the default config."""
 
 
 class Batch(NamedTuple):

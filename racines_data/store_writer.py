@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from racines_data.manifest import METADATA
 from racines_data.records import PIXELS
 from racines_data.schema import CONTROLS, PARAMETERS
-
-METADATA = b"racines.store"
 
 
 def write_store(

@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from racines_data.canonical import same_version
 from racines_data.errors import RacinesError
-from racines_data.load import MULTI_PHANTOM, manifest_labels, read_manifest
+from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
 from racines_data.validate_duplicates import check_exact, check_near, find_duplicates
 from racines_data.validate_files import check_card, check_files, check_recipe
 from racines_data.validate_labels import check_annotation, check_labels, check_views, view_shares

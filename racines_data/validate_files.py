@@ -6,11 +6,10 @@ from typing import Any
 
 import yaml
 
-from racines_data.card import describe
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_data.load import CARD
+from racines_data.manifest import CARD, describe
 
 
 def check_files(root: Path, manifest: dict[str, Any], workers: int = 1) -> str:

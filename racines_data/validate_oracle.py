@@ -9,7 +9,7 @@ import torch
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_data.load import MULTI_PHANTOM
+from racines_data.manifest import MULTI_PHANTOM
 from racines_data.validate_survey import Survey
 
 SAMPLE = 2048

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 
 from racines_data.digest import content_digest
 from racines_data.errors import RacinesError
-from racines_data.load import MULTI_PHANTOM, config_digest
+from racines_data.manifest import MULTI_PHANTOM, config_digest
 from racines_data.schema import SPLITS
 from racines_data.validate_survey import Survey
 

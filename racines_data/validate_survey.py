@@ -20,9 +20,10 @@ import pyarrow.parquet as pq
 import torch
 
 from racines_data.errors import RacinesError
-from racines_data.load import manifest_labels
+from racines_data.manifest import manifest_labels
+from racines_data.progress import progress_bar
 from racines_data.records import features_of
-from racines_data.staging import die_with_parent, progress_bar
+from racines_data.staging import die_with_parent
 from racines_data.store import FrameStore
 from racines_data.validate_rows import Piece, Sweep, read_piece, run_edges
 

@@ -15,7 +15,8 @@ from racines_data.card_pictures import write_pictures
 from racines_data.croissant import add_croissant
 from racines_data.digest import content_digest, recipe_digest
 from racines_data.files import sha256_file, write_once
-from racines_data.load import CARD, MANIFEST, MULTI_PHANTOM
+from racines_data.manifest import CARD, MANIFEST, MULTI_PHANTOM, store_name
+from racines_data.progress import progress_bar
 from racines_data.schema import SPLITS
 from racines_data.shards import (
     Group,
@@ -29,8 +30,6 @@ from racines_data.shards import (
     write_trajectories,
 )
 from racines_data.sources import Finding, has_poses, labels_of_source
-from racines_data.staging import progress_bar
-from racines_data.store import store_name
 from racines_data.store_writer import write_store
 
 REPORT = "import_report.parquet"

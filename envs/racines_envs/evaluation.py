@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_envs import intervals
 from racines_envs.agents import load_agent, sees
 from racines_envs.agents.onnx_policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
@@ -24,6 +23,7 @@ from racines_envs.making import check_grader, find_task, make_core, make_phantom
 from racines_envs.measures import Figures, measure, measure_by_seed
 from racines_envs.rollout import Episodes, rollout
 from racines_envs.starts import evaluation_seeds
+from racines_models import bootstrap as statistics
 
 SCHEMA = "racines.agent-scores/1"
 
@@ -213,7 +213,7 @@ def _graded(core: ScanCore, grader: Any) -> Figures:
     """Ask the grader about the last image of each episode."""
     p, g = grader.probabilities_and_grade(core.picture())
     hit = (p[:, core.task.target] >= core.rewards.probability) & (g >= core.rewards.grade)
-    return {"success_grader": intervals.wilson(hit.cpu().numpy())}
+    return {"success_grader": statistics.wilson(hit.cpu().numpy())}
 
 
 def _extractors(agent: Agent, grader: Any) -> dict[str, dict[str, Any]]:

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
-from racines_envs import intervals
 from racines_envs.agents import load_agent
 from racines_envs.core import ScanCore
+from racines_envs.explain_figure import draw_episode
 from racines_envs.explain_maps import (
     Judge,
     grader_probabilities,
@@ -22,8 +22,10 @@ from racines_envs.explain_maps import (
 )
 from racines_envs.explain_scores import SMOOTH, areas, overlap, random_maps
 from racines_envs.explain_truth import sector_of, true_regions
+from racines_envs.explanation import Explanation, Frames
 from racines_envs.making import find_task, make_core, phantom_recipe
 from racines_envs.starts import evaluation_seeds
+from racines_models import bootstrap as statistics
 
 SCHEMA = "racines.explanation/1"
 
@@ -59,37 +61,6 @@ class ExplainConfig:
     resamples: int = 2000
     """Bootstrap resamples of each interval."""
     device: str = "cpu"
-
-
-@dataclass(frozen=True)
-class Frames:
-    """The images of an agent's episodes that are explained, n in all."""
-
-    images: Tensor
-    """(n, 128, 128) uint8."""
-    params: Tensor
-    """(n, 9); zeros where the agent does not look at them."""
-    pose: Pose
-    actions: Tensor
-    """(n,) int64, what the agent did there."""
-    row: Tensor
-    """(n,) int64, the episode."""
-    step: Tensor
-    """(n,) int64, steps before it."""
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """Attributions and their scores."""
-
-    scores: dict[str, Any]
-    frames: Frames
-    maps: dict[str, Tensor]
-    """(n, 128, 128) attributions of the chosen action (`policy`) and the target view (`grader`)."""
-    regions: dict[str, Tensor]
-    """(n, 128, 128) bool, inside the sector; see `true_regions`."""
-    probabilities: dict[str, Tensor]
-    """(n,) probability of what is attributed."""
 
 
 def explain(
@@ -191,7 +162,7 @@ def _attribute(
     relative = (error.abs() / change.clamp_min(1e-6)).cpu().numpy()
     found = full.softmax(-1) if logits else full
     unit = "|sum of the attributions - change of the output| / change"
-    figure = {"completeness_error": intervals.median(relative, unit, config.resamples)}
+    figure = {"completeness_error": statistics.median(relative, unit, config.resamples)}
     return maps, found.gather(1, targets.unsqueeze(1)).squeeze(1), figure
 
 
@@ -239,7 +210,7 @@ def _mean(values: np.ndarray, frames: Frames, config: ExplainConfig) -> dict[str
     """Return the mean over episodes of their mean images: images of one episode are alike."""
     row = frames.row.cpu().numpy()
     episodes = np.array([values[row == r].mean() for r in np.unique(row)])
-    return intervals.mean(episodes, None, config.resamples) | {"images": len(values)}
+    return statistics.mean(episodes, None, config.resamples) | {"images": len(values)}
 
 
 def _document(
@@ -268,7 +239,6 @@ def write_explanation(explanation: Explanation, folder: Path, pictures: int = 4)
     import io
 
     from racines_data.files import write_atomic, write_json
-    from racines_envs.explain_figure import draw_episode
 
     frames, buffer = explanation.frames, io.BytesIO()
     arrays = explanation.maps | {

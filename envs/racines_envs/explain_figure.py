@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from racines_envs.actions import ACTIONS
-from racines_envs.explain import Explanation
 from racines_envs.explain_scores import blur
+from racines_envs.explanation import Explanation
 
 COLUMNS = 6
 """Images in a figure at most; evenly taken from the episode's."""

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_envs import intervals
 from racines_envs.agents.protocol import Agent
 from racines_envs.core import ScanCore
+from racines_models import bootstrap as statistics
 
 LEAST = 50
 WARM_UP = 10
@@ -50,7 +50,7 @@ def decision_times(core: ScanCore, agent: Agent, seeds: Tensor, decisions: int) 
 
 def latency_figure(times: np.ndarray, resamples: int) -> dict[str, Any]:
     """Return the median of (n,) ms, as scores files hold it, the paper's beside it."""
-    figure = intervals.median(times, "ms", resamples)
+    figure = statistics.median(times, "ms", resamples)
     settings = figure["settings"] | {
         "interval": f"percentile bootstrap over decisions, {resamples} resamples",
         "batch": 1,

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from racines_envs import intervals
 from racines_envs.rollout import Episodes
+from racines_models import bootstrap as statistics
 
 RETURN_OF_A_HIT = 50.0
 Figures = dict[str, dict[str, Any]]
@@ -32,13 +32,13 @@ def measure(episodes: Episodes, reference_steps: np.ndarray, resamples: int = 20
     farmed = (final["return"] >= RETURN_OF_A_HIT) & ~success
 
     def mean(values: np.ndarray, unit: str | None = None) -> dict[str, Any]:
-        return intervals.mean(values, unit, resamples)
+        return statistics.mean(values, unit, resamples)
 
     figures = {
-        "success_true": intervals.wilson(success),
-        "success_graded": intervals.wilson(final["success_graded"]),
+        "success_true": statistics.wilson(success),
+        "success_graded": statistics.wilson(final["success_graded"]),
         "steps": mean(steps[success], "steps of the episodes with true success"),
-        "steps_median": intervals.median(steps[success], "steps", resamples),
+        "steps_median": statistics.median(steps[success], "steps", resamples),
         "episode_steps": mean(steps, "steps"),
         "spl": mean(spl),
         "final_grade": mean(final["grade"]),
@@ -48,20 +48,20 @@ def measure(episodes: Episodes, reference_steps: np.ndarray, resamples: int = 20
         "violations": mean(violations, "refused steps an episode"),
         "position_error": mean(final["position_error"] * 1e3, "mm"),
         "rotation_error": mean(np.degrees(final["rotation_error"]), "degrees"),
-        "return_without_success": intervals.wilson(farmed),
+        "return_without_success": statistics.wilson(farmed),
     }
     for name, factor, unit in _OPTIONAL:
         if name in final:
             figures[name] = mean(final[name] * factor, unit)
     if "out_of_support" in final:
-        figures["out_of_support"] = intervals.wilson(final["out_of_support"])
+        figures["out_of_support"] = statistics.wilson(final["out_of_support"])
     for name, values in (
         ("episode_steps", steps),
         ("spl", spl),
         ("final_grade", final["grade"]),
         ("return", final["return"]),
     ):
-        figures[f"{name}_iqm"] = intervals.interquartile_mean(values, None, resamples)
+        figures[f"{name}_iqm"] = statistics.interquartile_mean(values, None, resamples)
     return figures
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_envs import intervals
 from racines_envs.backends import GRADER_FOLDER
 from racines_envs.evaluation import check_view, start_seeds
 from racines_envs.making import find_task, make_core, make_phantom, phantom_recipe
@@ -17,6 +16,7 @@ from racines_envs.reward_trace import Settled, Trace, record, settle
 from racines_envs.rewards import REWARDS, RewardConfig
 from racines_envs.runs import Run, common_view
 from racines_envs.tasks import TERMINATIONS, Task
+from racines_models import bootstrap as statistics
 
 SCHEMA = "racines.agent-rewards/1"
 PAPER = {
@@ -136,12 +136,12 @@ def _trace(
 def _figures(settled: Settled, config: RewardReportConfig) -> dict[str, Any]:
     hacked = (settled.total >= config.high) & ~settled.success
     return {
-        "return": intervals.mean(settled.total, None, config.resamples),
-        "success_true": intervals.wilson(settled.success),
-        "success_graded": intervals.wilson(settled.graded),
-        "high_return_without_success": intervals.wilson(hacked),
-        "episode_steps": intervals.mean(settled.steps, "steps", config.resamples),
-        "hovered": intervals.mean(settled.hovered, "steps in the view", config.resamples),
+        "return": statistics.mean(settled.total, None, config.resamples),
+        "success_true": statistics.wilson(settled.success),
+        "success_graded": statistics.wilson(settled.graded),
+        "high_return_without_success": statistics.wilson(hacked),
+        "episode_steps": statistics.mean(settled.steps, "steps", config.resamples),
+        "hovered": statistics.mean(settled.hovered, "steps in the view", config.resamples),
     }
 
 

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from racines_data.errors import RacinesError
-from racines_envs import intervals
 from racines_envs.evaluation import check_view, reference_steps, start_seeds
 from racines_envs.making import find_task, make_core, make_phantom, phantom_recipe
 from racines_envs.measures import path_length_score
@@ -20,6 +19,7 @@ from racines_envs.rank_correlation import correlate
 from racines_envs.recorded import RecordedWorld
 from racines_envs.rollout import rollout
 from racines_envs.runs import Run, common_view
+from racines_models import bootstrap as statistics
 
 SCHEMA = "racines.agent-transfer/1"
 COMPARED = ("success_true", "episode_steps", "spl", "final_grade")
@@ -133,13 +133,13 @@ def _scores(final: dict[str, np.ndarray], shortest: np.ndarray) -> dict[str, np.
 def _figures(scores: dict[str, np.ndarray], resamples: int) -> dict[str, Any]:
     success, steps = scores["success_true"], scores["episode_steps"]
     return {
-        "success_true": intervals.wilson(success),
-        "steps": intervals.mean(
+        "success_true": statistics.wilson(success),
+        "steps": statistics.mean(
             steps[success], "steps of the episodes with true success", resamples
         ),
-        "episode_steps": intervals.mean(steps, "steps", resamples),
-        "spl": intervals.mean(scores["spl"], None, resamples),
-        "final_grade": intervals.mean(scores["final_grade"], None, resamples),
+        "episode_steps": statistics.mean(steps, "steps", resamples),
+        "spl": statistics.mean(scores["spl"], None, resamples),
+        "final_grade": statistics.mean(scores["final_grade"], None, resamples),
     }
 
 

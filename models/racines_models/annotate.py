@@ -27,7 +27,7 @@ from racines_data.croissant import CROISSANT, add_croissant
 from racines_data.digest import canonical_json, check_files
 from racines_data.errors import RacinesError
 from racines_data.files import recover_folder, sha256_file, swap_folder, write_once
-from racines_data.load import CARD, MANIFEST, read_manifest, rebuild_hint
+from racines_data.manifest import CARD, MANIFEST, read_manifest, rebuild_hint
 from racines_data.schema import SPLITS
 from racines_data.store import FrameStore
 from racines_models.bootstrap import bootstrap_mean

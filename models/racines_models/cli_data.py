@@ -28,16 +28,17 @@ def annotate(
     as_json: AsJson = False,
 ) -> None:
     """Write a grader's view and grade of every frame into view_predicted and grade_predicted."""
-    from racines_data.load import default_root, read_manifest
+    from racines_data.manifest import default_root, read_manifest
+    from racines_data.progress import image_counter
     from racines_models.annotate import annotate as annotate_dataset
-    from racines_models.cli_output import progress_bar, show_metrics
+    from racines_models.cli_output import show_metrics
     from racines_models.generators.base import resolve_device
     from racines_models.grader import Grader
 
     folder = default_root(root)
     total = read_manifest(folder)["counts"]["frames"]
     judge = Grader.load(grader, resolve_device(device))
-    with progress_bar("annotating", total, hidden=as_json) as advance:
+    with image_counter("annotating", total, hidden=as_json) as advance:
         manifest = annotate_dataset(folder, judge, out, advance)
     told = manifest["annotation"]
     if as_json:
@@ -59,9 +60,9 @@ def leakage(
 ) -> None:
     """Show what a random split of frames would have scored beside the split by trajectories."""
     from racines_data.files import write_json
-    from racines_data.load import default_root
+    from racines_data.manifest import default_root
+    from racines_data.progress import image_counter
     from racines_data.store import open_store
-    from racines_models.cli_output import progress_bar
     from racines_models.leakage import LeakageConfig, measure_leakage
 
     store = open_store(default_root(root))
@@ -70,7 +71,7 @@ def leakage(
     held = store.manifest.get("held_out_session")
     if held is not None:
         total += min(samples, store.manifest["counts"]["sessions"][held])
-    with progress_bar("leakage", total, hidden=as_json) as advance:
+    with image_counter("leakage", total, hidden=as_json) as advance:
         result = measure_leakage(store, config, advance)
     _write_picture(out.with_suffix(".png"), result)
     write_json(out.with_suffix(".json"), result.content)

@@ -84,7 +84,7 @@ def export_predictions(
     as_json: AsJson = False,
 ) -> None:
     """Draw the poses that generators are scored on and write the images to a file."""
-    from racines_models.cli_output import progress_bar
+    from racines_data.progress import image_counter
     from racines_models.cli_scores import pick_device
     from racines_models.predictions import PREDICTIONS, write_predictions
     from racines_models.registry import open_generator
@@ -95,7 +95,7 @@ def export_predictions(
         name, run, pick_device(device), store=task.store, split=task.split
     )
     total = len(task.sample.frames.index) * len(task.seeds)
-    with progress_bar(f"drawing {generator.name}", total, hidden=as_json) as advance:
+    with image_counter(f"drawing {generator.name}", total, hidden=as_json) as advance:
         rows = write_predictions(out, task, generator, generator.name, text, advance)
     _tell(
         {"out": str(out), "rows": rows, **task.metadata(PREDICTIONS)},

@@ -41,8 +41,8 @@ def floor(
     Two halves of a split that share no trajectory, at several n.
     """
     from racines_data.files import write_atomic, write_json
+    from racines_data.progress import image_counter
     from racines_data.store import open_store
-    from racines_models.cli_output import progress_bar
     from racines_models.features import Extractor, GraderFeatures
     from racines_models.floor import FloorConfig, draw_floor, frames_needed, measure_floor
     from racines_models.grader import Grader
@@ -56,7 +56,7 @@ def floor(
     config = FloorConfig(tuple(sizes or FloorConfig.sizes), splits, split, seed)
     store = open_store(data)
     total = len(frames_needed(store, config).trajectory)
-    with progress_bar("truth against truth", total, hidden=as_json) as advance:
+    with image_counter("truth against truth", total, hidden=as_json) as advance:
         content = measure_floor(store, extractors, config, cache, advance)
     write_atomic(out.with_suffix(".png"), draw_floor(content))
     write_json(out.with_suffix(".json"), content)

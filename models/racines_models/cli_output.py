@@ -1,30 +1,9 @@
-"""What the scoring commands show: a progress bar on stderr, tables on stdout."""
+"""The tables that the scoring commands print."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
-
-
-@contextmanager
-def progress_bar(name: str, total: int, hidden: bool) -> Iterator[Callable[[int], None]]:
-    """Show a bar over `total` images; yields what advances it."""
-    bar = Progress(
-        TextColumn("[bold]{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("images"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        disable=hidden,
-    )
-    with bar:
-        task = bar.add_task(name, total=total)
-        yield lambda images: bar.advance(task, images)
-        bar.update(task, completed=total)
 
 
 def show_metrics(title: str, metrics: dict[str, Any]) -> None:

@@ -84,10 +84,11 @@ def ablation(
     """Measure what each part of the phantom brings: KID to real frames without it."""
     from racines_data.files import write_atomic
     from racines_data.phantom import PhantomConfig
+    from racines_data.progress import image_counter
     from racines_models.ablation import AblationConfig, Setting, ablate, merge_into
     from racines_models.ablation_picture import draw_ablation
     from racines_models.ablation_variants import pick_variants
-    from racines_models.cli_output import progress_bar, show_ablation
+    from racines_models.cli_output import show_ablation
     from racines_models.realism import read_real
 
     config, path = _settings(real, None, params, profile)
@@ -96,7 +97,7 @@ def ablation(
     frames, variants = read_real(path), pick_variants(variant)
     setting = Setting(PhantomConfig(), AblationConfig(hearts, poses), config)
     total = 2 * len(variants) * hearts * poses + min(len(set(frames.patient)), 2 * config.frames)
-    with progress_bar("ablation", total, as_json) as advance:
+    with image_counter("ablation", total, as_json) as advance:
         extractor = _extractor(pick_device(device))
         content = ablate(frames, variants, setting, extractor, out.with_suffix(".json"), advance)
     write_atomic(out.with_suffix(".png"), draw_ablation(content))
@@ -163,9 +164,10 @@ def _realism(
     import torch
 
     from racines_data.files import write_json
-    from racines_data.load import read_manifest
-    from racines_data.store import open_store, store_name
-    from racines_models.cli_output import progress_bar, show_realism
+    from racines_data.manifest import read_manifest, store_name
+    from racines_data.progress import image_counter
+    from racines_data.store import open_store
+    from racines_models.cli_output import show_realism
     from racines_models.pictures import COLUMNS, write_strip
     from racines_models.realism import compare_with_real, not_compared
 
@@ -175,7 +177,7 @@ def _realism(
         out.with_suffix(".png").unlink(missing_ok=True)  # of an earlier dataset
         return content
     total = min(len(real.images), 2 * config.frames) + config.frames
-    with progress_bar(f"realism of {name}", total, hidden) as advance:
+    with image_counter(f"realism of {name}", total, hidden) as advance:
         result = compare_with_real(real, open_store(data, name), config, extractor, advance)
     rows = []
     for images in (result.real, result.phantom):

@@ -95,8 +95,9 @@ def eval_generator(
 ) -> None:
     """Score a generator on held-out poses; write NAME.json and a picture NAME.png."""
     from racines_data.config import fill, section
+    from racines_data.progress import image_counter
     from racines_data.store import open_store
-    from racines_models.cli_output import progress_bar, show_metrics
+    from racines_models.cli_output import show_metrics
     from racines_models.grader import Grader
     from racines_models.pose_regressor import PoseRegressor
     from racines_models.registry import open_runs, weights_of
@@ -116,7 +117,7 @@ def eval_generator(
     regressor = None if pose is None else PoseRegressor.load(pose, device)
     total = min(config.samples, len(store.split_indices(config.split)))
     total *= 1 + 2 * len(take_turns(runs, config.seeds))
-    with progress_bar(f"scoring {title}", total, hidden=as_json) as advance:
+    with image_counter(f"scoring {title}", total, hidden=as_json) as advance:
         scores = score(
             runs,
             store,

@@ -18,7 +18,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.load import MULTI_PHANTOM
+from racines_data.manifest import MULTI_PHANTOM
 from racines_data.store import FrameStore
 from racines_models.features import Extractor, Progress
 from racines_models.provenance import code_version, dataset_card, environment

@@ -16,9 +16,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from racines_data.errors import RacinesError
+from racines_data.progress import image_counter
 from racines_data.randomness import derive
 from racines_data.store import FrameStore
-from racines_models.cli_output import progress_bar
 from racines_models.grader import Grader
 from racines_models.grader_calibration import calibrate
 from racines_models.grader_evaluation import write_report
@@ -119,7 +119,7 @@ class _Distillation:
         if anew:
             self._write_checkpoint()
         total = len(self.rows) * count
-        with progress_bar("teacher", total, hidden=not run.progress) as advance:
+        with image_counter("teacher", total, hidden=not run.progress) as advance:
             folder = Path(run.folder) / FOLDER / "teacher"
             answers = (self.teacher, self.store, self.config, count, self.seed, folder, advance)
             self.taught = ask_teacher(*answers)

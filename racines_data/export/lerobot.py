@@ -24,16 +24,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from datasets import Features, Image, List, Value
 
-from racines_data.card import describe
 from racines_data.errors import RacinesError
 from racines_data.export.lerobot_statistics import Statistics, image_histogram
 from racines_data.export.sweeps import Sweep, new_folder, read_sweeps
 from racines_data.files import write_json
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.load import manifest_labels, read_manifest
+from racines_data.manifest import describe, manifest_labels, read_manifest
+from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS, SPLITS
-from racines_data.staging import progress_bar
 
 IMAGE = "observation.images.ultrasound"
 CHUNK_FILES = 1000

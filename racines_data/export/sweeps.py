@@ -17,7 +17,7 @@ from PIL import Image
 
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
-from racines_data.load import check_split, read_manifest, rebuild_hint
+from racines_data.manifest import check_split, read_manifest, rebuild_hint
 
 _BATCH = 1024
 

@@ -19,13 +19,13 @@ import numpy as np
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
+from racines_data.progress import progress_bar
 from racines_data.schema import CONTROLS, PARAMETERS, Trajectory
 from racines_data.sources import Finding, Unit
 from racines_data.sources.cactus_files import Kind, Picture, find_pictures, runs
 from racines_data.sources.crop import Box, sector_box
 from racines_data.sources.images import DamagedImage, check_jpeg, read_gray, square
 from racines_data.sources.release_kinds import flagged, refused
-from racines_data.staging import progress_bar
 from racines_data.views import LABELS
 
 READER = 1

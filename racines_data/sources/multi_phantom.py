@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_data.load import MULTI_PHANTOM
+from racines_data.manifest import MULTI_PHANTOM
 from racines_data.phantom.acquisition import AcquisitionConfig
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PHANTOM_VERSION

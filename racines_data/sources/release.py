@@ -21,6 +21,7 @@ import torch
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, pose_to_parameters
+from racines_data.progress import progress_bar
 from racines_data.schema import Trajectory
 from racines_data.sources import Finding, Unit
 from racines_data.sources.images import read_gray, square
@@ -29,7 +30,6 @@ from racines_data.sources.release_kinds import Kind, flagged
 from racines_data.sources.release_log import CONTROL, POSE, TIME, WRENCH, parse_log
 from racines_data.sources.release_survey import Survey, Surveyor
 from racines_data.sources.release_tree import Pair, Recording, find_recordings
-from racines_data.staging import progress_bar
 from racines_data.views import RANDOM, VIEWS
 
 READER = 1

@@ -7,7 +7,8 @@ import pytest
 from racines_data.build import DataConfig, build, make_source, read_data_section
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_data.load import load, read_manifest
+from racines_data.load import load
+from racines_data.manifest import read_manifest
 from racines_data.schema import Trajectory
 from racines_data.sources import Finding, Unit, source_class
 from racines_data.validate import validate

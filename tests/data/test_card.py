@@ -12,7 +12,7 @@ import yaml
 from racines_data.build import DataConfig, build
 from racines_data.card import write_card
 from racines_data.card_tables import statistics_table, table
-from racines_data.load import read_manifest
+from racines_data.manifest import read_manifest
 from racines_data.schema import PARAMETERS, frame_features
 from racines_data.store import open_store
 from racines_data.views import PAPER_STATISTICS

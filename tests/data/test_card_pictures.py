@@ -13,10 +13,9 @@ from racines_data.build import DataConfig, build
 from racines_data.card_frames import read_frames
 from racines_data.card_pictures import write_pictures
 from racines_data.card_samples import samples_figure
-from racines_data.load import read_manifest
+from racines_data.manifest import STORE, read_manifest
 from racines_data.schema import Trajectory
 from racines_data.sources import Unit
-from racines_data.store import STORE
 from racines_data.validate import validate
 from tests.data.fake_source import FakeConfig, FakeSource
 

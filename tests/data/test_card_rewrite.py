@@ -12,7 +12,8 @@ from PIL import Image
 from racines_data import card_rewrite
 from racines_data.card_rewrite import rewrite_card
 from racines_data.errors import RacinesError
-from racines_data.load import load, read_manifest
+from racines_data.load import load
+from racines_data.manifest import read_manifest
 from racines_data.validate import validate
 from tests.conftest import command
 

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from racines_data.load import read_manifest
+from racines_data.manifest import read_manifest
 from racines_data.sources.release_kinds import Kind
 from tests.conftest import ROOT, command
 from tests.data.release_tree import FRAMES, write_release

@@ -12,7 +12,8 @@ import pytest
 
 from racines_data.build import DataConfig, build
 from racines_data.files import sha256_file
-from racines_data.load import load, read_manifest
+from racines_data.load import load
+from racines_data.manifest import read_manifest
 from tests.data.fake_source import FakeConfig, FakeSource
 from tests.data.test_build import files, staged
 

@@ -9,7 +9,7 @@ import racines_data
 from racines_data.build import DataConfig, build, make_multi_phantom, make_source, read_data_section
 from racines_data.canonical import same_version
 from racines_data.errors import RacinesError
-from racines_data.load import read_manifest
+from racines_data.manifest import read_manifest
 from racines_data.phantom.config import PhantomConfig
 from racines_data.phantom.population import heart_config
 from racines_data.sources.multi_phantom import MultiPhantomSource

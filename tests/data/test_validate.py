@@ -15,7 +15,7 @@ from racines_data.build import DataConfig, build
 from racines_data.card import write_card
 from racines_data.cli import data
 from racines_data.files import sha256_file
-from racines_data.load import read_manifest
+from racines_data.manifest import read_manifest
 from racines_data.schema import Trajectory
 from racines_data.sources import Unit
 from racines_data.validate import Check, validate

@@ -10,12 +10,12 @@ import torch
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
-from racines_envs import intervals
 from racines_envs.agents.hill_climber import HillClimberAgent
 from racines_envs.agents.random import RandomAgent
 from racines_envs.evaluation import EvaluationConfig, evaluate, measure, write_evaluation
 from racines_envs.rollout import Episodes
 from racines_envs.starts import evaluation_seeds
+from racines_models import bootstrap as statistics
 
 FEW = EvaluationConfig(starts=20, seed=0, resamples=200, latency=0)
 
@@ -23,22 +23,22 @@ FEW = EvaluationConfig(starts=20, seed=0, resamples=200, latency=0)
 def test_wilsons_interval_is_the_papers():
     """369 and 350 of 400: 92.3 % (89.2-94.5) and 87.5 % (83.9-90.4), as the paper's are."""
     for hits, expected in ((369, (0.9225, 0.892, 0.945)), (350, (0.875, 0.839, 0.904))):
-        figure = intervals.wilson(np.arange(400) < hits)
+        figure = statistics.wilson(np.arange(400) < hits)
         values = [figure[key] for key in ("value", "low", "high")]
         assert values == pytest.approx(expected, abs=6e-4) and figure["n"] == 400
 
 
 def test_intervals_of_few_and_of_none():
-    assert intervals.mean(np.array([]))["value"] is None
-    assert intervals.wilson(np.array([], bool))["n"] == 0
-    one = intervals.mean(np.array([3.0]))
+    assert statistics.mean(np.array([]))["value"] is None
+    assert statistics.wilson(np.array([], bool))["n"] == 0
+    one = statistics.mean(np.array([3.0]))
     assert (one["value"], one["low"], one["n"]) == (3.0, None, 1)
-    many = intervals.mean(np.random.default_rng(0).normal(5, 1, 400))
+    many = statistics.mean(np.random.default_rng(0).normal(5, 1, 400))
     assert many["low"] < 5 < many["high"] and many["high"] - many["low"] == pytest.approx(
         2 * 1.96 / 20, rel=0.15
     )
     values = np.array([-1000.0, 1, 2, 3, 4, 5, 6, 1000])
-    assert intervals.interquartile_mean(values)["value"] == pytest.approx(3.5)
+    assert statistics.interquartile_mean(values)["value"] == pytest.approx(3.5)
 
 
 def test_the_figures_by_hand():

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from racines_data.build import DataConfig, build
 from racines_data.errors import RacinesError
-from racines_data.load import read_manifest
+from racines_data.manifest import read_manifest
 from racines_data.schema import Trajectory
 from racines_data.sources import Unit
 from racines_data.store import open_store

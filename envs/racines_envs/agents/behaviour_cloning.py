@@ -282,7 +282,7 @@ class _Imitation:
                 setattr(self, name, value)
 
     def _finish(self) -> BehaviourCloningAgent:
-        from racines_envs import intervals
+        from racines_models import bootstrap as statistics
 
         self.actor.load_state_dict(self.best_state)
         self.actor.eval()
@@ -290,7 +290,7 @@ class _Imitation:
         groups = self.held.shown.trajectory
 
         def figure(hits: Tensor) -> dict[str, Any]:
-            return intervals.mean(_by_group(hits, groups).numpy(), "mean over trajectories")
+            return statistics.mean(_by_group(hits, groups).numpy(), "mean over trajectories")
 
         metrics = {
             "epochs": self.epoch,

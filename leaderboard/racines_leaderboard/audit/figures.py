@@ -61,7 +61,7 @@ def _parts(subject: str, metric: dict[str, Any]) -> list[Verdict]:
 
 
 def _wilson(subject: str, metric: dict[str, Any]) -> Verdict:
-    from racines_envs.intervals import wilson
+    from racines_models.bootstrap import wilson
 
     n = metric["n"]
     here = wilson(np.arange(n) < round(metric["value"] * n))

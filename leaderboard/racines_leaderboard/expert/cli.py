@@ -50,10 +50,10 @@ def sample(
     device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
 ) -> None:
     """Draw images of stratified poses into a blinded kit."""
+    from racines_data.progress import image_counter
     from racines_data.store import open_store
     from racines_leaderboard.expert.names import TRUE_FRAMES
     from racines_leaderboard.expert.sample import Study, System, make_kit
-    from racines_models.cli_output import progress_bar
     from racines_models.cli_scores import pick_device
     from racines_models.grader import Grader
 
@@ -63,7 +63,7 @@ def sample(
     systems = [_system(spec, store, split, device) for spec in generator or []]
     systems += [System(TRUE_FRAMES, None)] if truth else []
     study = Study(images, repeats, seed, split)
-    with progress_bar("drawing", images, hidden=False) as advance:
+    with image_counter("drawing", images, hidden=False) as advance:
         kit = make_kit(out, store, systems, study, judge, advance)
     typer.echo(f"{out}: {images} images and {repeats} repeats, kit {kit.digest[:12]}.")
     typer.echo(f"Give raters {out}/kit.json and {out}/images; keep {out}/key.json from them.")

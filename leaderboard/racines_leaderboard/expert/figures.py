@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from racines_envs.intervals import wilson
 from racines_leaderboard.expert.kappa import confusion, kappa_figure, nominal, quadratic
-from racines_models.bootstrap import bootstrap_mean
+from racines_models.bootstrap import bootstrap_mean, wilson
 from racines_models.grader_report import CLOSE
 
 GRADES = 11

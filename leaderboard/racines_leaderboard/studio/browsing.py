@@ -9,9 +9,9 @@ import numpy as np
 import torch
 
 from racines_data.errors import RacinesError
-from racines_data.load import MANIFEST, MULTI_PHANTOM
+from racines_data.manifest import MANIFEST, MULTI_PHANTOM, store_name
 from racines_data.schema import SPLITS
-from racines_data.store import FrameStore, open_store, store_name
+from racines_data.store import FrameStore, open_store
 from racines_leaderboard.studio.inputs import choice, whole
 
 ALL = "all"

@@ -6,9 +6,10 @@ from types import TracebackType
 from typing import Any, Self
 
 from dvclive.live import Live
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import TextColumn
 from torch import Tensor
+
+from racines_data.progress import progress_bar
 
 CURVES = "dvclive"
 
@@ -31,16 +32,8 @@ class TrainingLog:
         self._sums: dict[str, Tensor] = {}
         self._steps = 0
         self.last: dict[str, float] = {}
-        self._progress = Progress(
-            TextColumn("[bold]{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("images"),
-            TimeRemainingColumn(),
-            TextColumn("{task.fields[losses]}"),
-            console=Console(stderr=True),
-            disable=not (visible and writes),
-        )
+        losses = TextColumn("{task.fields[losses]}")
+        self._progress = progress_bar(visible and writes, "images", losses)
         self._task = self._progress.add_task(name, total=stop, completed=start, losses="")
 
     def __enter__(self) -> Self:

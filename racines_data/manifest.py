@@ -1,0 +1,108 @@
+"""The manifest of a built dataset: what it holds, where, and under which digests."""
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from racines_data.errors import RacinesError
+from racines_data.views import LABELS
+
+METADATA = b"racines.store"
+MANIFEST = "manifest.json"
+CARD = "README.md"
+MULTI_PHANTOM = "multi_phantom"
+"""Name of the config of many simulated hearts."""
+DEFAULT_ROOT = Path("data/racines")
+ROOT_VARIABLE = "RACINES_DATA"
+
+
+def default_root(root: Path | str | None = None) -> Path:
+    """Return the dataset's folder: the one given, that of `RACINES_DATA`, or `data/racines`."""
+    return Path(root or os.environ.get(ROOT_VARIABLE) or DEFAULT_ROOT)
+
+
+def rebuild_hint(manifest: Mapping[str, Any]) -> str:
+    """Return what to do about a damaged dataset."""
+    source = manifest.get("source", "phantom")
+    return f"rebuild it: racines data build --source {source} (or fetch it again: dvc pull)"
+
+
+def read_manifest(root: Path) -> dict[str, Any]:
+    """Read the manifest of a dataset.
+
+    Raises:
+        RacinesError: there is no dataset, or its manifest is damaged.
+    """
+    path = root / MANIFEST
+    if not path.is_file():
+        raise RacinesError(
+            f"{root}: no dataset here; build one: racines data build --source phantom --out {root}"
+        )
+    try:
+        manifest = json.loads(path.read_text())
+        for key in ("source", "version", "digest", "recipe_digest", "files", "counts"):
+            manifest[key]
+    except (ValueError, KeyError, TypeError) as error:
+        raise RacinesError(f"{path}: damaged ({error}); {rebuild_hint({})}") from error
+    return manifest
+
+
+def config_digest(manifest: Mapping[str, Any], config: str = "frames") -> str:
+    """Return the content digest of a config: `multi_phantom` has its own, the others share one."""
+    return manifest[MULTI_PHANTOM]["digest"] if config == MULTI_PHANTOM else manifest["digest"]
+
+
+def manifest_labels(manifest: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the view labels of a dataset; older ones, which name none, have the cardiac ones."""
+    return tuple(manifest.get("labels") or LABELS)
+
+
+def check_split(split: str) -> str:
+    """Return the split if it is one.
+
+    Raises:
+        RacinesError: it is not.
+    """
+    from racines_data.schema import SPLITS
+
+    if split not in SPLITS:
+        raise RacinesError(f"unknown split {split!r}: choose one of {', '.join(SPLITS)}")
+    return split
+
+
+STORES = ("frames", MULTI_PHANTOM)
+"""Configs that may have a store; `sessions` are the rows of `frames`."""
+
+
+def store_name(config: str) -> str:
+    """Return the file of a config's store in the dataset."""
+    return f"store/{config}.arrow"
+
+
+STORE = store_name("frames")
+"""The store of the default config."""
+ORIGINS = {
+    "phantom": "simulated ultrasound of the RACINES phantom; no frame comes from a scanner",
+    "release": "the published RACINES recordings, imported",
+    "cactus": "the published CACTUS images, imported; labels and grades without poses",
+    "tracked": "tracked freehand ultrasound, imported; poses of the tracked probe, no forces",
+}
+OTHER_ORIGIN = "a source of another package"
+
+
+def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:
+    """Return the description of a config.
+
+    It carries the digest because `datasets` keys its cache of a local folder by the configs, not by
+    the content of the files: without it a rebuilt dataset would be served stale. So it does the
+    grader's hash, where one has annotated the frames.
+    """
+    origin = ORIGINS.get(manifest["source"], OTHER_ORIGIN)
+    annotation = manifest.get("annotation") if config in ("frames", "sessions") else None
+    return (
+        f"source {manifest['source']} ({origin}); version {manifest['version']}; "
+        f"content sha256 {config_digest(manifest, config)}"
+        + (f"; annotated by grader {annotation['grader']}" if annotation else "")
+    )
