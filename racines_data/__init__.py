@@ -1,28 +1,13 @@
-"""The RACINES dataset: sources, the simulated phantom, building, loading, checking."""
+"""The RACINES dataset: sources, the simulated phantom, building, loading, checking.
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+Shared by all rooms: `schema`, `views`, `geometry`, `imaging`, `config`, `errors`, `files`,
+`manifest`. What takes seconds to import (torch, datasets) is imported when it is first used.
+"""
 
-from racines_data.errors import RacinesError
-from racines_data.load import load
+import lazy_loader
 
-if TYPE_CHECKING:
-    from racines_data.build import DataConfig
-    from racines_data.store import Batch, FrameStore, open_store
+from racines_data import renamed
+from racines_data.load import load as load  # not lazily: the module of that name would hide it
 
-__all__ = [
-    "Batch",
-    "DataConfig",
-    "FrameStore",
-    "RacinesError",
-    "load",
-    "open_store",
-]
-_LAZY = {"Batch": "store", "FrameStore": "store", "open_store": "store", "DataConfig": "build"}
-
-
-def __getattr__(name: str) -> Any:
-    # torch and datasets take seconds to import: only what is used is imported.
-    if name not in _LAZY:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)
+renamed.install()
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -47,7 +47,7 @@ def load(
     from racines_data.digest import check_files
 
     if repo_id is not None:
-        from racines_data.hub import download
+        from racines_data.hub.fetch import download
 
         root = download(repo_id, version)
     folder = default_root(root)

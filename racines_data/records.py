@@ -12,7 +12,7 @@ from PIL import Image
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.schema import CONTROLS, PARAMETERS, SOURCES, Trajectory, frame_features
-from racines_data.sources import Unit
+from racines_data.sources.base import Unit
 from racines_data.views import LABELS
 
 PIXELS = IMAGE_SIZE * IMAGE_SIZE

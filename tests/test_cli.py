@@ -47,7 +47,7 @@ def test_help(tmp_path: Path, words: tuple[str, ...]):
 
 def test_help_loads_no_library_that_takes_seconds(tmp_path: Path):
     code = (
-        "import sys, racines_leaderboard.cli\n"
+        "import sys, racines_leaderboard.cli.command\n"
         "heavy = {'torch', 'datasets', 'polars', 'matplotlib', 'monai', 'torchrl', 'scipy'}\n"
         "heavy |= {'gradio'}\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"

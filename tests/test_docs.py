@@ -11,7 +11,7 @@ import pytest
 import typer.main
 import yaml
 
-from racines_leaderboard.cli import app
+from racines_leaderboard.cli.command import app
 from tests.conftest import ROOT, command
 from tests.documents import blocks, command_lines, run_page
 
@@ -39,7 +39,7 @@ def test_pages_build_and_their_links_hold_and_load_nothing_from_elsewhere(tmp_pa
     for name, text in built.items():
         assert not LOADED.search(text) and not DIAGRAM.search(text), name
         assert "Research software, not a medical device" in text, name
-    assert 'id="racines_data.store.FrameStore.batches"' in built["reference-data.html"]
+    assert 'id="racines_data.store.frames.FrameStore.batches"' in built["reference-data.html"]
 
 
 def test_every_page_that_a_clinician_could_open_first_says_what_it_is_not():

@@ -54,9 +54,9 @@ def test_nothing_imports_to_its_right(package: str):
     "source",
     [
         "import racines_envs",
-        "from racines_leaderboard.rank import rank",
+        "from racines_leaderboard.board.rank import rank",
         "def f():\n    from racines_envs import core",
-        "import importlib\nimportlib.import_module('racines_envs.core')",
+        "import importlib\nimportlib.import_module('racines_envs.task.core')",
         "from models.racines_models import grader",
     ],
 )

@@ -4,17 +4,17 @@ from importlib.metadata import entry_points
 
 import pytest
 
-from racines_data.build import make_source, read_data_section
+from racines_data.build.dataset import make_source, read_data_section
 from racines_data.config import PROFILES, fill, read_params, section
 from racines_data.phantom import PhantomConfig
 from racines_envs.agents import agent_class
-from racines_envs.entries import find_entry
-from racines_envs.evaluation import EvaluationConfig
-from racines_envs.exploration import ExplorationConfig
-from racines_models.grader import GraderConfig
-from racines_models.pose_regressor import PoseConfig
+from racines_envs.evaluation.entries import find_entry
+from racines_envs.evaluation.run import EvaluationConfig
+from racines_envs.worlds.exploration import ExplorationConfig
+from racines_models.judges.grader.model import GraderConfig
+from racines_models.judges.pose.regressor import PoseConfig
+from racines_models.judges.student.model import StudentConfig
 from racines_models.registry import generator_class
-from racines_models.student import StudentConfig
 
 ENCODER = "models/runs/encoder"
 """What the stage of that name makes."""

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from racines_leaderboard.collect import boards
-from racines_leaderboard.pages import BEGIN, END, with_tables
+from racines_leaderboard.board.collect import boards
+from racines_leaderboard.board.pages import BEGIN, END, with_tables
 from tests.conftest import ROOT, command
 from tests.documents import blocks
 

@@ -8,7 +8,7 @@ import pytest
 import yaml
 from typer.main import get_command
 
-from racines_leaderboard.cli import app
+from racines_leaderboard.cli.command import app
 from tests.conftest import ROOT
 
 FOLDER = ROOT / ".github/workflows"

@@ -21,9 +21,9 @@ PRELOAD = [
     "torchrl.collectors",
     "torchrl.objectives",
     "dvclive.live",
-    "racines_leaderboard.cli",
-    "racines_models.scoring",
-    "racines_envs.evaluation",
+    "racines_leaderboard.cli.command",
+    "racines_models.scores.scoring",
+    "racines_envs.evaluation.run",
 ]
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(PRELOAD)
@@ -51,7 +51,7 @@ def _child(
     sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
     sys.argv = list(words)
     if words[0] == "racines":
-        from racines_leaderboard.cli import main as racines
+        from racines_leaderboard.cli.command import main as racines
 
         racines()
     else:

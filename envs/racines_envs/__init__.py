@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from racines_data.views import HEART, ORGANS
-from racines_envs.names import task_id
+from racines_envs.task.names import task_id
 
 if TYPE_CHECKING:
-    from racines_envs.torchrl_env import ScanEnv as ScanEnv
+    from racines_envs.apis.torchrl_env import ScanEnv as ScanEnv
 
 __all__ = ["ScanEnv", "register_tasks"]
 
@@ -30,8 +30,8 @@ def register_tasks(anatomy: str, views: Sequence[str]) -> list[str]:
     for view in views:
         gymnasium.register(
             id=task_id(view, anatomy),
-            entry_point="racines_envs.gym_env:GymScanEnv",
-            vector_entry_point="racines_envs.gym_vector:VectorScanEnv",
+            entry_point="racines_envs.apis.gym_env:GymScanEnv",
+            vector_entry_point="racines_envs.apis.gym_vector:VectorScanEnv",
             kwargs={"view": view} | ({"anatomy": anatomy} if anatomy != HEART else {}),
         )
     return [task_id(view, anatomy) for view in views]
@@ -44,7 +44,7 @@ for _anatomy, _views in ORGANS.items():
 def __getattr__(name: str) -> Any:
     """Load the TorchRL environment when it is first asked for."""
     if name == "ScanEnv":
-        from racines_envs.torchrl_env import ScanEnv
+        from racines_envs.apis.torchrl_env import ScanEnv
 
         return ScanEnv
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

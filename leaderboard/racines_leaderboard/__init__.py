@@ -1,1 +1,5 @@
-"""The leaderboard: submissions, results, ranking, tables, and the `racines` command."""
+"""The leaderboard: submissions, records, boards, audits, the studio, and the `racines` command."""
+
+from racines_data import renamed
+
+renamed.install()

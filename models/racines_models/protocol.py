@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 from racines_data.imaging import ImageSource
-from racines_data.store import FrameStore
+from racines_data.store.frames import FrameStore
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.files import sha256_file
-from racines_data.store import FrameStore
+from racines_data.store.frames import FrameStore
 
 
 def sha256_bytes(*parts: bytes) -> str:

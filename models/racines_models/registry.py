@@ -8,7 +8,7 @@ from typing import Any
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.imaging import ImageSource
-from racines_data.store import FrameStore
+from racines_data.store.frames import FrameStore
 from racines_models.protocol import Generator
 from racines_models.provenance import weights_sha256
 from racines_models.training.repeats import repeat_folders
@@ -110,7 +110,7 @@ def open_generator(
     if folder is not None:
         raise RacinesError(f"{spec} is a file: it has no run folder ({folder}); give one of them")
     if Path(spec).suffix.lower() == ".onnx":
-        from racines_models.onnx_generator import OnnxGenerator
+        from racines_models.exchange.onnx.generator import OnnxGenerator
 
         return OnnxGenerator(Path(spec), device)
     if store is None:
@@ -118,7 +118,7 @@ def open_generator(
             f"{spec}: a predictions file holds the images of some frames and draws no other pose: "
             "score it, or name a generator or an ONNX file"
         )
-    from racines_models.predictions_reader import Predictions
+    from racines_models.exchange.predictions.reader import Predictions
 
     predictions: Any = Predictions(Path(spec), store, split)
     return predictions

@@ -12,7 +12,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource, check_images
 from racines_data.randomness import derive
-from racines_data.store import Batch, FrameStore
+from racines_data.store.frames import Batch, FrameStore
 from racines_models.provenance import sha256_bytes
 
 CHUNK = 64

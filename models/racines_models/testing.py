@@ -17,7 +17,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE, ImageSource
 from racines_data.schema import PARAMETERS
-from racines_data.store import FrameStore
+from racines_data.store.frames import FrameStore
 from racines_models.protocol import Card, Generator, Run
 
 
@@ -86,8 +86,8 @@ class GeneratorContract:
         """Where exportable: within 1 gray level, and in at most 1 pixel of 1,000, with no force."""
         if not self.exportable:
             return
-        from racines_models.onnx_export import export_generator
-        from racines_models.onnx_generator import OnnxGenerator
+        from racines_models.exchange.onnx.export import export_generator
+        from racines_models.exchange.onnx.generator import OnnxGenerator
 
         generator, poses = self.fitted(store, tmp_path), self.parameters(store).clone()
         poses[:2, :6] = float("nan")

@@ -29,12 +29,12 @@ import pyarrow as pa
 from pyarrow import ipc
 
 from racines_data.errors import RacinesError
-from racines_data.export.sweeps import Sweep, new_folder, read_sweeps
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import describe, manifest_labels, read_manifest
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS
+from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 
 MINARI_VERSION = "0.5.0"
 """Oldest version whose format this is; later ones read it."""

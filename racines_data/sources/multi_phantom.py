@@ -19,7 +19,7 @@ from racines_data.phantom.model import shared_phantom
 from racines_data.phantom.population import heart_config
 from racines_data.randomness import derive, sample_seeds
 from racines_data.schema import Trajectory
-from racines_data.sources import Finding, Unit
+from racines_data.sources.base import Finding, Unit
 from racines_data.sources.phantom import PhantomSource, acquire
 from racines_data.views import labels_of
 

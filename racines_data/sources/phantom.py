@@ -23,7 +23,7 @@ from racines_data.phantom.config import PHANTOM_VERSION
 from racines_data.phantom.model import Phantom, shared_phantom
 from racines_data.randomness import derive, sample_seeds
 from racines_data.schema import Trajectory
-from racines_data.sources import Finding, Unit
+from racines_data.sources.base import Finding, Unit
 from racines_data.views import labels_of
 
 

@@ -17,9 +17,9 @@ import pytest
 import torch
 
 import racines_data
-from racines_data.build import DataConfig, build, make_source
+from racines_data.build.dataset import DataConfig, build, make_source
 from racines_data.schema import PARAMETERS
-from racines_data.store import FrameStore
+from racines_data.store.frames import FrameStore
 
 FRAMES = 12_000
 BATCH = 256

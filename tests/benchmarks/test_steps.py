@@ -21,8 +21,8 @@ import torch
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
 from racines_data.phantom import shared_phantom
-from racines_envs.actions import ACTIONS
-from racines_models.student import Student, StudentConfig
+from racines_envs.task.actions import ACTIONS
+from racines_models.judges.student.model import Student, StudentConfig
 from tests.conftest import ROOT
 
 ENVS = 64

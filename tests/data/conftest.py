@@ -5,7 +5,7 @@ from pathlib import Path
 import datasets
 import pytest
 
-from racines_data.build import DataConfig, build
+from racines_data.build.dataset import DataConfig, build
 from tests.data.fake_source import FakeConfig, FakeSource
 
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from racines_data.sources import Finding
-from racines_data.sources.release import ReleaseSource
-from racines_data.sources.release_log import parse_log
+from racines_data.sources.base import Finding
+from racines_data.sources.release.log import parse_log
+from racines_data.sources.release.source import ReleaseSource
 from tests.data.release_tree import FRAMES, log_text
 
 IMAGES, LOGS = "Folder 1/A4C/images", "Folder 1/A4C/logs"

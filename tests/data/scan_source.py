@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from racines_data.schema import Trajectory
-from racines_data.sources import Finding, Unit
+from racines_data.sources.base import Finding, Unit
 from racines_data.views import LABELS
 
 

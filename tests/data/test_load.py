@@ -6,7 +6,7 @@ import pytest
 
 import racines_data
 from racines_data import RacinesError
-from racines_data.build import DataConfig, build
+from racines_data.build.dataset import DataConfig, build
 from racines_data.views import LABELS
 from tests.data.fake_source import FakeConfig, FakeSource
 

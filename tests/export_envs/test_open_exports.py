@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from racines_data.export import load_exporter
-from racines_data.export.sweeps import Sweep, read_sweeps
+from racines_data.export.registry import load_exporter
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS
+from racines_data.store.sweeps import Sweep, read_sweeps
 from racines_data.views import LABELS
 from tests.conftest import ROOT
 

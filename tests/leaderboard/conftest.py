@@ -107,11 +107,11 @@ def write_submission(folder: Path, *artefacts: dict[str, Any], **changes: Any) -
 @pytest.fixture
 def ground(workplace, monkeypatch):
     """The ground of a tiny board, with block means in the place of Inception."""
-    from racines_leaderboard.confined import Limits
-    from racines_leaderboard.recompute import Ground
-    from racines_models import scoring
+    from racines_leaderboard.board.recompute import Ground
+    from racines_leaderboard.submissions.confined.session import Limits
+    from racines_models.scores import scoring
     from tests.conftest import TINY
-    from tests.models.test_scores import Coarse
+    from tests.models.scores.test_scores import Coarse
 
     monkeypatch.chdir(workplace)
     monkeypatch.setattr(scoring, "InceptionFeatures", Coarse)

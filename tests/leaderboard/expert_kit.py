@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from racines_data.store import Batch
+from racines_data.store.frames import Batch
 from racines_data.views import LABELS
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.expert.sample import Study, System, make_kit

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from racines_leaderboard.intake import take_in
-from racines_models.scoring import ScoresConfig
+from racines_leaderboard.submissions.intake import take_in
+from racines_models.scores.scoring import ScoresConfig
 from tests.leaderboard.conftest import artefact, write_submission
 
 CONFIG = ScoresConfig(samples=16, resamples=20, speed=False)

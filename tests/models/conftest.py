@@ -6,9 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from racines_data.batch_memory import BatchMemory
 from racines_data.geometry import parameters_to_pose
-from racines_data.store import Batch, FrameStore
+from racines_data.store.frames import Batch, FrameStore
+from racines_data.store.memory import BatchMemory
 
 TRAIN, VALIDATION, TEST = 240, 32, 16
 

@@ -10,12 +10,12 @@ from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_leaderboard.cli import app
+from racines_leaderboard.cli.command import app
 from racines_models.generators.vae_gan import VaeGan, VaeGanConfig
 from racines_models.protocol import Run
-from racines_models.publish import SMALL, load_weights, publish
 from racines_models.registry import open_runs, weights_of
 from racines_models.training.objective import Training
+from racines_models.weights import SMALL, load_weights, publish
 
 CONFIG = VaeGanConfig(
     width=8,

@@ -13,14 +13,14 @@ import torch
 from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
-from racines_data.store import FrameStore, open_store
-from racines_envs.actions import ACTIONS, IDLE
+from racines_data.store.frames import FrameStore, open_store
 from racines_envs.agents.demonstrations import Demonstrations, demonstrations, encode_params
 from racines_envs.agents.encoders import open_encoder
 from racines_envs.agents.identity import settings_identity
 from racines_envs.agents.policy import PolicyAgent, make_actor
-from racines_envs.agents.training_run import copy_state
-from racines_envs.making import find_task, make_phantom
+from racines_envs.agents.training.run import copy_state
+from racines_envs.task.actions import ACTIONS, IDLE
+from racines_envs.worlds.making import find_task, make_phantom
 from racines_models.provenance import dataset_card
 from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
 
@@ -282,7 +282,7 @@ class _Imitation:
                 setattr(self, name, value)
 
     def _finish(self) -> BehaviourCloningAgent:
-        from racines_models import bootstrap as statistics
+        from racines_models import statistics
 
         self.actor.load_state_dict(self.best_state)
         self.actor.eval()

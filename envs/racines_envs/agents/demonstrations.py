@@ -15,9 +15,9 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, geodesic, parameters_to_pose, rotation_6d
-from racines_data.store import FrameStore
-from racines_envs.actions import ACTIONS, IDLE, ActionTable
-from racines_envs.tasks import Task
+from racines_data.store.frames import FrameStore
+from racines_envs.task.actions import ACTIONS, IDLE, ActionTable
+from racines_envs.task.tasks import Task
 
 CHUNK = 8192
 

@@ -50,7 +50,7 @@ def open_encoder(
     """
     if not spec:
         return None
-    from racines_models.pose_regressor import PoseRegressor
+    from racines_models.judges.pose.regressor import PoseRegressor
 
     named = PUBLISHED.get(spec, Path(spec))
     beside = [near / BESIDE] if near is not None else []

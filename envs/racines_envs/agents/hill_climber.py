@@ -16,12 +16,12 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.randomness import uniform
-from racines_envs.actions import ACTIONS, IDLE
 from racines_envs.agents.protocol import SETTINGS, Untrained
-from racines_envs.backends import GRADER_FOLDER, make_grader
-from racines_envs.core import ScanCore
-from racines_envs.making import check_grader
-from racines_envs.rewards import RewardConfig
+from racines_envs.task.actions import ACTIONS, IDLE
+from racines_envs.task.core import ScanCore
+from racines_envs.task.rewards import RewardConfig
+from racines_envs.worlds.backends import GRADER_FOLDER, make_grader
+from racines_envs.worlds.making import check_grader
 
 MOVES = len(ACTIONS) - 1
 """All actions but idle; action 2i goes one way and 2i + 1 back."""

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from racines_envs.agents.encoders import PoseEncoder
-from racines_envs.backends import GRADER_FOLDER, make_grader, source_weights
-from racines_envs.making import phantom_recipe
+from racines_envs.worlds.backends import GRADER_FOLDER, make_grader, source_weights
+from racines_envs.worlds.making import phantom_recipe
 
 PLACES = ("encoder", "grader", "generator")
 """Settings that name a place."""
@@ -54,7 +54,7 @@ def environment_identity(
     if config.backend == "generator" and config.generator:
         made["generator"] = source_weights(config.generator)
     if config.backend == "replay":
-        from racines_data.store import open_store
+        from racines_data.store.frames import open_store
 
         made["data"] = open_store(data).digest
     return made | {"phantom": phantom_recipe(phantom)}

@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import matrix_from_6d, matrix_to_euler
-from racines_envs.core import PARAMS_SIZE
+from racines_envs.task.core import PARAMS_SIZE
 
 KEYS = {"image": ["image"], "params": ["params"], "multimodal": ["image", "params"]}
 """What a network of each observation reads, in order."""

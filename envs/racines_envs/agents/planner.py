@@ -8,10 +8,10 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, geodesic
-from racines_envs.actions import ACTIONS, IDLE
 from racines_envs.agents.protocol import Untrained
-from racines_envs.core import ScanCore
-from racines_envs.rewards import is_hit
+from racines_envs.task.actions import ACTIONS, IDLE
+from racines_envs.task.core import ScanCore
+from racines_envs.task.rewards import is_hit
 
 
 @dataclass(frozen=True)

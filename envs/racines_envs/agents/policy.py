@@ -10,10 +10,10 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.randomness import uniform
-from racines_envs.actions import ACTIONS
 from racines_envs.agents.encoders import PoseEncoder, open_encoder
 from racines_envs.agents.networks import ObservationNetwork
-from racines_envs.core import ScanCore
+from racines_envs.task.actions import ACTIONS
+from racines_envs.task.core import ScanCore
 
 POLICY = "policy.safetensors"
 _DRAWS = 23

@@ -11,8 +11,8 @@ from torch import Tensor, nn
 
 from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.agents.policy import PolicyAgent, make_actor
-from racines_envs.agents.training_config import TrainingConfig
-from racines_envs.agents.training_run import TrainingRun
+from racines_envs.agents.training.config import TrainingConfig
+from racines_envs.agents.training.run import TrainingRun
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class _Training(TrainingRun):
         from torchrl.objectives import ClipPPOLoss
         from torchrl.objectives.value import GAE
 
-        from racines_envs.torchrl_env import ScanEnv
+        from racines_envs.apis.torchrl_env import ScanEnv
 
         config = self.config
         self.env = ScanEnv(config.view, config.envs, **self.where)

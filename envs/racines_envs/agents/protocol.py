@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 import torch
 from torch import Tensor
 
-from racines_envs.core import ScanCore
+from racines_envs.task.core import ScanCore
 
 SETTINGS = "config.json"
 

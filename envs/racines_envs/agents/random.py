@@ -6,8 +6,8 @@ from typing import ClassVar
 from torch import Tensor
 
 from racines_data.randomness import uniform
-from racines_envs.actions import ACTIONS
 from racines_envs.agents.protocol import Untrained
+from racines_envs.task.actions import ACTIONS
 
 
 @dataclass(frozen=True)

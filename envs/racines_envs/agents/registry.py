@@ -14,7 +14,7 @@ from racines_envs.agents.protocol import Agent
 
 GROUP = "racines.agents"
 FILES = {
-    ".onnx": "racines_envs.agents.onnx_policy:OnnxPolicyAgent",
+    ".onnx": "racines_envs.agents.onnx.policy:OnnxPolicyAgent",
     ".json": "racines_envs.agents.trace:TraceAgent",
 }
 """What opens a file, by its ending."""

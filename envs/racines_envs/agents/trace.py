@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_envs.actions import ACTIONS
 from racines_envs.agents.protocol import Agent
-from racines_envs.core import ScanCore
-from racines_envs.rollout import Episodes
-from racines_envs.trace import check_same, read_trace
+from racines_envs.agents.rollout import Episodes
+from racines_envs.agents.trace_file import check_same, read_trace
+from racines_envs.task.actions import ACTIONS
+from racines_envs.task.core import ScanCore
 from racines_models.provenance import sha256_bytes
 
 IDLE = ACTIONS.index("idle")

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 from racines_data.config import PROFILES, fill, read_params, section
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_leaderboard.confined import Limits
+from racines_leaderboard.submissions.confined.session import Limits
 
 if TYPE_CHECKING:
-    from racines_data.store import FrameStore
-    from racines_models.judge import ScoresConfig
+    from racines_data.store.frames import FrameStore
     from racines_models.sample import Sample
+    from racines_models.scores.judge import ScoresConfig
 
 JUDGES = {"grader": "grader.safetensors", "pose": "model.safetensors"}
 """File of a judge's weights in its folder."""
@@ -61,14 +61,14 @@ class Bench:
     @functools.cached_property
     def scores(self) -> "ScoresConfig":
         """How the board scores generators; defaults where its settings are unknown."""
-        from racines_models.judge import ScoresConfig
+        from racines_models.scores.judge import ScoresConfig
 
         return fill(ScoresConfig, section(self.settings or {}, "scores"), "scores")
 
     @functools.cached_property
     def recipe(self) -> str | None:
         """Recipe digest of the dataset that the settings build; None for imported data."""
-        from racines_data.build import recipe_of
+        from racines_data.build.dataset import recipe_of
 
         if self.settings is None:
             return None
@@ -80,7 +80,7 @@ class Bench:
     @functools.cached_property
     def store(self) -> "FrameStore | None":
         """The dataset here, if there is one."""
-        from racines_data.store import open_store
+        from racines_data.store.frames import open_store
 
         return open_store(self.places.data) if self.places.data.is_dir() else None
 
@@ -100,7 +100,7 @@ class Bench:
     @functools.cached_property
     def inception(self) -> dict[str, Any]:
         """The settings of Inception's features here."""
-        from racines_models import scoring
+        from racines_models.scores import scoring
 
         return scoring.InceptionFeatures("cpu").settings
 

@@ -11,9 +11,9 @@ from racines_data.digest import canonical_json
 from racines_data.errors import RacinesError
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, unknown
-from racines_leaderboard.collect import Record
-from racines_leaderboard.seal import KEY, seal_of
-from racines_leaderboard.submission import find_submission
+from racines_leaderboard.board.collect import Record
+from racines_leaderboard.records.seal import KEY, seal_of
+from racines_leaderboard.submissions.document import find_submission
 
 MACHINE = ("torch", "cpu", "threads", "device")
 """What floating point depends on, of an environment."""

@@ -17,8 +17,8 @@ from racines_leaderboard.audit.claims import differing
 from racines_leaderboard.audit.figures import TIMED
 from racines_leaderboard.audit.roads import HALF
 from racines_leaderboard.audit.verdicts import Verdict, fails, holds, unknown
-from racines_leaderboard.collect import Record
-from racines_leaderboard.tracks import TRACKS
+from racines_leaderboard.board.collect import Record
+from racines_leaderboard.records.tracks import TRACKS
 
 BITWISE, TOLERANCE = "bitwise", "tolerance"
 PRIMARY = 4e-4

@@ -8,7 +8,7 @@ import numpy as np
 from racines_data.config import fill, section
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, unknown
-from racines_leaderboard.collect import Record
+from racines_leaderboard.board.collect import Record
 
 OF_VIEW = re.compile(r"(grade_agreement|grade_error|pose_error_(mm|deg)_view)(_truth)?")
 """Figures over the frames of a view alone."""
@@ -61,7 +61,7 @@ def _parts(subject: str, metric: dict[str, Any]) -> list[Verdict]:
 
 
 def _wilson(subject: str, metric: dict[str, Any]) -> Verdict:
-    from racines_models.bootstrap import wilson
+    from racines_models.statistics import wilson
 
     n = metric["n"]
     here = wilson(np.arange(n) < round(metric["value"] * n))
@@ -80,8 +80,8 @@ def _counts(
     store = bench.data_for(record["scores"]["dataset"]["recipe_digest"])
     if store is None:
         return _at_most(bench, metrics)
-    from racines_models.diversity import places_again
-    from racines_models.judge import PRDC_FRAMES
+    from racines_models.scores.diversity import places_again
+    from racines_models.scores.judge import PRDC_FRAMES
 
     views = bench.sample.frames.views
     frames = len(views)
@@ -129,7 +129,7 @@ def _methods(record: Record, bench: Bench) -> list[Verdict]:
     if bench.settings is None:
         return [unknown("intervals", f"no settings of board {bench.board} here: give --params")]
     if record["track"] == "agents":
-        from racines_envs.evaluation import EvaluationConfig
+        from racines_envs.evaluation.run import EvaluationConfig
 
         config = fill(EvaluationConfig, section(bench.settings, "evaluation"), "evaluation")
         wanted = {"resamples": config.resamples}

@@ -9,7 +9,7 @@ from racines_data.config import fill, section
 from racines_data.errors import RacinesError
 from racines_leaderboard.audit.bench import JUDGES, KINDS, Bench
 from racines_leaderboard.audit.verdicts import UNKNOWN, Verdict, equal, fails, holds, unknown
-from racines_leaderboard.collect import Record
+from racines_leaderboard.board.collect import Record
 
 
 def dataset(record: Record, bench: Bench) -> list[Verdict]:
@@ -100,7 +100,7 @@ def drawing_seeds(record: Record, bench: Bench) -> list[Verdict]:
     """Check the seeds that images were drawn with against the board's settings."""
     if bench.settings is None:
         return [unknown("seeds", f"no settings of board {bench.board} here: give --params")]
-    from racines_models.scoring import take_turns
+    from racines_models.scores.scoring import take_turns
 
     told, runs = record["scores"]["seeds"], record["scores"].get("runs", 1)
     allowed = []
@@ -117,9 +117,9 @@ def task(record: Record, bench: Bench) -> list[Verdict]:
     """Check phantom, task, reward, backend and starts of an agent's scores."""
     if bench.settings is None:
         return [unknown("task", f"no settings of board {bench.board} here: give --params")]
-    from racines_envs.evaluation import EvaluationConfig
-    from racines_envs.making import find_task, phantom_recipe
-    from racines_envs.settings import phantom_config
+    from racines_envs.cli.settings import phantom_config
+    from racines_envs.evaluation.run import EvaluationConfig
+    from racines_envs.worlds.making import find_task, phantom_recipe
 
     scores, told = record["scores"], record["scores"]["task"]
     config = fill(EvaluationConfig, section(bench.settings, "evaluation"), "evaluation")

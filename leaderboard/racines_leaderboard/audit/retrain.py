@@ -17,9 +17,9 @@ from racines_leaderboard.audit.roads import fitted, score_agent, score_run
 from racines_leaderboard.audit.run import check, peers
 from racines_leaderboard.audit.verdicts import Report, Verdict, fails, holds, unknown
 from racines_leaderboard.audit.weights import named, submitted
-from racines_leaderboard.collect import Record, read_record
-from racines_leaderboard.seal import sealed
-from racines_leaderboard.tracks import TRACKS, Track
+from racines_leaderboard.board.collect import Record, read_record
+from racines_leaderboard.records.seal import sealed
+from racines_leaderboard.records.tracks import TRACKS, Track
 
 
 def retrain(path: Path, bench: Bench, into: Path) -> Report:
@@ -76,8 +76,8 @@ def _train(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
 
 def _train_agent(record: Record, bench: Bench, folder: Path) -> None:
     from racines_envs.agents import agent_class
-    from racines_envs.entries import find_entry
-    from racines_envs.settings import phantom_config
+    from racines_envs.cli.settings import phantom_config
+    from racines_envs.evaluation.entries import find_entry
 
     if not named(record):
         return

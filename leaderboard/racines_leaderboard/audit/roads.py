@@ -19,8 +19,8 @@ from racines_data.config import fill, section
 from racines_data.errors import RacinesError
 from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.weights import named, published, run_of, submitted
-from racines_leaderboard.collect import Record
-from racines_leaderboard.recompute import Ground, scores_again
+from racines_leaderboard.board.collect import Record
+from racines_leaderboard.board.recompute import Ground, scores_again
 
 HALF = "half precision"
 
@@ -128,10 +128,10 @@ def fitted(record: Record, bench: Bench, folder: Path | None) -> Iterator[Path]:
 
 def score_run(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
     """Return the scores of the generator in a run's folder, by the judges that a record names."""
-    from racines_models.grader import Grader
-    from racines_models.pose_regressor import PoseRegressor
+    from racines_models.judges.grader.model import Grader
+    from racines_models.judges.pose.regressor import PoseRegressor
     from racines_models.registry import open_runs, weights_of
-    from racines_models.scoring import score
+    from racines_models.scores.scoring import score
 
     assert bench.store is not None
     on, name = ground(record, bench), record["name"]
@@ -165,10 +165,10 @@ def score_agent(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
     The graders that had a say are those that the record names.
     """
     from racines_envs.agents import load_agent
-    from racines_envs.backends import make_grader
-    from racines_envs.entries import find_entry
-    from racines_envs.evaluation import EvaluationConfig, evaluate
-    from racines_envs.settings import phantom_config
+    from racines_envs.cli.settings import phantom_config
+    from racines_envs.evaluation.entries import find_entry
+    from racines_envs.evaluation.run import EvaluationConfig, evaluate
+    from racines_envs.worlds.backends import make_grader
 
     assert bench.settings is not None
     entry = find_entry(bench.settings, record["name"])

@@ -18,8 +18,8 @@ from racines_leaderboard.audit.verdicts import (
     holds,
     unknown,
 )
-from racines_leaderboard.collect import Record, read_record
-from racines_leaderboard.tracks import TRACKS, Track
+from racines_leaderboard.board.collect import Record, read_record
+from racines_leaderboard.records.tracks import TRACKS, Track
 
 
 def audit(path: Path, bench: Bench, quick: bool = False) -> Report:

@@ -6,10 +6,10 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_leaderboard.artefacts import files_of, rescored
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, unknown
-from racines_leaderboard.collect import Record
+from racines_leaderboard.board.collect import Record
+from racines_leaderboard.submissions.artefacts import files_of, rescored
 
 
 def named(record: Record) -> dict[str, str]:
@@ -140,7 +140,7 @@ def check_content(record: Record, bench: Bench) -> list[Verdict]:
 
 
 def _predictions(subject: str, path: Path, record: Record, bench: Bench) -> list[Verdict]:
-    from racines_models.predictions_reader import Predictions
+    from racines_models.exchange.predictions.reader import Predictions
 
     dataset = record["scores"]["dataset"]
     store = bench.data_for(dataset["recipe_digest"])
@@ -152,7 +152,7 @@ def _predictions(subject: str, path: Path, record: Record, bench: Bench) -> list
 
 
 def _trace(subject: str, path: Path, record: Record) -> list[Verdict]:
-    from racines_envs.trace import read_trace
+    from racines_envs.agents.trace_file import read_trace
 
     told, task = read_trace(path).told, record["scores"]["task"]
     reason = "recorded on what the record names"

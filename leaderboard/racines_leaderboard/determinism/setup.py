@@ -13,7 +13,7 @@ from torch import Tensor
 from racines_data.config import fill, section
 
 if TYPE_CHECKING:
-    from racines_data.store import FrameStore
+    from racines_data.store.frames import FrameStore
 
 Arrays = dict[str, Tensor]
 POSES = 64
@@ -71,8 +71,8 @@ class Work:
 
     def build(self, workers: int) -> "FrameStore":
         """Build the small dataset anew, and open it."""
-        from racines_data.build import build, make_source, read_data_section
-        from racines_data.store import open_store
+        from racines_data.build.dataset import build, make_source, read_data_section
+        from racines_data.store.frames import open_store
 
         config, sections = read_data_section(section(SETTINGS, "data") | {"workers": workers})
         out = self.new()
@@ -98,8 +98,8 @@ class Work:
 
     def train_grader(self, device: str) -> Any:
         """Train the small grader anew."""
-        from racines_models.grader import Grader, GraderConfig
-        from racines_models.grader_training import train_grader
+        from racines_models.judges.grader.model import Grader, GraderConfig
+        from racines_models.judges.grader.training import train_grader
         from racines_models.protocol import Run
 
         config, out = fill(GraderConfig, SETTINGS["grader"], "grader"), self.new()

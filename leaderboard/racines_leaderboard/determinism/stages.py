@@ -98,8 +98,8 @@ def _drawing(name: str) -> Make:
 
 
 def _as_onnx(work: Work, generator: Any) -> ImageSource:
-    from racines_models.onnx_export import export_generator
-    from racines_models.onnx_generator import OnnxGenerator
+    from racines_models.exchange.onnx.export import export_generator
+    from racines_models.exchange.onnx.generator import OnnxGenerator
 
     path = work.new().with_suffix(".onnx")
     export_generator(generator, path)
@@ -115,7 +115,7 @@ def _moved(work: Work, generator: Any, device: str) -> ImageSource:
 
 def scores(work: Work, setup: Setup) -> Arrays:
     """Score the mean image on 16 frames, Inception and a grader included."""
-    from racines_models.scoring import ScoresConfig, score
+    from racines_models.scores.scoring import ScoresConfig, score
 
     config = ScoresConfig(samples=SCORED, resamples=50, speed=False)
     mean = work.generator("mean-image")
@@ -133,9 +133,9 @@ def scores(work: Work, setup: Setup) -> Arrays:
 def rollouts(work: Work, setup: Setup) -> Arrays:
     """Let the planner steer from 8 starts, all at once or one at a time."""
     from racines_envs.agents.planner import PlannerAgent
-    from racines_envs.making import make_core
-    from racines_envs.rollout import rollout
-    from racines_envs.starts import evaluation_seeds
+    from racines_envs.agents.rollout import rollout
+    from racines_envs.task.starts import evaluation_seeds
+    from racines_envs.worlds.making import make_core
 
     seeds, size = evaluation_seeds(STARTS, 0), min(setup.batch, STARTS)
     parts: dict[str, list[Tensor]] = {}

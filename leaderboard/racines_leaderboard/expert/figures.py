@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from racines_leaderboard.expert.kappa import confusion, kappa_figure, nominal, quadratic
-from racines_models.bootstrap import bootstrap_mean, wilson
-from racines_models.grader_report import CLOSE
+from racines_models.judges.grader.report import CLOSE
+from racines_models.statistics import bootstrap_mean, wilson
 
 GRADES = 11
 """Whole grades, 0 to 10."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from racines_models.bootstrap import LEVEL, jackknife
+from racines_models.statistics import LEVEL, jackknife
 
 MANY = 20
 """Fewest trajectories that are resampled; of fewer each is left out in turn."""

@@ -17,7 +17,7 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_leaderboard.schema import read_json
+from racines_leaderboard.records.schema import read_json
 
 KIT, KEY, IMAGES = "kit.json", "key.json", "images"
 

@@ -8,9 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from racines_data.card_style import INK, MUTED, OURS, PAPER, card_style
+from racines_data.card.style import INK, MUTED, OURS, PAPER, card_style
 from racines_data.files import write_atomic
-from racines_leaderboard.expert.names import OVERALL
+from racines_leaderboard.records.names import OVERALL
 
 TITLES = {"oracle": "the oracle", "labels": "the dataset's labels", "grader": "the grader"}
 RATERS = {"expert": "expert", "trial": "trial", "simulated": "simulated rater"}

@@ -16,8 +16,8 @@ from jsonschema.exceptions import ValidationError, best_match
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.expert.kit import Kit
-from racines_leaderboard.expert.names import KINDS, MACHINES
-from racines_leaderboard.schema import validator
+from racines_leaderboard.records.names import KINDS, MACHINES
+from racines_leaderboard.records.schema import validator
 
 SCHEMA = "racines.ratings/1"
 RATER = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")

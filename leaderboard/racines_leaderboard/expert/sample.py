@@ -15,15 +15,15 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_json
 from racines_data.imaging import ImageSource
-from racines_data.store import Batch, FrameStore
+from racines_data.store.frames import Batch, FrameStore
 from racines_leaderboard.expert.blinding import Plan, blind, write_images
 from racines_leaderboard.expert.instructions import described
 from racines_leaderboard.expert.kit import IMAGES, KEY, KIT, Kit, digest_of, images_sha256
-from racines_leaderboard.expert.names import TRUE_FRAMES
 from racines_leaderboard.expert.strata import stratify
-from racines_leaderboard.schema import check
-from racines_models.grader import Grader
-from racines_models.naming import check_name
+from racines_leaderboard.records.names import TRUE_FRAMES
+from racines_leaderboard.records.schema import check
+from racines_models.exchange.naming import check_name
+from racines_models.judges.grader.model import Grader
 from racines_models.provenance import code_version, dataset_card
 from racines_models.sample import Progress, draw
 

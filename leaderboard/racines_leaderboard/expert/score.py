@@ -11,8 +11,8 @@ from racines_data.errors import RacinesError
 from racines_leaderboard.expert.figures import Answers, compare
 from racines_leaderboard.expert.kappa import fleiss_figure
 from racines_leaderboard.expert.kit import Kit
-from racines_leaderboard.expert.names import EXPERT, OVERALL, TRUE_FRAMES
 from racines_leaderboard.expert.ratings import Ratings
+from racines_leaderboard.records.names import EXPERT, OVERALL, TRUE_FRAMES
 from racines_models.provenance import code_version
 
 REMARKS = {

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.collect import boards, read_board
-from racines_leaderboard.groups import SHOWN, by_task
-from racines_leaderboard.rank import Ranked, Record, rank
+from racines_leaderboard.board.collect import boards, read_board
+from racines_leaderboard.board.groups import SHOWN, by_task
+from racines_leaderboard.board.rank import Ranked, Record, rank
+from racines_leaderboard.records.tracks import TIERS, TRACKS, Track
 from racines_leaderboard.studio.inputs import choice, choices
-from racines_leaderboard.tracks import TIERS, TRACKS, Track
 
 ALL = "all"
 TRACK_NAMES = tuple(track.name for track in TRACKS)

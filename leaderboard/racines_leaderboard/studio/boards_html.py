@@ -6,13 +6,13 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from racines_leaderboard.chart import panel
-from racines_leaderboard.rank import Ranked
+from racines_leaderboard.board.chart import panel
+from racines_leaderboard.board.rank import Ranked
+from racines_leaderboard.board.table import Table, ranked_table, reported_table, shown_columns
+from racines_leaderboard.records.tracks import Column
 from racines_leaderboard.studio.boards import Selection, ranked_groups, track_of
 from racines_leaderboard.studio.escape import text
 from racines_leaderboard.studio.pictures import Drawings, drawn, element
-from racines_leaderboard.table import Table, ranked_table, reported_table, shown_columns
-from racines_leaderboard.tracks import Column
 
 _INTERVAL = re.compile(r"(?P<value>\S+) \((?P<between>.+)\)(?P<n>, n = [\d,]+)?")
 _WORDS = ("", "#", "System", "Sees", "Tier")

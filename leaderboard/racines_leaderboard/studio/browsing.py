@@ -11,7 +11,7 @@ import torch
 from racines_data.errors import RacinesError
 from racines_data.manifest import MANIFEST, MULTI_PHANTOM, store_name
 from racines_data.schema import SPLITS
-from racines_data.store import FrameStore, open_store
+from racines_data.store.frames import FrameStore, open_store
 from racines_leaderboard.studio.inputs import choice, whole
 
 ALL = "all"

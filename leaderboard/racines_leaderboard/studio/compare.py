@@ -112,7 +112,7 @@ def first(place: Place) -> list[float]:
 
 def leading(place: Place, offered: Sequence[str]) -> list[str]:
     """Return the offered generators, those with the highest SSIM on any board first."""
-    from racines_leaderboard.collect import boards, read_board
+    from racines_leaderboard.board.collect import boards, read_board
 
     best: dict[str, float] = {}
     try:
@@ -254,7 +254,7 @@ def _nearest(place: Place, parameters: Any) -> tuple[str, Any, str] | None:
 
 def _likeness(images: Any) -> list[str]:
     """Return SSIM and PSNR of (N, 128, 128) images against the first; nothing for that one."""
-    from racines_models.metrics import psnr, ssim
+    from racines_models.scores.metrics import psnr, ssim
 
     truth = images[:1].expand(len(images), -1, -1)
     pairs = zip(ssim(images, truth).tolist(), psnr(images, truth).tolist(), strict=True)

@@ -41,7 +41,7 @@ def begin(task: Any, kind: Any, number: Any) -> Session:
     Raises:
         RacinesError: a task or kind that was not offered, or a number out of range.
     """
-    from racines_envs.tasks import TASKS
+    from racines_envs.task.tasks import TASKS
 
     task, kind = inputs.choice(task, tuple(TASKS), "task"), inputs.choice(kind, KINDS, "start")
     greatest = FIXED_STARTS - 1 if kind == FIXED else GREATEST_SEED
@@ -51,7 +51,7 @@ def begin(task: Any, kind: Any, number: Any) -> Session:
 
 def reset_seed(kind: str, number: int) -> Any:
     """Return what a core of one row is reset with for a start."""
-    from racines_envs.starts import evaluation_seeds
+    from racines_envs.task.starts import evaluation_seeds
 
     return evaluation_seeds(number + 1)[-1:] if kind == FIXED else number
 
@@ -61,9 +61,9 @@ class Live:
 
     def __init__(self, place: Place, session: Session) -> None:
         """Make it, and take the session's actions."""
-        from racines_envs.making import make_core
-        from racines_envs.rendering import History, view_names
-        from racines_envs.tasks import TASKS
+        from racines_envs.apis.rendering import History, view_names
+        from racines_envs.task.tasks import TASKS
+        from racines_envs.worlds.making import make_core
 
         task = TASKS[session.task]
         self.lock = threading.Lock()

@@ -35,7 +35,7 @@ class Trained:
 def load_phantom(place: Place, anatomy: str | None = None) -> Any:
     """Return the phantom of the dataset, or the default one of a named anatomy."""
     from racines_data.phantom import PhantomConfig, shared_phantom
-    from racines_envs.backends_replay import source_phantom
+    from racines_envs.worlds.replay import source_phantom
 
     store = load_store(place) if anatomy is None else None
     config = source_phantom(store) if store is not None else None
@@ -50,7 +50,7 @@ def load_store(place: Place) -> Any:
     Raises:
         RacinesError: it is damaged.
     """
-    from racines_data.store import open_store
+    from racines_data.store.frames import open_store
 
     if place.data is None or not (place.data / "manifest.json").is_file():
         return None
@@ -62,7 +62,7 @@ def load_index(place: Place) -> Any:
     """Return what finds the nearest frame of the dataset; None without a dataset or poses."""
     import torch
 
-    from racines_envs.pose_index import PoseIndex
+    from racines_envs.worlds.pose_index import PoseIndex
 
     store = load_store(place)
     if store is None or not bool(torch.isfinite(store.parameters[:, 6:]).all()):
@@ -72,7 +72,7 @@ def load_index(place: Place) -> Any:
 
 def load_grader(place: Place, labels: Sequence[str]) -> Any:
     """Return the grader of the runs or else the published one; None if none knows the labels."""
-    from racines_models.grader import WEIGHTS, Grader
+    from racines_models.judges.grader.model import WEIGHTS, Grader
 
     for folder in (place.runs / "grader", place.weights / "grader"):
         if not (folder / WEIGHTS).is_file():

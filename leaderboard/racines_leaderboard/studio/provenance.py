@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from racines_leaderboard.rank import Record
+from racines_leaderboard.board.rank import Record
 from racines_leaderboard.studio.escape import link, text
 
 SHORT = 16

@@ -90,8 +90,8 @@ def take_scene(
     core: Any, moment: Snapshot, steps: Any, curves: Sequence[Curve], truth: bool
 ) -> Scene:
     """Return what a page shows of a moment of a core; `steps` are those so far."""
-    from racines_envs.actions import ACTIONS
-    from racines_envs.rendering import block_views
+    from racines_envs.apis.rendering import block_views
+    from racines_envs.task.actions import ACTIONS
 
     core, info = copy.copy(core), moment.info
     core.state = moment.state
@@ -130,7 +130,7 @@ def _why(core: Any, success: bool) -> str:
 
 
 def _truth(core: Any, info: dict[str, Any]) -> Truth:
-    from racines_envs.rendering import view_names
+    from racines_envs.apis.rendering import view_names
 
     return Truth(
         view=view_names(core)[int(info["view"])],

@@ -15,8 +15,8 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from racines_data.card_paths import block_top, rectangle
-from racines_data.card_style import MUTED, evenly, view_colours
+from racines_data.card.paths import block_top, rectangle
+from racines_data.card.style import MUTED, evenly, view_colours
 from racines_data.geometry import parameters_to_pose
 from racines_leaderboard.studio.browsing import Sweep
 from racines_leaderboard.studio.pictures import drawn

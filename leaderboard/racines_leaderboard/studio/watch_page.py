@@ -22,7 +22,7 @@ def overlay(image: np.ndarray, attributions: np.ndarray) -> np.ndarray:
     """
     import torch
 
-    from racines_envs.explain_scores import blur
+    from racines_envs.explain.scores import blur
 
     soft = blur(torch.from_numpy(attributions).float().unsqueeze(0), SOFT)[0].numpy()
     scale = max(float(np.quantile(np.abs(soft), 0.99)), 1e-12)

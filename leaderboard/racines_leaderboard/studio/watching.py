@@ -111,7 +111,7 @@ def tasks_of(place: Place, label: Any) -> list[str]:
     Raises:
         RacinesError: an agent that is not offered.
     """
-    from racines_envs.tasks import TASKS
+    from racines_envs.task.tasks import TASKS
 
     offered = agents(place)
     view = offered[inputs.choice(label, tuple(offered), "agent")].view
@@ -138,7 +138,7 @@ def moment(episode: Episode, step: Any) -> Scene:
     Raises:
         RacinesError: a step that the episode does not have.
     """
-    from racines_envs.rendering import Steps
+    from racines_envs.apis.rendering import Steps
 
     step = inputs.whole(step, 0, episode.steps, "step")
     history = episode.history
@@ -165,7 +165,7 @@ def explain(episode: Episode, step: Any, what: Any) -> tuple[np.ndarray, float]:
 def _explain(episode: Episode, step: int, what: str) -> tuple[np.ndarray, float]:
     import torch
 
-    from racines_envs.explain_maps import (
+    from racines_envs.explain.maps import (
         grader_probabilities,
         integrated_gradients,
         outputs,
@@ -190,9 +190,9 @@ def _run(place: Place, found: Found, key: tuple[Any, ...]) -> Episode:
     import torch
 
     from racines_envs.agents import load_agent
-    from racines_envs.making import make_core
-    from racines_envs.rendering import History, view_names
-    from racines_envs.tasks import TASKS
+    from racines_envs.apis.rendering import History, view_names
+    from racines_envs.task.tasks import TASKS
+    from racines_envs.worlds.making import make_core
 
     agent: Any = load_agent(found.agent, found.folder, place.device)
     task = TASKS[key[1]]

@@ -8,11 +8,11 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from racines_data.errors import RacinesError
-from racines_data.store import FrameStore
+from racines_data.store.frames import FrameStore
 from racines_models.generators.base import BaseGenerator
 from racines_models.protocol import Run
-from racines_models.trainer import train
 from racines_models.training.objective import TrainBatch, Update
+from racines_models.training.trainer import train
 
 C = TypeVar("C")
 

@@ -16,13 +16,13 @@ from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic, write_json
 from racines_data.imaging import check_parameters
-from racines_data.store import FrameStore
-from racines_models.onnx_module import OnnxModule
+from racines_data.store.frames import FrameStore
+from racines_models.networks.onnx_module import OnnxModule
 from racines_models.protocol import Card, Run
-from racines_models.publish import load_weights
 from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.processes import is_main_process
 from racines_models.training.validation import Validation
+from racines_models.weights import load_weights
 
 SCHEMA = "racines.generator/1"
 C = TypeVar("C")

@@ -13,16 +13,16 @@ from torch.optim import Adam, Optimizer
 
 from racines_data.errors import RacinesError
 from racines_data.randomness import derive, normal, sample_seeds, uniform
-from racines_data.store import FrameStore
-from racines_models.conditioning import Conditioning
+from racines_data.store.frames import FrameStore
 from racines_models.generators.base import BaseGenerator
 from racines_models.networks.batching import in_fixed_batches
+from racines_models.networks.conditioning import Conditioning
 from racines_models.networks.convolution import to_gray, to_range
+from racines_models.networks.onnx_module import NoiseInput, OnnxModule
 from racines_models.networks.unet import CELL, GRID, SPREAD, PlacedUNet, scales
-from racines_models.onnx_module import NoiseInput, OnnxModule
 from racines_models.protocol import Run
-from racines_models.trainer import train
 from racines_models.training.objective import TrainBatch, Training, Update
+from racines_models.training.trainer import train
 
 NOISE, TIME, DRAW = 1, 2, 3
 """Random streams: noise and time in training, noise at drawing."""

@@ -12,17 +12,17 @@ from torch.optim import Adam, Optimizer
 
 from racines_data.errors import RacinesError
 from racines_data.randomness import derive, normal, sample_seeds
-from racines_models.adversary import Adversary
-from racines_models.conditioning import Conditioning
 from racines_models.generators.adversarial import AdversarialGenerator
 from racines_models.networks.batching import in_fixed_batches
+from racines_models.networks.conditioning import Conditioning
 from racines_models.networks.convolution import frozen, to_range
 from racines_models.networks.discriminator import Discriminator
 from racines_models.networks.framing import Framed
 from racines_models.networks.injection import check_injection
+from racines_models.networks.onnx_module import NoiseInput, OnnxModule
 from racines_models.networks.painting import Painter
 from racines_models.networks.pyramid import Pyramid
-from racines_models.onnx_module import NoiseInput, OnnxModule
+from racines_models.training.adversary import Adversary
 from racines_models.training.objective import TrainBatch, Training, Update
 
 LATENT, DRAW, AUGMENT = 1, 3, 4

@@ -6,9 +6,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from racines_data.store import FrameStore
+from racines_data.store.frames import FrameStore
 from racines_models.generators.base import BaseGenerator
-from racines_models.onnx_module import OnnxModule
+from racines_models.networks.onnx_module import OnnxModule
 from racines_models.protocol import Run
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
-from racines_data.store import FrameStore
+from racines_data.store.frames import FrameStore
 from racines_models.generators.base import BaseGenerator
 from racines_models.protocol import Run
 

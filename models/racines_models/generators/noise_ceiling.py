@@ -10,8 +10,8 @@ from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
 from racines_data.phantom.model import Phantom, shared_phantom
-from racines_data.store import FrameStore
-from racines_data.validate_oracle import phantom_settings
+from racines_data.store.frames import FrameStore
+from racines_data.validate.oracle import phantom_settings
 from racines_models.generators.base import BaseGenerator
 from racines_models.protocol import Run
 

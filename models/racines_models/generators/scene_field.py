@@ -11,17 +11,17 @@ from torch.optim import Adam, Optimizer
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.randomness import derive, uniform
-from racines_data.store import FrameStore
+from racines_data.store.frames import FrameStore
 from racines_models.generators.base import BaseGenerator
 from racines_models.networks.batching import in_fixed_batches
-from racines_models.networks.scene_field import Layout, VoxelField, lay_out
-from racines_models.networks.scene_field_echo import MID, EchoDecoder, Place
-from racines_models.networks.scene_field_loss import image_loss
-from racines_models.networks.scene_field_probe import Probe, ProbeGeometry
-from racines_models.onnx_module import OnnxModule
+from racines_models.networks.onnx_module import OnnxModule
+from racines_models.networks.scene_field.echo import MID, EchoDecoder, Place
+from racines_models.networks.scene_field.field import Layout, VoxelField, lay_out
+from racines_models.networks.scene_field.loss import image_loss
+from racines_models.networks.scene_field.probe import Probe, ProbeGeometry
 from racines_models.protocol import Run
-from racines_models.trainer import train
 from racines_models.training.objective import TrainBatch, Training, Update
+from racines_models.training.trainer import train
 
 PICKS = 21
 """Random stream: which voxel of four gets a point's gradient."""

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.store import FrameStore
+from racines_data.store.frames import FrameStore
 
 CHUNK = 1024
 """Images looked at together."""

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from racines_data.randomness import derive
-from racines_data.store import FrameStore
+from racines_data.store.frames import FrameStore
 from racines_models.training.objective import TrainBatch
 
 ORDER, NOISE = 11, 12

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from racines_data.files import image_bytes, write_atomic
 from racines_data.imaging import ImageSource
-from racines_data.store import FrameStore
+from racines_data.store.frames import FrameStore
 
 FRAMES, COLUMNS = 64, 8
 """Frames judged, and frames drawn in a grid."""

@@ -4,13 +4,13 @@ from typing import Any
 
 import gradio as gr
 
-from racines_leaderboard.collect import boards
+from racines_leaderboard.board.collect import boards
+from racines_leaderboard.records.tracks import TIERS
 from racines_leaderboard.studio import boards as shown
 from racines_leaderboard.studio.boards_html import charts_html, tables_html
 from racines_leaderboard.studio.notice import missing_html, refusing
 from racines_leaderboard.studio.place import Place
 from racines_leaderboard.studio.provenance import provenance_html
-from racines_leaderboard.tracks import TIERS
 
 ROW_CLICKED = """
 element.addEventListener('click', (event) => {

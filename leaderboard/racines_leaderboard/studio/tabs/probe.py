@@ -68,7 +68,7 @@ if (!window.racinesProbeKeys) {
 
 def build(place: Place) -> None:
     """Build the tab."""
-    from racines_envs.tasks import TASKS
+    from racines_envs.task.tasks import TASKS
 
     tab, lives, session = Context.block, driving.Lives(place), gr.State(None)
     gr.HTML(STYLE + INTRODUCTION)
@@ -105,9 +105,9 @@ def build(place: Place) -> None:
 
 def _buttons() -> dict[int, gr.Button]:
     """Return a button for each action, by its index."""
-    from racines_envs.actions import ACTIONS, IDLE
-    from racines_envs.keyboard import KEYS
-    from racines_envs.tasks import TASKS
+    from racines_envs.driving.keyboard import KEYS
+    from racines_envs.task.actions import ACTIONS, IDLE
+    from racines_envs.task.tasks import TASKS
 
     key_of = {action: key for key, action in KEYS.items()}
     unit = TASKS["SC"]
@@ -137,7 +137,7 @@ def _id(action: str) -> str:
 
 def _keys() -> dict[str, str]:
     """Return the button's id by the key that presses it, as browsers name keys."""
-    from racines_envs.keyboard import KEYS
+    from racines_envs.driving.keyboard import KEYS
 
     arrows = {"ArrowRight": "d", "ArrowLeft": "a", "ArrowUp": "w", "ArrowDown": "s"}
     pressed = {key: _id(action) for key, action in KEYS.items()}

@@ -1,0 +1,3 @@
+from .policy import OnnxPolicyAgent as OnnxPolicyAgent
+
+__all__ = ["OnnxPolicyAgent"]

@@ -1,0 +1,54 @@
+"""The one loop that lets an agent act: every start of a set at once, one episode each."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from racines_envs.agents.protocol import Agent
+from racines_envs.task.core import ScanCore
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """What n episodes came to."""
+
+    final: dict[str, np.ndarray]
+    """`ScanCore.info` when each ended, (n,) each."""
+    positions: np.ndarray
+    """(T + 1, n, 3) m; after its end an episode stays where it was."""
+    probabilities: np.ndarray
+    """(T + 1, n) p by the reward's own source."""
+    parameters: Tensor
+    """(n, 12) at the end."""
+    seeds: Tensor
+    """(n,) episode seeds."""
+
+
+@torch.no_grad()
+def rollout(core: ScanCore, agent: Agent, seeds: Tensor) -> Episodes:
+    """Run the episodes of (n,) seeds until all have ended; n is the core's number of rows.
+
+    What has ended is looked at no more, so that episodes cost what their own steps cost. The agent
+    still sees all rows, and may keep a memory of each.
+    """
+    agent.attach(core)
+    observation = core.reset(seeds)
+    positions, probabilities = [core.state.position], [core.score.probability]
+    for _ in range(core.task.max_steps):
+        live = (~core.state.done).nonzero().squeeze(1)
+        if len(live) == 0:
+            break
+        action = agent.act(observation, core.decision_seeds())
+        rows = live if len(live) < core.num_envs else None
+        observation = core.step(action, rows=rows).observation
+        positions.append(core.state.position)
+        probabilities.append(core.score.probability)
+    return Episodes(
+        final={name: value.cpu().numpy() for name, value in core.info().items()},
+        positions=torch.stack(positions).cpu().numpy(),
+        probabilities=torch.stack(probabilities).cpu().numpy(),
+        parameters=core.parameters,
+        seeds=core.state.seed,
+    )

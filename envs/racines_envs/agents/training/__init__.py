@@ -1,0 +1,1 @@
+"""What agents that learn share: settings, the run's folder, checkpoints, curves."""

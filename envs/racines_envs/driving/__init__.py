@@ -1,0 +1,1 @@
+"""The probe driven by hand, from the keyboard of a terminal."""

@@ -1,0 +1,23 @@
+from .run import SCHEMA as SCHEMA
+from .run import Evaluation as Evaluation
+from .run import EvaluationConfig as EvaluationConfig
+from .run import Prepared as Prepared
+from .run import check_view as check_view
+from .run import evaluate as evaluate
+from .run import prepare as prepare
+from .run import reference_steps as reference_steps
+from .run import start_seeds as start_seeds
+from .run import write_evaluation as write_evaluation
+
+__all__ = [
+    "Evaluation",
+    "EvaluationConfig",
+    "Prepared",
+    "SCHEMA",
+    "check_view",
+    "evaluate",
+    "prepare",
+    "reference_steps",
+    "start_seeds",
+    "write_evaluation",
+]

@@ -1,0 +1,84 @@
+"""The figures of a set of episodes, pooled and by start set."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from racines_envs.agents.rollout import Episodes
+from racines_models import statistics
+
+RETURN_OF_A_HIT = 50.0
+Figures = dict[str, dict[str, Any]]
+
+_OPTIONAL = (
+    ("view_position_error", 1e3, "mm"),
+    ("view_rotation_error", 180.0 / np.pi, "degrees"),
+)
+"""What an environment may tell beside: key of its info, factor, unit."""
+
+
+def measure(episodes: Episodes, reference_steps: np.ndarray, resamples: int = 2000) -> Figures:
+    """Return the figures of n episodes.
+
+    SPL is the mean of success × l / max(l, steps) (Anderson et al., On Evaluation of Embodied
+    Navigation Agents, 2018) with l the oracle planner's steps from the same start, (n,).
+    """
+    final = episodes.final
+    success, steps = final["success"], final["steps"]
+    spl = path_length_score(success, steps, reference_steps)
+    violations = final["workspace_hits"] + final["force_hits"]
+    farmed = (final["return"] >= RETURN_OF_A_HIT) & ~success
+
+    def mean(values: np.ndarray, unit: str | None = None) -> dict[str, Any]:
+        return statistics.mean(values, unit, resamples)
+
+    figures = {
+        "success_true": statistics.wilson(success),
+        "success_graded": statistics.wilson(final["success_graded"]),
+        "steps": mean(steps[success], "steps of the episodes with true success"),
+        "steps_median": statistics.median(steps[success], "steps", resamples),
+        "episode_steps": mean(steps, "steps"),
+        "spl": mean(spl),
+        "final_grade": mean(final["grade"]),
+        "return": mean(final["return"]),
+        "peak_force": mean(final["peak_force"], "N"),
+        "mean_force": mean(final["mean_force"], "N"),
+        "violations": mean(violations, "refused steps an episode"),
+        "position_error": mean(final["position_error"] * 1e3, "mm"),
+        "rotation_error": mean(np.degrees(final["rotation_error"]), "degrees"),
+        "return_without_success": statistics.wilson(farmed),
+    }
+    for name, factor, unit in _OPTIONAL:
+        if name in final:
+            figures[name] = mean(final[name] * factor, unit)
+    if "out_of_support" in final:
+        figures["out_of_support"] = statistics.wilson(final["out_of_support"])
+    for name, values in (
+        ("episode_steps", steps),
+        ("spl", spl),
+        ("final_grade", final["grade"]),
+        ("return", final["return"]),
+    ):
+        figures[f"{name}_iqm"] = statistics.interquartile_mean(values, None, resamples)
+    return figures
+
+
+def measure_by_seed(
+    episodes: Episodes, reference_steps: np.ndarray, seeds: Sequence[int], resamples: int = 2000
+) -> dict[str, Figures]:
+    """Return the figures of each start set; the episodes stand in the order of the sets."""
+    each = {}
+    parts = np.split(np.arange(len(reference_steps)), len(seeds))
+    for seed, rows in zip(seeds, parts, strict=True):
+        final = {name: values[rows] for name, values in episodes.final.items()}
+        each[str(seed)] = measure(replace(episodes, final=final), reference_steps[rows], resamples)
+    return each
+
+
+def path_length_score(
+    success: np.ndarray, steps: np.ndarray, reference_steps: np.ndarray
+) -> np.ndarray:
+    """Return (…,) success weighted by path length; all of one shape, or to be broadcast."""
+    return success * reference_steps / np.maximum(reference_steps, np.maximum(steps, 1))

@@ -1,0 +1,17 @@
+from .explanation import Explanation as Explanation
+from .explanation import Frames as Frames
+from .run import SCHEMA as SCHEMA
+from .run import ExplainConfig as ExplainConfig
+from .run import collect as collect
+from .run import explain as explain
+from .run import write_explanation as write_explanation
+
+__all__ = [
+    "ExplainConfig",
+    "Explanation",
+    "Frames",
+    "SCHEMA",
+    "collect",
+    "explain",
+    "write_explanation",
+]

@@ -1,0 +1,1 @@
+"""Questions asked of agents and tasks: transfer, rewards, curves, where a step's time goes."""

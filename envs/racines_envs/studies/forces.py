@@ -1,0 +1,73 @@
+"""How well the fitted forces hold on trajectories that they were not fitted on."""
+
+from typing import Any
+
+from torch import Tensor
+
+from racines_data.geometry import parameters_to_pose
+from racines_data.schema import PARAMETERS
+from racines_data.store.frames import FrameStore
+from racines_envs.worlds.forces import ForceConfig, fit_forces, measured
+from racines_envs.worlds.replay import source_phantom
+
+SCHEMA = "racines.forces/1"
+AXES = PARAMETERS[:6]
+UNITS = ("N", "N", "N", "N·m", "N·m", "N·m")
+
+
+def force_report(
+    store: FrameStore, config: ForceConfig | None = None, split: str = "test"
+) -> dict[str, Any]:
+    """Return the errors of the fitted forces on a split that they have not seen, axis by axis.
+
+    Beside them those of predicting the mean of the train split and, of a phantom's dataset, of its
+    contact model at rest: it knows the pose exactly as the regressor does, and no velocity either.
+
+    Raises:
+        RacinesError: no frame with a pose and a force in one of the splits.
+    """
+    import dataclasses
+
+    from racines_models.provenance import code_version, dataset_card
+
+    config = config or ForceConfig()
+    truth, trained = measured(store, split), measured(store, "train")
+    pose, wrench = parameters_to_pose(truth), truth[:, :6]
+    predicted = {
+        "fitted": fit_forces(store, config).to("cpu").wrench(pose),
+        "mean": trained[:, :6].mean(0).expand_as(wrench),
+    }
+    phantom = source_phantom(store)
+    if phantom is not None:
+        from racines_data.phantom import contact
+
+        surface = phantom.block.maximum[2]
+        predicted["contact"] = contact.wrench(pose, None, surface, phantom.contact)
+    return {
+        "schema": SCHEMA,
+        "dataset": dataset_card(store),
+        "split": split,
+        "frames": {"train": min(len(trained), config.frames), split: len(truth)},
+        "config": dataclasses.asdict(config),
+        "errors": {name: _errors(p - wrench) for name, p in predicted.items()},
+        "code": code_version(),
+    }
+
+
+def _errors(error: Tensor) -> dict[str, dict[str, Any]]:
+    rmse, mae = error.square().mean(0).sqrt(), error.abs().mean(0)
+    return {
+        axis: {"rmse": float(rmse[i]), "mae": float(mae[i]), "n": len(error), "unit": unit}
+        for i, (axis, unit) in enumerate(zip(AXES, UNITS, strict=True))
+    }
+
+
+def markdown(report: dict[str, Any]) -> str:
+    """Return the report as a table: one row an axis, RMSE and MAE of each prediction."""
+    errors = report["errors"]
+    head = ["axis", *(f"{name} {kind}" for name in errors for kind in ("RMSE", "MAE"))]
+    lines = ["| " + " | ".join(head) + " |", "| --- " + "| ---: " * (len(head) - 1) + "|"]
+    for axis, unit in zip(AXES, UNITS, strict=True):
+        figures = [f"{errors[name][axis][kind]:.3f}" for name in errors for kind in ("rmse", "mae")]
+        lines.append(f"| {axis}, {unit} | " + " | ".join(figures) + " |")
+    return "\n".join(lines)

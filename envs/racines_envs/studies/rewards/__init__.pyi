@@ -1,0 +1,3 @@
+from .report import RewardReportConfig as RewardReportConfig
+
+__all__ = ["RewardReportConfig"]

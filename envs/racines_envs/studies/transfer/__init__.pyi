@@ -1,0 +1,3 @@
+from .run import TransferConfig as TransferConfig
+
+__all__ = ["TransferConfig"]

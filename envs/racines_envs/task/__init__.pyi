@@ -1,0 +1,3 @@
+from .core import ScanCore as ScanCore
+
+__all__ = ["ScanCore"]

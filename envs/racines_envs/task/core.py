@@ -1,0 +1,379 @@
+"""The batched core of every environment: N probes on one phantom, pure tensors on one device.
+
+One step, for all rows at once and without waiting for the device (a reset waits once, to look at
+the rows that ended and at no others):
+
+    action -> candidate pose -> limits -> pose, wrench -> truth (and image, and grader)
+           -> score (p, g) -> reward, hit, streak -> terminated, truncated
+
+A row's result depends on its own seed and actions alone, never on the rows beside it. A row that
+has ended stays as it is until it is reset (`reset`, or `step` with `autoreset`).
+"""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, geodesic, pose_to_parameters, rotation_6d
+from racines_data.imaging import ImageSource
+from racines_data.randomness import derive
+from racines_envs.task.actions import ActionTable, check_actions
+from racines_envs.task.rewards import RewardConfig, Score, get_reward, is_hit
+from racines_envs.task.sensing import (
+    Encoder,
+    ForceSource,
+    GraderLike,
+    check_drawn,
+    check_finite,
+    check_judged,
+)
+from racines_envs.task.starts import check_starts, draw_starts
+from racines_envs.task.state import State, Transition
+from racines_envs.task.tasks import Task
+from racines_envs.task.view_error import nearest_showing
+
+OBSERVATIONS = ("image", "params", "multimodal")
+PARAMS_SIZE = 9
+"""Position in the workspace's box (3), then the continuous rotation (6)."""
+
+
+class ScanCore:
+    """N environments of one task."""
+
+    def __init__(
+        self,
+        task: Task,
+        phantom: Any,
+        images: ImageSource,
+        grader: GraderLike | None = None,
+        observation: str = "params",
+        reward: str = "oracle",
+        rewards: RewardConfig | None = None,
+        num_envs: int = 1,
+        device: torch.device | str = "cpu",
+        encoder: Encoder | None = None,
+        forces: ForceSource | None = None,
+    ) -> None:
+        """Join a task, a phantom (truth, limits) and a source of images.
+
+        An `encoder` looks once at each image; what it says is observed as `features`. Forces come
+        from `forces`, or else from the source of images if it has a `wrench(pose)`, or else from
+        the phantom's contact.
+
+        Raises:
+            RacinesError: an unknown observation or reward, or reward `paper` without a grader.
+        """
+        if observation not in OBSERVATIONS:
+            raise RacinesError(
+                f"unknown observation {observation!r}: choose one of {', '.join(OBSERVATIONS)}"
+            )
+        if reward == "paper" and grader is None:
+            raise RacinesError(
+                "reward 'paper' needs a trained grader: run `racines train grader`, or use "
+                "reward='oracle'"
+            )
+        if num_envs < 1:
+            raise RacinesError(f"num_envs is {num_envs}: give at least 1")
+        self.task, self.phantom, self.images, self.grader = task, phantom, images, grader
+        self.observation, self.reward_name = observation, reward
+        self.rewards, self._reward = rewards or RewardConfig(), get_reward(reward)
+        self.num_envs, self.device = num_envs, torch.device(device)
+        self.encoder = encoder if observation != "params" else None
+        own = images if hasattr(images, "wrench") else phantom
+        self.forces: Any = own if forces is None else forces
+        self.table = ActionTable.make(task.step_translation, task.step_rotation, self.device)
+        self.target = phantom.target(task.view).to(self.device)
+        workspace = phantom.workspace
+        self._centre = ((workspace.position_max + workspace.position_min) / 2).to(self.device)
+        self._half = ((workspace.position_max - workspace.position_min) / 2).to(self.device)
+        self.renders = observation != "params" or reward == "paper"
+        self._env_seed = torch.arange(num_envs, dtype=torch.int64, device=self.device)
+        self._episode = torch.full_like(self._env_seed, -1)
+        self._sensed: dict[str, Tensor] = {}
+        self.state: State
+
+    # -- reset ---------------------------------------------------------------------------------
+
+    def reset(
+        self,
+        seed: int | Tensor | None = None,
+        mask: Tensor | None = None,
+        pose: Pose | None = None,
+    ) -> dict[str, Tensor]:
+        """Start episodes and return the observations of all rows.
+
+        Args:
+            seed: One integer (row i gets seed + i) or (N,) int64; without it each row goes on to
+                the next episode of its seed.
+            mask: (N,) bool, the rows to reset; all by default, and at the first reset.
+            pose: (N,) start poses instead of drawn ones.
+
+        Raises:
+            RacinesError: a given pose lies outside the workspace.
+        """
+        if seed is not None:
+            self._seed(seed)
+        if mask is None or not self._sensed:
+            self.state = self._begin(torch.arange(self.num_envs, device=self.device), pose)
+            self._sense()
+        else:
+            rows = mask.nonzero().squeeze(1)
+            self.state = self.state.replaced(rows, self._begin(rows, pose))
+            self._sense(rows)
+        return self.observe()
+
+    def _seed(self, seed: int | Tensor) -> None:
+        index = torch.arange(self.num_envs, dtype=torch.int64, device=self.device)
+        given = seed.to(self.device, torch.int64) if isinstance(seed, Tensor) else index + seed
+        if given.shape != (self.num_envs,):
+            raise RacinesError(f"seeds have shape {tuple(given.shape)}: give ({self.num_envs},)")
+        self._env_seed, self._episode = given, torch.full_like(index, -1)
+
+    def _begin(self, rows: Tensor, pose: Pose | None = None) -> State:
+        """Return fresh states of (K,) rows, each at the next episode of its seed."""
+        self._episode = self._episode.index_add(0, rows, torch.ones_like(rows))
+        seed = derive(self._env_seed[rows], self._episode[rows])
+        if pose is None:
+            pose = draw_starts(self.task, self.phantom, self.target, seed)
+        else:
+            pose = check_starts(pose, self.num_envs, self.phantom.workspace, self.device)
+            pose = Pose(*(x[rows] for x in pose))
+        wrench = self.wrench(pose)
+        none, zero = torch.zeros_like(seed), torch.zeros_like(wrench[:, 0])
+        done = torch.zeros_like(seed, dtype=torch.bool)
+        return State(*pose, wrench, seed, none, none, none, none, -wrench[:, 2], zero, zero, done)
+
+    # -- step ----------------------------------------------------------------------------------
+
+    def step(
+        self,
+        action: Tensor,
+        autoreset: bool = False,
+        rows: Tensor | None = None,
+        strict: bool = False,
+    ) -> Transition:
+        """Move every row by one of the 13 actions, (N,) integers.
+
+        With `autoreset`, a row that ended in the step before ignores its action and starts its next
+        episode instead (Gymnasium's NEXT_STEP): reward 0, neither terminated nor truncated.
+
+        Only the (K,) `rows` are looked at, by default all: a caller that knows which have ended
+        need not have them drawn again, since they look as they did.
+
+        Raises:
+            RacinesError: actions of the wrong shape or type, or out of range; no reset before; an
+                image, a judgement or a force that is not what it has to be; with `strict`, a step
+                of a row that has ended (which waits for the device).
+        """
+        if not self._sensed:
+            raise RacinesError("step before reset: call reset first")
+        if strict and bool(self.state.done.any()):
+            row = int(self.state.done.nonzero()[0])
+            raise RacinesError(
+                f"the episode of row {row} has ended after {int(self.state.steps[row])} steps: "
+                "call reset before the next step"
+            )
+        state, before = self.state, self.score
+        live = ~state.done
+        self.state = self._move(state, check_actions(action, self.num_envs), live)
+        if autoreset:
+            ended = state.done.nonzero().squeeze(1)
+            if len(ended):
+                self.state = self.state.replaced(ended, self._begin(ended))
+        self._sense(rows)
+        return self._judge(before, live)
+
+    def _move(self, state: State, action: Tensor, live: Tensor) -> State:
+        """Apply actions within the limits to the live rows, and count what was refused."""
+        candidate = self.table.move(state.pose, action)
+        wrench = self.wrench(candidate)
+        inside, soft = self.limits(candidate, wrench, state.force)
+        free = inside & soft & live
+        wrench = torch.where(free[:, None], wrench, state.wrench)
+        force = -wrench[:, 2]
+        return State(
+            position=torch.where(free[:, None], candidate.position, state.position),
+            rotation=torch.where(free[:, None, None], candidate.rotation, state.rotation),
+            wrench=wrench,
+            seed=state.seed,
+            steps=state.steps + live,
+            streak=state.streak,
+            workspace_hits=state.workspace_hits + (live & ~inside),
+            force_hits=state.force_hits + (live & inside & ~soft),
+            peak_force=torch.maximum(state.peak_force, force),
+            force_sum=state.force_sum + force * live,
+            total=state.total,
+            done=state.done,
+        )
+
+    def wrench(self, pose: Pose) -> Tensor:
+        """Return the (B, 6) wrench, N and N·m, of probes at rest at any poses."""
+        wrench = self.forces.wrench(pose)
+        if self.forces is self.phantom:
+            return wrench
+        return check_finite(wrench, f"forces of {type(self.forces).__name__}")
+
+    def limits(self, pose: Pose, wrench: Tensor, force: Tensor) -> tuple[Tensor, Tensor]:
+        """Return whether poses lie in the workspace, and whether they press within the limit.
+
+        From a force, N, already over the limit, a step that eases it is let through.
+        """
+        pressing = -wrench[:, 2]
+        soft = (pressing <= self.task.force_limit) | (pressing <= force)
+        return self.phantom.workspace.contains(pose), soft
+
+    def _judge(self, before: Score, live: Tensor) -> Transition:
+        """Reward the live rows and end those that are through."""
+        state, needed = self.state, self.task.hits_to_end
+        streak = (state.streak + 1) * is_hit(self.score, self.rewards)
+        state.streak = torch.where(live, streak, state.streak)
+        ended = state.streak >= needed if needed else torch.zeros_like(live)
+        terminated = live & ended
+        truncated = live & ~terminated & (state.steps >= self.task.max_steps)
+        reward = self._reward(before, self.score, terminated, self.rewards) * live
+        state.total = state.total + reward
+        state.done = state.done | terminated | truncated
+        return Transition(self.observe(), reward, terminated, truncated)
+
+    # -- senses --------------------------------------------------------------------------------
+
+    def _sense(self, rows: Tensor | None = None) -> None:
+        """Look at the rows (all by default): parameters, truth, and image and scores if needed."""
+        state = self.state
+        pose, wrench, seeds = state.pose, state.wrench, derive(state.seed, state.steps)
+        if rows is not None:
+            pose = Pose(pose.position[rows], pose.rotation[rows])
+            wrench, seeds = wrench[rows], seeds[rows]
+        parameters = pose_to_parameters(pose, wrench)
+        truth = self._truth(pose)
+        sensed = {
+            "parameters": parameters,
+            "view": truth.view,
+            "grade": truth.grade,
+            "oracle_p": truth.membership[:, self.task.target],
+            "oracle_g": truth.view_grade[:, self.task.target],
+        }
+        if self.renders:
+            drawn = self.images.generate(parameters, seeds)
+            sensed["image"] = check_drawn(drawn, len(seeds), self.images)
+        if self.encoder is not None:
+            sensed["features"] = self.encoder(sensed["image"])
+        if self.reward_name == "paper" and self.grader is not None:
+            p, g = self.grader.probabilities_and_grade(sensed["image"])
+            check_judged(p, g, len(seeds), truth.membership.shape[1] + 1, self.grader)
+            sensed |= {"grader_p": p[:, self.task.target].float(), "grader_g": g.float()}
+        if rows is not None:
+            sensed = {k: self._sensed[k].index_copy(0, rows, v) for k, v in sensed.items()}
+        self._sensed = sensed
+        self.score = self.scored_by("grader" if self.reward_name == "paper" else "oracle")
+
+    def _truth(self, pose: Pose) -> Any:
+        """Return the truth of (B,) poses, each as if it were alone where the phantom can tell."""
+        judge = getattr(self.phantom, "judge_alike", None) or self.phantom.judge
+        return judge(pose)
+
+    def scored_by(self, source: str) -> Score:
+        """Return the scores of all rows by the `oracle` or, where one looks, the `grader`."""
+        p, g = self._sensed[f"{source}_p"], self._sensed[f"{source}_g"]
+        return Score(p, g, self._distance())
+
+    def _distance(self) -> Tensor:
+        """Return (N,) unit steps to the nominal pose, or zeros where the reward has no use."""
+        if self.reward_name != "shaped":
+            return torch.zeros_like(self.state.total)
+        metres, radians = self.pose_error()
+        return metres / self.task.step_translation + radians / self.task.step_rotation
+
+    def pose_error(self) -> tuple[Tensor, Tensor]:
+        """Return (N,) m and (N,) rad to the nominal pose of the target view."""
+        metres = (self.state.position - self.target.position).norm(dim=-1)
+        return metres, geodesic(self.state.rotation, self.target.rotation)
+
+    def view_error(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Return m and rad to the nearest pose that truly shows the target view.
+
+        Of the (K,) rows, or of all. An upper bound, see `racines_envs.task.view_error`.
+        """
+        position, rotation = self.state.pose
+        if rows is not None:
+            position, rotation = position[rows], rotation[rows]
+        pose = Pose(position, rotation)
+        units = self.task.step_translation, self.task.step_rotation
+        near = nearest_showing(self.phantom, pose, self.target, self.task.target, units)
+        return (near.position - position).norm(dim=-1), geodesic(near.rotation, rotation)
+
+    def sees_target(self) -> Tensor:
+        """Return (N,) bool: the true view is the target's, by the oracle."""
+        return self._sensed["view"] == self.task.target
+
+    @property
+    def parameters(self) -> Tensor:
+        """(N, 12) parameters of the probes at rest."""
+        return self._sensed["parameters"]
+
+    def decision_seeds(self) -> Tensor:
+        """Return (N,) int64 seeds for an agent that draws its action at this step."""
+        return derive(self.state.seed, self.state.steps, 7)
+
+    def picture(self) -> Tensor:
+        """Return the (N, 128, 128) images at the present poses, drawn now if no step drew them."""
+        if "image" in self._sensed:
+            return self._sensed["image"]
+        seeds = derive(self.state.seed, self.state.steps)
+        return check_drawn(self.images.generate(self.parameters, seeds), self.num_envs, self.images)
+
+    def observe(self) -> dict[str, Tensor]:
+        """Return what an agent sees: `image` (N, 128, 128) uint8, `params` (N, 9) float32.
+
+        With an encoder also `features`, what it says of the images.
+        """
+        seen: dict[str, Tensor] = {}
+        if self.observation != "params":
+            seen["image"] = self._sensed["image"]
+        if self.encoder is not None:
+            seen["features"] = self._sensed["features"]
+        if self.observation != "image":
+            position = (self.state.position - self._centre) / self._half
+            encoded = torch.cat([position, rotation_6d(self.state.rotation)], -1)
+            seen["params"] = encoded.clamp(-1.0, 1.0)
+        return seen
+
+    def info(self, view_error: bool = True) -> dict[str, Tensor]:
+        """Return what the agent is not told, N rows each.
+
+        `view` and `grade` are the oracle's; `success` is the true view being the target's,
+        `success_graded` also a true grade of at least 5. `probability` and `score` are p and g by
+        the reward's own source. Forces in N, errors in m and rad: `position_error` and
+        `rotation_error` to the nominal pose, `view_position_error` and `view_rotation_error` (left
+        out without `view_error`: they cost as much as some steps) to the nearest pose that truly
+        shows the view. `out_of_support` is there if the source of images tells it.
+        """
+        state, sensed = self.state, self._sensed
+        metres, radians = self.pose_error()
+        success = self.sees_target()
+        further: dict[str, Tensor] = {}
+        if view_error:
+            near = self.view_error()
+            further |= {"view_position_error": near[0], "view_rotation_error": near[1]}
+        supported = getattr(self.images, "out_of_support", None)
+        if supported is not None:
+            further["out_of_support"] = supported(self.parameters)
+        return further | {
+            "view": sensed["view"],
+            "grade": sensed["grade"],
+            "success": success,
+            "success_graded": success & (sensed["grade"] >= self.rewards.grade),
+            "probability": self.score.probability,
+            "score": self.score.grade,
+            "steps": state.steps,
+            "return": state.total,
+            "force": state.force,
+            "peak_force": state.peak_force,
+            "mean_force": state.force_sum / state.steps.clamp_min(1),
+            "workspace_hits": state.workspace_hits,
+            "force_hits": state.force_hits,
+            "position_error": metres,
+            "rotation_error": radians,
+        }

@@ -1,0 +1,104 @@
+"""Where episodes start: poses around a task's nominal pose, drawn from one seed each."""
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3
+from racines_data.randomness import derive, uniform
+from racines_envs.task.tasks import Task
+
+TRIES = 8
+_STREAM = 101
+_EVALUATION = 0x5EED
+_VALIDATION = 0x7A11
+
+
+def evaluation_seeds(count: int, seed: int = 0) -> Tensor:
+    """Return (count,) seeds of the fixed start set of evaluations; training never draws them."""
+    return derive(torch.full((count,), _EVALUATION), seed, torch.arange(count))
+
+
+def validation_seeds(count: int, seed: int = 0) -> Tensor:
+    """Return (count,) seeds of the starts on which a policy is chosen while it trains."""
+    return derive(torch.full((count,), _VALIDATION), seed, torch.arange(count))
+
+
+def draw_starts(task: Task, phantom: Any, target: Pose, seeds: Tensor) -> Pose:
+    """Draw one start a seed, (N,), inside the workspace and outside the target view.
+
+    The offset along the block's top has a uniform distance and direction, and is mirrored along
+    an axis on which it would leave the workspace; the height is uniform, and the rotation has a
+    uniform angle about a uniform axis. The first of eight such draws that lies in the workspace and
+    does not show the view is taken; else the first in the workspace; else the nominal pose.
+
+    Recordings, which know where they can start, draw with a `draw_starts` of their own.
+    """
+    own = getattr(phantom, "draw_starts", None)
+    if own is not None:
+        return own(task, target, seeds)
+    count, workspace = seeds.shape[0], phantom.workspace
+    shift, turn = _offsets(task, uniform(seeds, TRIES * 6, _STREAM).view(count * TRIES, 6))
+    place = target.position + shift
+    beyond = (place < workspace.position_min) | (place > workspace.position_max)
+    place = torch.where(beyond, target.position - shift, place)
+    drawn = Pose(place, matmul3(target.rotation, turn))
+    inside = workspace.contains(drawn)
+    unseen = phantom.judge(drawn).membership[:, task.target] < 0.5
+    worth = (2 * inside + (inside & unseen)).view(count, TRIES)
+    best, first = worth.max(1).values, _first_max(worth)
+    row = torch.arange(count, device=seeds.device) * TRIES + first
+    return Pose(
+        torch.where((best > 0)[:, None], drawn.position[row], target.position),
+        torch.where((best > 0)[:, None, None], drawn.rotation[row], target.rotation),
+    )
+
+
+def check_starts(pose: Pose, count: int, workspace: Any, device: torch.device | str) -> Pose:
+    """Return (count,) given start poses on the device, if all lie in the workspace.
+
+    Raises:
+        RacinesError: another number of poses, one that is not finite, or one outside.
+    """
+    pose = pose.to(device)
+    if pose.position.shape != (count, 3):
+        shape = tuple(pose.position.shape)
+        raise RacinesError(f"start positions have shape {shape}: give ({count}, 3)")
+    finite = torch.isfinite(pose.position).all() & torch.isfinite(pose.rotation).all()
+    if not bool(finite):
+        raise RacinesError("a start pose is not finite: every value must be a number")
+    outside = ~workspace.contains(pose)
+    if bool(outside.any()):
+        row = int(outside.nonzero()[0])
+        where = ", ".join(f"{x:.4f}" for x in pose.position[row].tolist())
+        low = ", ".join(f"{x:.3f}" for x in workspace.position_min.tolist())
+        high = ", ".join(f"{x:.3f}" for x in workspace.position_max.tolist())
+        raise RacinesError(
+            f"start pose {row} at ({where}) m is outside the workspace: positions from ({low}) "
+            f"to ({high}) m, and its tilt and yaw limits"
+        )
+    return pose
+
+
+def _first_max(worth: Tensor) -> Tensor:
+    """Return the index of the first maximum of each row; argmax alone may give any of them."""
+    index = torch.arange(worth.shape[1], device=worth.device)
+    return torch.where(worth == worth.max(1, keepdim=True).values, index, worth.shape[1]).amin(1)
+
+
+def _offsets(task: Task, u: Tensor) -> tuple[Tensor, Tensor]:
+    """Turn (M, 6) uniform numbers into (M, 3) shifts, base frame, and (M, 3, 3) turns."""
+
+    def between(limits: tuple[float, float], x: Tensor) -> Tensor:
+        return limits[0] + (limits[1] - limits[0]) * x
+
+    distance, direction = between(task.start_distance, u[:, 0]), 2.0 * math.pi * u[:, 1]
+    height = between(task.start_height, u[:, 2])
+    shift = torch.stack([distance * direction.cos(), distance * direction.sin(), height], -1)
+    cos, turn = 2.0 * u[:, 3] - 1.0, 2.0 * math.pi * u[:, 4]
+    sin = (1.0 - cos.square()).clamp_min(0.0).sqrt()
+    axis = torch.stack([sin * turn.cos(), sin * turn.sin(), cos], -1)
+    return shift, axis_angle_to_matrix(axis * between(task.start_angle, u[:, 5]).unsqueeze(-1))

@@ -1,0 +1,8 @@
+"""What a task runs in: the phantom, a generator's images, or recorded frames.
+
+`making` puts a core together; `backends` and `replay` draw, `recorded` stands in for a phantom.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

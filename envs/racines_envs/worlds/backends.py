@@ -1,0 +1,134 @@
+"""Backends: what draws the images of an environment. Each is an `ImageSource`.
+
+The environment never knows which it has. A backend may also have `wrench(pose)`, which is then felt
+instead of the phantom's contact, and `out_of_support(parameters)`, which the info then tells.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import parameters_to_pose
+from racines_data.imaging import ImageSource
+from racines_data.randomness import sample_seeds
+
+GRADER_FOLDER = Path("models/runs/grader")
+BACKENDS = ("phantom", "generator", "replay")
+
+
+class PhantomImages:
+    """The phantom without its check of the parameters, which would wait for the device."""
+
+    def __init__(self, phantom: Any) -> None:
+        self.phantom = phantom
+
+    def generate(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
+        """Return (B, 128, 128) uint8 images of (B, 12) parameters that are known to be good."""
+        seeds = sample_seeds(seed, len(parameters), parameters.device)
+        return self.phantom.render(parameters_to_pose(parameters), seeds)
+
+
+def open_source(spec: str | Path, device: torch.device | str = "cpu") -> ImageSource:
+    """Return the generator that a spec names, whichever way it comes.
+
+    Args:
+        spec: A registered name or `module:Class` (its run in models/runs/NAME), either with
+            `@FOLDER` for a run elsewhere; the folder of a run, which says whose it is; or
+            `FILE.onnx`.
+        device: Where it draws.
+
+    Raises:
+        RacinesError: unknown, absent or refused, by name or file.
+    """
+    from racines_models.registry import is_file, open_generator, run_folder
+
+    name, _, folder = str(spec).partition("@")
+    if is_file(name):
+        return open_generator(name, folder or None, str(device))
+    if not folder and Path(name).is_dir():
+        return open_generator(_whose(Path(name)), name, str(device))
+    if "/" in name:
+        raise RacinesError(f"generator {name!r}: no run folder or file of that name")
+    run = run_folder(name, folder or None)
+    if not run.is_dir():
+        raise RacinesError(
+            f"generator {name!r}: no run folder {run}; run `racines train generator {name}`"
+        )
+    return open_generator(name, run, str(device))
+
+
+def source_weights(spec: str | Path) -> dict[str, str]:
+    """Return the SHA-256 of each weights file of the generator that a spec names, by file name."""
+    from racines_models.provenance import weights_sha256
+    from racines_models.registry import weights_of
+
+    name, _, folder = str(spec).partition("@")
+    place = Path(folder or name)
+    return weights_sha256(place) if place.is_dir() else weights_of(name, folder or None)
+
+
+def _whose(folder: Path) -> str:
+    """Return the name of the generator that a run folder holds."""
+    path = folder / "config.json"
+    if not path.is_file():
+        raise RacinesError(f"{folder}: no trained generator here (config.json); train one there")
+    try:
+        return json.loads(path.read_text())["name"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise RacinesError(f"{path}: names no generator ({error}); train it again") from error
+
+
+def make_backend(
+    backend: str | ImageSource,
+    phantom: Any,
+    generator: Any,
+    device: torch.device | str,
+) -> ImageSource:
+    """Return the source of images; an object that satisfies `ImageSource` is taken as it is.
+
+    Args:
+        backend: `phantom`, `generator`, or an object (recordings are opened before this).
+        phantom: What `phantom` renders.
+        generator: Of `generator`: an object, or what `open_source` opens.
+        device: Where it draws.
+
+    Raises:
+        RacinesError: an unknown backend, or a generator that is not there.
+    """
+    if not isinstance(backend, str):
+        if not isinstance(backend, ImageSource):
+            raise RacinesError(f"backend {backend!r} has no generate(parameters, seed)")
+        return backend
+    if backend not in BACKENDS:
+        raise RacinesError(f"unknown backend {backend!r}: choose one of {', '.join(BACKENDS)}")
+    if backend == "phantom":
+        return PhantomImages(phantom)
+    if generator is None:
+        raise RacinesError(
+            "backend 'generator' needs one: give generator=<name, run folder, module:Class, "
+            "FILE.onnx or object>"
+        )
+    return generator if isinstance(generator, ImageSource) else open_source(generator, device)
+
+
+def make_grader(grader: Any, device: torch.device | str) -> Any:
+    """Load the grader from its run folder, or take an object.
+
+    Raises:
+        RacinesError: no grader has been trained there.
+    """
+    if hasattr(grader, "probabilities_and_grade"):
+        return grader
+    folder = Path(grader)
+    if not (folder / "grader.safetensors").is_file():
+        raise RacinesError(
+            f"{folder}: no trained grader (grader.safetensors): run `racines train grader`, or do "
+            "without one: reward='oracle'"
+        )
+    from racines_models.judges.grader.model import Grader
+
+    return Grader.load(folder, str(device))

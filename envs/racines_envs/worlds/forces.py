@@ -1,0 +1,153 @@
+"""Forces fitted on recordings: polynomial ridge regression from the pose to the wrench.
+
+For recordings that no contact model describes. The regressor (Hoerl and Kennard, Ridge Regression,
+1970) takes position, the probe's x axis and its beam, standardised, and all their products up to
+the third degree. It is told the pose alone: what comes of motion (friction) it cannot know.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, parameters_to_pose
+
+if TYPE_CHECKING:
+    from racines_data.store.frames import FrameStore
+
+SOURCES = ("auto", "contact", "recorded", "fitted")
+
+
+@dataclass(frozen=True)
+class ForceConfig:
+    """The regressor."""
+
+    degree: int = 3
+    """Highest degree of a product."""
+    penalty: float = 1e-6
+    """Weight of the squared coefficients, of standardised features, a frame."""
+    frames: int = 30_000
+    """Most frames fitted on, evenly spread over the train split."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be fitted."""
+        if self.degree < 1 or self.penalty <= 0 or self.frames < 1:
+            raise RacinesError("forces: degree, penalty and frames are positive")
+
+
+class FittedForces:
+    """A fitted regressor; a source of forces (`wrench`). A row's result ignores its batch."""
+
+    def __init__(self, parameters: Tensor, config: ForceConfig | None = None) -> None:
+        """Fit on (M, 12) parameters with finite forces, on the CPU, in double precision."""
+        self.config = config or ForceConfig()
+        raw = self._raw(parameters_to_pose(parameters.double()))
+        self._mean, std = raw.mean(0), raw.std(0, correction=0)
+        self._std = torch.where(std > 1e-9, std, 1.0)
+        scaled = (raw - self._mean) / self._std
+        # Beyond what was recorded a cubic runs away: features and forces stay within their ranges.
+        self._low, self._high = scaled.amin(0), scaled.amax(0)
+        width = raw.shape[1]
+        products = [
+            (*combination, *[width] * (self.config.degree - degree))
+            for degree in range(self.config.degree + 1)
+            for combination in combinations_with_replacement(range(width), degree)
+        ]
+        self._products = torch.tensor(products, dtype=torch.int64).view(len(products), -1)
+        wrench = parameters[:, :6].double()
+        self._least, self._most = wrench.amin(0), wrench.amax(0)
+        x = self._features(scaled)
+        gram = x.T @ x + self.config.penalty * len(x) * torch.eye(x.shape[1], dtype=x.dtype)
+        self._weights = torch.linalg.solve(gram, x.T @ wrench).T.contiguous()
+
+    @staticmethod
+    def _raw(pose: Pose) -> Tensor:
+        return torch.cat([pose.position, pose.rotation[..., 0], pose.rotation[..., 2]], -1)
+
+    def _features(self, scaled: Tensor) -> Tensor:
+        padded = torch.cat([scaled, torch.ones_like(scaled[:, :1])], 1)
+        return padded[:, self._products].prod(-1)
+
+    def to(self, device: torch.device | str) -> "FittedForces":
+        """Move the regressor to a device, in single precision, and return it."""
+        for name, value in vars(self).items():
+            if isinstance(value, Tensor):
+                kind = torch.float32 if value.is_floating_point() else value.dtype
+                setattr(self, name, value.to(device, kind))
+        return self
+
+    def wrench(self, pose: Pose) -> Tensor:
+        """Return the (B, 6) wrench at (B,) poses, N and N·m, in the probe's axes."""
+        scaled = (self._raw(pose).to(self._mean.dtype) - self._mean) / self._std
+        x = self._features(torch.minimum(torch.maximum(scaled, self._low), self._high))
+        wrench = (x.unsqueeze(1) * self._weights).sum(-1)
+        return torch.minimum(torch.maximum(wrench, self._least), self._most).to(torch.float32)
+
+
+def fit_forces(store: "FrameStore", config: ForceConfig | None = None) -> FittedForces:
+    """Fit on the train split of a dataset; deterministic.
+
+    Raises:
+        RacinesError: no frame of the split has poses and forces.
+    """
+    config = config or ForceConfig()
+    parameters = measured(store, "train")
+    keep = min(len(parameters), config.frames)
+    return FittedForces(parameters[torch.arange(keep) * len(parameters) // keep], config)
+
+
+def measured(store: "FrameStore", split: str) -> Tensor:
+    """Return the (M, 12) parameters of a split's frames that have a pose and a force.
+
+    Raises:
+        RacinesError: there are none.
+    """
+    parameters = store.parameters[slice(*store.bounds(split))]
+    parameters = parameters[torch.isfinite(parameters).all(1)]
+    if not len(parameters):
+        raise RacinesError(
+            f"{store.root}: no frame of split {split!r} has a pose and a force: forces cannot be "
+            "fitted on this dataset; use forces='contact' with a phantom"
+        )
+    return parameters
+
+
+def make_forces(
+    forces: Any, images: Any, world: Any, store: "FrameStore | None", device: torch.device | str
+) -> Any:
+    """Return the source of forces that a setting names; None lets the environment choose.
+
+    Args:
+        forces: `auto` (the backend's own, or else the contact model), `contact`, `recorded`,
+            `fitted`, or an object with `wrench(pose)`.
+        images: The backend.
+        world: A phantom, or recordings in its place.
+        store: The dataset to fit on.
+        device: Where the tensors live.
+
+    Raises:
+        RacinesError: an unknown name, or one that this backend or dataset cannot serve.
+    """
+    if not isinstance(forces, str):
+        if not hasattr(forces, "wrench"):
+            raise RacinesError(f"forces {forces!r} has no wrench(pose)")
+        return forces
+    if forces not in SOURCES:
+        raise RacinesError(f"unknown forces {forces!r}: choose one of {', '.join(SOURCES)}")
+    if forces == "auto":
+        return None
+    if forces == "fitted":
+        if store is None:
+            raise RacinesError("forces='fitted' needs the dataset to fit on: give data=<folder>")
+        return fit_forces(store).to(device)
+    if forces == "recorded" and not hasattr(images, "wrench"):
+        raise RacinesError("forces='recorded' needs the backend 'replay': others record none")
+    if forces == "contact" and not hasattr(world, "surface_height"):
+        raise RacinesError(
+            "forces='contact' needs a phantom, and these are recordings: use forces='recorded' or "
+            "'fitted'"
+        )
+    return images if forces == "recorded" else world

@@ -1,0 +1,211 @@
+"""From names to a core: what `gymnasium.make`, `ScanEnv` and the evaluation all call."""
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from racines_data.errors import RacinesError
+from racines_data.imaging import ImageSource
+from racines_data.phantom.anatomy import anatomy_views
+from racines_data.views import HEART, labels_of
+from racines_envs.task.core import ScanCore
+from racines_envs.task.rewards import RewardConfig
+from racines_envs.task.sensing import Encoder
+from racines_envs.task.tasks import Task, get_task
+from racines_envs.worlds.backends import GRADER_FOLDER, make_backend, make_grader
+from racines_envs.worlds.data_versions import ANY, check_datasets, trained_on
+from racines_envs.worlds.forces import make_forces
+
+if TYPE_CHECKING:
+    from racines_data.store.frames import FrameStore
+
+RECORDED = "recorded"
+"""The `phantom` that stands for the recordings themselves."""
+
+
+def make_core(
+    view: str | Task,
+    num_envs: int = 1,
+    *,
+    backend: str | ImageSource = "phantom",
+    observation: str = "image",
+    reward: str = "paper",
+    phantom: Any = None,
+    anatomy: str | None = None,
+    generator: Any = None,
+    grader: Any = None,
+    termination: str | None = None,
+    rewards: RewardConfig | None = None,
+    device: torch.device | str = "cpu",
+    encoder: Encoder | None = None,
+    data: Path | str | None = None,
+    forces: Any = "auto",
+    data_version: str | None = None,
+) -> ScanCore:
+    """Build the batched core of a task.
+
+    Args:
+        view: A target view of the phantom's anatomy, a task's name, or a task of your own.
+        num_envs: Rows.
+        backend: `phantom`, `generator`, `replay`, or an object that makes images of parameters.
+        observation: `image`, `params` or `multimodal`.
+        reward: `paper` (by the grader), `oracle` (the same by the phantom's truth) or `shaped`.
+        phantom: A phantom or its configuration; the shared one of the anatomy by default, and for
+            `replay` that of the dataset. `recorded` for the recordings in its place, which stand
+            there anyway where they are no phantom's.
+        anatomy: Whose view it is; the phantom's anatomy by default, or else the heart.
+        generator: For the backend `generator`: a name, run folder, `module:Class`, `FILE.onnx` or
+            object; see `racines_envs.worlds.backends.open_source`.
+        grader: Run folder or object; models/runs/grader for reward `paper`.
+        termination: Instead of the task's: `first_hit`, `k_hits` or `timeout`.
+        rewards: The numbers of the reward.
+        device: Where the tensors live.
+        encoder: A frozen network that the agent looks through; see `ScanCore`.
+        data: Folder of the dataset to replay or to fit forces on; data/racines by default.
+        forces: `auto` (recorded ones when recordings are replayed, else the contact model),
+            `contact`, `recorded`, `fitted` (on `data`), or an object with `wrench(pose)`.
+        data_version: The dataset that generator, grader and recordings have to come from; they have
+            to agree in any case, unless it is `any`. See `racines_envs.worlds.data_versions`.
+
+    Raises:
+        RacinesError: any name that is unknown or any artefact that is not there.
+    """
+    task = find_task(view, None if phantom == RECORDED else phantom, anatomy)
+    if termination is not None:
+        task = dataclasses.replace(task, termination=termination)
+    parts: dict[str, Any] = {}
+    if reward == "paper" and grader is None:
+        grader = GRADER_FOLDER
+    if grader is not None:
+        known = grader if isinstance(grader, (str, Path)) else None
+        grader = make_grader(grader, device)
+        check_grader(grader, task)
+        if known is not None:
+            parts["the grader"] = trained_on(known)
+    store = _open_data(backend, forces, data, task)
+    if store is not None:
+        parts[f"dataset {store.root}"] = trained_on(store.manifest)
+    if store is not None and (backend == "replay" or _is_replay(backend)):
+        backend, phantom = _recordings(store, backend, phantom, device, data_version)
+    if phantom == RECORDED:
+        raise RacinesError("phantom='recorded' needs the backend 'replay'")
+    phantom = make_phantom(phantom, device, task.anatomy)
+    images = make_backend(backend, phantom, generator, device)
+    if backend == "generator":
+        parts["the generator"] = trained_on(images)
+    check_datasets(parts, data_version)
+    return ScanCore(
+        task, phantom, images, grader, observation, reward, rewards, num_envs, device, encoder,
+        make_forces(forces, images, phantom, store, device),
+    )  # fmt: skip
+
+
+def _open_data(
+    backend: str | ImageSource, forces: Any, data: Path | str | None, task: Task
+) -> "FrameStore | None":
+    """Open the dataset if the backend or the forces need it, and check whose views it has."""
+    opened = backend if _is_replay(backend) else None
+    if opened is None and backend != "replay" and forces != "fitted":
+        return None
+    from racines_data.store.frames import open_store
+
+    store = getattr(opened, "store", None) or open_store(data)
+    labels = labels_of(anatomy_views(task.anatomy))
+    if store.labels != labels:
+        raise RacinesError(
+            f"{store.root}: its labels are {', '.join(store.labels)}, the {task.anatomy} has "
+            f"{', '.join(labels)}: give the dataset of that anatomy"
+        )
+    return store
+
+
+def _is_replay(backend: Any) -> bool:
+    """Return whether a backend is recordings that are open already."""
+    if isinstance(backend, str):
+        return False
+    from racines_envs.worlds.replay import Replay
+
+    return isinstance(backend, Replay)
+
+
+def _recordings(
+    store: "FrameStore",
+    backend: str | ImageSource,
+    phantom: Any,
+    device: torch.device | str,
+    data_version: str | None,
+) -> tuple[ImageSource, Any]:
+    """Return the replay of a dataset, and the phantom it is of or the recordings in its place.
+
+    A phantom beside recordings of none is not asked.
+
+    Raises:
+        RacinesError: another phantom than the dataset's, unless any dataset may pass.
+    """
+    from racines_envs.worlds.recorded import RecordedWorld
+    from racines_envs.worlds.replay import Replay, source_phantom
+
+    replay, own = backend if isinstance(backend, Replay) else None, source_phantom(store)
+    replay = replay or Replay(store, device)
+    if isinstance(phantom, RecordedWorld):
+        return replay, phantom
+    if phantom == RECORDED or own is None:
+        return replay, RecordedWorld(replay, device)
+    given = getattr(phantom, "config", phantom)
+    if isinstance(given, type(own)) and given != own and data_version != ANY:
+        raise RacinesError(
+            f"{store.root}: was acquired from another phantom than the one given: leave phantom "
+            f"out, give the dataset of that phantom, or let it pass: data_version={ANY!r}"
+        )
+    return replay, own if phantom is None else phantom
+
+
+def find_task(view: str | Task, phantom: Any = None, anatomy: str | None = None) -> Task:
+    """Return the task of a view: of an anatomy, or else of that of a phantom or its configuration.
+
+    Raises:
+        RacinesError: no such view, or a task of another anatomy than the phantom's.
+    """
+    config = getattr(phantom, "config", phantom)
+    held = getattr(config, "anatomy", None)
+    task = view if isinstance(view, Task) else get_task(view, anatomy or held or HEART)
+    if held not in (None, task.anatomy):
+        raise RacinesError(
+            f"task {task.id} is the {task.anatomy}'s and the phantom holds the {held}: give "
+            f"phantom=PhantomConfig(anatomy={task.anatomy!r})"
+        )
+    return task
+
+
+def check_grader(grader: Any, task: Task) -> None:
+    """Check that a grader knows the views of a task's anatomy, if it says which it knows.
+
+    Raises:
+        RacinesError: it was trained for other views.
+    """
+    if hasattr(grader, "check_labels"):
+        grader.check_labels(labels_of(anatomy_views(task.anatomy)), f"the {task.anatomy}")
+
+
+def make_phantom(phantom: Any, device: torch.device | str = "cpu", anatomy: str = HEART) -> Any:
+    """Return a phantom: the one given, or the shared one of a configuration (baked once)."""
+    from racines_data.phantom import PhantomConfig, shared_phantom
+
+    if phantom is None or isinstance(phantom, PhantomConfig):
+        return shared_phantom(phantom or PhantomConfig(anatomy=anatomy), str(device))
+    if isinstance(phantom, (str, Path)) or not hasattr(phantom, "truth"):
+        raise RacinesError(f"phantom {phantom!r} is neither a Phantom nor a PhantomConfig")
+    return phantom
+
+
+def phantom_recipe(phantom: Any) -> dict[str, Any] | None:
+    """Return the version and configuration digest of a phantom; None for a stand-in."""
+    from racines_data.digest import recipe_digest
+    from racines_data.phantom import PHANTOM_VERSION
+
+    if not hasattr(phantom, "config"):
+        return None
+    recipe = {"version": PHANTOM_VERSION, "config": dataclasses.asdict(phantom.config)}
+    return {"version": PHANTOM_VERSION, "recipe_digest": recipe_digest(recipe)}

@@ -1,0 +1,1 @@
+"""Boards: records collected, ranked, and written as tables, charts and pages."""

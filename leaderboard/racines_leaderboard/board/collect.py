@@ -1,0 +1,171 @@
+"""Results: taking scores into a board, and reading a board back.
+
+A board is a folder `results/<board>/{generators,agents}/<name>.json`, one record a system.
+"""
+
+import json
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+from racines_data.errors import RacinesError
+from racines_data.files import write_atomic
+from racines_leaderboard.records.experts import FOLDER as EXPERTS
+from racines_leaderboard.records.experts import with_experts
+from racines_leaderboard.records.schema import check, read_json
+from racines_leaderboard.records.seal import sealed
+from racines_leaderboard.records.tracks import TRACKS, Track
+from racines_leaderboard.submissions.document import find_submission
+
+Record = dict[str, Any]
+TRACK_OF = {f"racines.{track.schema}/1": track for track in TRACKS}
+
+
+def boards(results: Path) -> list[str]:
+    """Return the names of the boards that hold a result."""
+    tracks = {track.name for track in TRACKS}
+    return sorted(
+        {path.parts[-3] for path in results.glob("*/*/*.json") if path.parts[-2] in tracks}
+    )
+
+
+def read_board(results: Path, board: str) -> dict[str, list[Record]]:
+    """Read the records of a board, by track; generators with what experts say of them.
+
+    Raises:
+        RacinesError: a damaged record, or one that says it belongs elsewhere.
+    """
+    content = {}
+    for track in TRACKS:
+        paths = sorted((results / board / track.name).glob("*.json"))
+        content[track.name] = [read_record(path, board, track) for path in paths]
+    content["generators"] = with_experts(content["generators"], results / board / EXPERTS)
+    return content
+
+
+def made_elsewhere(folders: list[Path], board: str) -> list[Path]:
+    """Return the scores files that were made for another board, as another profile leaves them."""
+    paths = [path for folder in folders for path in sorted(folder.glob("*.json"))]
+    return [path for path in paths if _board_of(path) not in (None, board)]
+
+
+def _board_of(path: Path) -> str | None:
+    scores = _read_scores(path)[0]
+    return scores.get("board") or (scores.get("dataset") or {}).get("board")
+
+
+def collect(
+    folders: list[Path],
+    results: Path,
+    submissions: Path,
+    board: str,
+    without: Collection[Path] = (),
+) -> list[Path]:
+    """Write one self-reported record for each scores file in the folders; return their paths.
+
+    A record that has been reproduced stays so as long as its scores are the same. Nothing is
+    written unless every file is sound and each track stays on one dataset. Files in `without` are
+    left out.
+
+    Raises:
+        RacinesError: a missing folder or one without scores, a damaged file, or scores made on
+            another dataset than the board's.
+    """
+    records: dict[Path, Record] = {}
+    for folder in folders:
+        paths = sorted(folder.glob("*.json"))
+        if not paths:
+            raise RacinesError(f"{folder}: no scores; run `racines eval` first")
+        for path in (path for path in paths if path not in without):
+            record = _record(path, submissions, board)
+            place = results / board / record["track"] / f"{record['name']}.json"
+            records[place] = _still_reproduced(record, place)
+    one_dataset(records, results, board)
+    for path, record in records.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+    return list(records)
+
+
+def basis_of(record: Record) -> str | None:
+    """Return the recipe digest of the dataset, or the phantom, that a result rests on."""
+    scores = record["scores"]
+    return (scores.get("dataset") or scores.get("phantom") or {}).get("recipe_digest")
+
+
+def _record(path: Path, submissions: Path, board: str) -> Record:
+    scores, track = _read_scores(path)
+    name = scores[track.subject]
+    if name != path.stem:
+        raise RacinesError(f"{path}: {track.subject}: {name!r} differs from the file's name")
+    record = {
+        "schema": "racines.record/1",
+        "board": board,
+        "track": track.name,
+        "name": name,
+        "tier": "self-reported",
+        # Several runs of one method share its submission.
+        "submission": find_submission(submissions, track.name, scores.get("submission", name)),
+        "scores": scores,
+    }
+    record = sealed(record)
+    check(record, "record", str(path))
+    return record
+
+
+def _still_reproduced(record: Record, place: Path) -> Record:
+    """Return a record with the tier of the one at its place, if that was earned by these scores."""
+    if not place.is_file():
+        return record
+    before = read_json(place, "record")
+    if before["tier"] != "reproduced" or before["scores"] != record["scores"]:
+        return record
+    return sealed(record | {key: before[key] for key in ("tier", "reproduced") if key in before})
+
+
+def _read_scores(path: Path) -> tuple[dict[str, Any], Track]:
+    declared = read_json(path, "any")["schema"]
+    track = TRACK_OF.get(declared)
+    if track is None:
+        raise RacinesError(f"{path}: schema: {declared!r} is none of {', '.join(TRACK_OF)}")
+    return read_json(path, track.schema), track
+
+
+def read_record(path: Path, board: str, track: Track) -> Record:
+    """Read one record.
+
+    Raises:
+        RacinesError: damaged, against the schemas, or one that says it belongs elsewhere.
+    """
+    record = read_json(path, "record")
+    expected = {"board": board, "track": track.name, "name": path.stem}
+    for key, value in expected.items():
+        if record[key] != value:
+            raise RacinesError(f"{path}: {key}: {record[key]!r}, expected {value!r} by its place")
+    check(record["scores"], track.schema, f"{path}: scores")
+    return record
+
+
+def one_dataset(new: dict[Path, Record], results: Path, board: str) -> None:
+    """Check that each track of a board stays on one dataset once new records are written.
+
+    Raises:
+        RacinesError: two records rest on different recipes.
+    """
+    kept = [
+        (results / board / name / f"{record['name']}.json", record)
+        for name, records in read_board(results, board).items()
+        for record in records
+    ]
+    merged = dict(kept) | new
+    seen: dict[str, dict[str, Path]] = {track.name: {} for track in TRACKS}
+    for path, record in merged.items():
+        if (digest := basis_of(record)) is not None:
+            seen[record["track"]].setdefault(digest, path)
+    for paths in seen.values():
+        if len(paths) > 1:
+            (first, a), (second, b) = list(paths.items())[:2]
+            raise RacinesError(
+                f"board {board}: {a} rests on recipe {first[:12]} and {b} on {second[:12]}; score "
+                "both on one dataset, remove the stale record, or name another board"
+            )

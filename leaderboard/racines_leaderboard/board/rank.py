@@ -1,0 +1,133 @@
+"""Ranking the results of one track; what the intervals do not separate shares a rank.
+
+By one figure: the best leads a group of all that follow, as far as their 95 % intervals overlap the
+leader's; the next one leads the next group. A group shares the mean of the ranks that its members
+would take alone, as in 1.5, 1.5, 3: so the ranks of all add up to the same sum whoever is tied, and
+a tie of others neither helps nor hurts. A leader is what keeps the rule sound. Overlap is not
+transitive, so without one a long chain of neighbours would share a rank with a first and a last
+that are far apart. And groups are runs of the order by value, so a wide interval never overtakes a
+better figure.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+from racines_leaderboard.records.tracks import Column, Track
+
+Record = dict[str, Any]
+EXPERT = "expert_"
+"""Begins the keys of figures that an expert study gave."""
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A result with its place; tied systems share a place, as in 1, 2, 2, 4. A bound has none."""
+
+    place: int | None
+    record: Record
+
+
+def is_bound(record: Record) -> bool:
+    """Return whether a result is a ceiling that knows the truth, or a floor that sees nothing."""
+    return record["scores"].get("sees") in ("truth", "nothing")
+
+
+def figure(record: Record, key: str) -> dict[str, Any] | None:
+    """Return a figure of a result, or None where it is absent or has no value.
+
+    Figures of experts come from a study that was checked, never from the scores of a submission.
+    """
+    source = record.get("expert", {}) if key.startswith(EXPERT) else record["scores"]["metrics"]
+    metric = source.get(key)
+    return metric if metric is not None and metric["value"] is not None else None
+
+
+def rank(track: Track, records: list[Record]) -> list[Ranked]:
+    """Order the results of a track by its rule, best first; tied ones by figure, then by name.
+
+    Bounds stand among the others by their figures, take no place and tie with nothing.
+    """
+    columns = {column.key: column for column in track.columns}
+    deciding = [columns[key] for key in track.ranked_by]
+    rivals = [record for record in records if not is_bound(record)]
+    keys = (_mean_ranks if track.mean_rank else _ranks_in_turn)(deciding, rivals)
+    plain = _plain_keys(track, deciding, records)
+    by_figures = {id(record): key for record, key in zip(records, plain, strict=True)}
+    order = sorted(
+        range(len(rivals)), key=lambda i: (keys[i], by_figures[id(rivals[i])], rivals[i]["name"])
+    )
+    ranking = [Ranked(1 + sum(key < keys[i] for key in keys), rivals[i]) for i in order]
+    for bound in sorted((r for r in records if is_bound(r)), key=lambda r: r["name"], reverse=True):
+        worse = [
+            i
+            for i, each in enumerate(ranking)
+            if by_figures[id(each.record)] > by_figures[id(bound)]
+        ]
+        ranking.insert(worse[0] if worse else len(ranking), Ranked(None, bound))
+    return ranking
+
+
+def tied(ranking: list[Ranked]) -> set[int]:
+    """Return the places that several results share."""
+    places = [each.place for each in ranking if each.place is not None]
+    return {place for place in places if places.count(place) > 1}
+
+
+def _badness(record: Record, column: Column) -> tuple[float, float, float]:
+    """A figure and the better and worse end of its interval: lower is better, infinite missing."""
+    metric = figure(record, column.key)
+    if metric is None:
+        return float("inf"), float("inf"), float("inf")
+    ends = [metric["value"] if metric[key] is None else metric[key] for key in ("low", "high")]
+    if column.better == "higher":
+        return -metric["value"], -ends[1], -ends[0]
+    return metric["value"], ends[0], ends[1]
+
+
+def _group_ranks(column: Column, records: list[Record]) -> list[float]:
+    """Return each record's rank by one figure; a group shares the mean of its members' ranks."""
+    figures = [_badness(record, column) for record in records]
+    groups: list[list[int]] = []
+    reach = -float("inf")
+    for i in sorted(range(len(records)), key=lambda i: figures[i][0]):
+        _, best, worst = figures[i]
+        if not groups or best > reach:
+            groups.append([])
+            reach = worst
+        groups[-1].append(i)
+    ranks, before = [0.0] * len(records), 0
+    for group in groups:
+        for i in group:
+            ranks[i] = before + (1 + len(group)) / 2
+        before += len(group)
+    return ranks
+
+
+def _mean_ranks(columns: list[Column], records: list[Record]) -> list[tuple[float, ...]]:
+    by_column = [_group_ranks(column, records) for column in columns]
+    return [(sum(ranks) / len(columns),) for ranks in zip(*by_column, strict=True)]
+
+
+def _ranks_in_turn(columns: list[Column], records: list[Record]) -> list[tuple[float, ...]]:
+    """Return ranks by the first figure, then among those tied in it by the next, and so on."""
+    keys: list[tuple[float, ...]] = [()] * len(records)
+    for column in columns:
+        groups: dict[tuple[float, ...], list[int]] = {}
+        for i, key in enumerate(keys):
+            groups.setdefault(key, []).append(i)
+        for rows in groups.values():
+            ranks = _group_ranks(column, [records[i] for i in rows])
+            for i, rank in zip(rows, ranks, strict=True):
+                keys[i] += (rank,)
+    return keys
+
+
+def _plain_keys(
+    track: Track, columns: list[Column], records: list[Record]
+) -> list[tuple[float, ...]]:
+    """Return the order by the figures alone: within ties, and for bounds."""
+    values = [[_badness(record, column)[0] for record in records] for column in columns]
+    if not track.mean_rank:
+        return list(zip(*values, strict=True))
+    ranks = [[1 + sum(o < v for o in column) for v in column] for column in values]
+    return [(sum(each) / len(columns),) for each in zip(*ranks, strict=True)]

@@ -1,0 +1,191 @@
+"""Scores made again from a submission's artefacts, by the code of this checkout."""
+
+import dataclasses
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from racines_data.config import fill, section
+from racines_data.errors import RacinesError
+from racines_data.files import write_atomic
+from racines_leaderboard.board.collect import Record, one_dataset
+from racines_leaderboard.records.schema import check
+from racines_leaderboard.records.seal import sealed
+from racines_leaderboard.records.tracks import AGENTS, GENERATORS
+from racines_leaderboard.submissions.artefacts import YAML, files_of, rescored
+from racines_leaderboard.submissions.confined.session import Limits
+from racines_leaderboard.submissions.content_checks import check_content
+from racines_leaderboard.submissions.document import find_submission
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What scores are made on and with: one board's."""
+
+    board: str
+    settings: dict[str, Any]
+    """Those of its params file."""
+    data: Path = Path("data/racines")
+    grader: Path | None = Path("models/runs/grader")
+    """None: leave out what needs a grader."""
+    pose: Path | None = None
+    """Of a pose regressor; None: leave out what needs one."""
+    cache: Path | None = None
+    """Keeps what is computed of the reference alone."""
+    limits: Limits = field(default_factory=Limits)
+
+
+def find(submissions: Path, name: str) -> Path:
+    """Return the folder of a submission by NAME or TRACK/NAME.
+
+    Raises:
+        RacinesError: none, or one in each track.
+    """
+    found = [
+        submissions / track.name / name.removeprefix(f"{track.name}/")
+        for track in (GENERATORS, AGENTS)
+        if "/" not in name.removeprefix(f"{track.name}/")
+    ]
+    found = [folder for folder in found if (folder / YAML).is_file()]
+    if len(found) != 1:
+        where = f"in both tracks of {submissions}: give TRACK/NAME"
+        raise RacinesError(f"{name!r}: {where if found else f'no submission in {submissions}'}")
+    return found[0]
+
+
+def recompute(folder: Path, ground: Ground, results: Path) -> Record:
+    """Score the artefact of a submission and write its record, of tier `recomputed`.
+
+    Graphs run in a confined child; no code of the submitter's runs. Timings are left out: they
+    would be those of the confinement.
+
+    Args:
+        folder: `<submissions>/<track>/<name>`.
+        ground: The board's data, settings and judges.
+        results: Folder of the boards.
+
+    Raises:
+        RacinesError: a submission at fault or without an artefact that can be scored, one made for
+            other data, a file that breaks a limit, or figures that do not belong on the board.
+    """
+    document, scores = scores_again(folder, ground)
+    return _write(document, scores, ground.board, results)
+
+
+def scores_again(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return a submission's document, and the scores of its artefact; nothing is written.
+
+    Raises:
+        RacinesError: see `recompute`.
+    """
+    document = find_submission(folder.parents[1], folder.parent.name, folder.name)
+    if document is None:
+        raise RacinesError(f"{folder}: no submission there")
+    artefacts = rescored(document)
+    if not artefacts:
+        raise RacinesError(f"{folder}: no artefact that can be scored again: see docs/submit.md")
+    for artefact in files_of(document):
+        path = folder / artefact["path"]
+        if path.exists():
+            check_content(path, artefact["kind"], document["track"], ground.limits)
+        elif artefact in artefacts:
+            raise RacinesError(f"{path}: lies at its URL: take it in with racines submit --fetch")
+    paths = [folder / artefact["path"] for artefact in artefacts]
+    make = _generator_scores if document["track"] == GENERATORS.name else _agent_scores
+    scores = make(document, artefacts[0]["kind"], paths, ground)
+    files = {artefact["path"]: artefact["sha256"] for artefact in artefacts}
+    return document, scores | {"weights": files}
+
+
+def _write(document: dict[str, Any], scores: dict[str, Any], board: str, results: Path) -> Record:
+    track = GENERATORS if document["track"] == GENERATORS.name else AGENTS
+    record = {
+        "schema": "racines.record/1",
+        "board": board,
+        "track": track.name,
+        "name": document["name"],
+        "tier": "recomputed",
+        "submission": document,
+        "scores": scores,
+    }
+    path = results / board / track.name / f"{document['name']}.json"
+    try:
+        text = json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False)
+    except ValueError as error:
+        raise RacinesError(f"{path}: a figure is not finite: {error}") from error
+    record = sealed(json.loads(text))  # as it will be read: with lists where there are tuples
+    check(record, "record", str(path))
+    check(record["scores"], track.schema, f"{path}: scores")
+    one_dataset({path: record}, results, board)
+    write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+    return record
+
+
+def _check_data(document: dict[str, Any], here: dict[str, Any], where: str) -> None:
+    """Check that a submission was made for the data that it is to be scored on."""
+    told = document["dataset"]
+    digests = {here.get("digest"), here.get("recipe_digest")}
+    if told["digest"] not in digests:
+        shown = " or ".join(sorted(str(digest) for digest in digests if digest))
+        raise RacinesError(
+            f"{document['name']}: dataset.digest: {told['digest']}; {where} has {shown}: score it "
+            "on the data that it names"
+        )
+
+
+def _generator_scores(
+    document: dict[str, Any], kind: str, paths: list[Path], ground: Ground
+) -> dict[str, Any]:
+    from racines_data.store.frames import open_store
+    from racines_leaderboard.submissions.confined.roads import ConfinedGenerator
+    from racines_models.exchange.predictions.reader import Predictions
+    from racines_models.judges.grader.model import Grader
+    from racines_models.judges.pose.regressor import PoseRegressor
+    from racines_models.scores.scoring import ScoresConfig, score
+
+    store = open_store(ground.data)
+    _check_data(document, store.manifest, str(ground.data))
+    config = fill(ScoresConfig, section(ground.settings, "scores"), "scores")
+    config = dataclasses.replace(config, speed=False)
+    opened: list[Any]
+    if kind == "predictions":
+        opened = [Predictions(path, store, config.split) for path in paths]
+    else:
+        opened = [ConfinedGenerator(path, ground.limits) for path in paths]
+    if ground.grader is not None and not ground.grader.is_dir():
+        raise RacinesError(f"{ground.grader}: no grader; run: racines train grader")
+    scores = score(
+        opened,
+        store,
+        config,
+        document["name"],
+        grader=None if ground.grader is None else Grader.load(ground.grader, "cpu"),
+        pose=None if ground.pose is None else PoseRegressor.load(ground.pose, "cpu"),
+        cache=ground.cache,
+    ).content
+    scores["dataset"]["board"] = ground.board
+    return scores
+
+
+def _agent_scores(
+    document: dict[str, Any], kind: str, paths: list[Path], ground: Ground
+) -> dict[str, Any]:
+    from racines_envs.agents.trace import TraceAgent
+    from racines_envs.cli.settings import phantom_config
+    from racines_envs.evaluation.run import EvaluationConfig, evaluate
+    from racines_envs.worlds.making import find_task, make_phantom, phantom_recipe
+    from racines_leaderboard.submissions.confined.roads import ConfinedPolicyAgent
+
+    agent: Any = (
+        TraceAgent(paths[0]) if kind == "trace" else ConfinedPolicyAgent(paths[0], ground.limits)
+    )
+    config = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation")
+    judge = str(ground.grader) if ground.grader is not None and config.grader else ""
+    view = getattr(agent, "view", config.view)
+    config = dataclasses.replace(config, view=view, grader=judge, latency=0, device="cpu")
+    phantom = phantom_config(ground.settings)
+    phantom = make_phantom(phantom, "cpu", find_task(view, phantom).anatomy)
+    _check_data(document, phantom_recipe(phantom) or {}, f"the phantom of board {ground.board}")
+    scores = evaluate("", paths[0].parent, config, phantom, agent=agent).scores
+    return scores | {"agent": document["name"]}

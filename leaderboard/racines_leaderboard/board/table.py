@@ -1,0 +1,218 @@
+"""Boards as tables: for the terminal, as Markdown, and as plain data for `--json`."""
+
+import dataclasses
+import functools
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import resources
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table as RichTable
+
+from racines_leaderboard.board.groups import by_task, rankings
+from racines_leaderboard.board.rank import Ranked, Record, figure, rank, tied
+from racines_leaderboard.records.tracks import TRACKS, Column, Track
+
+REPORTED = "reported in the paper, on other data"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table ready to be drawn; every cell is text."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...]
+
+    def bare(self) -> "Table":
+        """Return the table without its notes, to follow one that has them."""
+        return dataclasses.replace(self, notes=())
+
+
+def board_tables(
+    board: str, content: dict[str, list[Record]], details: bool = False
+) -> list[Table]:
+    """Return the tables of a board: its tracks (agents by task), then the paper's figures.
+
+    With `details`, each table is followed by one of the further figures, in the same order.
+    """
+    tables = []
+    for track in TRACKS:
+        for task, records in by_task(content[track.name]).items():
+            title = " · ".join(part for part in (board, track.name, task) if part)
+            ranking = rank(track, records)
+            tables.append(ranked_table(title, track, ranking))
+            if details and shown_columns(track.details, ranking):
+                further = dataclasses.replace(track, columns=track.details)
+                tables.append(ranked_table(f"{title} · in detail", further, ranking).bare())
+        if content[track.name]:
+            tables.append(reported_table(track))
+    return tables
+
+
+def markdown(table: Table) -> str:
+    """Return a table as Markdown: a title in bold, the table, its notes."""
+    rows = [table.head, ("---",) * len(table.head), *table.rows]
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+    return "\n".join([f"**{table.title}**", "", *lines, "", *(f"{n}  " for n in table.notes)])
+
+
+def show(table: Table, console: Console) -> None:
+    """Draw a table on a terminal; on its side, one column a system, where it is too wide."""
+    rows = [table.head, *table.rows]
+    drawn = _drawn(table.title, rows)
+    free = console.options.update(width=10_000)
+    if console.measure(drawn, options=free).maximum > console.width:
+        drawn = _drawn(table.title, [*zip(*rows, strict=True)][1:])
+    console.print(drawn)
+    for note in table.notes:
+        console.print(note, style="dim", markup=False)
+    console.print()
+
+
+def _drawn(title: str, rows: Sequence[Sequence[str]]) -> RichTable:
+    drawn = RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
+    for i, name in enumerate(rows[0]):
+        drawn.add_column(name, justify="left" if i < 2 else "right", overflow="fold")
+    for row in rows[1:]:
+        drawn.add_row(*map(_stacked, row))
+    return drawn
+
+
+def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
+    """Return ranked results as data: by track, in order, each figure with its interval and n."""
+    return {
+        track.name: [
+            {"rank": ranked.place, "name": ranked.record["name"], "tier": ranked.record["tier"]}
+            | ({"task": ranked.record["scores"]["task"]} if track.name == "agents" else {})
+            | {"metrics": ranked.record["scores"]["metrics"]}
+            | ({"expert": ranked.record["expert"]} if "expert" in ranked.record else {})
+            for ranked in rankings(track, content[track.name])
+        ]
+        for track in TRACKS
+    }
+
+
+def _stacked(text: str) -> str:
+    """Put the interval and n of a figure under it, so that a wide table fits a terminal."""
+    return text.replace(" (", "\n(").replace(" – ", "–").replace(", n = ", "\nn = ")
+
+
+@functools.cache
+def published() -> dict[str, Any]:
+    """Return the figures of the paper."""
+    return json.loads((resources.files("racines_leaderboard") / "published.json").read_text())
+
+
+def cell(record: Record, column: Column, usual_n: int) -> str:
+    """Return a figure with its 95 % interval; with its n where that is not the row's."""
+    metric = figure(record, column.key)
+    if metric is None:
+        return "–"
+    text = _number(metric["value"], column)
+    if metric["low"] is not None and metric["high"] is not None:
+        text += f" ({_number(metric['low'], column)} – {_number(metric['high'], column)})"
+    return text if metric["n"] == usual_n else f"{text}, n = {metric['n']:,}"
+
+
+def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:
+    """Return one ranking as a table, with what there is to say of it; `ranking` holds a result."""
+    columns = shown_columns(track.columns, ranking)
+    rows, shared = [], tied(ranking)
+    for ranked in ranking:
+        usual = _usual_n(ranked.record, columns)
+        cells = [cell(ranked.record, column, usual) for column in columns]
+        place = f"{ranked.place or '–'}{'=' if ranked.place in shared else ''}"
+        system = (place, ranked.record["name"], *_sees(track, ranked.record))
+        rows.append((*system, *cells, f"{usual:,}", ranked.record["tier"]))
+    sees = ("Sees",) if track.name == "agents" else ()
+    head = ("#", "System", *sees, *(column.title for column in columns), "n", "Tier")
+    basis = f"In brackets: 95 % intervals. n: {track.counted}."
+    basis = " ".join(filter(None, (basis, _basis(ranking), _ceiling(ranking))))
+    notes = (track.rule, basis, _methods(ranking), _experts(ranking))
+    return Table(title, head, tuple(rows), tuple(filter(None, notes)))
+
+
+def shown_columns(columns: Sequence[Column], ranking: Sequence[Ranked]) -> list[Column]:
+    """Return the columns that any of the results fills."""
+    return [c for c in columns if any(figure(r.record, c.key) for r in ranking)]
+
+
+def _methods(ranking: list[Ranked]) -> str:
+    """Say in a few words what each submitted system is."""
+    told = [
+        f"{r.record['name']}, {r.record['submission']['method']}"
+        for r in ranking
+        if r.record["submission"]
+    ]
+    return f"Systems: {'; '.join(told)}." if told else ""
+
+
+def _experts(ranking: list[Ranked]) -> str:
+    """Say what experts agree with, and whose study is left out."""
+    told = []
+    if any("expert" in r.record for r in ranking):
+        told.append(
+            "Expert: a blinded study of the generator's images, views that agree with the truth of "
+            "the pose, and grades that differ from it by at most 1; it does not rank."
+        )
+    if stale := [r.record["name"] for r in ranking if r.record.get("expert_stale")]:
+        told.append(f"Left out: studies of other weights or data ({', '.join(stale)}).")
+    return " ".join(told)
+
+
+def _sees(track: Track, record: Record) -> tuple[str, ...]:
+    """Return what an agent goes by, in a tuple; a generator looks at nothing."""
+    if track.name != "agents":
+        return ()
+    scores = record["scores"]
+    return (scores.get("sees", scores["task"]["observation"]),)  # older records do not tell
+
+
+def _usual_n(record: Record, columns: list[Column]) -> int:
+    counts = [m["n"] for c in columns if (m := figure(record, c.key))]
+    return max(counts, key=counts.count) if counts else 0
+
+
+def _basis(ranking: list[Ranked]) -> str:
+    """Say which data, or which phantom, the results rest on."""
+    scores = ranking[0].record["scores"]
+    data = scores.get("dataset") or scores.get("phantom")
+    if not data:
+        return ""
+    source = data.get("source", "phantom")
+    simulated = " (simulated)" if source == "phantom" else ""
+    return f"Data: {source} {data['version']}{simulated}, recipe {data['recipe_digest'][:12]}."
+
+
+def _ceiling(ranking: list[Ranked]) -> str:
+    """Say how right the judges are where the images are the true ones."""
+    record, told = ranking[0].record, []
+    if view := figure(record, "view_agreement_truth"):
+        told.append(f"the view agrees in {100 * view['value']:.1f} %")
+    error = [figure(record, f"pose_error_{unit}_truth") for unit in ("mm", "deg")]
+    if error[0] and error[1]:
+        millimetres, degrees = (each["value"] for each in error if each)
+        told.append(f"the pose is read with an error of {millimetres:.1f} mm and {degrees:.1f}°")
+    return f"On the true frames {' and '.join(told)}." if told else ""
+
+
+def reported_table(track: Track) -> Table:
+    """Return the paper's own figures of a track."""
+    paper = published()
+    systems = paper[track.name]
+    names = list(dict.fromkeys(name for system in systems for name in system["figures"]))
+    rows = tuple(
+        ("", system["system"], *(str(system["figures"].get(name, "–")) for name in names))
+        for system in systems
+    )
+    notes = (paper["remark"][track.name], f"Source: {paper['citation']}.")
+    return Table(f"{track.name} · {REPORTED}", ("", "System", *names), rows, notes)
+
+
+def _number(value: float, column: Column) -> str:
+    return f"{value * column.scale:.{column.digits}f}"

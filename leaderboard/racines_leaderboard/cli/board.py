@@ -1,0 +1,136 @@
+"""The command `racines leaderboard`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+RESULTS = Path("leaderboard/results")
+SUBMISSIONS = Path("leaderboard/submissions")
+DATA = Path("data/racines")
+GRADER, POSE = Path("models/runs/grader"), Path("models/runs/pose")
+CACHE = Path("models/runs/scores/reference")
+"""What is computed of the reference alone, shared with `racines eval generator`."""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the root."""
+    app.command("leaderboard")(leaderboard)
+
+
+def leaderboard(
+    board: Annotated[
+        str | None, typer.Option(help="Board to collect into, or the only one to show.")
+    ] = None,
+    collect: Annotated[
+        list[Path] | None,
+        typer.Option(help="Take the scores of this folder into the board first; repeatable."),
+    ] = None,
+    recompute: Annotated[
+        list[str] | None,
+        typer.Option(help="Score this submission again first, NAME or TRACK/NAME; repeatable."),
+    ] = None,
+    data: Annotated[Path, typer.Option(help="With --recompute: the dataset.")] = DATA,
+    no_grader: Annotated[
+        bool, typer.Option("--no-grader", help="With --recompute: leave out what needs a grader.")
+    ] = False,
+    results: Annotated[Path, typer.Option(help="Folder of the boards.")] = RESULTS,
+    submissions: Annotated[Path, typer.Option(help="Folder of the submissions.")] = SUBMISSIONS,
+    params: Annotated[
+        Path | None, typer.Option(help="Name the board by `board` of this file.")
+    ] = None,
+    markdown: Annotated[
+        Path | None, typer.Option(help="Write all boards to this file, charts beside the results.")
+    ] = None,
+    readme: Annotated[
+        Path | None, typer.Option(help="Renew the tables between the marks of this file.")
+    ] = None,
+    details: Annotated[bool, typer.Option("--details", help="Show the further figures.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
+) -> None:
+    """Collect scores into a board, or make them again, rank it, and show it."""
+    from racines_data.errors import RacinesError
+    from racines_data.files import write_atomic
+    from racines_leaderboard.board import collect as results_of
+    from racines_leaderboard.board.pages import with_tables, write_page
+
+    if params is not None:
+        board = _board_of(params, board)
+    if collect:
+        if board is None:
+            raise RacinesError("--collect needs --board NAME or --params FILE")
+        others = results_of.made_elsewhere(collect, board) if params is not None else []
+        for path in others:
+            typer.echo(f"racines: left out {path}: made for another board than {board}", err=True)
+        results_of.collect(collect, results, submissions, board, others)
+    if recompute:
+        board = _recompute(recompute, params, board, data, no_grader, results, submissions)
+    names = [board] if board else results_of.boards(results)
+    if not set(names) <= set(results_of.boards(results)) or not names:
+        raise RacinesError(f"{results}: no results of {board or 'any board'}")
+    if markdown is not None:
+        write_page(markdown, results)
+    if readme is not None:
+        if not readme.is_file():
+            raise RacinesError(f"{readme}: no such file")
+        write_atomic(readme, with_tables(readme.read_text(), results, str(readme)))
+    _show({name: results_of.read_board(results, name) for name in names}, as_json, details)
+
+
+def _recompute(
+    names: list[str],
+    params: Path | None,
+    board: str | None,
+    data: Path,
+    no_grader: bool,
+    results: Path,
+    submissions: Path,
+) -> str:
+    """Score submissions again with the settings of a params file; return its board."""
+    from racines_data.config import read_params
+    from racines_leaderboard.board.recompute import Ground, find, recompute
+
+    params = params or Path("params.yaml")
+    board = _board_of(params, board)
+    folders = [find(submissions, name) for name in names]
+    ground = Ground(
+        board,
+        read_params(params),
+        data,
+        grader=None if no_grader else GRADER,
+        pose=POSE if POSE.is_dir() else None,
+        cache=CACHE,
+    )
+    for folder in folders:
+        record = recompute(folder, ground, results)
+        typer.echo(f"racines: scored again: {record['track']}/{record['name']}", err=True)
+    return board
+
+
+def _board_of(params: Path, board: str | None) -> str:
+    from racines_data.config import read_params
+    from racines_data.errors import RacinesError
+
+    named = read_params(params).get("board")
+    if not isinstance(named, str):
+        raise RacinesError(f"{params}: board: expected the name of a board")
+    if board not in (None, named):
+        raise RacinesError(f"--board {board} differs from {named!r}, the board of {params}")
+    return named
+
+
+def _show(content: dict[str, dict], as_json: bool, details: bool) -> None:
+    from rich.console import Console
+
+    from racines_leaderboard.board.table import board_tables, plain, published, show
+
+    if as_json:
+        ranked = {name: plain(records) for name, records in content.items()}
+        document = {"boards": ranked, "reported_in_the_paper": published()}
+        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        return
+    console = Console()
+    for name, records in content.items():
+        for table in board_tables(name, records, details):
+            show(table, console)

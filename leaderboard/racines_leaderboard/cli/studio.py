@@ -1,0 +1,56 @@
+"""The command `racines studio`."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the root."""
+    app.command("studio")(studio)
+
+
+def studio(
+    host: Annotated[
+        str, typer.Option(help="Address to listen at; 0.0.0.0 lets other machines in.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 7860,
+    tab: Annotated[
+        list[str] | None,
+        typer.Option(help="Show this tab; repeatable.  [default: all]"),
+    ] = None,
+    data: Annotated[Path, typer.Option(help="Folder of the dataset.")] = Path("data/racines"),
+    results: Annotated[Path, typer.Option(help="Folder of the boards.")] = Path(
+        "leaderboard/results"
+    ),
+    submissions: Annotated[Path, typer.Option(help="Folder of the submissions.")] = Path(
+        "leaderboard/submissions"
+    ),
+    weights: Annotated[Path, typer.Option(help="Published weights.")] = Path("models/weights"),
+    runs: Annotated[Path, typer.Option(help="Trained generators.")] = Path("models/runs"),
+    agents: Annotated[Path, typer.Option(help="Trained agents.")] = Path("envs/runs"),
+    policies: Annotated[Path, typer.Option(help="Published agents.")] = Path("envs/weights"),
+    kits: Annotated[Path, typer.Option(help="Folder of expert kits.")] = Path("study"),
+    seed: Annotated[int, typer.Option(min=0, help="Seed of whatever is drawn by chance.")] = 0,
+    device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "cpu",
+    max_sessions: Annotated[
+        int, typer.Option(min=1, max=10_000, help="Visitors whose state is kept.")
+    ] = 200,
+) -> None:
+    """Show the boards, the study and the data in a browser, on this machine alone by default."""
+    from racines_data.errors import RacinesError
+    from racines_leaderboard.studio.place import Place
+
+    if find_spec("gradio") is None:
+        raise RacinesError('the Studio needs Gradio: pip install "racines[studio]"')
+    from racines_leaderboard.studio.app import serve
+    from racines_models.cli.scores import pick_device
+
+    place = Place(
+        data, results, submissions, weights, runs, agents, kits, seed, pick_device(device),
+        max_sessions, policies,
+    )  # fmt: skip
+    typer.echo(f"RACINES Studio: http://{host}:{port} (Ctrl-C stops it)")
+    serve(place, host, port, tab)

@@ -1,0 +1,81 @@
+"""The command `racines submit`."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from racines_leaderboard.submissions.intake import Taken
+
+SUBMISSIONS = Path("leaderboard/submissions")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the root."""
+    app.command("submit")(submit)
+
+
+def submit(
+    source: Annotated[Path, typer.Argument(help="The submission.yaml, or the folder with it.")],
+    out: Annotated[Path, typer.Option(help="Folder of the submissions.")] = SUBMISSIONS,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Take the place of your own of that name.")
+    ] = False,
+    fetch: Annotated[
+        bool, typer.Option("--fetch", help="Fetch the artefacts that are at a URL.")
+    ] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Check it where it lies; nothing is copied.")
+    ] = False,
+    new: Annotated[
+        bool, typer.Option("--new", help="Write a submission.yaml to fill in, and stop.")
+    ] = False,
+    track: Annotated[str, typer.Option(help="With --new: generators or agents.")] = "generators",
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was taken in.")] = False,
+) -> None:
+    """Check a submission and put it in its place; nothing of it is run, nothing half-written."""
+    if new:
+        from racines_leaderboard.submissions.template import write_template
+
+        typer.echo(f"written: {write_template(source, track)}: fill it in, then: racines submit")
+        return
+    if check and (replace or fetch):
+        raise typer.BadParameter("--check copies nothing: leave out --replace and --fetch")
+    from racines_leaderboard.submissions.intake import look_at, take_in
+
+    taken = look_at(source) if check else take_in(source, out, replace=replace, fetching=fetch)
+    if as_json:
+        typer.echo(json.dumps(_plain(taken), indent=2, ensure_ascii=False))
+        return
+    document = taken.document
+    typer.echo(f"{taken.folder}: sound ({document['name']}, {document['track']}).")
+    for name in taken.remote:
+        typer.echo(f"Left at its URL and not looked into: {name}; --fetch takes it in.")
+    for line in _next_steps(document):
+        typer.echo(line)
+
+
+def _plain(taken: "Taken") -> dict[str, Any]:
+    from racines_leaderboard.submissions.artefacts import rescored
+
+    again = [each["path"] for each in rescored(taken.document)]
+    return taken.document | {
+        "folder": str(taken.folder), "rescored": again, "remote": list(taken.remote)
+    }  # fmt: skip
+
+
+def _next_steps(document: dict[str, Any]) -> list[str]:
+    """Say what will be scored again, and by which command."""
+    from racines_leaderboard.submissions.artefacts import KINDS, rescored
+
+    again = rescored(document)
+    if again:
+        what = ", ".join(f"{each['path']} ({KINDS[each['kind']].told})" for each in again)
+        place = f"{document['track']}/{document['name']}"
+        return [f"Scored again: {what}.", f"Next: racines leaderboard --recompute {place}"]
+    return [
+        "Nothing here can be scored again: scores stay self-reported until it is trained again.",
+        "Next: racines leaderboard --collect FOLDER_OF_SCORES",
+    ]

@@ -1,0 +1,103 @@
+"""Experts' agreement on a board: one record a generator, shown beside the scores it belongs to.
+
+Only what experts rated is taken: answers of programs and of trials are refused, and a record that
+claims otherwise does not pass its schema.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from racines_data.errors import RacinesError
+from racines_data.files import write_atomic
+from racines_leaderboard.records.names import EXPERT, OVERALL, TRUE_FRAMES
+from racines_leaderboard.records.schema import check, read_json
+
+FOLDER = "expert"
+METRICS = {"expert_view": "view_agreement", "expert_grade": "grade_agreement"}
+"""Columns of a board, and the figures of a study that they show."""
+
+
+def publish(report: dict[str, Any], results: Path, board: str) -> list[Path]:
+    """Write an expert study's agreement with the truth into a board; return the files.
+
+    Raises:
+        RacinesError: the raters are no experts, or a generator has no scores on the board, or
+            scores of another dataset or other weights.
+    """
+    if report["kind"] != EXPERT:
+        raise RacinesError(f"{report['remark']} A board takes ratings of experts alone")
+    names = [name for name in report["systems"] if name not in (OVERALL, TRUE_FRAMES)]
+    records = {}
+    for name in names:
+        told = report["systems"][name]["references"].get(report["truth"])
+        if told is None:
+            raise RacinesError(f"{name}: the dataset has no views to agree with; none to publish")
+        record = _record(report, board, name, told["metrics"])
+        path = results / board / FOLDER / f"{name}.json"
+        check(record, "expert-record", str(path))
+        if (fault := _fault(record, _scores(results, board, name))) is not None:
+            raise RacinesError(f"board {board}: {name}: {fault}")
+        records[path] = record
+    if not records:
+        raise RacinesError("the study has no generator's images, so a board has no row for it")
+    for path, record in records.items():
+        write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+    return list(records)
+
+
+def with_experts(records: list[dict[str, Any]], folder: Path) -> list[dict[str, Any]]:
+    """Add to each generator's record the figures that experts gave it, as `expert`.
+
+    A study of other data or weights than the record's is left out, and `expert_stale` says so.
+
+    Raises:
+        RacinesError: a damaged record, or one in another's place.
+    """
+    told = []
+    for record in records:
+        path = folder / f"{record['name']}.json"
+        if not path.is_file():
+            told.append(record)
+            continue
+        study = read_json(path, "expert-record")
+        for key, value in (("generator", record["name"]), ("board", record["board"])):
+            if study[key] != value:
+                raise RacinesError(f"{path}: {key}: {study[key]!r}, expected {value!r}")
+        stale = _fault(study, record["scores"]) is not None
+        told.append(record | ({"expert_stale": True} if stale else {"expert": study["metrics"]}))
+    return told
+
+
+def _record(
+    report: dict[str, Any], board: str, name: str, metrics: dict[str, Any]
+) -> dict[str, Any]:
+    return {
+        "schema": "racines.expert-record/1",
+        "board": board,
+        "generator": name,
+        "kind": report["kind"],
+        "kit": report["kit"]["digest"],
+        "raters": [{key: each[key] for key in ("rater", "about")} for each in report["raters"]],
+        "dataset": report["dataset"],
+        "weights": report["systems"][name]["weights"],
+        "truth": report["truth"],
+        "metrics": {column: metrics[key] for column, key in METRICS.items()},
+    }
+
+
+def _scores(results: Path, board: str, name: str) -> dict[str, Any]:
+    path = results / board / "generators" / f"{name}.json"
+    if not path.is_file():
+        raise RacinesError(f"{path}: no scores of {name} on the board; collect them first")
+    return read_json(path, "record")["scores"]
+
+
+def _fault(study: dict[str, Any], scores: dict[str, Any]) -> str | None:
+    """Say why a study does not belong to some scores, or None."""
+    data, other = study["dataset"]["recipe_digest"], scores["dataset"]["recipe_digest"]
+    if data != other:
+        return f"the study is of recipe {str(data)[:12]}, the scores are of {str(other)[:12]}"
+    if not (study["weights"] or {}).items() <= (scores["weights"] or {}).items():
+        return "the study is of other weights than the scores; score the generator that was shown"
+    return None

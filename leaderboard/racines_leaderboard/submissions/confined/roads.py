@@ -1,0 +1,40 @@
+"""A stranger's generator and policy: the in-process classes, their graph in a confined child."""
+
+from functools import partial
+from pathlib import Path
+
+from racines_envs.agents.onnx.policy import OnnxPolicyAgent
+from racines_leaderboard.submissions.confined.session import ConfinedSession, Limits, rehearse
+from racines_leaderboard.submissions.file_checks import MAX_BYTES, read_bounded
+from racines_models.exchange.onnx.generator import OnnxGenerator
+
+
+class ConfinedGenerator(OnnxGenerator):
+    """Draws what `OnnxGenerator` draws, byte for byte, on the CPU.
+
+    Raises:
+        RacinesError: the file is refused, or broke a limit; so do its methods.
+    """
+
+    def __init__(self, path: Path, limits: Limits | None = None):
+        """Open a file under limits."""
+        _rehearse(path, limits)
+        super().__init__(path, "cpu", partial(ConfinedSession, limits=limits))
+
+
+class ConfinedPolicyAgent(OnnxPolicyAgent):
+    """Acts as `OnnxPolicyAgent` acts, on the CPU.
+
+    Raises:
+        RacinesError: the file is refused, or broke a limit; so do its methods.
+    """
+
+    def __init__(self, path: Path, limits: Limits | None = None) -> None:
+        """Open a file under limits."""
+        _rehearse(path, limits)
+        super().__init__(path, "cpu", partial(ConfinedSession, limits=limits))
+
+
+def _rehearse(path: Path, limits: Limits | None) -> None:
+    content = read_bounded(path.parent, path.name, str(path.parent), MAX_BYTES)
+    rehearse("onnx", content, str(path), limits)

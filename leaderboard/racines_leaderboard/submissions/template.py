@@ -1,0 +1,86 @@
+"""A submission.yaml to fill in, with the digests of the files that lie beside it."""
+
+import json
+from pathlib import Path
+
+from racines_data.errors import RacinesError
+from racines_data.files import write_atomic
+from racines_leaderboard.submissions.artefacts import KINDS, YAML
+from racines_leaderboard.submissions.file_checks import NAME, measure, opened
+
+TEXT = """\
+# Every line but url, paper and hours is needed. What the fields mean: docs/submit.md
+schema: racines.submission/2
+name: {name}                # a-z 0-9 and dashes
+track: {track}
+authors: [YOUR NAME]
+method: A FEW WORDS FOR THE TABLE
+description: >-
+  A FEW SENTENCES.
+licence: Apache-2.0
+# url: https://example.org
+# paper: https://example.org
+tier: recomputed             # the tier asked for; self-reported if nothing can be scored again
+dataset:
+  source: phantom
+  version: 1.0.0
+  digest: "{zeros}"   # its content or recipe digest
+seeds: [0]                   # of the training
+code: {{url: "https://example.org/REPOSITORY", commit: "0000000"}}
+training:
+  budget: IMAGES OR STEPS SEEN
+  hardware: WHAT IT RAN ON
+  # hours: 1.5
+artefacts:
+{artefacts}"""
+ENTRY = """\
+  - kind: {kind}
+    path: {path}
+    sha256: "{sha256}"
+    size: {size}
+"""
+
+
+def write_template(folder: Path, track: str) -> Path:
+    """Write a submission.yaml into a folder, with an entry for each file there that may be one.
+
+    Raises:
+        RacinesError: there is one already, or an unknown track.
+    """
+    if track not in ("generators", "agents"):
+        raise RacinesError(f"track {track!r}: choose generators or agents")
+    path = folder / YAML
+    if path.exists():
+        raise RacinesError(f"{path}: is there already: edit it, or remove it")
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    entries = [_entry(each, track) for each in files if _may_be(each)]
+    blank = ENTRY.format(kind="KIND", path="FILE", sha256="0" * 64, size=1)
+    name = folder.resolve().name.lower().replace("_", "-")
+    text = TEXT.format(name=name, track=track, zeros="0" * 64, artefacts="".join(entries) or blank)
+    write_atomic(path, text)
+    return path
+
+
+def _may_be(path: Path) -> bool:
+    endings = {kind.suffix for kind in KINDS.values()} - {""}
+    return path.suffix in endings and path.is_file() and bool(NAME.fullmatch(path.name))
+
+
+def _entry(path: Path, track: str) -> str:
+    with opened(path.parent, path.name, str(path.parent)) as stream:
+        sha256, size = measure(stream, str(path))
+    return ENTRY.format(kind=_kind(path, track), path=path.name, sha256=sha256, size=size)
+
+
+def _kind(path: Path, track: str) -> str:
+    """Guess a file's kind by its ending and, where two share one, by what it says of itself."""
+    if path.suffix == ".json":
+        try:
+            said = json.loads(path.read_text()).get("schema", "")
+        except (ValueError, AttributeError, RecursionError):
+            said = ""
+        return "trace" if str(said).startswith("racines.trace/") else "scores"
+    found = [n for n, kind in KINDS.items() if kind.suffix == path.suffix and track in kind.tracks]
+    if not found:
+        raise RacinesError(f"{path}: no artefact of {track}: put it elsewhere")
+    return found[0]

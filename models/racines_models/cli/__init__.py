@@ -1,0 +1,5 @@
+"""What this package adds to `racines train`, `eval`, `data` and `export`."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,73 @@
+"""The command `racines eval floor`. Heavy imports stand inside, so that --help is instant."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from racines_models.cli.scores import DATA, GRADER, AsJson, Data, Device, pick_device
+
+
+def register(evaluate: typer.Typer) -> None:
+    """Add `floor` to `racines eval`."""
+    evaluate.command("floor")(floor)
+
+
+def floor(
+    data: Data = DATA,
+    out: Annotated[Path, typer.Option(help="Writes OUT.json and OUT.png.")] = Path(
+        "models/runs/floor"
+    ),
+    sizes: Annotated[
+        list[int] | None,
+        typer.Option("--n", min=2, help="Frames of each half; repeat.  [default: 128 … 1024]"),
+    ] = None,
+    splits: Annotated[int, typer.Option(min=1, help="Random halvings.")] = 10,
+    split: Annotated[str, typer.Option(help="Split that is halved.")] = "test",
+    seed: Annotated[int, typer.Option(help="Draws the halves.")] = 0,
+    grader: Annotated[
+        Path | None,
+        typer.Option(help=f"Adds the grader's features.  [default: {GRADER}, if there]"),
+    ] = None,
+    cache: Annotated[Path, typer.Option(help="Folder that keeps features.")] = Path(
+        "models/runs/scores/reference"
+    ),
+    device: Device = "auto",
+    as_json: AsJson = False,
+) -> None:
+    """Compare true frames with true frames: the FID and KID that a perfect generator would have.
+
+    Two halves of a split that share no trajectory, at several n.
+    """
+    from racines_data.files import write_atomic, write_json
+    from racines_data.progress import image_counter
+    from racines_data.store.frames import open_store
+    from racines_models.judges.grader.model import Grader
+    from racines_models.scores.features import Extractor, GraderFeatures
+    from racines_models.scores.inception import InceptionFeatures
+    from racines_models.studies.floor import FloorConfig, draw_floor, frames_needed, measure_floor
+
+    device = pick_device(device)
+    extractors: dict[str, Extractor] = {"inception": InceptionFeatures(device)}
+    grader = grader or (GRADER if GRADER.is_dir() else None)
+    if grader is not None:
+        extractors["grader"] = GraderFeatures(Grader.load(grader, device))
+    config = FloorConfig(tuple(sizes or FloorConfig.sizes), splits, split, seed)
+    store = open_store(data)
+    total = len(frames_needed(store, config).trajectory)
+    with image_counter("truth against truth", total, hidden=as_json) as advance:
+        content = measure_floor(store, extractors, config, cache, advance)
+    write_atomic(out.with_suffix(".png"), draw_floor(content))
+    write_json(out.with_suffix(".json"), content)
+    if as_json:
+        typer.echo(json.dumps(content))
+        return
+    for name, rows in content["rows"].items():
+        for row in rows:
+            fid, kid = (
+                f"{row[key]['value']:.4g} ({row[key]['low']:.4g} to {row[key]['high']:.4g})"
+                for key in ("fid", "kid")
+            )
+            typer.echo(f"{name}, n = {row['n']}: FID {fid}, KID {kid}")
+    typer.echo(f"{out}.json, {out}.png")

@@ -1,0 +1,37 @@
+"""The command `racines eval gallery`. Heavy imports stand inside."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from racines_models.cli.scores import DATA, Data, Device, pick_device
+
+
+def register(evaluate: typer.Typer) -> None:
+    """Add `gallery` to `racines eval`."""
+    evaluate.command("gallery")(gallery)
+
+
+def gallery(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="Generators, in the order of the columns.  [default: all with a run]"),
+    ] = None,
+    data: Data = DATA,
+    runs: Annotated[Path, typer.Option(help="Folder of the trained runs.")] = Path("models/runs"),
+    out: Annotated[Path, typer.Option(help="The picture.")] = Path("models/runs/gallery.png"),
+    split: Annotated[str, typer.Option(help="Split of the poses.")] = "test",
+    seed: Annotated[int, typer.Option(help="Draws the generators' noise.")] = 0,
+    device: Device = "auto",
+) -> None:
+    """Draw the same held-out poses with every generator: one row a pose, the truth first."""
+    from racines_data.store.frames import open_store
+    from racines_models.registry import generator_names, load_generator
+    from racines_models.scores.gallery import gallery_sample, write_gallery
+
+    store, device = open_store(data), pick_device(device)
+    chosen = names or [name for name in generator_names() if (runs / name).is_dir()]
+    drawn = {name: load_generator(name, runs / name, device) for name in chosen}
+    write_gallery(out, store, gallery_sample(store, split), drawn, seed)
+    typer.echo(f"{out}: {', '.join(drawn)}")

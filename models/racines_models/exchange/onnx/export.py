@@ -1,0 +1,166 @@
+"""A trained generator as one ONNX file: weights inside, interface and card in its metadata."""
+
+import copy
+import dataclasses
+import json
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from racines_data.errors import RacinesError
+from racines_data.files import write_atomic
+from racines_data.schema import PARAMETERS
+from racines_models.exchange.onnx.file import MAX_BYTES
+from racines_models.exchange.onnx.format import NOISE, OUTPUT, PARAMS, SCHEMA
+from racines_models.exchange.onnx.session import open_session
+from racines_models.networks.onnx_module import OnnxModule, import_onnx
+
+OPSET = 18
+"""Operator set written: the oldest that torch's exporter targets natively."""
+EXAMPLES = 2
+"""Batch of the example inputs; the exported batch is free."""
+
+
+def export_generator(generator: Any, path: Path) -> dict[str, Any]:
+    """Write a fitted generator as an ONNX file (interface: `racines_models.exchange.onnx.format`).
+
+    Returns:
+        What was written: path, size in bytes, opset, noise numbers a sample.
+
+    Raises:
+        RacinesError: the generator cannot be exported, or the optional packages are missing.
+    """
+    import_onnx("onnx", "onnxruntime", "onnxscript")
+    hook = getattr(generator, "onnx_module", None)
+    if hook is None:
+        name = getattr(generator, "name", type(generator).__name__)
+        raise RacinesError(
+            f"{name} has no onnx_module(): it cannot be an ONNX file; "
+            "export its predictions instead: racines export predictions"
+        )
+    if not getattr(generator, "tensors", lambda: True)():
+        raise RacinesError(f"{generator.name} is not fitted: call fit, or load a trained folder")
+    module: OnnxModule = hook()
+    examples = {PARAMS: torch.zeros(EXAMPLES, len(PARAMETERS))}
+    if module.noise is not None:
+        examples[NOISE] = torch.zeros(EXAMPLES, module.noise.size)
+    written = write_onnx(module.network, examples, OUTPUT, _metadata(generator, module), path)
+    return written | {"noise": module.noise.size if module.noise else 0}
+
+
+def write_onnx(
+    network: nn.Module,
+    examples: dict[str, torch.Tensor],
+    output: str,
+    metadata: dict[str, str],
+    path: Path,
+) -> dict[str, Any]:
+    """Trace a network and write it as one file that opens without its code.
+
+    Args:
+        network: Takes the examples by position; exported in float32, as in evaluation.
+        examples: (2, …) inputs by name; the exported batch is free.
+        output: Name of its one output.
+        metadata: What the file says of itself.
+        path: The file.
+
+    Returns:
+        Path, size in bytes, opset.
+
+    Raises:
+        RacinesError: it cannot be traced, is too large, or the optional packages are missing.
+    """
+    import_onnx("onnx", "onnxruntime", "onnxscript")
+    model = _trace(network, examples, output)
+    _strip(model)
+    for key, value in metadata.items():
+        entry = model.metadata_props.add()
+        entry.key, entry.value = key, value
+    content = model.SerializeToString(deterministic=True)
+    if len(content) > MAX_BYTES:
+        raise RacinesError(
+            f"{path}: the model would have {len(content):,} bytes, more than the {MAX_BYTES:,} "
+            "that are read back: train a smaller one"
+        )
+    # The tracer can write graphs that do not load: none is left behind.
+    open_session(content, f"{path}, exported,", "cpu")
+    write_atomic(path, content)
+    return {"out": str(path), "bytes": len(content), "opset": OPSET}
+
+
+def _trace(network: nn.Module, examples: dict[str, torch.Tensor], output: str) -> Any:
+    traced = copy.deepcopy(network).cpu().float().eval()
+    free = {0: torch.export.Dim.DYNAMIC}
+    with _quiet(), torch.no_grad():
+        try:
+            program = torch.onnx.export(
+                _Ordered(traced),
+                tuple(examples.values()),
+                input_names=list(examples),
+                output_names=[output],
+                dynamic_shapes=(tuple(free for _ in examples),),
+                opset_version=OPSET,
+                dynamo=True,
+                verbose=False,
+            )
+        except Exception as error:
+            raise RacinesError(
+                f"{type(network).__name__} cannot be traced to ONNX: {error}"
+            ) from error
+    assert program is not None
+    return program.model_proto
+
+
+class _Ordered(nn.Module):
+    """Inputs by position, whatever the network calls them."""
+
+    def __init__(self, network: nn.Module):
+        super().__init__()
+        self.network = network
+
+    def forward(self, *inputs: torch.Tensor) -> torch.Tensor:
+        return self.network(*inputs)
+
+
+def _strip(model: Any) -> None:
+    """Drop the tracer's notes, which hold stack traces with paths of this machine."""
+    model.doc_string = ""
+    del model.metadata_props[:]
+    graph = model.graph
+    parts = [graph, *graph.node, *graph.input, *graph.output, *graph.value_info]
+    for part in [*parts, *graph.initializer]:
+        part.doc_string = ""
+        del part.metadata_props[:]
+
+
+def _metadata(generator: Any, module: OnnxModule) -> dict[str, str]:
+    card = dataclasses.asdict(generator.card)
+    noise = dataclasses.asdict(module.noise) if module.noise else None
+    return {
+        "racines.schema": SCHEMA,
+        "racines.name": card["name"],
+        "racines.output": "gray",
+        "racines.stochastic": json.dumps(card["stochastic"]),
+        "racines.noise": json.dumps(noise),
+        "racines.card": json.dumps(card),
+    }
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence the tracer's remarks on packages that are absent and axes that it renamed."""
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)

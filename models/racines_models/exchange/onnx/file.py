@@ -1,0 +1,177 @@
+"""An ONNX file opened as what a stranger sent: bounded, in one piece, standard operators only."""
+
+import json
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from racines_data.errors import RacinesError
+from racines_models.networks.onnx_module import import_onnx
+
+MAX_BYTES = 512 * 2**20
+OLDEST = 11
+"""Oldest operator set that is run."""
+DOMAINS = ("", "ai.onnx", "ai.onnx.ml")
+"""Operators of the standard; others would need code that the file does not hold."""
+
+MAX_TEXT = 100_000
+"""Most characters of one metadata value."""
+TENSORS = ("TensorProto", "SparseTensorProto")
+FLOAT, UINT8 = 1, 2
+"""ONNX's element types."""
+
+
+def read_model(path: Path) -> tuple[bytes, Any, int]:
+    """Return a file's bytes, its `onnx.ModelProto` and its operator set; nothing is run.
+
+    Raises:
+        RacinesError: no ONNX file, too large, weights outside the file, operators beyond the
+            standard, or a missing optional package.
+    """
+    import_onnx("onnx", "onnxruntime")
+    import onnx
+
+    content = _read(path)
+    try:
+        model = onnx.load_model_from_string(content)
+    except Exception as error:
+        raise RacinesError(f"{path}: not an ONNX model: {error}; export it again") from error
+    if not model.graph.output:
+        raise RacinesError(f"{path}: not an ONNX model: it has no output; export it again")
+    # Before anything else looks at the file: the checker and the runtime would follow the link.
+    _check_inside(model, path)
+    opset = _check_operators(model, path, onnx.defs.onnx_opset_version())
+    try:
+        onnx.checker.check_model(model)
+    except Exception as error:
+        raise RacinesError(f"{path}: not a valid ONNX model: {error}") from error
+    return content, model, opset
+
+
+def _read(path: Path) -> bytes:
+    if not path.is_file():
+        raise RacinesError(f"{path}: no such file")
+    size = path.stat().st_size
+    if size > MAX_BYTES:
+        raise RacinesError(f"{path}: {size:,} bytes: at most {MAX_BYTES:,} are read")
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise RacinesError(f"{path}: cannot be read: {error}") from error
+
+
+def _messages(message: Any) -> Iterator[Any]:
+    """Yield a protobuf message and all those within it."""
+    yield message
+    for described, value in message.ListFields():
+        if described.type == described.TYPE_MESSAGE:
+            for part in [value] if hasattr(value, "ListFields") else value:
+                yield from _messages(part)
+
+
+def _check_inside(model: Any, path: Path) -> None:
+    for part in _messages(model):
+        if part.DESCRIPTOR.name == "TensorProto" and (
+            part.external_data or part.data_location == part.EXTERNAL
+        ):
+            raise RacinesError(
+                f"{path}: tensor {part.name!r} lies in another file: save the model as one file "
+                "(onnx.save(model, path, save_as_external_data=False))"
+            )
+        # Every element of a tensor takes a bit at least, and a file holds MAX_BYTES at most.
+        dims = part.dims if part.DESCRIPTOR.name in TENSORS else ()
+        if min(dims, default=0) < 0 or math.prod(dims) > 8 * MAX_BYTES:
+            raise RacinesError(
+                f"{path}: a tensor claims {' x '.join(map(str, dims))} elements, more than the "
+                f"{MAX_BYTES:,} bytes that are read can hold: export it again"
+            )
+
+
+def _check_operators(model: Any, path: Path, newest: int) -> int:
+    foreign = {entry.domain for entry in model.opset_import} - set(DOMAINS)
+    if foreign or model.functions:
+        raise RacinesError(
+            f"{path}: uses operators or functions of {', '.join(sorted(foreign)) or 'its own'}: "
+            "export with standard ONNX operators, functions inlined"
+        )
+    opset = max((e.version for e in model.opset_import if e.domain in ("", "ai.onnx")), default=0)
+    if not OLDEST <= opset <= newest:
+        raise RacinesError(f"{path}: opset {opset}: export with one of {OLDEST} to {newest}")
+    return opset
+
+
+def declared_shape(value: Any) -> list[int | None]:
+    """Return the declared sizes of an input or output; None where one is free."""
+    dims = value.type.tensor_type.shape.dim
+    return [dim.dim_value if dim.HasField("dim_value") else None for dim in dims] or [None]
+
+
+def check_value(
+    value: Any, path: Path, wanted: str, rest: tuple[int, ...], kinds: tuple[int, ...]
+) -> int | None:
+    """Check an input's or output's type, and its shape after the batch; return the fixed batch.
+
+    Args:
+        value: The graph's description of it.
+        path: The file, for errors.
+        wanted: What to give instead, for errors.
+        rest: Sizes after the batch.
+        kinds: Element types that are taken.
+
+    Returns:
+        The fixed batch size, None if it is free.
+
+    Raises:
+        RacinesError: another type or shape.
+    """
+    shape = declared_shape(value)
+    kind = value.type.tensor_type.elem_type
+    # An output's sizes may be left open; they are checked again when it runs.
+    fits = len(shape) == 1 + len(rest) and all(
+        size in (None, needed) for size, needed in zip(shape[1:], rest, strict=True)
+    )
+    if kind not in kinds or not fits:
+        shown = ", ".join("?" if size is None else str(size) for size in shape)
+        raise RacinesError(
+            f"{path}: {value.name} is ONNX type {kind}, shape ({shown}): give {wanted}"
+        )
+    return shape[0]
+
+
+def read_metadata(model: Any, path: Path, schema: str, keys: Sequence[str]) -> dict[str, str]:
+    """Return the metadata whose keys begin with `racines.`, without that.
+
+    Raises:
+        RacinesError: an unknown key, one that stands twice or is too long, or another schema.
+    """
+    told: dict[str, str] = {}
+    for entry in model.metadata_props:
+        prefix, _, key = entry.key.partition(".")
+        if prefix != "racines":
+            continue
+        if key not in keys:
+            raise RacinesError(f"{path}: metadata racines.{key}: unknown; known: {', '.join(keys)}")
+        if key in told or len(entry.value) > MAX_TEXT:
+            raise RacinesError(f"{path}: metadata racines.{key}: stands twice or is too long")
+        told[key] = entry.value
+    if told.get("schema", schema) != schema:
+        raise RacinesError(f"{path}: racines.schema is {told['schema'][:80]!r}, not {schema}")
+    return told
+
+
+def parsed(told: dict[str, str], key: str, kind: type, path: Path) -> Any:
+    """Return a metadata value that is JSON of a kind or null; None if it is absent.
+
+    Raises:
+        RacinesError: no JSON, or of another kind.
+    """
+    if key not in told:
+        return None
+    try:
+        value = json.loads(told[key])
+    except (ValueError, RecursionError) as error:
+        raise RacinesError(f"{path}: metadata racines.{key}: not valid JSON: {error}") from error
+    if value is not None and type(value) is not kind:
+        raise RacinesError(f"{path}: metadata racines.{key}: a {type(value).__name__} is no {key}")
+    return value

@@ -1,0 +1,255 @@
+"""A predictions file as what a stranger sent: checked whole, read in batches, never trusted."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
+from racines_data.imaging import IMAGE_SIZE
+from racines_data.store.frames import Batch, FrameStore
+from racines_models.exchange.naming import check_name
+from racines_models.exchange.predictions.file import (
+    KEYS,
+    MAX_TEXT,
+    POSES,
+    PREDICTION_COLUMNS,
+    PREDICTIONS,
+)
+from racines_models.exchange.predictions.png import MAX_PNG, decode_gray
+from racines_models.provenance import sha256_bytes
+from racines_models.sample import check_drawn
+
+MAX_BYTES = 2**30
+"""Largest file, and largest size of its columns once unpacked."""
+MAX_ROWS = 1_000_000
+BATCH = 64
+"""Rows decoded at once."""
+REQUIRED = ("schema", "dataset", "split", "sample", "generator")
+
+
+class Predictions:
+    """Images drawn beforehand by a program outside, found by frame and seed.
+
+    `racines_models.sample.draw` asks `draw_frames`; there is no `generate`, since a file draws no
+    other pose than those it holds.
+
+    Args:
+        path: The file.
+        store: The dataset that it must be made for.
+        split: The split that it must be made for; None: whatever it says.
+
+    Raises:
+        RacinesError: not such a file, too large, or made for another dataset or split.
+    """
+
+    def __init__(self, path: Path, store: FrameStore, split: str | None = None):
+        self.path = Path(path)
+        self._check_size()
+        with self._opened() as file:
+            self.metadata = _read_metadata(file.schema_arrow.metadata or {}, self.path)
+            self._check_columns(file)
+            self.rows: int = file.metadata.num_rows
+        self.name = check_name(self.metadata["generator"], f"{self.path}: racines.generator")
+        self.sha256 = sha256_file(self.path)
+        self._check_dataset(store, split)
+
+    def draw_frames(self, frames: Batch, seed: int) -> Tensor:
+        """Return (N, 128, 128) uint8: the image of each frame, drawn with the seed.
+
+        Raises:
+            RacinesError: the file was made for other frames; a sample is missing, stands twice or
+                is none of the frames; an image is no 8-bit gray PNG of 128 × 128 pixels; or the
+                images show nothing (see `check_drawn`).
+        """
+        self._check_sample(frames.index)
+        finder = _Finder(self.path, frames.index.numpy(), seed)
+        images = torch.zeros(len(frames.index), IMAGE_SIZE, IMAGE_SIZE, dtype=torch.uint8)
+        for row, samples, seeds, pngs in self._batches():
+            for i in np.flatnonzero(seeds == seed):
+                place = finder.place(int(samples[i]), row + int(i))
+                where = f"{self.path}, row {row + i}, sample {samples[i]}"
+                images[place] = torch.from_numpy(decode_gray(pngs(int(i), where), where).copy())
+        finder.check_complete()
+        try:
+            return check_drawn(images)
+        except RacinesError as error:
+            raise RacinesError(f"{self.path}, seed {seed}: {error}") from error
+
+    def _check_size(self) -> None:
+        if not self.path.is_file():
+            raise RacinesError(f"{self.path}: no such file")
+        size = self.path.stat().st_size
+        if size > MAX_BYTES:
+            raise RacinesError(f"{self.path}: {size:,} bytes: at most {MAX_BYTES:,} are read")
+
+    def _opened(self, dictionary: tuple[str, ...] = ()) -> pq.ParquetFile:
+        try:
+            # Pages as they come: no column is read ahead, so memory holds one page and one batch.
+            return pq.ParquetFile(
+                self.path,
+                memory_map=False,
+                buffer_size=2**20,
+                pre_buffer=False,
+                read_dictionary=list(dictionary),
+            )
+        except Exception as error:
+            raise RacinesError(
+                f"{self.path}: not readable as Parquet: {error}; write it again"
+            ) from error
+
+    def _check_columns(self, file: pq.ParquetFile) -> None:
+        found = {field.name: field.type for field in file.schema_arrow}
+        wanted = {field.name: field.type for field in PREDICTION_COLUMNS}
+        if len(found) != len(file.schema_arrow) or set(found) != set(wanted):
+            raise RacinesError(
+                f"{self.path}: columns {', '.join(file.schema_arrow.names[:20])}: "
+                f"give {', '.join(wanted)} and no other"
+            )
+        for name, kind in wanted.items():
+            allowed = (kind, pa.large_binary()) if name == "image" else (kind,)
+            if found[name] not in allowed:
+                hint = "the bytes of an 8-bit gray PNG" if name == "image" else "whole numbers"
+                raise RacinesError(f"{self.path}: {name} is {found[name]}: give {kind}, {hint}")
+        told = file.metadata
+        unpacked = sum(told.row_group(i).total_byte_size for i in range(told.num_row_groups))
+        if told.num_rows > MAX_ROWS or unpacked > MAX_BYTES:
+            raise RacinesError(
+                f"{self.path}: {told.num_rows:,} rows, {unpacked:,} bytes unpacked: "
+                f"at most {MAX_ROWS:,} and {MAX_BYTES:,}"
+            )
+
+    def _check_dataset(self, store: FrameStore, split: str | None) -> None:
+        digest = store.manifest["digest"]
+        if self.metadata["dataset"] != digest:
+            raise RacinesError(
+                f"{self.path}: made for dataset {self.metadata['dataset'][:80]!r}, this one is "
+                f"{digest!r}: draw the poses that `racines export poses` writes of this dataset"
+            )
+        if split is not None and self.metadata["split"] != split:
+            raise RacinesError(
+                f"{self.path}: made for split {self.metadata['split'][:80]!r}, not {split!r}: "
+                "give --split as in the file, or draw the poses of this split"
+            )
+
+    def _check_sample(self, index: Tensor) -> None:
+        digest = sha256_bytes(index.numpy().tobytes())
+        if self.metadata["sample"] != digest:
+            raise RacinesError(
+                f"{self.path}: {self.rows} rows made for another sample of frames "
+                f"({self.metadata['sample'][:12]!r}…, here {len(index)} frames {digest[:12]!r}…): "
+                "give --samples as `racines export poses` had it, or draw these poses"
+            )
+
+    def _batches(self) -> Iterator[tuple[int, np.ndarray, np.ndarray, Any]]:
+        """Yield the first row's number, samples, seeds, and a function from place to PNG bytes."""
+        row = 0
+        # One image of 1 GiB may stand in many rows of a small file. Held as a dictionary, it is
+        # there once, and its size is looked at before it is taken out.
+        with self._opened(("image",)) as file:
+            reader = file.iter_batches(BATCH, columns=PREDICTION_COLUMNS.names, use_threads=False)
+            while True:
+                try:
+                    batch = next(reader, None)
+                except Exception as error:
+                    raise RacinesError(
+                        f"{self.path}: damaged behind row {row}: {error}; write it again"
+                    ) from error
+                if batch is None:
+                    return
+                columns = {name: batch[name] for name in PREDICTION_COLUMNS.names}
+                self._check_nulls(columns, row)
+                samples, seeds = (columns[name].to_numpy() for name in ("sample", "seed"))
+                yield row, samples, seeds, _png_of(columns["image"])
+                row += len(batch)
+
+    def _check_nulls(self, columns: dict[str, Any], row: int) -> None:
+        for name, column in columns.items():
+            if column.null_count:
+                first = row + int(np.flatnonzero(column.is_null().to_numpy(False))[0])
+                raise RacinesError(f"{self.path}, row {first}: {name} is null: fill it in")
+
+
+def _png_of(column: Any) -> Any:
+    def png(place: int, where: str) -> bytes:
+        buffer = column[place].value.as_buffer()
+        if buffer.size > MAX_PNG:
+            raise RacinesError(f"{where}: {buffer.size:,} bytes: a PNG has at most {MAX_PNG:,}")
+        return buffer.to_pybytes()
+
+    return png
+
+
+class _Finder:
+    """Where each sample's image belongs, and which have come."""
+
+    def __init__(self, path: Path, index: np.ndarray, seed: int):
+        self.path, self.index, self.seed = path, index, seed
+        self._order = np.argsort(index, kind="stable")
+        self._sorted = index[self._order]
+        self._row = np.full(len(index), -1)
+        """Row of the file that held each; -1: not seen."""
+
+    def place(self, sample: int, row: int) -> int:
+        """Return the place of a sample among the frames, once."""
+        where = f"{self.path}, row {row}: sample {sample}, seed {self.seed}"
+        at = int(np.searchsorted(self._sorted, sample))
+        if at == len(self._sorted) or self._sorted[at] != sample:
+            raise RacinesError(f"{where}: none of the frames to be drawn: remove the row")
+        place = int(self._order[at])
+        if self._row[place] >= 0:
+            raise RacinesError(f"{where}: stands in row {self._row[place]} too: keep one")
+        self._row[place] = row
+        return place
+
+    def check_complete(self) -> None:
+        """Refuse a file that lacks a sample."""
+        missing = np.flatnonzero(self._row < 0)
+        if len(missing) == 0:
+            return
+        if len(missing) == len(self.index):
+            raise RacinesError(
+                f"{self.path}: no rows of seed {self.seed}: draw it, or set scores.seeds"
+            )
+        raise RacinesError(
+            f"{self.path}: {len(missing)} of {len(self.index)} samples of seed {self.seed} are "
+            f"missing, the first {self.index[missing[0]]}: add their rows"
+        )
+
+
+def _read_metadata(raw: dict[bytes, bytes], path: Path) -> dict[str, str]:
+    told: dict[str, str] = {}
+    for key, value in raw.items():
+        if not key.startswith(b"racines."):
+            continue
+        name = key.decode(errors="replace").removeprefix("racines.")
+        if name not in KEYS:
+            raise RacinesError(
+                f"{path}: metadata racines.{name[:80]}: unknown; known: {', '.join(KEYS)}"
+            )
+        if len(value) > MAX_TEXT:
+            raise RacinesError(f"{path}: metadata racines.{name}: over {MAX_TEXT:,} bytes")
+        try:
+            told[name] = value.decode()
+        except UnicodeDecodeError as error:
+            raise RacinesError(f"{path}: metadata racines.{name}: not UTF-8: {error}") from error
+    missing = [f"racines.{key}" for key in REQUIRED if key not in told]
+    if told.get("schema") == POSES:
+        raise RacinesError(
+            f"{path}: its metadata are those of a poses file: set racines.schema to {PREDICTIONS} "
+            "and racines.generator to a name"
+        )
+    if missing:
+        raise RacinesError(
+            f"{path}: metadata lack {', '.join(missing)}: carry over those of the poses file, "
+            f"and set racines.schema to {PREDICTIONS} and racines.generator to a name"
+        )
+    if told["schema"] != PREDICTIONS:
+        raise RacinesError(f"{path}: racines.schema is {told['schema'][:80]!r}, not {PREDICTIONS}")
+    return told

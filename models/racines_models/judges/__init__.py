@@ -1,0 +1,1 @@
+"""Networks that read images: the grader, its fast student, the pose regressor."""

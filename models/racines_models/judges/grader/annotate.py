@@ -1,0 +1,251 @@
+"""Writing a grader's view and grade into the `frames` of a dataset.
+
+    store ──> grader ──> opinions/*.npy ──> new shards, card, manifest ──> swapped in place
+
+The opinions go into `view_predicted` and `grade_predicted` alone: `view` and `grade` stay what the
+source says, or null. All other bytes of the rows stay as they were, and with them the content
+digest; the card names the grader, so that no reader is served rows of before.
+"""
+
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import torch
+
+from racines_data.card.croissant import CROISSANT, add_croissant
+from racines_data.card.markdown import write_card
+from racines_data.digest import canonical_json, check_files
+from racines_data.errors import RacinesError
+from racines_data.files import recover_folder, sha256_file, swap_folder, write_once
+from racines_data.manifest import CARD, MANIFEST, read_manifest, rebuild_hint
+from racines_data.schema import SPLITS
+from racines_data.store.frames import FrameStore
+from racines_models.judges.grader.model import Grader
+from racines_models.judges.grader.report import compare
+from racines_models.sample import Progress
+from racines_models.statistics import bootstrap_mean
+
+BATCH = 256
+"""Images judged at once."""
+
+
+class _Shard(NamedTuple):
+    """A file of `frames` and its rows of the store."""
+
+    name: str
+    start: int
+    stop: int
+
+
+def annotate(
+    root: Path, grader: Grader, out: Path | None = None, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Fill `view_predicted` and `grade_predicted` of every frame of a dataset.
+
+    A run that was killed goes on where it stopped; until the last rename the old dataset stands.
+
+    Args:
+        root: Folder of the dataset.
+        grader: A grader that knows the dataset's labels, saved or loaded.
+        out: Folder of the annotated dataset; the dataset itself if absent.
+        progress: Told of images judged, as they come.
+
+    Returns:
+        The manifest, whose `annotation` names the grader and, where views or grades are known, how
+        its opinion agrees with them by split.
+
+    Raises:
+        RacinesError: no dataset, a damaged one, a grader of other labels or without weights on
+            disk, or an `out` that holds something else.
+    """
+    root = Path(root).resolve()
+    out = root if out is None else Path(out).resolve()
+    _check_out(out)
+    manifest, store = read_manifest(root), FrameStore(root)
+    grader.check_labels(store.labels, "the dataset")
+    if grader.sha256 is None:
+        raise RacinesError("the grader has no weights on disk to be named by: save it first")
+    shards = _shards(root, manifest, store)
+    with _staging(out, manifest, grader) as folder:
+        opinions = _judge_all(store, grader, shards, folder / "opinions", progress)
+        manifest["annotation"] = {
+            "grader": grader.sha256,
+            "settings": grader.settings,
+            "frames": len(opinions),
+            "agreement": agreement(store, opinions),
+        }
+        final = folder / "final"
+        _copy_others(root, final, manifest, shards, linked=out == root)
+        for shard in shards:
+            rows = opinions[shard.start : shard.stop]
+            write_once(final / shard.name, _shard_writer(root / shard.name, rows))
+        _seal(final, manifest, shards)
+        swap_folder(final, out)
+    return manifest
+
+
+def agreement(store: FrameStore, opinions: np.ndarray) -> dict[str, Any]:
+    """Return how (N, 2) views and grades agree with those known, by split; empty where none is."""
+    found: dict[str, Any] = {}
+    for split in SPLITS:
+        rows = store.split_indices(split)
+        label, grade = torch.from_numpy(opinions[rows.numpy()]).unbind(1)
+        views, grades = store.views[rows], store.grades[rows]
+        compared = compare(label.long(), grade, views, grades, len(store.labels) - 1)
+        clusters = store.trajectory_index[rows].numpy()
+        figures = {
+            name: bootstrap_mean(each.values.numpy(), clusters).to_json(each.unit, rule=each.rule)
+            for name, each in compared.items()
+        }
+        if figures:
+            found[split] = figures
+    return found
+
+
+def _check_out(out: Path) -> None:
+    recover_folder(out)
+    if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
+        raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
+
+
+def _shards(root: Path, manifest: dict[str, Any], store: FrameStore) -> list[_Shard]:
+    """Return the shards of `frames` in the order of the store."""
+    names = [name for split in manifest["configs"]["frames"].values() for name in split]
+    # All that will be carried over must be whole, or damage would be sealed anew.
+    check_files(root, manifest["files"], rebuild_hint(manifest))
+    shards: list[_Shard] = []
+    for name in names:
+        start = shards[-1].stop if shards else 0
+        table = pq.read_table(root / name, columns=["trajectory", "frame"])
+        shard = _Shard(name, start, start + len(table))
+        rows = slice(shard.start, shard.stop)
+        ids = [store.trajectories[i] for i in store.trajectory_index[rows].tolist()]
+        if table["trajectory"].to_pylist() != ids or not np.array_equal(
+            table["frame"].to_numpy(), store.frame[rows].numpy()
+        ):
+            raise RacinesError(f"{root / name}: its rows are not those of the training store")
+        shards.append(shard)
+    return shards
+
+
+@contextmanager
+def _staging(out: Path, manifest: dict[str, Any], grader: Grader) -> Iterator[Path]:
+    """Open the folder of the unfinished work, beside `out`; removed when the work is done."""
+    key = canonical_json([manifest["files"], grader.settings, str(out)])
+    name = f".{out.name}.annotating-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
+    folder = out.parent / name
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("w") as lock:
+        if not _lock(lock):
+            raise RacinesError(f"{out}: it is being annotated already; wait for it")
+        for other in set(out.parent.glob(f".{out.name}.annotating-*")) - {folder}:
+            with (other / "lock").open("w") as abandoned:
+                if _lock(abandoned):  # killed, and nothing will go on from it
+                    shutil.rmtree(other)
+        yield folder
+        shutil.rmtree(folder)
+
+
+def _lock(file: IO[str]) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _judge_all(
+    store: FrameStore,
+    grader: Grader,
+    shards: list[_Shard],
+    folder: Path,
+    progress: Progress | None,
+) -> np.ndarray:
+    """Return (N, 2) float32 views and grades, judged shard by shard; those on disk are kept."""
+    parts = []
+    for shard in shards:
+        path = folder / f"{Path(shard.name).stem}.npy"
+        write_once(path, lambda aside, shard=shard: _save(aside, _judge(store, grader, shard)))
+        parts.append(np.load(path))
+        if progress is not None:
+            progress(shard.stop - shard.start)
+    return np.concatenate(parts)
+
+
+def _judge(store: FrameStore, grader: Grader, shard: _Shard) -> np.ndarray:
+    images = store.images[shard.start : shard.stop]
+    parts = [grader.probabilities_and_grade(batch) for batch in images.split(BATCH)]
+    views = torch.cat([probabilities.argmax(-1).cpu() for probabilities, _ in parts])
+    grades = torch.cat([grade.float().cpu() for _, grade in parts])
+    return torch.stack([views.float(), grades], 1).numpy()
+
+
+def _save(path: Path, values: np.ndarray) -> None:
+    with path.open("wb") as file:
+        np.save(file, values)
+
+
+def _copy_others(
+    root: Path, final: Path, manifest: dict[str, Any], shards: list[_Shard], linked: bool
+) -> None:
+    """Bring over the files that stay as they are; where the old folder goes, by links."""
+    new = {shard.name for shard in shards} | {CARD, CROISSANT}
+    for name in manifest["files"]:
+        if name not in new:
+            source = (root / name).resolve()
+            write_once(final / name, lambda aside, source=source: _bring(source, aside, linked))
+
+
+def _bring(source: Path, target: Path, linked: bool) -> None:
+    target.unlink(missing_ok=True)
+    if linked:
+        try:
+            os.link(source, target)
+            return
+        except OSError:  # another file system, or one without links
+            pass
+    shutil.copyfile(source, target)
+
+
+def _shard_writer(source: Path, opinions: np.ndarray) -> Any:
+    """Return what writes a shard anew, row group by row group, with the opinions in it."""
+    columns = {
+        "view_predicted": pa.array(opinions[:, 0].astype(np.int64)),
+        "grade_predicted": pa.array(opinions[:, 1], pa.float32()),
+    }
+
+    def write(path: Path) -> None:
+        old = pq.ParquetFile(source)
+        start = 0
+        with pq.ParquetWriter(path, old.schema_arrow, compression="zstd") as writer:
+            for group in range(old.num_row_groups):
+                table = old.read_row_group(group)
+                for name, column in columns.items():
+                    place = table.schema.get_field_index(name)
+                    rows = column.slice(start, len(table))
+                    table = table.set_column(place, table.schema.field(place), rows)
+                writer.write_table(table, row_group_size=len(table))
+                start += len(table)
+
+    return write
+
+
+def _seal(final: Path, manifest: dict[str, Any], shards: list[_Shard]) -> None:
+    """Write card, Croissant and manifest of the new files."""
+    (final / CARD).write_text(write_card(manifest))
+    for name in (*(shard.name for shard in shards), CARD):
+        path = final / name
+        manifest["files"][name] = {"sha256": sha256_file(path), "bytes": path.stat().st_size}
+    if CROISSANT in manifest["files"]:
+        add_croissant(manifest, final)
+    (final / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")

@@ -1,0 +1,252 @@
+"""The grader: one ResNet-18 that says which view an image shows, and how good it is.
+
+After CACTUS (the paper's reference): one encoder, a view head and a grade head. It judges images
+alone; what it should have said is the oracle's, or the expert's. Its student (see `student`) is
+opened by the same `Grader.load` and asked the same way.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple, cast
+
+import torch
+from torch import Tensor
+
+from racines_data.config import fill
+from racines_data.errors import RacinesError
+from racines_data.files import sha256_file, write_atomic, write_json
+from racines_data.views import LABELS
+from racines_models.networks.grading import GRADE_SCALE, GraderNetwork, GradingNetwork
+from racines_models.training.augmentation import Augmentation
+
+WEIGHTS = "grader.safetensors"
+CONFIG = "config.json"
+SCHEMA = "racines.grader/1"
+ARCHITECTURES = {"resnet18": "racines_models.judges.grader.model:Grader"}
+ARCHITECTURES["student"] = "racines_models.judges.student.model:Student"
+"""Who reads a folder, by the architecture that its config names."""
+
+
+@dataclass(frozen=True)
+class StageConfig:
+    """One stage of training: AdamW, one-cycle learning rate."""
+
+    epochs: int = 4
+    learning_rate: float = 2e-3
+    encoder_rate: float = 1.0
+    """The encoder's learning rate as a multiple of the heads'; 0 freezes it."""
+    view_weight: float = 1.0
+    """Weight of the view loss (cross-entropy)."""
+    grade_weight: float = 0.0
+    """Weight of the grade loss (smooth L1 in grades)."""
+
+
+@dataclass(frozen=True)
+class GradeStageConfig(StageConfig):
+    """The transfer to grades; a class of its own, so that a params file may name some keys only."""
+
+    epochs: int = 3
+    learning_rate: float = 1e-3
+    grade_weight: float = 0.5
+
+
+@dataclass(frozen=True)
+class GraderConfig(Augmentation):
+    """The grader and its training, with the augmentation of its images."""
+
+    input_size: int = 64
+    """Images are averaged down to this height and width: 32, 64 or 128."""
+    width: float = 1.0
+    """Channels as a multiple of ResNet-18's."""
+    batch_size: int = 64
+    view_stage: StageConfig = field(default_factory=StageConfig)
+    """First the views alone."""
+    grade_stage: StageConfig = field(default_factory=GradeStageConfig)
+    """Then the transfer to grades, on the views' encoder."""
+    weight_decay: float = 0.01
+    class_balance: float = 0.5
+    """A view weighs its frequency to minus this power: 0 none, 1 full balance."""
+    bf16: bool = True
+    """Train and grade in bfloat16 autocast (twice as fast on recent CPUs)."""
+    checkpoint_seconds: float = 30.0
+    """Least time between two checkpoints."""
+
+    def __post_init__(self) -> None:
+        """Refuse a size that does not divide the image."""
+        if self.input_size not in (32, 64, 128):
+            raise RacinesError(f"grader.input_size {self.input_size}: choose 32, 64 or 128")
+
+
+class Reading(NamedTuple):
+    """What a grader makes of (N, 128, 128) images."""
+
+    logits: Tensor
+    """(N, labels) float32, before the temperature."""
+    grades: Tensor
+    """(N,) float32 in 0-10."""
+    features: Tensor
+    """(N, D) float32, the encoder's output."""
+
+
+class Grader:
+    """Labels and grades images.
+
+    Raises:
+        RacinesError: `load` finds no grader, or one of another kind.
+    """
+
+    architecture: ClassVar[str] = "resnet18"
+    Config: ClassVar[type] = GraderConfig
+    network: GradingNetwork
+
+    def __init__(
+        self,
+        network: GradingNetwork,
+        config: Any,
+        device: str = "cpu",
+        labels: Sequence[str] = LABELS,
+        temperature: float = 1.0,
+    ) -> None:
+        self.network = network.to(device).eval().requires_grad_(False)
+        self.config = config
+        self.labels = tuple(labels)
+        """Names of the view labels, in the order of its probabilities; the last is `Random`."""
+        self.temperature = temperature
+        """Divides the logits of the views, so that the probabilities are calibrated."""
+        self.device = torch.device(device)
+        self.sha256: str | None = None
+        """Hash of the weights' file; None until saved or loaded."""
+
+    @classmethod
+    def build(cls, config: Any, labels: int) -> GradingNetwork:
+        """Return an untrained network."""
+        return GraderNetwork(config.input_size, config.width, labels)
+
+    @torch.inference_mode()
+    def probabilities_and_grade(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Judge (B, 128, 128) uint8 images.
+
+        Returns:
+            (B, labels) float32 calibrated probabilities in the order of `labels`, and (B,) float32
+            grades in 0-10, on the grader's device.
+        """
+        logits, grades, _ = self._read(images)
+        return (logits / self.temperature).softmax(-1), grades
+
+    @torch.inference_mode()
+    def features(self, images: Tensor) -> Tensor:
+        """Return the encoder's (B, D) float32 output on (B, 128, 128) uint8 images."""
+        return self._read(images).features
+
+    @torch.inference_mode()
+    def read(self, images: Tensor, batch_size: int = 256) -> Reading:
+        """Return logits, grades and features of (N, 128, 128) uint8 images, on the CPU."""
+        parts = [[t.cpu() for t in self._read(batch)] for batch in images.split(batch_size)]
+        return Reading(*(torch.cat(column) for column in zip(*parts, strict=True)))
+
+    def judge(self, images: Tensor, batch_size: int = 256) -> tuple[Tensor, Tensor, Tensor]:
+        """Return (N,) labels, (N,) grades and (N, D) features on the CPU, in one pass."""
+        if not len(images):
+            return torch.empty(0, dtype=torch.int64), torch.empty(0), torch.empty(0, 0)
+        logits, grades, features = self.read(images, batch_size)
+        return logits.argmax(-1), grades, features
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What its features depend on, for a scores file."""
+        return {
+            "id": f"racines-grader-{self.architecture}",
+            "sha256": self.sha256,
+            "layer": f"encoder, {self.network.features}",
+            "resizer": f"area average, 128 to {self.config.input_size}",
+            "range": "gray 0-255, x / 127.5 - 1",
+            "precision": "bfloat16 autocast" if self.config.bf16 else "float32",
+        }
+
+    def save(self, folder: Path, **provenance: Any) -> None:
+        """Write `grader.safetensors`, then `config.json` with what `provenance` adds."""
+        from safetensors.torch import save
+
+        state = {k: v.contiguous().cpu() for k, v in self.network.state_dict().items()}
+        write_atomic(folder / WEIGHTS, save(state))
+        self.sha256 = sha256_file(folder / WEIGHTS)
+        described = {"schema": SCHEMA, "architecture": self.architecture}
+        described |= {"config": asdict(self.config), "sha256": self.sha256}
+        described |= {"labels": list(self.labels), "temperature": self.temperature}
+        write_json(folder / CONFIG, described | provenance)
+
+    @classmethod
+    def load(cls, folder: Path | str, device: str = "cpu") -> "Grader":
+        """Read what `save` wrote, of either architecture, or its half-precision copy.
+
+        The weights must have the hash that the config names.
+        """
+        from racines_models.weights import load_weights
+
+        folder = Path(folder)
+        described = read_config(folder)
+        kind = _architecture(described.get("architecture", cls.architecture), folder)
+        config = fill(kind.Config, described["config"], f"{folder / CONFIG}: config")
+        path = folder / WEIGHTS
+        published = described.get("weights_files", {}).get("files", {}).get(WEIGHTS, {})
+        digest = published.get("sha256", described["sha256"])
+        if not path.is_file() or sha256_file(path) != digest:
+            raise RacinesError(f"{path}: missing or damaged; run: racines train grader")
+        labels = described.get("labels") or LABELS  # graders of old are cardiac
+        network = kind.build(config, len(labels))
+        network.load_state_dict(load_weights(path))
+        grader = kind(network, config, device, labels, described.get("temperature", 1.0))
+        grader.sha256 = digest
+        return grader
+
+    def check_labels(self, labels: Sequence[str], what: str) -> None:
+        """Check that the grader knows these labels, those of `what`, in this order.
+
+        Raises:
+            RacinesError: it was trained for other views.
+        """
+        if self.labels != tuple(labels):
+            raise RacinesError(
+                f"the grader knows {', '.join(self.labels)}, {what} has {', '.join(labels)}: train "
+                "a grader on a dataset of that anatomy: racines train grader"
+            )
+
+    def _read(self, images: Tensor) -> Reading:
+        return self.answer(self.network.normalise(images.to(self.device)))
+
+    def answer(self, x: Tensor) -> Reading:
+        """Return logits, grades and features of normalised (B, 1, S, S) images."""
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.bf16):
+            features = self.network.encoder(x)
+            logits, grades = self.network.heads(features)
+        return Reading(logits.float(), grades.clamp(0.0, GRADE_SCALE), features.float())
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """Return what a grader's `config.json` says.
+
+    Raises:
+        RacinesError: it is absent, no JSON, or of another schema.
+    """
+    path = folder / CONFIG
+    if not path.is_file():
+        raise RacinesError(f"{folder}: no grader there; run: racines train grader --out {folder}")
+    try:
+        described = json.loads(path.read_text())
+    except json.JSONDecodeError as error:
+        raise RacinesError(f"{path}: not valid JSON: {error}") from error
+    if described.get("schema") != SCHEMA:
+        raise RacinesError(f"{path}: schema {described.get('schema')!r}, expected {SCHEMA!r}")
+    return described
+
+
+def _architecture(name: str, folder: Path) -> type[Grader]:
+    if name not in ARCHITECTURES:
+        raise RacinesError(
+            f"{folder / CONFIG}: architecture {name!r}, expected {' or '.join(ARCHITECTURES)}"
+        )
+    module, kind = ARCHITECTURES[name].split(":")
+    return cast(type[Grader], getattr(import_module(module), kind))

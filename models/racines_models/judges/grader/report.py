@@ -1,0 +1,167 @@
+"""How the grader's labels and grades compare with the truth, on held-out trajectories."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from racines_data.store.frames import Batch, FrameStore
+from racines_data.views import LABELS, RANDOM_LABEL
+from racines_models.judges.grader.calibration import calibration_error
+from racines_models.judges.grader.model import Grader, Reading
+from racines_models.statistics import bootstrap_mean
+
+CLOSE = 1.0
+"""Grades that differ by no more agree."""
+
+
+class Comparison(NamedTuple):
+    """One figure's value on each frame."""
+
+    values: Tensor
+    """(N,) float64, NaN where the truth is unknown or the figure does not apply."""
+    rule: str
+    unit: str | None = None
+
+
+def compare(
+    label: Tensor, grade: Tensor, views: Tensor, grades: Tensor, random: int = RANDOM_LABEL
+) -> dict[str, Comparison]:
+    """Compare (N,) labels and grades with the true ones; a figure without any truth is absent.
+
+    `random` is the label of `Random`, whose grades say nothing.
+    """
+    known = views >= 0
+    target = known & (views != random)
+    error = (grade - grades).abs().double()
+    close = torch.where(error.isfinite(), (error <= CLOSE).double(), torch.nan)
+    unit = "grades of 10"
+    compared = {
+        "view_agreement": Comparison(
+            _where(known, (label == views).double()), "the grader's label is the true one"
+        ),
+        "grade_agreement": Comparison(
+            _where(target, close), f"grades differ by at most {CLOSE:g}, frames of a view"
+        ),
+        "grade_error": Comparison(
+            _where(target, error), "mean absolute difference, frames of a view", unit
+        ),
+        "grade_error_all": Comparison(error, "mean absolute difference, all frames", unit),
+    }
+    return {k: each for k, each in compared.items() if bool(each.values.isfinite().any())}
+
+
+class Examination(NamedTuple):
+    """A grader's answers on a split, and what they come to."""
+
+    reading: Reading
+    labels: Tensor
+    """(N,) labels given."""
+    views: Tensor
+    """(N,) true labels, -1 where unknown."""
+    grades: Tensor
+    """(N,) true grades, NaN where unknown."""
+    names: tuple[str, ...]
+    """Names of the labels; the last is `Random`."""
+    temperature: float
+    content: dict[str, Any]
+    """The report, see `report`."""
+
+
+def report(grader: Grader, store: FrameStore, split: str = "test") -> dict[str, Any]:
+    """Judge a split and compare with its labels.
+
+    Returns:
+        `split`; `metrics`: `view_accuracy`, `grade_mae` (frames of a view), `grade_mae_all`,
+        `grade_agreement`, each with value, low, high, n; `views`: the accuracy on each label's
+        frames; `grades`: `mae` and `bias` on each view's frames; `calibration`: the temperature and
+        the expected calibration error `before` and `after` it; `confusion`: counts, rows the truth.
+
+    Raises:
+        RacinesError: the grader was trained for other views.
+    """
+    return examine(grader, store, split).content
+
+
+def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examination:
+    """Judge a split, as `report`, and keep the answers for the plots."""
+    grader.check_labels(store.labels, "the dataset")
+    rows = store.split_indices(split)
+    frames = store.take(rows)
+    reading = grader.read(frames.images)
+    label, trajectory = reading.logits.argmax(-1), store.trajectory_index[rows].numpy()
+    random = len(store.labels) - 1
+    compared = compare(label, reading.grades, frames.views, frames.grades, random)
+    counts = confusion_counts(label, frames.views, len(store.labels))
+    content = {
+        "split": split,
+        "metrics": _metrics(compared, trajectory),
+        "views": _by_view(compared, frames, store.labels, trajectory),
+        "grades": _grades_by_view(reading.grades, frames, store.labels[:random], trajectory),
+        "calibration": _calibration(grader, reading, frames.views, trajectory),
+        "confusion": {"labels": list(store.labels), "counts": counts},
+    }
+    answers = (reading, label, frames.views, frames.grades)
+    return Examination(*answers, store.labels, grader.temperature, content)
+
+
+def _metrics(compared: dict[str, Comparison], trajectory: np.ndarray) -> dict[str, Any]:
+    names = {"view_agreement": "view_accuracy", "grade_error": "grade_mae"}
+    names |= {"grade_error_all": "grade_mae_all"}
+    return {
+        names.get(name, name): bootstrap_mean(each.values.numpy(), trajectory).to_json(
+            each.unit, rule=each.rule
+        )
+        for name, each in compared.items()
+    }
+
+
+def _by_view(
+    compared: dict[str, Comparison], frames: Batch, labels: Sequence[str], trajectory: np.ndarray
+) -> dict[str, Any]:
+    views = {}
+    for index, name in enumerate(labels):
+        chosen = (frames.views == index).numpy()
+        if chosen.any():
+            right = compared["view_agreement"].values.numpy()[chosen]
+            views[name] = bootstrap_mean(right, trajectory[chosen]).to_json()
+    return views
+
+
+def _grades_by_view(
+    grades: Tensor, frames: Batch, labels: Sequence[str], trajectory: np.ndarray
+) -> dict[str, Any]:
+    views, difference = {}, (grades - frames.grades).double().numpy()
+    for index, name in enumerate(labels):
+        chosen = ((frames.views == index) & frames.grades.isfinite()).numpy()
+        if chosen.any():
+            signed, clusters = difference[chosen], trajectory[chosen]
+            views[name] = {
+                "mae": bootstrap_mean(np.abs(signed), clusters).to_json("grades of 10"),
+                "bias": bootstrap_mean(signed, clusters).to_json("grades of 10"),
+            }
+    return views
+
+
+def _calibration(
+    grader: Grader, reading: Reading, views: Tensor, trajectory: np.ndarray
+) -> dict[str, Any]:
+    content: dict[str, Any] = {"temperature": grader.temperature}
+    if bool((views >= 0).any()):
+        for name, temperature in (("before", 1.0), ("after", grader.temperature)):
+            probabilities = (reading.logits / temperature).softmax(-1)
+            content[name] = calibration_error(probabilities, views, trajectory)
+    return content
+
+
+def confusion_counts(label: Tensor, truth: Tensor, labels: int = len(LABELS)) -> list[list[int]]:
+    """Count (N,) labels by truth (row) and label (column); frames of unknown view are left out."""
+    known = truth >= 0
+    pairs = truth[known] * labels + label[known]
+    return torch.bincount(pairs, minlength=labels**2).view(labels, -1).tolist()
+
+
+def _where(chosen: Tensor, values: Tensor) -> Tensor:
+    return torch.where(chosen, values, torch.nan)

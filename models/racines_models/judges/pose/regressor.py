@@ -1,0 +1,211 @@
+"""The pose regressor: one ResNet that reads the probe's pose back from one image.
+
+It measures what no likeness does: whether a drawn image shows the place that it was asked for. The
+pose is not unique where nothing is seen (no contact), so errors are told as medians.
+"""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import save
+from torch import Tensor, nn
+
+from racines_data.config import fill
+from racines_data.errors import RacinesError
+from racines_data.files import sha256_file, write_atomic, write_json
+from racines_data.geometry import Pose, matrix_from_6d, parameters_to_pose, rotation_6d
+from racines_data.imaging import IMAGE_SIZE, check_images
+from racines_models.training.augmentation import Augmentation
+from racines_models.training.objective import Training
+from racines_models.weights import load_weights
+
+WEIGHTS = "model.safetensors"
+CONFIG = "config.json"
+SCHEMA = "racines.pose-regressor/1"
+TARGETS = 9
+"""Position (3) and the continuous rotation (6)."""
+FEATURES = 512
+"""Channels of the encoder's last map at width 1."""
+SIZES = (64, 128)
+BATCH = 256
+"""Images read at once."""
+
+
+@dataclass(frozen=True)
+class PoseAugmentation(Augmentation):
+    """Gain and noise, so that a drawn image's brightness is not taken for a place."""
+
+    gain: float = 0.05
+    tgc: float = 0.03
+    gamma: float = 0.03
+    blur: float = 0.1
+    erase: float = 0.0
+    noise: float = 0.02
+
+
+@dataclass(frozen=True)
+class PoseTraining(Training):
+    """The trainer's settings (see `Training`) with the defaults of this task."""
+
+    images: int = 240_000
+    batch_size: int = 64
+    schedule: str = "cosine"
+    warmup_images: int = 6_400
+    checkpoint_every: int = 20_000
+
+
+@dataclass(frozen=True)
+class PoseConfig:
+    """The pose regressor and its training."""
+
+    input_size: int = 64
+    """Images are averaged down to this height and width: 64 or 128."""
+    width: float = 0.5
+    """Channels as a multiple of ResNet-18's."""
+    learning_rate: float = 2e-3
+    """Peak of AdamW's rate."""
+    weight_decay: float = 0.01
+    augmentation: PoseAugmentation = field(default_factory=PoseAugmentation)
+    training: PoseTraining = field(default_factory=PoseTraining)
+
+    def __post_init__(self) -> None:
+        """Refuse a size that the network cannot take."""
+        if self.input_size not in SIZES:
+            raise RacinesError(f"pose.input_size {self.input_size}: choose 64 or 128")
+
+
+class PoseNetwork(nn.Module):
+    """ResNet-18 whose last map is flattened, not averaged: where a thing is seen is the answer.
+
+    Owns the normalisation of images and of targets.
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, input_size: int, width: float = 1.0):
+        super().__init__()
+        from monai.networks.nets.resnet import resnet18
+
+        self.factor = IMAGE_SIZE // input_size
+        self.encoder = resnet18(
+            spatial_dims=2,
+            n_input_channels=1,
+            conv1_t_stride=2,
+            feed_forward=False,
+            widen_factor=width,
+        )
+        self.encoder.avgpool = nn.Flatten()  # pyright: ignore[reportAttributeAccessIssue]
+        cells = (input_size // 32) ** 2
+        self.head = nn.Linear(int(FEATURES * width) * cells, TARGETS)
+        self.register_buffer("mean", torch.zeros(TARGETS))
+        self.register_buffer("std", torch.ones(TARGETS))
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def fit_targets(self, parameters: Tensor) -> None:
+        """Take mean and deviation of the targets of (N, 12) training parameters."""
+        raw = _raw_targets(parameters.double())
+        self.mean.copy_(raw.mean(0))
+        self.std.copy_(raw.std(0).clamp_min(1e-6))
+
+    def targets(self, parameters: Tensor) -> Tensor:
+        """Return the (B, 9) standardised targets of (B, 12) parameters."""
+        return (_raw_targets(parameters) - self.mean) / self.std
+
+    def normalise(self, images: Tensor) -> Tensor:
+        """Turn (B, 128, 128) gray levels, any type, into (B, 1, S, S) in [-1, 1]."""
+        x = images.unsqueeze(1).to(torch.float32) / 127.5 - 1.0
+        x = nn.functional.avg_pool2d(x, self.factor) if self.factor > 1 else x
+        return x.contiguous(memory_format=torch.channels_last)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (B, 9) standardised targets of normalised images."""
+        return self.head(self.encoder(x)).float()
+
+    def pose(self, predicted: Tensor) -> Pose:
+        """Turn (B, 9) standardised targets into poses, metres in the base frame."""
+        raw = predicted * self.std + self.mean
+        return Pose(raw[:, :3], matrix_from_6d(raw[:, 3:]))
+
+
+class PoseRegressor:
+    """Reads poses from images.
+
+    Raises:
+        RacinesError: `load` finds no pose regressor, a damaged one, or something else.
+    """
+
+    def __init__(self, network: PoseNetwork, config: PoseConfig, device: str = "cpu"):
+        self.network = network.to(device).eval().requires_grad_(False)
+        self.config = config
+        self.device = torch.device(device)
+        self.sha256: str | None = None
+        """Hash of the weights' file; None until saved or loaded."""
+
+    @torch.inference_mode()
+    def predict(self, images: Tensor) -> Pose:
+        """Return the poses, on the CPU, that (N, 128, 128) uint8 images show."""
+        parts = []
+        for batch in check_images(images).split(BATCH):
+            # fp32: bfloat16 rounds a position by tenths of a millimetre.
+            parts.append(self.network(self.network.normalise(batch.to(self.device))))
+        predicted = torch.cat(parts) if parts else torch.empty(0, TARGETS, device=self.device)
+        return self.network.pose(predicted).to("cpu")
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What its figures depend on, for a scores file."""
+        return {
+            "id": "racines-pose-resnet18",
+            "sha256": self.sha256,
+            "width": self.config.width,
+            "resizer": f"area average, {IMAGE_SIZE} to {self.config.input_size}",
+            "range": "gray 0-255, x / 127.5 - 1",
+            "precision": "float32",
+        }
+
+    def save(self, folder: Path, **provenance: Any) -> None:
+        """Write `model.safetensors`, then `config.json` with what `provenance` adds."""
+        state = {k: v.contiguous().cpu() for k, v in self.network.state_dict().items()}
+        write_atomic(folder / WEIGHTS, save(state))
+        self.sha256 = sha256_file(folder / WEIGHTS)
+        files = {WEIGHTS: {"bytes": (folder / WEIGHTS).stat().st_size, "sha256": self.sha256}}
+        described = {"schema": SCHEMA, "config": asdict(self.config)}
+        described |= {"weights_files": {"dtype": "float32", "files": files}}
+        write_json(folder / CONFIG, described | provenance)
+
+    @classmethod
+    def load(cls, folder: Path | str, device: str = "cpu") -> "PoseRegressor":
+        """Read what `save` wrote, or its half-precision copy (see `publish`)."""
+        folder = Path(folder)
+        described = _read_config(folder)
+        config = fill(PoseConfig, described["config"], f"{folder / CONFIG}: config")
+        path = folder / WEIGHTS
+        if not path.is_file():
+            raise RacinesError(f"{path}: no such file; run: racines train pose --out {folder}")
+        network = PoseNetwork(config.input_size, config.width)
+        network.load_state_dict(load_weights(path))
+        regressor = cls(network, config, device)
+        regressor.sha256 = sha256_file(path)
+        return regressor
+
+
+def _raw_targets(parameters: Tensor) -> Tensor:
+    pose = parameters_to_pose(parameters)
+    return torch.cat([pose.position, rotation_6d(pose.rotation)], -1)
+
+
+def _read_config(folder: Path) -> dict[str, Any]:
+    path = folder / CONFIG
+    if not path.is_file():
+        raise RacinesError(f"{folder}: no pose regressor there; run: racines train pose")
+    try:
+        described = json.loads(path.read_text())
+    except json.JSONDecodeError as error:
+        raise RacinesError(f"{path}: not valid JSON: {error}") from error
+    if described.get("schema") != SCHEMA:
+        raise RacinesError(f"{path}: schema {described.get('schema')!r}, expected {SCHEMA!r}")
+    return described

@@ -1,0 +1,127 @@
+"""Training of the pose regressor, by the trainer of the generators; its report on held-out data."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.optim import AdamW, Optimizer
+
+from racines_data.errors import RacinesError
+from racines_data.files import write_json
+from racines_data.geometry import Pose, geodesic, parameters_to_pose
+from racines_data.store.frames import FrameStore
+from racines_models.generators.base import resolve_device
+from racines_models.judges.pose.regressor import PoseConfig, PoseNetwork, PoseRegressor
+from racines_models.protocol import Card, Run
+from racines_models.provenance import code_version, dataset_card, environment
+from racines_models.statistics import bootstrap_median
+from racines_models.training.augmentation import augment
+from racines_models.training.checkpoint import discard_checkpoint
+from racines_models.training.objective import TrainBatch, Update
+from racines_models.training.trainer import train
+
+BETA = 0.1
+"""Where the loss turns from square to straight, in standard deviations of a target."""
+
+
+class PoseLearner:
+    """What the trainer needs of the pose regressor."""
+
+    def __init__(self, config: PoseConfig, seed: int, data: dict[str, Any]):
+        self.config, self.seed, self.data = config, seed, data
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.network = PoseNetwork(config.input_size, config.width)
+
+    @property
+    def card(self) -> Card:
+        """Say what is trained; name, config, seed and data identify a run."""
+        return Card(
+            name="pose",
+            title="Pose regressor",
+            summary="Reads the probe's pose from one image.",
+            source="ResNet (He et al., 2016); 6-D rotations (Zhou et al., 2019)",
+            stochastic=False,
+            weights=sum(each.numel() for each in self.network.parameters()),
+            data=self.data,
+            config=asdict(self.config),
+            seed=self.seed,
+        )
+
+    def modules(self) -> dict[str, nn.Module]:
+        """Return the one network."""
+        return {"pose": self.network}
+
+    def averaged(self) -> tuple[str, ...]:
+        """Name it: its weights are averaged."""
+        return ("pose",)
+
+    def optimizers(self) -> dict[str, Optimizer]:
+        """Return its AdamW."""
+        rate, decay = self.config.learning_rate, self.config.weight_decay
+        return {"pose": AdamW(self.network.parameters(), rate, weight_decay=decay, fused=True)}
+
+    def updates(self, nets: Mapping[str, nn.Module], batch: TrainBatch) -> Iterator[Update]:
+        """Yield the one step: smooth L1 of the standardised targets, which seeks medians."""
+        x = augment(self.network.normalise(batch.images), batch.seeds, self.config.augmentation)
+        error = nn.functional.smooth_l1_loss(
+            nets["pose"](x), self.network.targets(batch.parameters), beta=BETA, reduction="none"
+        )
+        logged = {"position": error[:, :3].mean(), "rotation": error[:, 3:].mean()}
+        yield Update("pose", logged["position"] + logged["rotation"], logged)
+
+
+def train_pose(store: FrameStore, config: PoseConfig, run: Run) -> dict[str, Any]:
+    """Train, save into `run.folder`, and return the metrics on the test trajectories.
+
+    Raises:
+        RacinesError: no training frames, or `run.resume` is True and nothing can be resumed.
+    """
+    rows = store.split_indices("train")
+    if not len(rows):
+        raise RacinesError("pose: the train split is empty; build a dataset with more sweeps")
+    device = resolve_device(run.device)
+    run = Run(run.folder, run.seed, device, run.resume, run.progress)
+    learner = PoseLearner(config, run.seed, dataset_card(store))
+    learner.network.fit_targets(store.parameters[rows])
+    learner.network.to(device)
+    figures = train(learner, store, config.training, run)
+    regressor = PoseRegressor(learner.network, config, device)
+    made = {"dataset": dataset_card(store), "seed": run.seed, "code": code_version()}
+    regressor.save(run.folder, **made)
+    metrics = {"schema": "racines.pose-metrics/1"} | made | report(regressor, store)
+    metrics |= {"training": figures, "environment": environment(device)}
+    write_json(run.folder / "metrics.json", metrics)
+    discard_checkpoint(run.folder)
+    return metrics
+
+
+def report(regressor: PoseRegressor, store: FrameStore, split: str = "test") -> dict[str, Any]:
+    """Read the poses of a split and compare with the recorded ones.
+
+    Returns:
+        `split`; `metrics`: `pose_error_mm` and `pose_error_deg`, medians over all frames, and
+        `…_view`, over the frames of a view; each with value, low, high, n.
+    """
+    rows = store.split_indices(split)
+    frames = store.take(rows)
+    errors = pose_errors(regressor.predict(frames.images), frames.parameters)
+    trajectory = store.trajectory_index[rows].numpy()
+    of_view = (frames.views >= 0) & (frames.views != len(store.labels) - 1)
+    metrics = {}
+    for suffix, chosen in (("", torch.ones_like(of_view)), ("_view", of_view)):
+        if not bool(chosen.any()):
+            continue
+        for unit, values in zip(("mm", "deg"), errors, strict=True):
+            median = bootstrap_median(values[chosen].numpy(), trajectory[chosen.numpy()])
+            metrics[f"pose_error_{unit}{suffix}"] = median.to_json(unit)
+    return {"split": split, "metrics": metrics}
+
+
+def pose_errors(found: Pose, parameters: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the (N,) distances in mm and (N,) angles in degrees, float64, from the true poses."""
+    true = parameters_to_pose(parameters.double())
+    distance = (found.position.double() - true.position).norm(dim=-1)
+    return distance * 1e3, torch.rad2deg(geodesic(found.rotation.double(), true.rotation))

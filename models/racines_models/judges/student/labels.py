@@ -1,0 +1,105 @@
+"""What the teacher says of the train frames and of their variants, asked once and kept on disk.
+
+A variant is a function of (seed, frame, variant), so that the student, who looks at it epochs
+later, sees what the teacher saw. Variant 0 is the frame itself.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import Tensor
+
+from racines_data.files import write_atomic
+from racines_data.randomness import derive
+from racines_data.store.frames import FrameStore
+from racines_models.judges.grader.model import Grader
+from racines_models.training.augmentation import Augmentation, augment
+
+VARIANT = 31
+"""Random stream of the variants."""
+CHUNK = 4096
+"""Frames of one file: what a killed run has to ask again."""
+BATCH = 256
+
+
+def variants(
+    x: Tensor, rows: Tensor, which: Tensor, seed: int, augmentation: Augmentation
+) -> Tensor:
+    """Return the variants that `which` (B,) names of normalised (B, 1, S, S) images.
+
+    Args:
+        x: Images as the teacher normalises them.
+        rows: (B,) rows of the frames in the store.
+        which: (B,) variants; 0 leaves the image as it is.
+        seed: Of the run.
+        augmentation: How strongly the others vary.
+    """
+    seeds = derive(derive(torch.tensor(seed), VARIANT, rows), which).to(x.device)
+    varied = augment(x, seeds, augmentation)
+    return torch.where(which.to(x.device).view(-1, 1, 1, 1) == 0, x, varied)
+
+
+class SoftLabels:
+    """The teacher's (V, N, L) float32 `logits` and (V, N) `grades` of N frames in V variants."""
+
+    def __init__(self, logits: Tensor, grades: Tensor) -> None:
+        self.logits, self.grades = logits, grades
+
+
+def ask_teacher(
+    teacher: Grader,
+    store: FrameStore,
+    augmentation: Augmentation,
+    count: int,
+    seed: int,
+    folder: Path,
+    progress: Callable[[int], None],
+) -> SoftLabels:
+    """Ask of the whole train split; what `folder` has already is not asked again.
+
+    `folder` must belong to this teacher, dataset, augmentation and seed.
+    """
+    rows = store.split_indices("train")
+    logits, grades = [], []
+    for variant in range(count):
+        for number, chunk in enumerate(rows.split(CHUNK)):
+            path = folder / f"{variant:02d}-{number:04d}.safetensors"
+            answers = _read(path)
+            if answers is None:
+                answers = _ask(teacher, store, augmentation, chunk, variant, seed)
+                write_atomic(path, save(answers))
+            logits.append(answers["logits"])
+            grades.append(answers["grades"])
+            progress(len(chunk))
+    shape = (count, len(rows))
+    return SoftLabels(torch.cat(logits).view(*shape, -1), torch.cat(grades).view(shape))
+
+
+@torch.inference_mode()
+def _ask(
+    teacher: Grader,
+    store: FrameStore,
+    augmentation: Augmentation,
+    rows: Tensor,
+    variant: int,
+    seed: int,
+) -> dict[str, Tensor]:
+    parts = []
+    for batch in rows.split(BATCH):
+        x = teacher.network.normalise(store.take(batch).images.to(teacher.device))
+        x = variants(x, batch, torch.full_like(batch, variant), seed, augmentation)
+        parts.append(teacher.answer(x))
+    logits, grades = (torch.cat([part[i] for part in parts]).cpu() for i in (0, 1))
+    return {"logits": logits.contiguous(), "grades": grades.contiguous()}
+
+
+def _read(path: Path) -> dict[str, Tensor] | None:
+    if not path.is_file():
+        return None
+    try:
+        return load_file(path)
+    except (SafetensorError, OSError):
+        return None  # asked again

@@ -1,0 +1,10 @@
+"""Scores of a generator on held-out poses: each number with n, an interval and its provenance.
+
+`scoring` is the way in, `judge` computes the figures of one sample; `metrics`, `frechet`, `prdc`,
+`diversity` and `memorisation` hold one kind of metric each, `inception` and `features` the networks
+behind the distances.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,6 @@
+from .judge import Judge as Judge
+from .judge import ScoresConfig as ScoresConfig
+from .scoring import Scores as Scores
+from .scoring import score as score
+
+__all__ = ["Judge", "Scores", "ScoresConfig", "score"]

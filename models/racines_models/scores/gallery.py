@@ -1,0 +1,81 @@
+"""The picture that matters: one row a pose, one column a generator, the truth first."""
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.files import write_atomic
+from racines_data.imaging import ImageSource
+from racines_data.store.frames import FrameStore
+from racines_models.pictures import pick_columns
+from racines_models.sample import Sample, draw, take_sample
+
+CELL = 1.28
+"""Edge of an image on the page, inches: at 100 dots an inch a pixel is a pixel."""
+DPI = 100
+
+
+def gallery_sample(store: FrameStore, split: str = "test", samples: int = 256) -> Sample:
+    """Return up to 8 held-out frames: the best of each view, then others at even distances."""
+    sample = take_sample(store, split, samples)
+    frames = sample.frames
+    rows = pick_columns(frames.views, frames.grades, len(store.labels) - 1)
+    return Sample(type(frames)(*(column[rows] for column in frames)), sample.trajectory[rows])
+
+
+def write_gallery(
+    path: Path, store: FrameStore, sample: Sample, generators: Mapping[str, ImageSource], seed: int
+) -> None:
+    """Draw each pose of a sample with each generator and write the PNG.
+
+    Args:
+        path: The picture.
+        store: The dataset, for the names of its labels.
+        sample: Poses and true frames.
+        generators: By the name that heads the column, in order.
+        seed: Draws the generators' noise.
+
+    Raises:
+        RacinesError: no generators, or one that returns no images.
+    """
+    if not generators:
+        raise RacinesError("gallery: name one generator or more")
+    frames = sample.frames
+    columns = {"truth": frames.images}
+    for name, generator in generators.items():
+        columns[name] = draw(generator, frames, seed)
+    pairs = zip(frames.views, frames.grades, strict=True)
+    labels = [_label(store.labels, view, grade) for view, grade in pairs]
+    write_atomic(path, _page(columns, labels))
+
+
+def _label(names: Sequence[str], view: Tensor, grade: Tensor) -> str:
+    name = names[int(view)] if int(view) >= 0 else ""
+    return f"{name}\n{float(grade):.1f}" if torch.isfinite(grade) and name else name
+
+
+def _page(columns: Mapping[str, Tensor], labels: Sequence[str]) -> bytes:
+    from matplotlib.figure import Figure
+
+    down, across = len(labels), len(columns)
+    left, top = 0.6, 0.35
+    width, height = left + across * CELL, top + down * CELL
+    page = Figure(figsize=(width, height), dpi=DPI, facecolor="white")
+    for j, (name, images) in enumerate(columns.items()):
+        for i, image in enumerate(images):
+            box = (left + j * CELL, height - top - (i + 1) * CELL, CELL - 0.02, CELL - 0.02)
+            x, y, w, h = box
+            axis = page.add_axes((x / width, y / height, w / width, h / height))
+            axis.imshow(image.numpy(), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+            axis.axis("off")
+        page.text((left + (j + 0.5) * CELL) / width, 1 - 0.2 / height, name, ha="center", size=9)
+    for i, label in enumerate(labels):
+        middle = (height - top - (i + 0.5) * CELL) / height
+        page.text(0.3 / width, middle, label, ha="center", va="center", size=9)
+    picture = io.BytesIO()
+    page.savefig(picture, format="png")
+    return picture.getvalue()

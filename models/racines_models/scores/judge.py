@@ -1,0 +1,265 @@
+"""The figures of one sample: its truth against the images drawn of it with each seed."""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from racines_data.imaging import ImageSource
+from racines_data.store.frames import Batch, FrameStore
+from racines_models.judges.grader.model import Grader
+from racines_models.judges.grader.report import compare
+from racines_models.judges.pose.regressor import PoseRegressor
+from racines_models.judges.pose.training import pose_errors
+from racines_models.sample import Progress, Sample
+from racines_models.scores import diversity, memorisation, metrics, prdc
+from racines_models.scores.features import Extractor, features_of_sets, kept, reference_features
+from racines_models.statistics import (
+    Estimate,
+    bootstrap_mean,
+    bootstrap_median,
+    jackknife,
+    jackknife_all,
+)
+
+PRDC_FRAMES = 4096
+"""Most frames whose distances to one another are held at once."""
+GRAY = "gray levels"
+
+
+@dataclass(frozen=True)
+class ScoresConfig:
+    """How generators are scored."""
+
+    samples: int = 256
+    """At most so many frames of the split, spread evenly over its trajectories."""
+    seeds: tuple[int, ...] = (0,)
+    """One set of images each; figures are averaged over them, n counts frames."""
+    split: str = "test"
+    resamples: int = 1000
+    """Bootstrap resamples of per-image figures."""
+    blocks: int = 20
+    """Most blocks of trajectories that the jackknife of FID and KID leaves out in turn."""
+    kid_subset: int = 4096
+    """Largest set of one KID estimate; beyond it, estimates of random subsets are averaged."""
+    kid_subsets: int = 100
+    speed: bool = True
+    """Measure images a second at batch 1 and 64."""
+
+
+class Judge:
+    """One sample, its truth, and the images drawn of it with each seed."""
+
+    def __init__(
+        self,
+        config: ScoresConfig,
+        store: FrameStore,
+        sample: Sample,
+        drawn: list[Tensor],
+        cache: Path | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        self.config, self.store, self.sample, self.drawn = config, store, sample, drawn
+        self.cache, self.progress = cache, progress
+        self._key = [store.manifest["digest"], sample.digest]
+
+    def likeness(self) -> dict[str, Any]:
+        """Return SSIM, MS-SSIM and PSNR against the frame at the same pose."""
+        truth = self.sample.frames.images
+
+        def told(
+            metric: Callable[[Tensor, Tensor], Tensor], settings: dict[str, Any], unit: str = ""
+        ) -> dict[str, Any]:
+            values = [metric(images, truth) for images in self.drawn]
+            sets = self._by_set([float(each.double().mean()) for each in values])
+            return self._mean(values).to_json(unit or None, **settings, **sets)
+
+        return {
+            "ssim": told(metrics.ssim, metrics.SSIM_SETTINGS),
+            "ms_ssim": told(metrics.ms_ssim, metrics.MS_SSIM_SETTINGS),
+            "psnr": told(metrics.psnr, metrics.PSNR_SETTINGS, "dB"),
+        }
+
+    def distances(self, suffix: str, extractor: Extractor) -> dict[str, Any]:
+        """Return FID, KID and PRDC between the sets of drawn and true images."""
+        name = extractor.settings["id"]
+        images = self.sample.frames.images
+        truth = reference_features(extractor, images, self._key, self.cache, self.progress)
+        drawn = features_of_sets(extractor, self.drawn, self.progress)
+        config = self.config
+
+        def fid(keep: np.ndarray) -> float:
+            rows = torch.from_numpy(keep)
+            return float(np.mean([metrics.fid(each[rows], truth[rows]) for each in drawn]))
+
+        clusters, blocks = self.sample.trajectory, config.blocks
+        frechet = jackknife(fid, clusters, blocks, 0.0)
+        kernel = jackknife(self._kid(truth, drawn), clusters, blocks)
+        subsets: dict[str, Any] = {"subset": config.kid_subset, "subsets": config.kid_subsets}
+        figures = {
+            f"fid{suffix}": frechet.to_json(features=name),
+            f"kid{suffix}": kernel.to_json(features=name, **metrics.KID_SETTINGS, **subsets),
+        }
+        neighbours = self._neighbours(truth, drawn)
+        return figures | {
+            f"{key}{suffix}": each.to_json(features=name, **prdc.SETTINGS)
+            for key, each in neighbours.items()
+        }
+
+    def _kid(self, truth: Tensor, drawn: list[Tensor]) -> Callable[[np.ndarray], float]:
+        subset, subsets = self.config.kid_subset, self.config.kid_subsets
+        if len(truth) <= subset:
+            sets = [metrics.KernelMatrices(truth, each) for each in drawn]
+            return lambda keep: float(np.mean([each.kid(keep) for each in sets]))
+
+        def averaged(keep: np.ndarray) -> float:
+            rows = torch.from_numpy(keep)
+            pairs = [(each[rows], truth[rows]) for each in drawn]
+            return float(np.mean([metrics.kid(*pair, subset, subsets) for pair in pairs]))
+
+        return averaged
+
+    def _neighbours(self, truth: Tensor, drawn: list[Tensor]) -> dict[str, Estimate]:
+        if len(truth) <= prdc.NEIGHBOURS:
+            return {}
+        count = min(len(truth), PRDC_FRAMES)
+        rows = torch.arange(count) * len(truth) // count
+        sets = [prdc.Neighbourhoods(truth[rows], each[rows]) for each in drawn]
+
+        def statistics(keep: np.ndarray) -> dict[str, float]:
+            figures = [each.figures(keep) for each in sets]
+            return {name: float(np.mean([each[name] for each in figures])) for name in prdc.NAMES}
+
+        trajectory = self.sample.trajectory[rows.numpy()]
+        estimates = jackknife_all(statistics, trajectory, self.config.blocks, 0.0)
+        shares = {name for name in prdc.NAMES if name != "density"}
+        return {
+            name: dataclasses.replace(each, high=min(each.high, 1.0))
+            if name in shares and each.high is not None
+            else each
+            for name, each in estimates.items()
+        }
+
+    def agreement(self, grader: Grader) -> dict[str, Any]:
+        """Return how the grader's view and grade of the drawn images agree with the truth.
+
+        The same figures of the true images (`…_truth`) say what the grader's own errors allow.
+        """
+        frames, figures = self.sample.frames, {}
+        grader.check_labels(self.store.labels, "the dataset")
+        random = len(grader.labels) - 1
+        for suffix, sets in (("", self.drawn), ("_truth", [frames.images])):
+            compared = [
+                compare(*grader.judge(images)[:2], frames.views, frames.grades, random)
+                for images in sets
+            ]
+            for name, first in compared[0].items():
+                estimate = self._mean([each[name].values for each in compared])
+                figures[f"{name}{suffix}"] = estimate.to_json(first.unit, rule=first.rule)
+        return figures
+
+    def poses(self, regressor: PoseRegressor) -> dict[str, Any]:
+        """Return the median errors of the poses that a regressor reads from the drawn images.
+
+        The same figures of the true images (`…_truth`) say what the regressor's own errors allow.
+        `…_view` is over the frames of a view: there is something to be seen.
+        """
+        frames, figures = self.sample.frames, {}
+        of_view = (frames.views >= 0) & (frames.views != len(self.store.labels) - 1)
+        groups = {"": torch.ones_like(of_view), "_view": of_view}
+        for suffix, sets in (("", self.drawn), ("_truth", [frames.images])):
+            found = [pose_errors(regressor.predict(images), frames.parameters) for images in sets]
+            for group, chosen in groups.items():
+                if not bool(chosen.any()):
+                    continue
+                for unit, errors in zip(("mm", "deg"), zip(*found, strict=True), strict=True):
+                    median = self._median([each[chosen] for each in errors], chosen)
+                    rule = "median over " + ("the frames of a view" if group else "all frames")
+                    figures[f"pose_error_{unit}{group}{suffix}"] = median.to_json(unit, rule=rule)
+        return figures
+
+    def variety(
+        self, generator: ImageSource, seeds: tuple[int, ...], runs: int = 1
+    ) -> dict[str, Any]:
+        """Return the share of images that differ from all others, and how draws of a pose differ.
+
+        `distinct` is 1/n where one image fits all poses. `diversity_truth` is what the source's own
+        noise does: there for phantoms, which can be scanned again.
+        """
+        images = self.drawn[0].flatten(1).numpy()
+        share = len(np.unique(images, axis=0)) / len(images)
+        figures = {"distinct": plain(share, len(images), rule="images that differ, first seed")}
+        frames = self.sample.frames
+        # Of several trained runs only the first: two runs differ by more than their noise.
+        again = diversity.drawn_again(generator, frames, self.drawn[::runs], seeds[::runs])
+        if again is not None:
+            sets, places = again
+            rule = "root mean square difference of two draws of one pose"
+            told = self._mean([diversity.spread(sets)], places)
+            figures["diversity"] = told.to_json(GRAY, rule=rule, draws=len(sets))
+        places = diversity.places_again(len(frames.index))
+        some = Batch(*(column[places] for column in frames))
+        scanned = diversity.scanned_again(self.store, some, self.cache)
+        if scanned is not None:
+            rule = "root mean square difference of two new scans of one pose"
+            told = self._mean([scanned], places)
+            figures["diversity_truth"] = told.to_json(
+                GRAY, rule=rule, source=self.store.manifest["source"]
+            )
+        return figures
+
+    def memory(self) -> dict[str, Any]:
+        """Return how far the nearest training image is, and the share of copies of one."""
+        if not len(self.store.split_indices("train")):
+            return {}
+        train = kept(
+            self.cache,
+            ["train summaries", self._key[0], memorisation.BLOCK],
+            lambda: memorisation.summarise_train(self.store).half(),
+        )
+        figures, truth = {}, self.sample.frames.images
+        for suffix, sets in (("", self.drawn), ("_truth", [truth])):
+            nearest = [memorisation.nearest_train(each, self.store, train) for each in sets]
+            median = self._median(nearest).to_json(
+                GRAY, rule="root mean square difference to the nearest training image, median"
+            )
+            copies = self._mean([(each < memorisation.COPY).double() for each in nearest])
+            rule = f"the nearest training image differs by less than {memorisation.COPY:g} {GRAY}"
+            figures |= {
+                f"nearest_train{suffix}": median,
+                f"copies{suffix}": copies.to_json(rule=rule),
+            }
+        return figures
+
+    @staticmethod
+    def _by_set(values: list[float]) -> dict[str, Any]:
+        """Return the figure of each set of images, where there are several."""
+        return {"by_set": values} if len(values) > 1 else {}
+
+    def _mean(self, values: list[Tensor], places: Tensor | None = None) -> Estimate:
+        average = torch.stack(values).double().mean(0).numpy()
+        trajectory = self.sample.trajectory
+        if places is not None:
+            trajectory = trajectory[places.numpy()]
+        return bootstrap_mean(average, trajectory, resamples=self.config.resamples)
+
+    def _median(self, values: list[Tensor], chosen: Tensor | None = None) -> Estimate:
+        """Return the median over frames and seeds together; n counts frames."""
+        trajectory = self.sample.trajectory
+        if chosen is not None:
+            trajectory = trajectory[chosen.numpy()]
+        pooled = torch.cat(values).double().numpy()
+        clusters = np.tile(trajectory, len(values))
+        median = bootstrap_median(pooled, clusters, resamples=self.config.resamples)
+        return dataclasses.replace(median, n=len(trajectory))
+
+
+def plain(value: float, n: int, unit: str | None = None, **settings: Any) -> dict[str, Any]:
+    """Return a figure without an interval as it stands in a scores file."""
+    figure = {"value": value, "low": None, "high": None, "n": n, "settings": settings}
+    return figure | ({"unit": unit} if unit else {})

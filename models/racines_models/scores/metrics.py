@@ -1,0 +1,164 @@
+"""Image metrics: SSIM, MS-SSIM and PSNR per image (torchmetrics), FID and KID of features."""
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from racines_data.errors import RacinesError
+from racines_models.scores.frechet import frechet_distance
+
+DATA_RANGE = 255.0
+"""Gray levels from black to white, for SSIM and PSNR."""
+BORDER = 5
+"""Pixels at each edge where the SSIM window is not whole; left out."""
+PSNR_CAP = 100.0
+"""PSNR of identical images, dB, in place of infinity."""
+
+SSIM_SETTINGS: dict[str, Any] = {
+    "data_range": DATA_RANGE,
+    "window": "Gaussian, 11x11, sigma 1.5",
+    "k1": 0.01,
+    "k2": 0.03,
+    "border": f"{BORDER} pixels left out",
+    "library": "torchmetrics",
+}
+SCALES = (0.0448, 0.2856, 0.3001, 0.2363)
+"""Weights of the first four scales of Wang et al., 2003, fine to coarse. The fifth would be 8 x 8
+pixels at this image size, less than the 11 x 11 window."""
+MS_SSIM_SETTINGS: dict[str, Any] = SSIM_SETTINGS | {
+    "scales": len(SCALES),
+    "weights": "the first four of Wang et al. 2003, divided by their sum",
+    "between scales": "2 x 2 mean",
+    "negative": "counts as 0",
+    "border": f"{BORDER} pixels left out at each scale",
+}
+PSNR_SETTINGS: dict[str, Any] = {
+    "data_range": DATA_RANGE,
+    "average": "of per-image values",
+    "cap_db": PSNR_CAP,
+    "library": "torchmetrics",
+}
+KID_SETTINGS: dict[str, Any] = {
+    "kernel": "(x.y/d + 1)^3",
+    "estimator": "unbiased",
+    "library": "torchmetrics",
+}
+
+
+def ssim(images: Tensor, truth: Tensor) -> Tensor:
+    """Return the SSIM (Wang et al., 2004) of (N, H, W) uint8 image pairs, (N,) in [-1, 1]."""
+    return _pairwise(ssim_of, images, truth)
+
+
+def ssim_of(a: Tensor, b: Tensor) -> Tensor:
+    """Return the SSIM of (N, 1, H, W) float image pairs of gray levels, (N,)."""
+    from torchmetrics.functional.image import structural_similarity_index_measure
+
+    _, full = structural_similarity_index_measure(
+        a, b, data_range=DATA_RANGE, reduction="none", return_full_image=True
+    )
+    # torchmetrics averages over its reflected border too; the definition does not.
+    return full[..., BORDER:-BORDER, BORDER:-BORDER].mean((1, 2, 3))
+
+
+def ms_ssim(images: Tensor, truth: Tensor) -> Tensor:
+    """Return the multi-scale SSIM of (N, H, W) uint8 image pairs, (N,) in [0, 1].
+
+    Contrast and structure at each scale but the coarsest, SSIM there; torchmetrics' own function
+    averages the latter over its reflected border, which is most of a 16 x 16 image.
+
+    Source: Wang et al., Multi-scale structural similarity for image quality assessment, 2003.
+    """
+    from torchmetrics.functional.image import structural_similarity_index_measure
+
+    weights = torch.tensor(SCALES) / sum(SCALES)
+
+    def chunk(a: Tensor, b: Tensor) -> Tensor:
+        product = torch.ones(len(a), device=a.device)
+        for weight in weights[:-1].tolist():
+            _, contrast = structural_similarity_index_measure(
+                a, b, data_range=DATA_RANGE, reduction="none", return_contrast_sensitivity=True
+            )
+            product *= contrast.clamp_min(0.0).pow(weight)
+            a, b = (nn.functional.avg_pool2d(x, 2) for x in (a, b))
+        return product * ssim_of(a, b).clamp_min(0.0).pow(float(weights[-1]))
+
+    return _pairwise(chunk, images, truth)
+
+
+def psnr(images: Tensor, truth: Tensor) -> Tensor:
+    """Return the PSNR of (N, H, W) uint8 image pairs, (N,) dB, at most `PSNR_CAP`."""
+    from torchmetrics.functional.image import peak_signal_noise_ratio
+
+    def chunk(a: Tensor, b: Tensor) -> Tensor:
+        values = peak_signal_noise_ratio(
+            a, b, data_range=DATA_RANGE, reduction="none", dim=(1, 2, 3)
+        )
+        return values.clamp_max(PSNR_CAP)
+
+    return _pairwise(chunk, images, truth)
+
+
+def fid(candidate: Tensor, reference: Tensor) -> float:
+    """Return the Fréchet distance between (N, D) and (M, D) features; it falls with n."""
+    return frechet_distance(reference, candidate)
+
+
+def kid(
+    candidate: Tensor, reference: Tensor, subset: int = 1000, subsets: int = 100, seed: int = 0
+) -> float:
+    """Return the kernel distance (Bińkowski et al., 2018) of two (N, D) feature sets.
+
+    Up to `subset` samples enter one unbiased estimate over all pairs; more are drawn without
+    replacement into `subsets` estimates, which are averaged.
+
+    Raises:
+        RacinesError: sets of different sizes, or fewer than two samples.
+    """
+    from torchmetrics.image.kid import poly_mmd
+
+    n = len(candidate)
+    if n != len(reference) or n < 2:
+        raise RacinesError(f"KID needs two sets of one size >= 2, got {n} and {len(reference)}")
+    x, y = reference.to(torch.float64), candidate.to(torch.float64)
+    if n <= subset:
+        return float(poly_mmd(x, y))
+    generator = torch.Generator().manual_seed(seed)
+    values = []
+    for _ in range(subsets):
+        i = torch.randperm(n, generator=generator)[:subset].to(x.device)
+        j = torch.randperm(n, generator=generator)[:subset].to(x.device)
+        values.append(float(poly_mmd(x[i], y[j])))
+    return math.fsum(values) / subsets
+
+
+class KernelMatrices:
+    """The kernel within and between a true and a drawn set, so that the KID of subsets is cheap."""
+
+    def __init__(self, truth: Tensor, drawn: Tensor):
+        from torchmetrics.image.kid import poly_kernel
+
+        x, y = truth.to(torch.float64), drawn.to(torch.float64)
+        self._between = poly_kernel(x, y)
+        self._within = poly_kernel(x, x) + poly_kernel(y, y)
+        self._within.fill_diagonal_(0.0)
+
+    def kid(self, keep: np.ndarray) -> float:
+        """Return what `kid` returns of the samples that a (N,) mask keeps, over all pairs."""
+        kept = torch.from_numpy(keep).to(self._within)
+        n = float(kept.sum())
+        within, between = (kept @ matrix @ kept for matrix in (self._within, self._between))
+        return float(within / (n * (n - 1)) - 2.0 * between / n**2)
+
+
+def _pairwise(metric: Any, images: Tensor, truth: Tensor, size: int = 256) -> Tensor:
+    if images.shape != truth.shape:
+        raise RacinesError(f"{tuple(images.shape)} images for {tuple(truth.shape)} true ones")
+    parts = [
+        metric(a.unsqueeze(1).to(torch.float32), b.unsqueeze(1).to(torch.float32)).reshape(-1)
+        for a, b in zip(images.split(size), truth.split(size), strict=True)
+    ]
+    return torch.cat(parts) if parts else torch.empty(0)

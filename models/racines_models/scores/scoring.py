@@ -1,0 +1,125 @@
+"""Scores of a generator on held-out poses: each number with n, an interval and its provenance."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.imaging import ImageSource
+from racines_data.store.frames import FrameStore
+from racines_models.judges.grader.model import Grader
+from racines_models.judges.pose.regressor import PoseRegressor
+from racines_models.provenance import code_version, dataset_card, environment
+from racines_models.sample import Progress, Sample, draw, speed, take_sample
+from racines_models.scores.features import Extractor, GraderFeatures
+from racines_models.scores.inception import InceptionFeatures
+from racines_models.scores.judge import Judge, ScoresConfig, plain
+
+__all__ = ["Scores", "ScoresConfig", "score"]
+
+SCHEMA = "racines.generator-scores/1"
+
+
+@dataclass(frozen=True)
+class Scores:
+    """The scores file's content, and the images it speaks of."""
+
+    content: dict[str, Any]
+    sample: Sample
+    images: Tensor
+    """(N, 128, 128) uint8, drawn with the first seed."""
+
+
+def score(
+    generator: ImageSource | Sequence[ImageSource],
+    store: FrameStore,
+    config: ScoresConfig,
+    name: str,
+    grader: Grader | None = None,
+    pose: PoseRegressor | None = None,
+    seeds: Sequence[int] | None = None,
+    cache: Path | None = None,
+    device: str = "cpu",
+    progress: Progress | None = None,
+) -> Scores:
+    """Score a generator on a split of a dataset.
+
+    Args:
+        generator: Anything that makes images of parameters; or the same method trained with
+            several seeds, which take the drawing seeds in turn. Figures are means over the sets.
+        store: The dataset.
+        config: Sample size, seeds, split and intervals.
+        name: The generator's name in the scores.
+        grader: Adds its agreement with the truth, and FID, KID and PRDC on its features.
+        pose: Adds the errors of the poses that it reads from the images.
+        seeds: Instead of those of the config.
+        cache: Folder for what is computed of the reference alone.
+        device: Where features are computed.
+        progress: Told of images drawn and images embedded, as they come.
+
+    Raises:
+        RacinesError: an empty split, or images that cannot be scored.
+    """
+    began = time.perf_counter()
+    seeds = tuple(config.seeds if seeds is None else seeds)
+    if not seeds:
+        raise RacinesError("scores.seeds: give one seed or more")
+    sample = take_sample(store, config.split, config.samples)
+    runs = list(generator) if isinstance(generator, Sequence) else [generator]
+    turns = take_turns(runs, seeds)
+    seeds = tuple(seed for _, seed in turns)
+    drawn = [draw(each, sample.frames, seed, progress) for each, seed in turns]
+    judge = Judge(config, store, sample, drawn, cache, progress)
+    extractors: dict[str, Extractor] = {"inception": InceptionFeatures(device)}
+    figures = judge.likeness() | judge.distances("", extractors["inception"])
+    if grader is not None:
+        extractors["grader"] = GraderFeatures(grader)
+        figures |= judge.distances("_grader", extractors["grader"]) | judge.agreement(grader)
+    if pose is not None:
+        figures |= judge.poses(pose)
+    figures |= judge.variety(runs[0], seeds, len(runs)) | judge.memory()
+    if config.speed and hasattr(runs[0], "generate"):
+        figures |= {f"images_per_second_{n}": _rate(runs[0], sample, n) for n in (1, 64)}
+    content = {
+        "schema": SCHEMA,
+        "generator": name,
+        "dataset": dataset_card(store) | {"split": config.split, "sample": sample.digest},
+        "seeds": list(seeds),
+        "runs": len(runs),
+        "metrics": figures,
+        "extractors": {key: extractor.settings for key, extractor in extractors.items()}
+        | ({} if pose is None else {"pose": pose.settings}),
+        "weights": None,
+        "code": code_version(),
+        "environment": environment(device),
+        "seconds": round(time.perf_counter() - began, 3),
+        "notes": NOTES,
+    }
+    return Scores(content, sample, drawn[0])
+
+
+def take_turns(runs: Sequence[ImageSource], seeds: Sequence[int]) -> list[tuple[ImageSource, int]]:
+    """Return which run draws with which seed: each run at least once, each seed at least once.
+
+    A method that draws the same whatever the seed draws once a run.
+    """
+    card = getattr(runs[0], "card", None)
+    wanted = len(runs) if card is not None and not card.stochastic else max(len(runs), len(seeds))
+    last = max(seeds)
+    longer = [*seeds, *range(last + 1, last + 1 + wanted)][:wanted]
+    return [(runs[k % len(runs)], seed) for k, seed in enumerate(longer)]
+
+
+NOTES = [
+    "FID is biased upwards by small n: compare only figures of equal n, extractor and dataset.",
+    "Intervals resample or leave out whole trajectories; none is given for one trajectory.",
+]
+
+
+def _rate(generator: ImageSource, sample: Sample, batch: int) -> dict[str, Any]:
+    rate = round(speed(generator, sample.frames, batch), 1)
+    return plain(rate, batch, "images/s", rule=f"best of 5 calls at batch {batch}")

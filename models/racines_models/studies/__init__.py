@@ -1,0 +1,1 @@
+"""Studies: what each part of the phantom brings, what a split leaks, what the truth scores."""

@@ -1,0 +1,3 @@
+from .run import ablate as ablate
+
+__all__ = ["ablate"]

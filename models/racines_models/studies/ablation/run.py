@@ -1,0 +1,286 @@
+"""What each part of the phantom's physics brings: KID to real frames without it.
+
+    variant ──> each heart baked once for all variants of its block ──> poses near the view's
+        nominal one ──> frames, masked ──> features ──> KID to random halves of the real set
+
+All variants have the same poses, electronic noise, halves and mask (that of the full phantom), so
+that a change of KID is the part's alone. What the halves leave open is the range beside it.
+"""
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.files import write_json
+from racines_data.geometry import Pose, euler_to_matrix
+from racines_data.phantom import PHANTOM_VERSION, Phantom, PhantomConfig
+from racines_data.phantom.acquisition import coordinates
+from racines_data.randomness import derive, normal, sample_seeds
+from racines_models.provenance import code_version, environment, sha256_bytes
+from racines_models.scores import metrics
+from racines_models.scores.features import Extractor, Progress
+from racines_models.studies.ablation.variants import BASE, NO_GRAY_MAP, Variant, gray_map_variant
+from racines_models.studies.realism.report import RealFrames, RealismConfig, common_sector, one_each
+
+SCHEMA = "racines.ablation/1"
+JITTER = (0.0025, 0.0025, 0.0005, 0.04, 0.04, 0.04)
+"""Standard deviation of the poses around the nominal one: m, and rad of the Euler angles."""
+PROBED = 3
+"""Hearts whose frames decide the mask and the gain without gray map."""
+HALVINGS = 12
+"""Steps of the search for that gain, from `GAINS`: to 0.01 dB."""
+GAINS = (-40.0, 0.0)
+
+
+@dataclass(frozen=True)
+class AblationConfig:
+    """How much is rendered of each variant."""
+
+    hearts: int = 12
+    """Hearts 1 … of the population."""
+    poses: int = 8
+    """Poses of each."""
+
+
+class Setting(NamedTuple):
+    """What all variants share."""
+
+    base: PhantomConfig
+    config: AblationConfig
+    realism: RealismConfig
+
+
+class Reference(NamedTuple):
+    """The real side, and the mask of both."""
+
+    features: Tensor
+    """(M, D) of the masked real frames, one a patient."""
+    mask: Tensor
+    """(128, 128) bool."""
+
+
+def ablate(
+    real: RealFrames,
+    variants: list[Variant],
+    setting: Setting,
+    extractor: Extractor,
+    out: Path,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Measure the variants, the full phantom first; write `out` after each block of them.
+
+    Args:
+        real: Real frames of the view.
+        variants: As from `pick_variants`.
+        setting: The base phantom, the size, and the rules of comparison.
+        extractor: Embeds the frames.
+        out: JSON; variants measured there under equal settings are kept.
+        progress: Told of each frame rendered and each one embedded.
+
+    Returns:
+        The report, schema `racines.ablation/1`.
+
+    Raises:
+        RacinesError: the phantom has no such view, or the sectors do not overlap.
+    """
+    told = progress or (lambda count: None)
+    real = one_each(real, 2 * setting.realism.frames)
+    probed = _probed(setting)
+    mask, gain = _calibrate(real.images, probed, setting)
+    variants = [gray_map_variant(gain) if v.name == NO_GRAY_MAP else v for v in variants]
+    content = _head(real, mask, gain, setting, extractor)
+    digests = {v.name: _digest(v, content, setting) for v in variants}
+    done = _done(out, digests)
+    missing = [v for v in variants if v.name not in done]
+    told(2 * setting.config.hearts * setting.config.poses * (len(variants) - len(missing)))
+    if missing:
+        reference = Reference(extractor(real.images * mask, told), mask)
+        content["real_to_real"] = _halves(reference.features, None, setting.realism)
+        for block in _same_blocks(missing, setting):
+            frames = _render(block, setting, probed, told)
+            for variant, images in zip(block, frames, strict=True):
+                features = extractor(images * mask, told)
+                kid = _halves(reference.features, features, setting.realism)
+                done[variant.name] = {"name": variant.name, **kid, "digest": digests[variant.name]}
+                write_json(out, _report(content, done))
+    else:
+        content["real_to_real"] = json.loads(out.read_text())["real_to_real"]
+    report = _report(content, done)
+    write_json(out, report)
+    return report
+
+
+def poses_near(phantom: Phantom, view: str, count: int, seed: int) -> Pose:
+    """Return `count` poses scattered by `JITTER` around the nominal one of a view."""
+    noise = normal(sample_seeds(seed, 1), 6 * count, 71).view(count, 6)
+    path = coordinates(phantom.target(view)).cpu() + noise * noise.new_tensor(JITTER)
+    angles = path[:, 3:] + path.new_tensor([math.pi, 0.0, 0.0])
+    return Pose(path[:, :3].contiguous(), euler_to_matrix(angles))
+
+
+def merge_into(report: Path, ablation: dict[str, Any]) -> None:
+    """Write the list of an ablation under `ablation` in a report of `racines eval realism`.
+
+    Raises:
+        RacinesError: no such report, or it holds no comparison.
+    """
+    try:
+        content = json.loads(report.read_text())
+    except (OSError, ValueError) as error:
+        raise RacinesError(f"{report}: no readable JSON ({error})") from error
+    if not isinstance(content, dict) or not content.get("compared"):
+        raise RacinesError(f"{report}: holds no comparison; run: racines eval realism --real FILE")
+    keys = ("name", "kid", "low", "high", "change", "change_low", "change_high")
+    content["ablation"] = [{key: row[key] for key in keys} for row in ablation["ablation"]]
+    write_json(report, content)
+
+
+# --- frames --------------------------------------------------------------------------------------
+
+
+def _frames(phantom: Phantom, setting: Setting, heart: int) -> Tensor:
+    """Return (K, 128, 128) frames of a heart, counted from 0: its poses and noise are its own."""
+    config, realism = setting.config, setting.realism
+    pose = poses_near(phantom, realism.view, config.poses, realism.seed * 10007 + heart)
+    seeds = derive(sample_seeds(realism.seed, config.poses), heart)
+    return phantom.render(pose, seeds)
+
+
+def _probed(setting: Setting) -> list[Phantom]:
+    base = Variant(BASE, lambda config, base: config)
+    hearts = min(PROBED, setting.config.hearts)
+    return [Phantom(config) for config in base.configs(setting.base, hearts)]
+
+
+def _render(
+    block: list[Variant], setting: Setting, probed: list[Phantom], told: Progress
+) -> list[Tensor]:
+    """Return (H * K, 128, 128) frames of each of some variants whose volumes are the same."""
+    configs = [v.configs(setting.base, setting.config.hearts) for v in block]
+    parts: list[list[Tensor]] = [[] for _ in block]
+    baked = probed[0]
+    for heart in range(setting.config.hearts):
+        wanted = configs[0][heart]
+        near = probed[heart] if heart < len(probed) else baked
+        fitting = [p for p in (near, baked) if _volume_of(p.config) == _volume_of(wanted)]
+        baked = fitting[0] if fitting else Phantom(wanted)
+        for part, rows in zip(parts, configs, strict=True):
+            part.append(_frames(baked.with_probe(rows[heart].probe), setting, heart))
+            told(setting.config.poses)
+    return [torch.cat(part) for part in parts]
+
+
+def _volume_of(config: PhantomConfig) -> PhantomConfig:
+    """Return what decides the baked block: all but the probe."""
+    return dataclasses.replace(config, probe=PhantomConfig().probe)
+
+
+def _same_blocks(variants: list[Variant], setting: Setting) -> Iterator[list[Variant]]:
+    """Yield the variants in groups that share the baked block of every heart."""
+    groups: dict[tuple[PhantomConfig, ...], list[Variant]] = {}
+    for variant in variants:
+        configs = variant.configs(setting.base, setting.config.hearts)
+        groups.setdefault(tuple(map(_volume_of, configs)), []).append(variant)
+    yield from groups.values()
+
+
+def _calibrate(real: Tensor, probed: list[Phantom], setting: Setting) -> tuple[Tensor, float]:
+    """Return the mask of all variants, and the gain, dB, that keeps the gray without gray map."""
+
+    def mean_gray(change: Callable[[PhantomConfig], PhantomConfig], mask: Tensor) -> float:
+        rendered = [p.with_probe(change(p.config).probe) for p in probed]
+        images = torch.cat([_frames(p, setting, heart) for heart, p in enumerate(rendered)])
+        return float(images[:, mask].double().mean())
+
+    frames = torch.cat([_frames(p, setting, heart) for heart, p in enumerate(probed)])
+    mask = common_sector(real, frames, setting.realism.support)
+    wanted = mean_gray(lambda config: config, mask)
+    low, high = GAINS
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        variant = gray_map_variant(middle)
+        brighter = mean_gray(lambda c, v=variant: v.change(c, setting.base), mask) > wanted
+        low, high = (low, middle) if brighter else (middle, high)
+    return mask, round((low + high) / 2, 2)
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+
+def _halves(real: Tensor, ours: Tensor | None, config: RealismConfig) -> dict[str, Any]:
+    """Return KID to random halves of the real set at equal n; of the other halves without ours."""
+    random = np.random.default_rng(config.seed)
+    n = min(len(real) // 2, config.frames, len(real) if ours is None else len(ours))
+    values = []
+    for _ in range(config.splits):
+        order = torch.from_numpy(random.permutation(len(real)))
+        if ours is None:
+            other = real[order[n : 2 * n]]
+        else:
+            other = ours[torch.from_numpy(random.permutation(len(ours))[:n])]
+        values.append(metrics.kid(other, real[order[:n]]))
+    mean = sum(values) / len(values)
+    return {"kid": mean, "low": min(values), "high": max(values), "values": values}
+
+
+def _head(
+    real: RealFrames, mask: Tensor, gain: float, setting: Setting, extractor: Extractor
+) -> dict[str, Any]:
+    config, realism = setting.config, setting.realism
+    return {
+        "schema": SCHEMA,
+        "view": realism.view,
+        "real": {"sha256": real.sha256, "frames": len(real.images)},
+        "hearts": config.hearts,
+        "poses": config.poses,
+        "jitter": list(JITTER),
+        "n": min(len(real.images) // 2, realism.frames, config.hearts * config.poses),
+        "splits": realism.splits,
+        "seed": realism.seed,
+        "mask": {"pixels": int(mask.sum()), "support": realism.support},
+        "gain_without_gray_map": gain,
+        "phantom_version": PHANTOM_VERSION,
+        "extractor": extractor.settings,
+        "code": code_version(),
+        "environment": environment(),
+    }
+
+
+def _digest(variant: Variant, content: dict[str, Any], setting: Setting) -> str:
+    """Return the digest of what decides a variant's KID."""
+    free = {k: v for k, v in content.items() if k not in ("code", "environment")}
+    configs = variant.configs(setting.base, setting.config.hearts)
+    settings = [free, dataclasses.asdict(setting.realism), *map(dataclasses.asdict, configs)]
+    return sha256_bytes(json.dumps(settings, sort_keys=True).encode())
+
+
+def _done(out: Path, digests: dict[str, str]) -> dict[str, dict[str, Any]]:
+    """Return the rows of a former run that still hold, by name."""
+    try:
+        content = json.loads(out.read_text())
+        rows = [content["base"], *content["ablation"]] if content["schema"] == SCHEMA else []
+        return {row["name"]: row for row in rows if digests.get(row["name"]) == row["digest"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def _report(content: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    base = done[BASE]
+    rows = [_beside(row, base) for row in done.values() if row["name"] != BASE]
+    return {**content, "base": base, "ablation": sorted(rows, key=lambda row: -row["change"])}
+
+
+def _beside(row: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
+    """Return a row with its change from the full phantom, and the range of that over the halves."""
+    changes = [a - b for a, b in zip(row["values"], base["values"], strict=True)]
+    change = row["kid"] - base["kid"]
+    return {**row, "change": change, "change_low": min(changes), "change_high": max(changes)}

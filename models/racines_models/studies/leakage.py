@@ -1,0 +1,195 @@
+"""How much a random split of frames flatters a generator that only remembers.
+
+Nearest-pose retrieval draws nothing: it hands back the training frame whose pose is nearest. Under
+a split by trajectory it has to find a frame of another sweep. Under a random split of frames the
+neighbours in time of every test frame are in the training set, and it hands back a near-copy.
+
+    the same test frames ─┬─ training frames of other trajectories ──> retrieved ──> SSIM, PSNR
+                          └─ as many training frames drawn at random ─> retrieved ──> SSIM, PSNR
+
+They are test frames under both splits. Only what may be looked up differs, so that the difference
+is the leak.
+"""
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, geodesic, parameters_to_pose
+from racines_data.store.frames import FrameStore
+from racines_models.generators.nearest_pose import NearestPose, NearestPoseConfig
+from racines_models.provenance import code_version, dataset_card, environment
+from racines_models.sample import Progress, Sample, spread_sample
+from racines_models.scores import metrics
+from racines_models.statistics import bootstrap_mean
+
+SCHEMA = "racines.leakage/1"
+CHUNK = 256
+"""Poses looked up between two steps of the progress bar."""
+
+
+@dataclass(frozen=True)
+class LeakageConfig:
+    """How the leak is measured."""
+
+    samples: int = 2000
+    """At most so many test frames, spread evenly over the trajectories of the test split."""
+    seed: int = 0
+    """Draws the random split of frames."""
+    resamples: int = 1000
+    """Bootstrap resamples, by trajectory."""
+
+
+@dataclass(frozen=True)
+class Retrieval:
+    """What retrieval finds for N test frames under one split."""
+
+    sample: Sample
+    train: int
+    """Frames that could be looked up."""
+    images: Tensor
+    """(N, 128, 128) uint8, the retrieved frames."""
+    figures: dict[str, np.ndarray]
+    """(N,) each: `ssim`, `psnr` dB, `position` mm, `rotation` degrees, `same_trajectory` 0 or 1,
+    `seconds` between the two frames, NaN where they are of two trajectories."""
+
+
+@dataclass(frozen=True)
+class Leakage:
+    """The report's content, and the retrievals it speaks of, by split."""
+
+    content: dict[str, Any]
+    retrievals: dict[str, Retrieval]
+
+
+def measure_leakage(
+    store: FrameStore, config: LeakageConfig | None = None, progress: Progress | None = None
+) -> Leakage:
+    """Score nearest-pose retrieval under a split by frames and one by trajectories.
+
+    Where the dataset holds out a session, under that split too, on frames of that session.
+
+    Args:
+        store: The dataset.
+        config: Number of frames, seed, intervals.
+        progress: Told of poses looked up, as they come.
+
+    Raises:
+        RacinesError: no poses, or an empty train or test split.
+    """
+    began = time.perf_counter()
+    config = config or LeakageConfig()
+    if not bool(store.parameters[:, 6:].isfinite().all()):
+        raise RacinesError(f"the {store.manifest['source']} dataset has no poses to look up")
+    train = store.split_indices("train")
+    order = torch.randperm(len(store.images), generator=torch.Generator().manual_seed(config.seed))
+    drawn = order[: len(train)].sort().values  # what a random split of frames would train on
+    rows = store.split_indices("test")
+    rows = rows[~torch.isin(rows, drawn)]
+    if not len(train) or not len(rows):
+        raise RacinesError("too few frames in train and test: rebuild with more trajectories")
+    sample = spread_sample(store, rows, config.samples)
+    retrievals = {
+        "trajectory": _retrieve(store, sample, train, progress),
+        "frame": _retrieve(store, sample, drawn, progress),
+    }
+    held = store.manifest.get("held_out_session")
+    if held is not None:
+        retrievals["session"] = _retrieve(store, *_session(store, held, config), progress)
+    content = {
+        "schema": SCHEMA,
+        "dataset": dataset_card(store),
+        "seed": config.seed,
+        "sample": sample.digest,
+        "splits": {name: _summary(each, config) for name, each in retrievals.items()},
+        "gain": _gain(retrievals, config),
+        "settings": {
+            "metres_per_radian": NearestPoseConfig().metres_per_radian,
+            "ssim": metrics.SSIM_SETTINGS,
+            "psnr": metrics.PSNR_SETTINGS,
+        },
+        "code": code_version(),
+        "environment": environment(),
+        "seconds": round(time.perf_counter() - began, 3),
+    }
+    return Leakage(content, retrievals)
+
+
+def _session(store: FrameStore, held: str, config: LeakageConfig) -> tuple[Sample, Tensor]:
+    """Return frames of the held-out session, evenly spread, and the rows of the others."""
+    out = torch.tensor([session == held for session in store.sessions])[store.trajectory_index]
+    sample = spread_sample(store, out.nonzero()[:, 0], config.samples)
+    return sample, (~out).nonzero()[:, 0]
+
+
+def _retrieve(
+    store: FrameStore, sample: Sample, train: Tensor, progress: Progress | None
+) -> Retrieval:
+    retrieval = NearestPose()
+    retrieval.keys = retrieval.embed(store.parameters[train])
+    parts = []
+    for queries in sample.frames.parameters.split(CHUNK):
+        parts.append(train[retrieval.nearest(queries)[0]])
+        if progress is not None:
+            progress(len(queries))
+    found = store.take(torch.cat(parts))
+    ours, theirs = (parameters_to_pose(x.parameters.double()) for x in (sample.frames, found))
+    same = store.trajectory_index[sample.frames.index] == store.trajectory_index[found.index]
+    apart = (store.timestamps[sample.frames.index] - store.timestamps[found.index]).abs()
+    figures = {
+        "ssim": metrics.ssim(found.images, sample.frames.images),
+        "psnr": metrics.psnr(found.images, sample.frames.images),
+        **_distances(ours, theirs),
+        "same_trajectory": same,
+        "seconds": torch.where(same, apart, torch.nan),
+    }
+    values = {name: each.double().numpy() for name, each in figures.items()}
+    return Retrieval(sample, len(train), found.images, values)
+
+
+def _distances(ours: Pose, theirs: Pose) -> dict[str, Tensor]:
+    shift = (ours.position - theirs.position).norm(dim=-1)
+    turn = geodesic(ours.rotation, theirs.rotation)
+    return {"position": 1e3 * shift, "rotation": torch.rad2deg(turn)}
+
+
+def _summary(retrieval: Retrieval, config: LeakageConfig) -> dict[str, Any]:
+    figures = retrieval.figures
+
+    def mean(name: str, unit: str | None = None) -> dict[str, Any]:
+        estimate = bootstrap_mean(
+            figures[name], retrieval.sample.trajectory, resamples=config.resamples
+        )
+        return estimate.to_json(unit)
+
+    def median(name: str) -> float | None:
+        present = figures[name][np.isfinite(figures[name])]
+        return float(np.median(present)) if len(present) else None
+
+    return {
+        "train": retrieval.train,
+        "ssim": mean("ssim"),
+        "psnr": mean("psnr", "dB"),
+        "position_mm": median("position"),
+        "rotation_deg": median("rotation"),
+        "same_trajectory": float(figures["same_trajectory"].mean()),
+        "seconds": median("seconds"),
+    }
+
+
+def _gain(retrievals: dict[str, Retrieval], config: LeakageConfig) -> dict[str, Any]:
+    """Return what the frame split adds, frame by frame, with intervals by trajectory."""
+    frame, trajectory = retrievals["frame"], retrievals["trajectory"]
+    gain = {}
+    for name, unit in (("ssim", None), ("psnr", "dB")):
+        difference = frame.figures[name] - trajectory.figures[name]
+        estimate = bootstrap_mean(
+            difference, trajectory.sample.trajectory, resamples=config.resamples
+        )
+        gain[name] = estimate.to_json(unit)
+    return gain

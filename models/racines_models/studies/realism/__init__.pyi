@@ -1,0 +1,3 @@
+from .report import RealismConfig as RealismConfig
+
+__all__ = ["RealismConfig"]

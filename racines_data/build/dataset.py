@@ -1,0 +1,232 @@
+"""Building a dataset: one writer, whatever the source.
+
+    source.plan() ─> staged units ─> groups by (split, held-out session) ─> Parquet shards
+                                                                         └> training store
+    and, where there are many hearts, the same for them under `multi_phantom`, split by heart
+                  ─> manifest.json, README.md, canonical frames, import report ─> swapped in place
+
+Nothing of the result depends on the time, the number of workers or the order they finish in.
+"""
+
+import dataclasses
+import re
+import resource
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from racines_data.build.shards import Part
+from racines_data.build.splits import assign_group_splits, assign_splits, held_out_session
+from racines_data.build.staging import stage_units, staging_folder
+from racines_data.build.writer import write_dataset
+from racines_data.config import fill
+from racines_data.digest import recipe_digest
+from racines_data.errors import RacinesError
+from racines_data.files import recover_folder, swap_folder
+from racines_data.manifest import MANIFEST, MULTI_PHANTOM
+from racines_data.sources.base import Finding, Source, Unit, source_class, source_names
+
+FORMAT = 3
+"""Version of the layout of units, shards and store; part of every recipe."""
+
+
+@dataclass(frozen=True)
+class DataConfig:
+    """How a dataset is built. Settings of a source stand in a section of its name beside these."""
+
+    source: str = "phantom"
+    """Name of the source."""
+    frames: int = 6000
+    """Frames to acquire, where the source can choose."""
+    seed: int = 0
+    """Seed of the acquisition and of the splits."""
+    workers: int = 2
+    """Worker processes; the result does not depend on it."""
+    shards: int = 16
+    """Parquet shards of `frames`, at least (never more than there are frames)."""
+    validation: float = 0.15
+    """Share of trajectories for validation."""
+    test: float = 0.15
+    """Share of trajectories for test."""
+    strict: bool = False
+    """Stop at the first input that is refused."""
+    max_refused: float = 0.2
+    """Largest share of frames that may be refused."""
+
+
+def read_data_section(values: Mapping[str, Any]) -> tuple[DataConfig, dict[str, dict[str, Any]]]:
+    """Split the `data` section of a params file into the builder's part and the sources' parts.
+
+    Beside the sources, `multi_phantom` has a section of its own.
+
+    Raises:
+        RacinesError: an unknown key, or a value of the wrong type.
+    """
+    names = (*source_names(), MULTI_PHANTOM)
+    sections = {key: dict(value or {}) for key, value in values.items() if key in names}
+    rest = {key: value for key, value in values.items() if key not in names}
+    return fill(DataConfig, rest, "data"), sections
+
+
+def make_source(
+    config: DataConfig, section: Mapping[str, Any] | None = None, inputs: Sequence[Path] = ()
+) -> Source:
+    """Make the source that a config names; it gets `frames` and `seed` if it has such settings.
+
+    Raises:
+        RacinesError: no such source, or it refuses its settings or inputs.
+    """
+    kind = source_class(config.source)
+    known = {field.name for field in dataclasses.fields(kind.Config)}
+    shared = {"frames": config.frames, "seed": config.seed}
+    given = {key: value for key, value in shared.items() if key in known}
+    return kind.from_config({**given, **(section or {})}, inputs)
+
+
+def make_multi_phantom(
+    source: Source, config: DataConfig, section: Mapping[str, Any] | None = None
+) -> Source | None:
+    """Make the source of many hearts that goes with the phantom; none if no hearts are asked for.
+
+    Other sources have no other hearts: the section is then left unread.
+
+    Raises:
+        RacinesError: unknown or impossible settings.
+    """
+    from racines_data.sources.multi_phantom import MultiPhantomSource
+    from racines_data.sources.phantom import PhantomSource
+
+    if not isinstance(source, PhantomSource):
+        return None
+    settings = {"seed": config.seed, **(section or {})}
+    many = MultiPhantomSource.from_config(settings, acquisition=source.config)
+    return many if many.config.hearts else None
+
+
+def build(
+    source: Source,
+    out: Path,
+    config: DataConfig | None = None,
+    progress: bool = False,
+    many: Source | None = None,
+) -> dict[str, Any]:
+    """Build a dataset and swap it into place; a build that was killed goes on where it stopped.
+
+    Args:
+        source: Where the trajectories come from.
+        out: Folder of the dataset. An older dataset there is replaced when the new one is whole.
+        config: Splits, shards, workers, limits.
+        progress: Show a progress bar on stderr.
+        many: Source of the config `multi_phantom`; each of its sessions is one heart.
+
+    Returns:
+        The manifest.
+
+    Raises:
+        RacinesError: the source refuses its input, too much is refused, `out` holds something
+            else, or another build of it is running.
+    """
+    config = config or DataConfig()
+    out = out.resolve()  # a link to the dataset stays a link
+    _check_out(out)
+    if config.workers < 1 or config.shards < 1:
+        raise RacinesError("data.workers and data.shards must be one or more")
+    _check_version(source)
+    units = _plan(source, config)
+    many_units = [] if many is None else _plan(many, config)
+    recipe = _recipe(source, config, many)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with staging_folder(out, source, recipe_digest(recipe)) as folder:
+        shares = config.validation, config.test, config.seed
+        splits = assign_splits(units, *shares)
+        held = held_out_session(units)
+        main = Part("frames", source, units, splits, folder / "frames", held)
+        stage_units(source, units, main.folder, config.workers, progress)
+        part = None
+        if many is not None:
+            splits = assign_group_splits(many_units, *shares)
+            part = Part(MULTI_PHANTOM, many, many_units, splits, folder / MULTI_PHANTOM)
+            stage_units(many, many_units, part.folder, config.workers, progress, by_session=True)
+        final = folder / f"final-{config.shards}"  # what is whole there has the same bounds
+        manifest = write_dataset(final, main, part, recipe, config.shards, progress)
+        swap_folder(final, out)
+    return manifest
+
+
+def recipe_of(values: Mapping[str, Any]) -> str:
+    """Return the recipe digest of the dataset that a `data` section builds; nothing is built.
+
+    Raises:
+        RacinesError: as `build`; so for recordings, whose recipe is known once they are read.
+    """
+    config, sections = read_data_section(values)
+    source = make_source(config, sections.get(config.source))
+    many = make_multi_phantom(source, config, sections.get(MULTI_PHANTOM))
+    return recipe_digest(_recipe(source, config, many))
+
+
+def peak_memory(workers: int) -> int:
+    """Return an upper bound of the bytes that this process and its workers held at once.
+
+    The most that this process has held, and as often as there are workers the most that any one
+    process that it has started and awaited has held; what they share is counted several times.
+    """
+    own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    child = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+    return 1024 * (own + (workers * child if workers > 1 else 0))
+
+
+def _plan(source: Source, config: DataConfig) -> list[Unit]:
+    units = list(source.plan())
+    _check_report(source.report, units, config)
+    _check_units(units, source)
+    return units
+
+
+def _check_version(source: Source) -> None:
+    if not re.fullmatch(r"\d+\.\d+\.\d+", source.version):
+        raise RacinesError(f"source {source.name}: version {source.version!r} is not x.y.z")
+
+
+def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str, Any]:
+    others = {} if many is None else {MULTI_PHANTOM: many.recipe()}
+    return {
+        "format": FORMAT,
+        "source": source.name,
+        "version": source.version,
+        "splits": {"seed": config.seed, "validation": config.validation, "test": config.test},
+        "settings": source.recipe(),
+        **others,
+    }
+
+
+def _check_out(out: Path) -> None:
+    recover_folder(out)
+    if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
+        raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
+
+
+def _check_units(units: Sequence[Unit], source: Source) -> None:
+    if not units:
+        raise RacinesError(f"source {source.name}: no trajectory to build from")
+    ids = [unit.id for unit in units]
+    if len(set(ids)) < len(ids):
+        twice = next(name for name in ids if ids.count(name) > 1)
+        raise RacinesError(f"source {source.name}: trajectory {twice!r} occurs twice")
+
+
+def _check_report(report: Sequence[Finding], units: Sequence[Unit], config: DataConfig) -> None:
+    refused = [finding for finding in report if finding.refused]
+    if not refused:
+        return
+    first = f"{refused[0].file} {refused[0].item}: {refused[0].reason}"
+    if config.strict:
+        raise RacinesError(f"refused (--strict): {first}")
+    lost = sum(finding.frames for finding in refused)
+    total = lost + sum(unit.frames for unit in units)
+    if lost > config.max_refused * total:
+        raise RacinesError(
+            f"{lost} of {total} frames refused, more than max_refused {config.max_refused}; "
+            f"first: {first}"
+        )

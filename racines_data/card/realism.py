@@ -1,0 +1,111 @@
+"""The section of a card on how near the simulated frames are to real ones.
+
+It is written after the build, from reports of `racines eval realism`; the manifest keeps them under
+`realism`, and under `realism_pictures` the pictures shown with them.
+"""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from racines_data.card.tables import number, table
+from racines_data.errors import RacinesError
+from racines_data.manifest import MULTI_PHANTOM
+
+SCHEMA = "racines.realism/1"
+_DIGITS = {"kid": 4, "fid": 1, "local_contrast": 2}
+_TITLES = {
+    "kid": "KID, Inception pool3, equal n",
+    "fid": "FID, Inception pool3, equal n",
+    "gray": "gray histogram, Wasserstein, gray levels",
+    "gray_by_cell": "the same in 3 × 3 cells of the sector",
+    "gray_by_depth": "mean gray by depth, r.m.s., gray levels",
+    "local_contrast": "local contrast (5 × 5), Wasserstein, gray levels",
+}
+_INTRODUCTION = (
+    "A distance to real frames means nothing alone, so each figure stands beside that of two "
+    "halves of the real set, which a perfect simulator would reach. Same sector mask, equal n; "
+    "mean and range over random halves of the patients. The real frames are compared with and are "
+    "not part of this dataset."
+)
+
+
+def check_realism(content: Mapping[str, Any], manifest: Mapping[str, Any], name: str) -> None:
+    """Check that a report is one, has figures, and measures this dataset.
+
+    Args:
+        content: The report.
+        manifest: The dataset's manifest.
+        name: The file, for the error.
+
+    Raises:
+        RacinesError: it does not.
+    """
+    if content.get("schema") != SCHEMA:
+        raise RacinesError(f"{name}: schema is {content.get('schema')!r}, expected {SCHEMA!r}")
+    if not content.get("compared", True) or "kid" not in content.get("figures", {}):
+        raise RacinesError(f"{name}: holds no comparison; run: racines eval realism --real FILE")
+    many = manifest.get(MULTI_PHANTOM) or {}
+    digest = content.get("dataset", {}).get("digest")
+    if digest not in (None, manifest["digest"], many.get("digest")):
+        raise RacinesError(
+            f"{name}: measures another dataset (content {digest[:16]}, here "
+            f"{manifest['digest'][:16]}); run racines eval realism on this one"
+        )
+
+
+def realism_section(manifest: Mapping[str, Any]) -> str:
+    """Return the section as Markdown, empty where nothing was measured."""
+    reports = manifest.get("realism") or []
+    if not reports:
+        return ""
+    parts = ["## Realism", _INTRODUCTION]
+    for content in reports:
+        parts += [_measured(content), _figures(content), *_ablation(content)]
+    for name in manifest.get("realism_pictures", []):
+        parts.append(f"![{Path(name).stem}]({name})")
+    return "\n\n".join(parts)
+
+
+def _measured(content: Mapping[str, Any]) -> str:
+    config = content.get("config") or content.get("dataset", {}).get("config")
+    real = content.get("real", {})
+    told = f"{content['phantom_frames']} simulated" if "phantom_frames" in content else "Simulated"
+    told += f" {content.get('view', '')} frames"
+    if "grade_at_least" in content:
+        told += f" of grade {content['grade_at_least']:g} or more"
+    if config:
+        told += f" of `{config}`"
+    if "frames" in real:
+        told += f" beside {real['frames']} real ones of {real.get('patients', '?')} patients"
+    if "n" in content:
+        told += f"; n = {content['n']}"
+    return f"{told}:"
+
+
+def _figures(content: Mapping[str, Any]) -> str:
+    rows = []
+    for key, figure in content["figures"].items():
+        cells = (_range(figure[side], _DIGITS.get(key, 1)) for side in ("phantom", "real"))
+        rows.append((_TITLES.get(key, figure.get("rule", key)), *cells))
+    return table(("figure", "simulated to real", "real to real"), rows, right=1)
+
+
+def _range(value: Mapping[str, float], digits: int) -> str:
+    low, high = (number(value[key], digits) for key in ("low", "high"))
+    return f"{number(value['value'], digits)} ({low} – {high})"
+
+
+def _ablation(content: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what each part of the physics brings, where the report has it."""
+    rows = content.get("ablation") or []
+    if rows:
+        yield "What each part of the simulation brings (KID without it, and the change):"
+        cells = [(row["name"], number(row["kid"]), _signed(row.get("change"))) for row in rows]
+        yield table(("left out or changed", "KID", "change"), cells, right=1)
+
+
+def _signed(value: float | None) -> str:
+    if value is None:
+        return ""
+    return f"+{number(value)}" if value > 0 else number(value)

@@ -1,0 +1,39 @@
+"""The command `racines data card`. Heavy imports stand inside."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from racines_data.cli.data import AsJson, data
+
+
+@data.command()
+def card(
+    root: Annotated[Path | None, typer.Argument(help="Folder of the dataset.")] = None,
+    realism: Annotated[
+        list[Path] | None,
+        typer.Option(help="Report of racines eval realism on it; repeat for several."),
+    ] = None,
+    picture: Annotated[
+        list[Path] | None, typer.Option(help="PNG shown with the report; repeat for several.")
+    ] = None,
+    draw: Annotated[bool, typer.Option("--draw", help="Draw the other pictures again.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write a dataset's card anew, with realism figures where given; the content stays."""
+    from racines_data.card.rewrite import rewrite_card
+    from racines_data.manifest import CARD, default_root
+
+    folder = default_root(root)
+    manifest = rewrite_card(folder, realism or (), picture or (), draw)
+    if as_json:
+        record = manifest["files"][CARD]
+        shown = [name for name in manifest["files"] if name.startswith("card/")]
+        told = {"card": str(folder / CARD), **record, "pictures": shown}
+        typer.echo(json.dumps({**told, "digest": manifest["digest"]}))
+    else:
+        typer.echo(
+            f"{folder / CARD}: written, {len(manifest.get('realism', []))} realism report(s)"
+        )

@@ -1,0 +1,90 @@
+"""The commands `racines data push` and `racines data pull`: to and from the Hugging Face Hub."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from racines_data.cli.data import data
+
+if TYPE_CHECKING:
+    from racines_data.hub.push import Push
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print the figures as JSON on stdout.")]
+Repository = Annotated[str, typer.Argument(metavar="REPO_ID", help="OWNER/NAME on the Hub.")]
+
+
+@data.command()
+def push(
+    repo_id: Repository,
+    root: Annotated[Path | None, typer.Option(help="Folder of the dataset.")] = None,
+    tag: Annotated[str | None, typer.Option(help="Tag; default SOURCE-vX.Y.Z.")] = None,
+    revision: Annotated[str, typer.Option(help="Branch to push to.")] = "main",
+    private: Annotated[bool, typer.Option(help="Make a new repository private.")] = False,
+    with_store: Annotated[
+        bool, typer.Option(help="Send the training stores too; `pull` can make them again.")
+    ] = False,
+    dry_run: Annotated[bool, typer.Option(help="Say what would go, without network.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Upload a dataset to the Hub and tag it; the token is that of the environment (HF_TOKEN)."""
+    from racines_data.hub.push import plan_push
+    from racines_data.hub.push import push as push_dataset
+    from racines_data.manifest import default_root
+
+    folder = default_root(root)
+    plan = plan_push(folder, repo_id, tag, revision, with_store)
+    if dry_run:
+        made = {**plan.to_json(), "private": private, "dry_run": True}
+    else:
+        made = {**push_dataset(folder, plan, private), "private": private, "dry_run": False}
+    if as_json:
+        typer.echo(json.dumps(made))
+    elif dry_run:
+        _print_plan(plan, private)
+    elif made["uploaded"]:
+        typer.echo(f"{repo_id}: {len(plan.files)} files, {_size(plan.bytes)}, tag {plan.tag}")
+    else:
+        typer.echo(f"{repo_id}: has {plan.tag} already, with these very files")
+
+
+def _print_plan(plan: "Push", private: bool) -> None:
+    for name, record in sorted(plan.files.items()):
+        typer.echo(f"{_size(record['bytes']):>10}  {name}")
+    for name, count in sorted(plan.left_out.items()):
+        typer.echo(f"{_size(count):>10}  {name}  (stays here; --with-store sends it)")
+    typer.echo(
+        f"would send {len(plan.files)} files, {_size(plan.bytes)}, to dataset {plan.repo_id} "
+        f"({'private' if private else 'public'} if new), branch {plan.revision}, tag {plan.tag}, "
+        f"content sha256 {plan.digest}"
+    )
+
+
+def _size(count: float) -> str:
+    for unit in ("B", "kB", "MB"):
+        if count < 1000:
+            return f"{count:.{0 if unit == 'B' else 1}f} {unit}"
+        count /= 1000
+    return f"{count:.2f} GB"
+
+
+@data.command()
+def pull(
+    repo_id: Repository,
+    version: Annotated[str | None, typer.Option(help="x.y.z or a tag; default the newest.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder; default the Hub's cache.")] = None,
+    store: Annotated[bool, typer.Option(help="Make the training stores from the shards.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Fetch a dataset from the Hub, check every digest, and make its training store."""
+    from racines_data.hub.fetch import download
+    from racines_data.manifest import read_manifest
+
+    root = download(repo_id, version, out, stores=store)
+    manifest = read_manifest(root)
+    if as_json:
+        keys = ("source", "version", "digest", "counts")
+        typer.echo(json.dumps({"root": str(root), **{key: manifest[key] for key in keys}}))
+    else:
+        typer.echo(f"{root}: {manifest['source']} {manifest['version']}, digests hold")

@@ -1,0 +1,5 @@
+"""Export to LeRobot 3: episodes of frames, with the statistics that its loaders ask for."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

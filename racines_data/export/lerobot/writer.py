@@ -1,0 +1,277 @@
+"""A dataset in the LeRobot format, v3.0: images stay PNG in Parquet, byte for byte; no video.
+
+    meta/info.json                              features, counts, splits as ranges of episodes
+    meta/stats.json                             statistics of every feature
+    meta/tasks.parquet                          one task a target view
+    meta/episodes/chunk-000/file-000.parquet    one row a trajectory: bounds, task, statistics
+    meta/racines.json                           source, version, digests, labels
+    data/chunk-000/file-000.parquet             one row a frame, whole trajectories a file
+
+Format: LeRobotDataset v3.0 (Hugging Face, lerobot 0.4). An episode is a trajectory. `timestamp` is
+seconds since its first frame. `action` is the commanded velocity at the frame. Images have one
+channel, as recorded; `view` is -1 and numbers are NaN where unknown.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from datasets import Features, Image, List, Value
+
+from racines_data.errors import RacinesError
+from racines_data.export.lerobot.statistics import Statistics, image_histogram
+from racines_data.files import write_json
+from racines_data.imaging import IMAGE_SIZE
+from racines_data.manifest import describe, manifest_labels, read_manifest
+from racines_data.progress import progress_bar
+from racines_data.records import float_columns
+from racines_data.schema import CONTROLS, PARAMETERS, SPLITS
+from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
+
+IMAGE = "observation.images.ultrasound"
+CHUNK_FILES = 1000
+FILE_MEGABYTES = 100
+_DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_INDICES = ("frame_index", "episode_index", "index", "task_index")
+_FEATURES: dict[str, dict[str, Any]] = {
+    IMAGE: {
+        "dtype": "image",
+        "shape": [IMAGE_SIZE, IMAGE_SIZE, 1],
+        "names": ["height", "width", "channels"],
+    },
+    "observation.state": {"dtype": "float32", "shape": [12], "names": list(PARAMETERS)},
+    "action": {"dtype": "float32", "shape": [6], "names": list(CONTROLS)},
+    "view": {"dtype": "int64", "shape": [1], "names": None},
+    "grade": {"dtype": "float32", "shape": [1], "names": None},
+    "timestamp": {"dtype": "float32", "shape": [1], "names": None},
+    **{name: {"dtype": "int64", "shape": [1], "names": None} for name in _INDICES},
+}
+
+
+def export(
+    root: Path,
+    out: Path,
+    split: str | None = None,
+    limit: int | None = None,
+    progress: bool = False,
+) -> dict[str, Any]:
+    """Write a dataset in the LeRobot format.
+
+    Args:
+        root: Folder of the dataset.
+        out: New folder to write: `LeRobotDataset(NAME, root=out)` opens it.
+        split: One split only; default all, as ranges of episodes in `meta/info.json`.
+        limit: Frames to write, the first in the dataset's order.
+        progress: Show a progress bar on stderr.
+
+    Returns:
+        `out`, counts, `fps`, `splits` as ranges of episodes, and notes.
+
+    Raises:
+        RacinesError: `out` exists, there is no such dataset or split, or no commanded velocity.
+    """
+    manifest = read_manifest(root)
+    with new_folder(out) as folder, progress_bar(progress) as bar:
+        task = bar.add_task("frames", total=None)
+        writer = _Writer(folder, manifest_labels(manifest))
+        for sweep in read_sweeps(root, split, limit):
+            writer.add(sweep)
+            bar.advance(task, len(sweep))
+        writer.close()
+        if writer.missing == writer.frames:
+            raise RacinesError(
+                f"{root}: {manifest['source']} data have no commanded velocity, hence no actions"
+            )
+        info = _write_meta(folder, writer, manifest)
+    missing = f"{writer.missing} of {writer.frames} frames have no commanded velocity: NaN"
+    return {
+        "out": str(out),
+        "format": "lerobot",
+        "frames": writer.frames,
+        "trajectories": len(writer.episodes),
+        "fps": info["fps"],
+        "splits": info["splits"],
+        "notes": [missing] if writer.missing else [],
+    }
+
+
+def task_of(target_view: str, random: str) -> str:
+    """Return the sentence that tells a policy what a sweep aims at."""
+    if target_view == random:
+        return "Scan freely, with no target view."
+    return f"Move the probe until the image shows the {target_view} view."
+
+
+@dataclass
+class _Writer:
+    """Writes the frames, whole trajectories a file, and keeps what the metadata need."""
+
+    folder: Path
+    labels: tuple[str, ...]
+    frames: int = 0
+    missing: int = 0
+    episodes: list[dict[str, Any]] = field(default_factory=list)
+    tasks: dict[str, int] = field(default_factory=dict)
+    intervals: list[np.ndarray] = field(default_factory=list)
+    statistics: Statistics = field(default_factory=Statistics)
+    _files: int = 0
+    _bytes: int = 0
+    _open: pq.ParquetWriter | None = None
+
+    def add(self, sweep: Sweep) -> None:
+        """Write one trajectory as the next episode."""
+        task = task_of(sweep.first("target_view"), self.labels[-1])
+        index = self.tasks.setdefault(task, len(self.tasks))
+        columns = _columns(sweep, len(self.episodes), self.frames, index)
+        chunk, number = self._write(sweep, columns)
+        own = Statistics()
+        own.add(columns, image_histogram(sweep, self.frames))
+        self.statistics.merge(own)
+        self.missing += int(np.isnan(columns["action"]).any(-1).sum())
+        self.intervals.append(np.diff(sweep.table["timestamp"].to_numpy()))
+        self.episodes.append(
+            {
+                "episode_index": len(self.episodes),
+                "tasks": [task],
+                "length": len(sweep),
+                "data/chunk_index": chunk,
+                "data/file_index": number,
+                "dataset_from_index": self.frames,
+                "dataset_to_index": self.frames + len(sweep),
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+                "split": sweep.split,
+                **{name: sweep.first(name) for name in ("trajectory", "session", "target_view")},
+                "phantom": sweep.first("phantom"),
+                **{
+                    f"stats/{name}/{key}": value
+                    for name, values in own.result(IMAGE).items()
+                    for key, value in values.items()
+                },
+            }
+        )
+        self.frames += len(sweep)
+
+    def _write(self, sweep: Sweep, columns: Mapping[str, np.ndarray]) -> tuple[int, int]:
+        """Write the rows; return the chunk and the number of the file they went to."""
+        features = hf_features()
+        arrays = [sweep.table["image"].combine_chunks()]
+        arrays += [_array(columns[name]) for name in features if name != IMAGE]
+        table = pa.table(arrays, schema=features.arrow_schema)
+        if self._open is not None and self._bytes + table.nbytes > FILE_MEGABYTES * 2**20:
+            self.close()
+        chunk, number = divmod(self._files, CHUNK_FILES)
+        if self._open is None:
+            path = self.folder / _DATA.format(chunk_index=chunk, file_index=number)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._open = pq.ParquetWriter(path, table.schema, use_dictionary=False)
+        self._open.write_table(table)
+        self._bytes += table.nbytes
+        return chunk, number
+
+    def close(self) -> None:
+        """End the file that is being written."""
+        if self._open is not None:
+            self._open.close()
+            self._open, self._bytes, self._files = None, 0, self._files + 1
+
+
+def hf_features() -> Features:
+    """Return the features of the data files as `datasets` has them."""
+    made: dict[str, Any] = {IMAGE: Image()}
+    for name, about in _FEATURES.items():
+        if name != IMAGE:
+            value, size = Value(about["dtype"]), about["shape"][0]
+            made[name] = value if size == 1 else List(value, length=size)
+    return Features(made)
+
+
+def _columns(sweep: Sweep, episode: int, start: int, task: int) -> dict[str, np.ndarray]:
+    table, count = sweep.table, len(sweep)
+    times = table["timestamp"].to_numpy()
+    return {
+        "observation.state": float_columns(table, PARAMETERS),
+        "action": float_columns(table, CONTROLS),
+        "view": table["view"].fill_null(-1).to_numpy(),
+        "grade": float_columns(table, ["grade"])[:, 0],
+        "timestamp": (times - times[0]).astype(np.float32),
+        "frame_index": np.arange(count),
+        "episode_index": np.full(count, episode),
+        "index": np.arange(start, start + count),
+        "task_index": np.full(count, task),
+    }
+
+
+def _array(values: np.ndarray) -> pa.Array:
+    flat = pa.array(np.ascontiguousarray(values).ravel())
+    if values.ndim == 1:
+        return flat
+    return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+
+
+def _write_meta(folder: Path, writer: _Writer, manifest: Mapping[str, Any]) -> dict[str, Any]:
+    info = {
+        "codebase_version": "v3.0",
+        "robot_type": f"racines-{manifest['source']}",
+        "total_episodes": len(writer.episodes),
+        "total_frames": writer.frames,
+        "total_tasks": len(writer.tasks),
+        "chunks_size": CHUNK_FILES,
+        "data_files_size_in_mb": FILE_MEGABYTES,
+        "video_files_size_in_mb": 200,
+        "fps": _rate(writer.intervals),
+        "splits": _splits(writer.episodes),
+        "data_path": _DATA,
+        "video_path": None,
+        "features": _FEATURES,
+    }
+    write_json(folder / "meta/info.json", info)
+    write_json(folder / "meta/stats.json", writer.statistics.result(IMAGE))
+    keys = ("source", "version", "digest", "recipe_digest")
+    about = {**{key: manifest[key] for key in keys}, "labels": list(writer.labels)}
+    write_json(folder / "meta/racines.json", {**about, "description": describe(manifest)})
+    tasks = pd.DataFrame(
+        {"task_index": [*writer.tasks.values()]}, index=pd.Index([*writer.tasks], name="task")
+    )
+    tasks.to_parquet(folder / "meta/tasks.parquet")
+    path = folder / "meta/episodes/chunk-000/file-000.parquet"
+    path.parent.mkdir(parents=True)
+    pq.write_table(pa.Table.from_pylist(writer.episodes), path)
+    (folder / "README.md").write_text(_card(manifest, info))
+    return info
+
+
+def _rate(intervals: list[np.ndarray]) -> int | float:
+    """Return frames per second: the median, whole if it is within a thousandth of a whole one."""
+    gaps = np.concatenate(intervals)
+    gaps = gaps[gaps > 0]
+    rate = float(1 / np.median(gaps)) if len(gaps) else 1.0
+    return round(rate) if round(rate) and abs(rate - round(rate)) < 1e-3 * rate else round(rate, 3)
+
+
+def _splits(episodes: list[dict[str, Any]]) -> dict[str, str]:
+    ranges = {}
+    for split in SPLITS:
+        of = [row["episode_index"] for row in episodes if row["split"] == split]
+        if of:
+            ranges[split] = f"{of[0]}:{of[-1] + 1}"
+    return ranges
+
+
+def _card(manifest: Mapping[str, Any], info: Mapping[str, Any]) -> str:
+    return (
+        "---\ntags: [LeRobot, ultrasound, robotics]\ntask_categories: [robotics]\n"
+        'configs:\n- config_name: default\n  data_files: "data/*/*.parquet"\n---\n'
+        f"**RACINES, {describe(manifest)}.**\n\nLeRobot v3.0: {info['total_episodes']} episodes, "
+        f"{info['total_frames']} frames at {info['fps']} per second; splits as ranges of episodes: "
+        f"{json.dumps(info['splits'])}.\n\n`observation.state` and `action` in the robot's base "
+        "frame: m, rad, N, N·m; m/s, rad/s. Images have one channel; policies that want three: "
+        "`image_transforms=torchvision.transforms.v2.RGB()`.\n\nResearch data, not for clinical "
+        "use.\n"
+    )

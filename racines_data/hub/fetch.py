@@ -1,0 +1,108 @@
+"""A dataset from the Hugging Face Hub: by its tag, its digests checked."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from racines_data.digest import check_files
+from racines_data.errors import RacinesError
+from racines_data.manifest import read_manifest
+
+if TYPE_CHECKING:
+    from huggingface_hub import HfApi
+
+KIND = "dataset"
+STORE_FOLDER = "store/"
+_TAG = re.compile(r"^(?P<source>.+)-v(?P<version>\d+\.\d+\.\d+)$")
+
+
+def download(
+    repo_id: str,
+    version: str | None = None,
+    out: Path | None = None,
+    stores: bool = False,
+    api: "HfApi | None" = None,
+) -> Path:
+    """Fetch a dataset from the Hub by its tag and check every digest.
+
+    Files that are here already are not fetched again.
+
+    Args:
+        repo_id: `OWNER/NAME` on the Hub.
+        version: Version x.y.z, or a tag such as `phantom-v1.0.0`, which also works offline once it
+            was fetched; default the newest.
+        out: Folder to write; default the Hub's cache.
+        stores: Have the training stores too, made from the shards where the Hub has none.
+        api: Client of the Hub.
+
+    Returns:
+        The dataset's folder.
+
+    Raises:
+        RacinesError: no such repository or version, or a damaged file.
+    """
+    from huggingface_hub import HfApi
+
+    client = api or HfApi(library_name="racines")
+    with hub_errors(repo_id, "check the name, the network and HF_TOKEN, then run again"):
+        tag = version if version and _TAG.match(version) else _find_tag(client, repo_id, version)
+        path = client.snapshot_download(
+            repo_id,
+            repo_type=KIND,
+            revision=tag,
+            local_dir=out,
+            ignore_patterns=None if stores else [f"{STORE_FOLDER}*"],
+        )
+    root = Path(path)
+    manifest = read_manifest(root)
+    wanted = {n: r for n, r in manifest["files"].items() if not n.startswith(STORE_FOLDER)}
+    check_files(root, wanted, f"delete it and fetch {repo_id} again")
+    if stores:
+        from racines_data.store.restore import restore_stores
+
+        restore_stores(root)
+    return root
+
+
+def _find_tag(client: "HfApi", repo_id: str, version: str | None) -> str:
+    names = [ref.name for ref in client.list_repo_refs(repo_id, repo_type=KIND).tags]
+    found = [match for name in names if (match := _TAG.match(name))]
+    if version is None and found:
+        newest = max(_numbers(match["version"]) for match in found)
+        found = [match for match in found if _numbers(match["version"]) == newest]
+    elif version is not None:
+        found = [match for match in found if match["version"] == version]
+    if len(found) == 1:
+        return found[0][0]
+    known = ", ".join(names) or "none"
+    if not found:
+        raise RacinesError(f"{repo_id}: no version {version or ''} there; its tags: {known}")
+    raise RacinesError(
+        f"{repo_id}: version {found[0]['version']} of several sources; name one of the tags {known}"
+    )
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in version.split("."))
+
+
+@contextmanager
+def hub_errors(repo_id: str, remedy: str) -> Iterator[None]:
+    """Turn whatever the Hub's client raises into a RacinesError with the remedy."""
+    try:
+        yield
+    except RacinesError:
+        raise
+    except Exception as error:  # of the client, of its transport, of its file transfer
+        reason = str(error).strip().splitlines() or [""]
+        raise RacinesError(
+            f"{repo_id}: the Hub refused or failed ({type(error).__name__}: {reason[0]}); {remedy}"
+        ) from error
+
+
+def hub_files(client: "HfApi", repo_id: str, revision: str) -> dict[str, Any]:
+    """Return the files of a revision, by path, with `size` and, of large ones, `lfs.sha256`."""
+    tree = client.list_repo_tree(repo_id, recursive=True, revision=revision, repo_type=KIND)
+    return {entry.path: entry for entry in tree if hasattr(entry, "size")}

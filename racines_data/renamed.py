@@ -1,0 +1,161 @@
+"""Modules that moved: their old names still import, with a warning that says the new one.
+
+One finder at the end of `sys.meta_path` serves the names that no file answers to any more. The old
+name stands for the very module of the new one: an object has one identity under both.
+"""
+
+import sys
+import warnings
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+MOVED = {
+    "racines_data.build": "canonical shards splits staging writer",
+    "racines_data.card": (
+        "card_frames=frames card_paths=paths card_pictures=pictures card_plots=plots "
+        "card_realism=realism card_rewrite=rewrite card_samples=samples "
+        "card_sections=sections card_statistics=statistics card_style=style "
+        "card_tables=tables croissant croissant_rai datasheet"
+    ),
+    "racines_data.cli": (
+        "cli_card=card cli_export=export cli_hub=hub cli_import=importing cli_phantom=phantom"
+    ),
+    "racines_data.export.lerobot": "export.lerobot_statistics=statistics",
+    "racines_data.hub": "push",
+    "racines_data.sources.cactus": "sources.cactus_files=files",
+    "racines_data.sources.release": (
+        "sources.release_checks=checks sources.release_kinds=kinds sources.release_log=log "
+        "sources.release_survey=survey sources.release_tree=tree"
+    ),
+    "racines_data.sources.tracked": "sources.mha=mha",
+    "racines_data.store": (
+        "batch_memory=memory export.sweeps=sweeps loader restore store_writer=writer"
+    ),
+    "racines_data.validate": (
+        "validate_duplicates=duplicates validate_files=files validate_labels=labels "
+        "validate_oracle=oracle validate_report=report validate_rows=rows "
+        "validate_splits=splits validate_statistics=statistics validate_survey=survey"
+    ),
+    "racines_envs.agents": "rollout trace=trace_file",
+    "racines_envs.agents.onnx": (
+        "agents.onnx_policy=policy agents.onnx_policy_export=export "
+        "agents.onnx_policy_format=format"
+    ),
+    "racines_envs.agents.training": "agents.training_config=config agents.training_run=run",
+    "racines_envs.apis": "gym_env gym_vector rendering torchrl_env",
+    "racines_envs.cli": (
+        "cli_drive=drive cli_encoder=encoder cli_eval=evaluate cli_explain=explain "
+        "cli_export=export cli_forces=forces cli_speed=speed settings"
+    ),
+    "racines_envs.driving": "keyboard terminal",
+    "racines_envs.evaluation": (
+        "entries latency measures pictures runs=agent_specs trace_recording=tracing"
+    ),
+    "racines_envs.explain": (
+        "explain_figure=figure explain_maps=maps explain_scores=scores explain_truth=truth"
+    ),
+    "racines_envs.recordings": "recorder replay",
+    "racines_envs.studies": "curves forces_report=forces step_profile task_table",
+    "racines_envs.studies.rewards": "reward_pages=pages reward_report=report reward_trace=settle",
+    "racines_envs.studies.transfer": "rank_correlation transfer=run transfer_pages=pages",
+    "racines_envs.task": "actions core names rewards sensing starts state tasks view_error",
+    "racines_envs.worlds": (
+        "backends backends_replay=replay data_versions exploration forces making pose_index "
+        "recorded"
+    ),
+    "racines_leaderboard.board": "chart collect groups pages rank recompute table",
+    "racines_leaderboard.cli": (
+        "cli_audit=audit cli_determinism=determinism cli_studio=studio cli_submit=submit "
+        "commands=board expert.cli=expert"
+    ),
+    "racines_leaderboard.records": "expert.board=experts expert.names=names schema seal tracks",
+    "racines_leaderboard.submissions": (
+        "artefacts content_checks fetch file_checks intake submission=document "
+        "submission_text=text template"
+    ),
+    "racines_leaderboard.submissions.confined": (
+        "confined=session confined_child=child confined_roads=roads confined_wire=wire"
+    ),
+    "racines_models": "bootstrap=statistics publish=weights racines_envs.intervals=statistics",
+    "racines_models.cli": (
+        "cli_conditioning=conditioning cli_data=data cli_export=export cli_floor=floor "
+        "cli_gallery=gallery cli_generators=generators cli_grader=grader cli_output=output "
+        "cli_pose=pose cli_publish=publish cli_realism=realism cli_scores=scores"
+    ),
+    "racines_models.exchange": "naming",
+    "racines_models.exchange.onnx": (
+        "onnx_export=export onnx_file=file onnx_format=format onnx_generator=generator "
+        "onnx_session=session"
+    ),
+    "racines_models.exchange.predictions": "png predictions=file predictions_reader=reader",
+    "racines_models.judges.grader": (
+        "annotate grader=model grader_calibration=calibration grader_evaluation=evaluation "
+        "grader_loss=loss grader_plots=plots grader_report=report grader_training=training"
+    ),
+    "racines_models.judges.pose": "pose_regressor=regressor pose_training=training",
+    "racines_models.judges.student": (
+        "student=model student_labels=labels student_report=report student_training=training"
+    ),
+    "racines_models.networks": "conditioning onnx_module",
+    "racines_models.networks.scene_field": (
+        "networks.scene_field_echo=echo networks.scene_field_loss=loss "
+        "networks.scene_field_probe=probe"
+    ),
+    "racines_models.scores": (
+        "diversity features frechet gallery inception judge memorisation metrics prdc scoring"
+    ),
+    "racines_models.studies": "conditioning_ablation=conditioning floor leakage",
+    "racines_models.studies.ablation": (
+        "ablation=run ablation_hearts=hearts ablation_picture=picture ablation_variants=variants"
+    ),
+    "racines_models.studies.realism": "realism=report realism_figures=figures",
+    "racines_models.training": (
+        "adversary differentiable_augmentation grader_augment=augmentation trainer"
+    ),
+}
+"""By room, what moved there: `old` where the module kept its name, `old=new` where it did not.
+
+An old name is one of the room's package, unless it names its own."""
+
+
+def renamed_modules() -> dict[str, str]:
+    """Return the new name of every module that moved, by its old one."""
+    names = {}
+    for room, moved in MOVED.items():
+        package = room.partition(".")[0]
+        for entry in moved.split():
+            old, _, new = entry.partition("=")
+            whole = old if old.startswith("racines_") else f"{package}.{old}"
+            names[whole] = f"{room}.{new or old.rpartition('.')[2]}"
+    return names
+
+
+class RenamedFinder:
+    """Finds modules under the names that they had; both finder and loader."""
+
+    def __init__(self) -> None:
+        self.names = renamed_modules()
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return a spec for an old name, None for any other."""
+        return ModuleSpec(name, self) if name in self.names else None  # type: ignore[arg-type]
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """Let the import system make an empty module, which `exec_module` replaces."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Put the module of the new name in the place of the old one."""
+        old = module.__name__
+        new = self.names[old]
+        warnings.warn(f"{old} is now {new}", DeprecationWarning, stacklevel=2)
+        sys.modules[old] = import_module(new)
+
+
+def install() -> None:
+    """Serve the old names in this process; once is enough, more changes nothing."""
+    if not any(isinstance(finder, RenamedFinder) for finder in sys.meta_path):
+        sys.meta_path.append(RenamedFinder())  # type: ignore[arg-type]

@@ -1,0 +1,19 @@
+from .base import ENTRY_POINTS as ENTRY_POINTS
+from .base import Finding as Finding
+from .base import Source as Source
+from .base import Unit as Unit
+from .base import has_poses as has_poses
+from .base import labels_of_source as labels_of_source
+from .base import source_class as source_class
+from .base import source_names as source_names
+
+__all__ = [
+    "ENTRY_POINTS",
+    "Finding",
+    "Source",
+    "Unit",
+    "has_poses",
+    "labels_of_source",
+    "source_class",
+    "source_names",
+]

@@ -1,0 +1,214 @@
+"""The folders and tables of CACTUS: which images there are, and what grade each has.
+
+    Images Dataset/A4C/7_0123.jpg       the grade, then a name; perhaps in a folder of its own
+    Grades/A4C_grades.csv               Image Name, Subfolder Name, Grade
+
+Names of folders may differ in case.
+"""
+
+import re
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import polars as pl
+
+from racines_data.errors import RacinesError
+from racines_data.sources.base import Finding
+from racines_data.sources.release.kinds import flagged, refused
+from racines_data.sources.release.tree import entries, natural
+from racines_data.views import LABELS, RANDOM
+
+IMAGES, GRADES = "Images Dataset", "Grades"
+_COLUMNS = ("Image Name", "Subfolder Name", "Grade")
+_GRADE = re.compile(r"(\d+(?:\.\d+)?)(?![\d.]*\d)")
+
+
+class Kind(StrEnum):
+    """What is wrong; every reason in the report begins with one of these and a colon."""
+
+    NOT_A_JPEG = "not a JPEG"
+    TRUNCATED_JPEG = "truncated JPEG"
+    DAMAGED_JPEG = "damaged JPEG"
+    MISSING_IMAGE = "missing image"
+    MISSING_ROW = "missing row"
+    MISSING_TABLE = "missing table"
+    GRADE_CONFLICT = "grade conflict"
+    WRONG_GRADE = "wrong grade"
+    MIXED_SIZES = "mixed sizes"
+    EMPTY_FOLDER = "empty folder"
+    UNKNOWN = "unknown file"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One image and what is known of it."""
+
+    file: str
+    """Relative to the folder of the data set."""
+    view: str
+    subfolder: str
+    """Folder inside the view's, or nothing."""
+    grade: float | None
+
+    @property
+    def order(self) -> tuple[list[tuple[int, str]], list[tuple[int, str]], str]:
+        """Sort by folder and by the name without its grade: neighbours in time come together."""
+        name = self.file.rpartition("/")[2]
+        rest = _GRADE.sub("", name, count=1) if _GRADE.match(name) else name
+        return natural(self.subfolder), natural(rest), name
+
+
+def find_pictures(root: Path, report: list[Finding]) -> list[Picture]:
+    """Return all images with their grades; add what is odd to `report`.
+
+    Raises:
+        RacinesError: the folder does not hold the data set, or a table cannot be read.
+    """
+    images, grades = _child(root, IMAGES), _child(root, GRADES)
+    if images is None:
+        raise RacinesError(f"{root}: holds no folder `{IMAGES}`; give the folder that does")
+    views = {view.lower(): view for view in LABELS}
+    pictures: list[Picture] = []
+    for folder in entries(images):
+        view = views.get(folder.name.lower())
+        if view is None or not folder.is_dir():
+            detail = "not a view of CACTUS, left out"
+            report.append(flagged(Kind.UNKNOWN, _place(root, folder), detail, frames=0))
+            continue
+        files = _images(root, folder, report)
+        table = _Table.read(grades, view, report)
+        pictures += [table.join(root, folder, file, report) for file in files]
+        report += table.unused(_place(root, folder))
+    if not pictures:
+        raise RacinesError(f"{images}: holds no image of a view ({', '.join(LABELS)})")
+    return pictures
+
+
+def _child(folder: Path, name: str) -> Path | None:
+    found = (path for path in entries(folder) if path.name.lower() == name.lower())
+    return next((path for path in found if path.is_dir()), None)
+
+
+def _images(root: Path, folder: Path, report: list[Finding]) -> list[Path]:
+    """Return the images of a view's folder and of the folders in it."""
+    found: list[Path] = []
+    for path in entries(folder):
+        if path.is_dir():
+            found += _images(root, path, report)
+        elif path.suffix.lower() in (".jpg", ".jpeg"):
+            found.append(path)
+        else:
+            detail = "not a JPEG by its name, left out"
+            report.append(flagged(Kind.UNKNOWN, _place(root, path), detail, frames=0))
+    if not found:
+        detail = "it holds no image"
+        report.append(refused(Kind.EMPTY_FOLDER, _place(root, folder), detail, frames=0))
+    return found
+
+
+@dataclass
+class _Table:
+    """The grades of one view by the image's name without its ending, lower case."""
+
+    name: str
+    view: str
+    rows: dict[str, list[tuple[str, str, str]]]
+    """Image name, subfolder and grade as they stand."""
+    used: set[tuple[str, str, str]]
+
+    @classmethod
+    def read(cls, folder: Path | None, view: str, report: list[Finding]) -> "_Table":
+        wanted = f"{view}_grades.csv"
+        files = entries(folder) if folder else []
+        path = next((file for file in files if file.name.lower() == wanted.lower()), None)
+        rows: dict[str, list[tuple[str, str, str]]] = defaultdict(list)
+        if path is None:
+            detail = "no such table; grades are those of the file names"
+            report.append(flagged(Kind.MISSING_TABLE, f"{GRADES}/{wanted}", detail, frames=0))
+            return cls("", view, rows, set())
+        for row in _read_csv(path).iter_rows():
+            name, subfolder, grade = ((cell or "").strip() for cell in row)
+            rows[_key(name)].append((name, subfolder, grade))
+        return cls(f"{GRADES}/{path.name}", view, rows, set())
+
+    def join(self, root: Path, folder: Path, path: Path, report: list[Finding]) -> Picture:
+        """Return an image with the grade that its name and its row agree on."""
+        inside = path.parent.relative_to(folder).as_posix()
+        subfolder = "" if inside == "." else inside
+        file = _place(root, path)
+        rows = self.rows.get(_key(path.name), [])
+        if len(rows) > 1 and subfolder:
+            rows = [row for row in rows if row[1].lower() == subfolder.lower()] or rows
+        self.used.update(rows)
+        match = _GRADE.match(path.name)
+        said = {f"file name {match[1]}": _number(match[1])} if match else {}
+        said |= {f"{self.name} {row[2]}": _number(row[2]) for row in rows}
+        if self.name and not rows:
+            detail = f"{self.name} has no row of it; its grade is that of its name"
+            report.append(flagged(Kind.MISSING_ROW, file, detail))
+        grade = next(iter(said.values()), None)
+        if len(set(said.values())) > 1:
+            grade = None
+            detail = f"{', '.join(said)}; it is kept without a grade"
+            report.append(flagged(Kind.GRADE_CONFLICT, file, detail, "Grade"))
+        elif said and not _fits(grade, self.view):
+            grade = None
+            right = "0" if self.view == RANDOM else "1-10"
+            detail = f"{', '.join(said)}, where {self.view} has {right}; it is kept without a grade"
+            report.append(flagged(Kind.WRONG_GRADE, file, detail, "Grade"))
+        return Picture(file, self.view, subfolder, grade)
+
+    def unused(self, folder: str) -> list[Finding]:
+        """Return the rows whose images are not there."""
+        lost = [row for rows in self.rows.values() for row in rows if row not in self.used]
+        detail = f"there is no such image in {folder}"
+        return [refused(Kind.MISSING_IMAGE, self.name, detail, row[0]) for row in lost]
+
+
+def _read_csv(path: Path) -> pl.DataFrame:
+    """Return the three columns as text.
+
+    Raises:
+        RacinesError: it is not such a table.
+    """
+    try:
+        table = pl.read_csv(path, infer_schema=False, encoding="utf8-lossy")
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise RacinesError(f"{path}: not a CSV table: {error}") from error
+    names = {name.strip().lower(): name for name in table.columns}
+    missing = [name for name in _COLUMNS if name.lower() not in names]
+    if missing:
+        raise RacinesError(f"{path}: has no column {missing[0]!r}; it has {table.columns}")
+    return table.select([names[name.lower()] for name in _COLUMNS])
+
+
+def _key(name: str) -> str:
+    return re.sub(r"\.jpe?g$", "", name.replace("\\", "/").rpartition("/")[2].lower())
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _fits(grade: float | None, view: str) -> bool:
+    if grade is None:
+        return False
+    return grade == 0 if view == RANDOM else 1 <= grade <= 10
+
+
+def _place(root: Path, path: Path) -> str:
+    return path.relative_to(root).as_posix()
+
+
+def runs(pictures: Sequence[Picture], longest: int) -> list[list[Picture]]:
+    """Return contiguous runs of the images of one folder, in order, of nearly equal lengths."""
+    ordered = sorted(pictures, key=lambda picture: picture.order)
+    count = -(-len(ordered) // longest)
+    edges = [len(ordered) * i // count for i in range(count + 1)]
+    return [ordered[start:stop] for start, stop in zip(edges, edges[1:], strict=False)]

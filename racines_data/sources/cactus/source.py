@@ -1,0 +1,216 @@
+"""CACTUS: graded images of the same phantom from a hand-held probe, without poses.
+
+CC BY 4.0, DOI 10.20383/103.01484; 37,736 images. The files do not say which images belong to one
+sweep. Images of one folder in order of their names are cut into contiguous runs, which stand as
+trajectories: neighbours stay in one split but for those on both sides of a cut.
+"""
+
+import dataclasses
+import hashlib
+import re
+from collections import defaultdict
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from racines_data.config import fill
+from racines_data.errors import RacinesError
+from racines_data.progress import progress_bar
+from racines_data.schema import CONTROLS, PARAMETERS, Trajectory
+from racines_data.sources.base import Finding, Unit
+from racines_data.sources.cactus.files import Kind, Picture, find_pictures, runs
+from racines_data.sources.crop import Box, sector_box
+from racines_data.sources.images import DamagedImage, check_jpeg, read_gray, square
+from racines_data.sources.release.kinds import flagged, refused
+from racines_data.views import LABELS
+
+READER = 1
+"""Version of what this reader makes of the files; part of the recipe."""
+_THREADS = 4
+_SAMPLE = 96
+Size = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class CactusConfig:
+    """How CACTUS is read."""
+
+    crop: str = "auto"
+    """Part of the screen to keep: `auto` finds the sector, `none` keeps all, or left,top,right,
+    bottom in pixels. One crop for all images of a size, so that it does not tell the view."""
+    run: int = 250
+    """Most images of a run that stands as a trajectory."""
+
+
+@dataclass(frozen=True)
+class CactusUnit(Unit):
+    """One run of images."""
+
+    root: Path
+    pictures: tuple[Picture, ...]
+    boxes: tuple[tuple[Size, Box], ...]
+    """Crop of each image size."""
+
+
+@dataclass
+class CactusSource:
+    """Reads the folder of CACTUS."""
+
+    config: CactusConfig
+    root: Path
+    report: list[Finding] = field(default_factory=list)
+    progress: bool = False
+    """Show a progress bar on stderr while the files are checked."""
+    name = "cactus"
+    version = "1.0.0"
+    poses = False
+    Config = CactusConfig
+
+    def __post_init__(self) -> None:
+        """Remember nothing yet."""
+        self._inputs = ""
+
+    @classmethod
+    def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> "CactusSource":
+        """Make the source; the one input is the folder that holds `Images Dataset`.
+
+        Raises:
+            RacinesError: no input or several, no such folder, or a wrong setting.
+        """
+        settings = fill(CactusConfig, config, "data.cactus")
+        if settings.crop not in ("auto", "none"):
+            _fixed_box(settings.crop)
+        if settings.run < 1:
+            raise RacinesError("data.cactus.run: give one or more")
+        if len(inputs) != 1:
+            raise RacinesError("source cactus: name one folder: --input FOLDER")
+        if not inputs[0].is_dir():
+            raise RacinesError(f"{inputs[0]}: no such folder")
+        return cls(settings, inputs[0].resolve())
+
+    def recipe(self) -> dict[str, Any]:
+        """Return the reader's version, the settings, and the sha256 over all files and grades."""
+        if not self._inputs:
+            self.plan()
+        return {
+            "reader": READER,
+            "config": dataclasses.asdict(self.config),
+            "inputs": self._inputs,
+        }
+
+    def plan(self) -> list[CactusUnit]:
+        """Check every file, join the grades, find the crop, and cut the folders into runs.
+
+        Raises:
+            RacinesError: the folder is not CACTUS, or the crop does not fit its images.
+        """
+        self.report = []
+        found = find_pictures(self.root, self.report)
+        digest, kept, sizes = hashlib.sha256(), [], defaultdict(list)
+        with ThreadPoolExecutor(_THREADS) as pool, progress_bar(self.progress) as bar:
+            checks = pool.map(self._check, found)
+            steps = bar.track(checks, total=len(found), description="checking images")
+            for picture, (size, fault, sha256) in zip(found, steps, strict=True):
+                digest.update(f"{picture.file}\0{picture.grade}\0".encode() + sha256)
+                if fault:
+                    self.report.append(refused(fault.kind, picture.file, fault.detail))
+                    continue
+                kept.append(picture)
+                sizes[size].append(picture)
+        self._inputs = digest.hexdigest()
+        self._flag_sizes(sizes)
+        boxes = tuple((size, self._box(size, of)) for size, of in sorted(sizes.items()))
+        return self._units(kept, boxes)
+
+    def produce(self, unit: Unit) -> Trajectory:
+        """Read a run: cropped 128×128 gray images, views and grades; no poses, no times."""
+        assert isinstance(unit, CactusUnit)
+        boxes = dict(unit.boxes)
+        images = []
+        for picture in unit.pictures:
+            image = read_gray(unit.root / picture.file)
+            left, top, right, bottom = boxes[image.shape[1], image.shape[0]]
+            images.append(square(image[top:bottom, left:right]))
+        count = len(images)
+        grades = [np.nan if p.grade is None else p.grade for p in unit.pictures]
+        return Trajectory(
+            id=unit.id,
+            session=unit.session,
+            target_view=unit.target_view,
+            images=np.stack(images),
+            parameters=np.full((count, len(PARAMETERS)), np.nan, np.float32),
+            timestamps=np.full(count, np.nan),
+            controls=np.full((count, len(CONTROLS)), np.nan, np.float32),
+            views=np.full(count, LABELS.index(unit.target_view), np.int64),
+            grades=np.array(grades, np.float32),
+        )
+
+    def _check(self, picture: Picture) -> tuple[Size, DamagedImage | None, bytes]:
+        content = b""
+        try:
+            content = (self.root / picture.file).read_bytes()
+            size, fault = check_jpeg(content), None
+        except DamagedImage as error:
+            size, fault = (0, 0), error
+        except OSError as error:
+            size, fault = (0, 0), DamagedImage(Kind.DAMAGED_JPEG, f"{error.strerror}")
+        return size, fault, hashlib.sha256(content).digest()
+
+    def _flag_sizes(self, sizes: dict[Size, list[Picture]]) -> None:
+        usual = max(sizes, key=lambda size: (len(sizes[size]), size), default=None)
+        for size, pictures in sorted(sizes.items()):
+            if size != usual and usual:
+                detail = f"{size[0]}×{size[1]}, most are {usual[0]}×{usual[1]}; cropped by itself"
+                count = len(pictures)
+                self.report.append(flagged(Kind.MIXED_SIZES, pictures[0].file, detail, "", count))
+
+    def _box(self, size: Size, pictures: Sequence[Picture]) -> Box:
+        """Return the crop of all images of one size."""
+        if self.config.crop == "none":
+            return 0, 0, *size
+        if self.config.crop != "auto":
+            box = _fixed_box(self.config.crop)
+            if box[2] > size[0] or box[3] > size[1]:
+                raise RacinesError(
+                    f"data.cactus.crop {self.config.crop}: {pictures[0].file} has "
+                    f"{size[0]}×{size[1]} pixels only"
+                )
+            return box
+        step = max(1, len(pictures) // _SAMPLE)
+        chosen = pictures[::step]
+        return sector_box([read_gray(self.root / picture.file) for picture in chosen])
+
+    def _units(
+        self, kept: Sequence[Picture], boxes: tuple[tuple[Size, Box], ...]
+    ) -> list[CactusUnit]:
+        folders: dict[tuple[str, str], list[Picture]] = defaultdict(list)
+        for picture in kept:
+            folders[picture.view, picture.subfolder].append(picture)
+        counts: dict[str, int] = defaultdict(int)
+        units = []
+        for (view, _), pictures in folders.items():
+            for run in runs(pictures, self.config.run):
+                name = f"{view.lower()}-{counts[view]:03d}"
+                counts[view] += 1
+                unit = CactusUnit(name, "cactus", view, len(run), self.root, tuple(run), boxes)
+                units.append(unit)
+        return units
+
+
+def _fixed_box(text: str) -> Box:
+    """Read left,top,right,bottom.
+
+    Raises:
+        RacinesError: it is not such a box.
+    """
+    match = re.fullmatch(r"\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*", text)
+    if not match or int(match[1]) >= int(match[3]) or int(match[2]) >= int(match[4]):
+        raise RacinesError(
+            f"data.cactus.crop {text!r}: give auto, none, or left,top,right,bottom in pixels"
+        )
+    left, top, right, bottom = (int(number) for number in match.groups())
+    return left, top, right, bottom

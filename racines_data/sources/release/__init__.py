@@ -1,0 +1,8 @@
+"""The published RACINES recordings, as people download them.
+
+`tree` knows the folders, `log` the log files, `survey` and `checks` what is wrong with them.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,5 @@
+"""Tracked freehand sweeps: PLUS sequences (`mha`), any organ, any tracker."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

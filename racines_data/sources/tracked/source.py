@@ -1,0 +1,240 @@
+"""Tracked freehand ultrasound: PLUS sequences (`.igs.mha`), any organ, any tracker; no force.
+
+The pose is that of the tracked probe marker in the tracker's frame, as the file has it: the files
+hold no calibration from the image to the marker. One file is one sweep and one session; it is cut
+into contiguous segments that stand as trajectories, so that splits by trajectory exist.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from racines_data.config import fill
+from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
+from racines_data.geometry import Pose, pose_to_parameters
+from racines_data.schema import CONTROLS, Trajectory
+from racines_data.sources.base import Finding, Unit
+from racines_data.sources.images import square
+from racines_data.sources.tracked.mha import Recording, read_frames, read_header, upright
+from racines_data.views import RANDOM
+
+READER = 1
+"""Version of what this reader makes of a file; part of the recipe."""
+UNITS = {"mm": 1e-3, "m": 1.0}
+FARTHEST = 10.0
+"""No tracker sees a probe from farther away, m."""
+NEAREST = 0.01
+"""No tracker has a whole sweep nearer to its origin, m."""
+
+
+@dataclass(frozen=True)
+class TrackedConfig:
+    """How tracked sequences are read."""
+
+    transform: str = "ProbeToTracker"
+    """Name of the transform that is the pose, without its ending `Transform`."""
+    unit: str = "mm"
+    """Unit of its translation: `mm` (as PLUS writes it) or `m`."""
+    orientation: str = ""
+    """Image orientation, to replace the header's; empty to use the header's."""
+    segments: int = 5
+    """Trajectories that a sweep is cut into."""
+    tolerance: float = 1e-3
+    """Largest error of a rotation's orthonormality, per element of R Rᵀ - 1."""
+
+
+@dataclass(frozen=True)
+class TrackedUnit(Unit):
+    """A segment of a sweep."""
+
+    path: Path
+    indices: tuple[int, ...]
+    """Frames of the file, increasing."""
+
+
+@dataclass
+class TrackedSource:
+    """Reads PLUS sequence files."""
+
+    config: TrackedConfig
+    inputs: tuple[Path, ...]
+    report: list[Finding] = field(default_factory=list)
+    name = "tracked"
+    version = "0.1.0"
+    Config = TrackedConfig
+
+    @classmethod
+    def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> "TrackedSource":
+        """Make the source; `inputs` are sequence files.
+
+        Raises:
+            RacinesError: no inputs, a missing one, two of one name, or a wrong setting.
+        """
+        settings = fill(TrackedConfig, config, "data.tracked")
+        if settings.unit not in UNITS:
+            raise RacinesError(f"data.tracked.unit {settings.unit!r}: choose mm or m")
+        if settings.segments < 1:
+            raise RacinesError("data.tracked.segments: give one or more")
+        if not inputs:
+            raise RacinesError("source tracked: name its files: --input SWEEP.igs.mha")
+        for path in inputs:
+            if not path.is_file():
+                raise RacinesError(f"{path}: no such file")
+        names = [_stem(path) for path in inputs]
+        if len(set(names)) < len(names):
+            raise RacinesError(f"two inputs have one name ({', '.join(sorted(names))}); rename one")
+        return cls(settings, tuple(sorted(inputs, key=_stem)))
+
+    def recipe(self) -> dict[str, Any]:
+        """Return the reader's version, the settings and the inputs' sha256."""
+        inputs = {_stem(path): sha256_file(path) for path in self.inputs}
+        return {"reader": READER, "config": dataclasses.asdict(self.config), "inputs": inputs}
+
+    def plan(self) -> list[TrackedUnit]:
+        """Check every frame of every file, and cut what is kept into segments."""
+        self.report = []
+        units: list[TrackedUnit] = []
+        for path in self.inputs:
+            try:
+                recording = read_header(path)
+            except RacinesError as error:
+                self._refuse(path, "", str(error), 1)
+                continue
+            try:
+                kept = self._check(recording)
+            except RacinesError as error:
+                self._refuse(path, "", str(error), len(recording.frames))
+                continue
+            segments = np.array_split(np.array(kept, int), min(self.config.segments, len(kept)))
+            for number, indices in enumerate(segments):
+                name = f"{_stem(path)}-{number:02d}"
+                members = tuple(int(index) for index in indices)
+                unit = TrackedUnit(name, _stem(path), RANDOM, len(members), path, members)
+                units.append(unit)
+        return units
+
+    def produce(self, unit: Unit) -> Trajectory:
+        """Read a segment: square 128×128 images, poses in metres and radians, no forces."""
+        assert isinstance(unit, TrackedUnit)
+        recording = read_header(unit.path)
+        orientation = self.config.orientation or recording.orientation
+        wanted = set(unit.indices)
+        images = [
+            square(upright(image, orientation))
+            for index, image in enumerate(read_frames(recording))
+            if index in wanted
+        ]
+        matrices = np.stack([self._matrix(recording.frames[index]) for index in unit.indices])
+        times = [float(recording.frames[index]["Timestamp"]) for index in unit.indices]
+        count = len(images)
+        return Trajectory(
+            id=unit.id,
+            session=unit.session,
+            target_view=unit.target_view,
+            images=np.stack(images),
+            parameters=_parameters(matrices),
+            timestamps=np.array(times),
+            controls=np.full((count, len(CONTROLS)), np.nan, np.float32),
+            views=np.full(count, -1),
+            grades=np.full(count, np.nan, np.float32),
+        )
+
+    def _refuse(self, path: Path, item: str, reason: str, frames: int = 1) -> None:
+        self.report.append(Finding(path.name, item, True, reason, frames))
+
+    def _check(self, recording: Recording) -> list[int]:
+        """Return the frames to keep; report the others.
+
+        Raises:
+            RacinesError: the file as a whole is unusable.
+        """
+        upright(np.zeros((1, 1), np.uint8), self.config.orientation or recording.orientation)
+        self._check_name(recording)
+        for _ in read_frames(recording):
+            pass  # a truncated file is found before anything is made of it
+        kept: list[int] = []
+        previous = -np.inf
+        for index, fields in enumerate(recording.frames):
+            reason = self._wrong(fields, previous)
+            if reason:
+                self._refuse(recording.path, f"frame {index}", reason)
+                continue
+            previous = float(fields["Timestamp"])
+            kept.append(index)
+        if kept:
+            self._check_unit(np.stack([self._matrix(recording.frames[i]) for i in kept]))
+        self._flag_tools(recording)
+        return kept
+
+    def _check_name(self, recording: Recording) -> None:
+        names = {key for fields in recording.frames for key in fields if key.endswith("Transform")}
+        if f"{self.config.transform}Transform" not in names:
+            known = ", ".join(sorted(name.removesuffix("Transform") for name in names)) or "none"
+            raise RacinesError(f"no transform {self.config.transform}; the file has {known}")
+
+    def _wrong(self, fields: dict[str, str], previous: float) -> str:
+        """Return why a frame cannot be used, or nothing."""
+        name = f"{self.config.transform}Transform"
+        for key in (f"{name}Status", "ImageStatus"):
+            if fields.get(key, "OK") != "OK":
+                return f"{key} is {fields[key]}"
+        try:
+            matrix, time = self._matrix(fields), float(fields["Timestamp"])
+        except (KeyError, ValueError):
+            return f"{name} or Timestamp is missing or not numbers"
+        if not (np.isfinite(matrix).all() and np.isfinite(time)):
+            return f"{name} or Timestamp is not finite"
+        rotation = matrix[:3, :3]
+        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if error > self.config.tolerance or (matrix[3] != [0, 0, 0, 1]).any():
+            return f"{name} is not a rigid pose (R Rᵀ is off by {error:.2g})"
+        if np.linalg.det(rotation) < 0:
+            return f"{name} is left-handed"
+        if time <= previous:
+            return f"Timestamp {time} does not follow {previous}"
+        return ""
+
+    def _check_unit(self, matrices: np.ndarray) -> None:
+        distance = np.linalg.norm(matrices[:, :3, 3], axis=-1)
+        for other, ok in (("mm", distance.max() <= FARTHEST), ("m", distance.max() >= NEAREST)):
+            if not ok:
+                raise RacinesError(
+                    f"translations reach {distance.max():.3g} m when read in {self.config.unit}; "
+                    f"they are likely in {other}: set unit to {other}"
+                )
+
+    def _flag_tools(self, recording: Recording) -> None:
+        own = f"{self.config.transform}TransformStatus"
+        bad: dict[str, int] = {}
+        for fields in recording.frames:
+            for key, value in fields.items():
+                if key.endswith("TransformStatus") and key != own and value != "OK":
+                    bad[key] = bad.get(key, 0) + 1
+        for key, count in sorted(bad.items()):
+            reason = f"not OK in {count} of {len(recording.frames)} frames; the frames are kept"
+            self.report.append(Finding(recording.path.name, key, False, reason, count))
+
+    def _matrix(self, fields: dict[str, str]) -> np.ndarray:
+        """Return a frame's pose, (4, 4) float64, translation in metres."""
+        numbers = [float(number) for number in fields[f"{self.config.transform}Transform"].split()]
+        matrix = np.array(numbers).reshape(4, 4)
+        matrix[:3, 3] *= UNITS[self.config.unit]
+        return matrix
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(".mha").removesuffix(".igs")
+
+
+def _parameters(matrices: np.ndarray) -> np.ndarray:
+    """Return (T, 12) float32 parameters of (T, 4, 4) poses; forces NaN."""
+    tensor = torch.from_numpy(matrices)
+    pose = Pose(tensor[:, :3, 3], tensor[:, :3, :3])
+    absent = torch.full((len(tensor), 6), torch.nan, dtype=torch.float64)
+    return pose_to_parameters(pose, absent).to(torch.float32).numpy()

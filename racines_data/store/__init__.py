@@ -1,0 +1,9 @@
+"""The training store: one memory-mapped Arrow file, served in whole batches of tensors.
+
+`frames` reads it, `writer` writes it, `loader` feeds PyTorch, `sweeps` walks it by trajectory,
+`restore` makes it again from the shards.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,228 @@
+"""The training store: one uncompressed Arrow IPC file, memory-mapped and served in whole batches.
+
+One record batch with the images as FixedSizeBinary(16384) is one contiguous run of bytes, hence a
+(N, 128, 128) tensor without a copy; nothing is decoded and no Python runs per frame. Plain
+`binary` has 32-bit offsets, which overflow at 131,072 frames.
+"""
+
+import json
+import mmap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import torch
+from torch import Tensor
+
+from racines_data.digest import check_files
+from racines_data.errors import RacinesError
+from racines_data.imaging import IMAGE_SIZE
+from racines_data.manifest import (
+    METADATA,
+    MULTI_PHANTOM,
+    STORES,
+    check_split,
+    config_digest,
+    default_root,
+    manifest_labels,
+    read_manifest,
+    rebuild_hint,
+    store_name,
+)
+from racines_data.records import PIXELS
+from racines_data.schema import CONTROLS, PARAMETERS
+from racines_data.store.memory import BatchMemory
+from racines_data.views import LABELS
+
+
+class Batch(NamedTuple):
+    """Frames of one split."""
+
+    images: Tensor
+    """(B, 128, 128) uint8."""
+    parameters: Tensor
+    """(B, 12) float32, SI; forces NaN where absent."""
+    views: Tensor
+    """(B,) int64 labels, -1 where unknown."""
+    grades: Tensor
+    """(B,) float32, NaN where unknown."""
+    index: Tensor  # pyright: ignore[reportIncompatibleMethodOverride]
+    """(B,) int64 rows of the store."""
+
+
+class FrameStore:
+    """All frames of a config, memory-mapped. Rows are in the order train, validation, test.
+
+    Raises:
+        RacinesError: no dataset at `root`, or its store is damaged.
+    """
+
+    manifest: dict[str, Any]
+    """The dataset's manifest: `version`, `source`, `digest`, `recipe_digest`, counts, files."""
+    images: Tensor
+    """(N, 128, 128) uint8, a view of the file. Writing to it changes this process's copy only."""
+    parameters: Tensor
+    """(N, 12) float32, SI; forces NaN where absent."""
+    views: Tensor
+    """(N,) int64 labels, -1 where unknown."""
+    grades: Tensor
+    """(N,) float32, 0-10, NaN where unknown."""
+    timestamps: Tensor
+    """(N,) float64 seconds."""
+    controls: Tensor
+    """(N, 6) float32, NaN where unknown."""
+    trajectory_index: Tensor
+    """(N,) int64, the row's place in `trajectories`."""
+    frame: Tensor
+    """(N,) int64, the row's number in its trajectory."""
+    labels: tuple[str, ...] = LABELS
+    """Names of the view labels, in label order; the last is `Random`."""
+    trajectories: list[str]
+    """Ids of the trajectories."""
+    target_views: list[str]
+    """Target view of each trajectory."""
+    sessions: list[str]
+    """Session of each trajectory."""
+
+    phantoms: list[int | None]
+    """Seed of each trajectory's simulated anatomy; absent for recordings."""
+
+    def __init__(self, root: Path | str | None = None, config: str = "frames") -> None:
+        if config not in STORES:
+            raise RacinesError(f"config {config!r} has no store: choose one of {', '.join(STORES)}")
+        self.config = config
+        self.root = default_root(root)
+        self.manifest = read_manifest(self.root)
+        self.labels = manifest_labels(self.manifest)
+        files = self.manifest["files"]
+        name = store_name(config)
+        if name not in files:
+            raise RacinesError(
+                f"{self.root / 'manifest.json'}: names no {name}; rebuild"
+                + (f" with data.{MULTI_PHANTOM}.hearts set" if config == MULTI_PHANTOM else "")
+            )
+        check_files(self.root, {name: files[name]}, rebuild_hint(self.manifest))
+        try:
+            self._read(self.root / name)
+        except (pa.ArrowInvalid, KeyError, ValueError) as error:
+            hint = rebuild_hint(self.manifest)
+            raise RacinesError(f"{self.root / name}: damaged ({error}); {hint}") from error
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    @property
+    def digest(self) -> str:
+        """The content digest of this config."""
+        return config_digest(self.manifest, self.config)
+
+    def _read(self, path: Path) -> None:
+        # A private mapping is writable without touching the file, as torch wants its memory.
+        with path.open("rb") as file:
+            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+        whole = pa.py_buffer(mapped)
+        table = pa.ipc.open_file(pa.BufferReader(whole)).read_all()
+
+        def column(name: str, dtype: torch.dtype, *shape: int) -> Tensor:
+            array = table[name].chunk(0)
+            values = array.values if pa.types.is_fixed_size_list(array.type) else array
+            buffer = values.buffers()[1]
+            count = len(array) * int(np.prod(shape, initial=1))
+            flat = torch.frombuffer(
+                mapped, dtype=dtype, count=count, offset=buffer.address - whole.address
+            )
+            return flat.view(len(array), *shape)
+
+        self.images = column("image", torch.uint8, IMAGE_SIZE, IMAGE_SIZE)
+        self._memory = BatchMemory()
+        self._words = self.images.view(-1, PIXELS).view(torch.int64)
+        self.parameters = column("parameters", torch.float32, len(PARAMETERS))
+        self.controls = column("controls", torch.float32, len(CONTROLS))
+        self.views = column("view", torch.int64)
+        self.grades = column("grade", torch.float32)
+        self.timestamps = column("timestamp", torch.float64)
+        self.trajectory_index = column("trajectory", torch.int64)
+        self.frame = column("frame", torch.int64)
+        metadata = json.loads(table.schema.metadata[METADATA])
+        self.trajectories, self.sessions, self.target_views = (
+            list(names) for names in metadata["trajectories"]
+        )
+        self.phantoms = metadata.get("phantoms", [None] * len(self.trajectories))
+        self._splits: dict[str, list[int]] = metadata["splits"]
+
+    def split_indices(self, split: str) -> Tensor:
+        """Return the (n,) int64 rows of a split, in order; empty if the split has none.
+
+        Raises:
+            RacinesError: no such split.
+        """
+        return torch.arange(*self.bounds(split))
+
+    def bounds(self, split: str) -> tuple[int, int]:
+        """Return the first and the past-the-last row of a split.
+
+        Raises:
+            RacinesError: no such split.
+        """
+        start, stop = self._splits[check_split(split)]
+        return start, stop
+
+    def order(self, split: str, seed: int) -> Tensor:
+        """Return the (n,) int64 rows of a split, shuffled.
+
+        Raises:
+            RacinesError: no such split.
+        """
+        rows = self.split_indices(split)
+        return rows[torch.randperm(len(rows), generator=torch.Generator().manual_seed(seed))]
+
+    def batches(
+        self,
+        split: str,
+        batch_size: int,
+        seed: int,
+        shuffle: bool = True,
+        drop_last: bool = False,
+        device: torch.device | str | None = None,
+    ) -> Iterator[Batch]:
+        """Yield one pass over a split in batches; the order depends on the seed alone.
+
+        Args:
+            split: `train`, `validation` or `test`.
+            batch_size: Frames of a batch.
+            seed: Decides the order.
+            shuffle: Draw the order; otherwise that of the store.
+            drop_last: Leave out a last batch that is not full.
+            device: Where the batch is wanted; in main memory if absent.
+
+        Raises:
+            RacinesError: no such split, or a batch size below one.
+        """
+        if batch_size < 1:
+            raise RacinesError(f"batch_size {batch_size}: give one or more")
+        rows = self.order(split, seed) if shuffle else self.split_indices(split)
+        last = len(rows) - len(rows) % batch_size if drop_last else len(rows)
+        for start in range(0, last, batch_size):
+            index = rows[start : min(start + batch_size, last)]
+            batch = self.take(index, self._memory.get(len(index), batch_size))
+            yield batch if device is None else Batch(*(part.to(device) for part in batch))
+            del batch  # so that its memory can serve again
+
+    def take(self, index: Tensor, out: Tensor | None = None) -> Batch:
+        """Return the frames of (B,) int64 rows; `out` is (B, 2048) int64 memory for the images."""
+        columns = self.parameters, self.views, self.grades
+        # Rows of int64 words: a row copy moves 8 bytes at a time whatever the element.
+        images = torch.index_select(self._words, 0, index, out=out).view(torch.uint8)
+        images = images.view(-1, IMAGE_SIZE, IMAGE_SIZE)
+        parameters, views, grades = (column.index_select(0, index) for column in columns)
+        return Batch(images, parameters, views, grades, index)
+
+    def __reduce__(self) -> tuple[type["FrameStore"], tuple[Path, str]]:
+        return FrameStore, (self.root, self.config)
+
+
+def open_store(root: Path | str | None = None, config: str = "frames") -> FrameStore:
+    """Open the training store of a dataset (default: `data/racines`), of one of its configs."""
+    return FrameStore(root, config)

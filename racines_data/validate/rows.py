@@ -1,0 +1,197 @@
+"""Reading whole trajectories from shards: decode, check, compare with the store, digest."""
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from racines_data.digest import trajectory_digest
+from racines_data.errors import RacinesError
+from racines_data.imaging import IMAGE_SIZE
+from racines_data.records import check_trajectory, table_to_trajectory
+from racines_data.schema import PARAMETERS, Trajectory
+from racines_data.sources.base import Unit
+from racines_data.store.frames import FrameStore
+
+LIMITS = {"force": 200.0, "torque": 50.0, "position": 10.0, "rotation": math.pi + 1e-5}
+"""Largest absolute value of a parameter by its kind: N, N·m, m, rad."""
+POOL = 8
+"""Edge, in pixels, of the blocks whose means are an image's signature."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A run of whole trajectories of one split that begin in one shard."""
+
+    split: str
+    parts: tuple[tuple[str, int, int], ...]
+    """File, first and past-the-last row; a second file where the last trajectory goes on."""
+    start: int
+    """Row of the store at which they begin."""
+    poses: bool = True
+    """Whether the dataset has poses and times at all."""
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return sum(stop - first for _, first, stop in self.parts)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What the checks need of one trajectory of T frames."""
+
+    split: str
+    id: str
+    session: str
+    target_view: str
+    phantom: int | None
+    digest: str
+    parameters: np.ndarray
+    """(T, 12) float32, NaN where absent."""
+    timestamps: np.ndarray
+    """(T,) float64 seconds."""
+    views: np.ndarray
+    """(T,) int64, -1 where unknown."""
+    grades: np.ndarray
+    """(T,) float32, NaN where unknown."""
+    predicted: np.ndarray
+    """(T, 2) float32, the grader's view and grade, NaN where absent."""
+    hashes: np.ndarray
+    """(T,) uint64 of the pixels."""
+    signatures: np.ndarray
+    """(T, 256) float16, block means of the image, gray levels."""
+    faults: tuple[tuple[str, str], ...] = ()
+    """Names of checks that do not hold here, and why."""
+
+    def __len__(self) -> int:
+        return len(self.timestamps)
+
+
+def run_edges(values: np.ndarray) -> list[int]:
+    """Return where runs of equal values begin, and the length; of nothing, nothing."""
+    if not len(values):
+        return []
+    return [0, *(np.flatnonzero(values[1:] != values[:-1]) + 1).tolist(), len(values)]
+
+
+def read_piece(
+    root: Path, labels: Sequence[str], store: FrameStore | None, piece: Piece
+) -> tuple[list[Sweep], list[str]]:
+    """Read and check the trajectories of a piece.
+
+    Returns:
+        Those that could be read, and why others could not.
+    """
+    table = pa.concat_tables([_read_part(root / name, a, b) for name, a, b in piece.parts])
+    ids = table["trajectory"].to_numpy()
+    sweeps, faults = [], []
+    for first, stop in pairwise(run_edges(ids)):
+        rows = table.slice(first, stop - first)
+        try:
+            trajectory = table_to_trajectory(rows)
+        except (OSError, ValueError, SyntaxError, TypeError, pa.ArrowException) as error:
+            faults.append(f"trajectory {ids[first]}: its rows cannot be read: {error}")
+            continue
+        place = slice(piece.start + first, piece.start + stop)
+        sweeps.append(_sweep(piece, rows, trajectory, labels, store, place))
+    return sweeps, faults
+
+
+def _read_part(path: Path, start: int, stop: int) -> pa.Table:
+    file = pq.ParquetFile(path)
+    sizes = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
+    ends = np.cumsum(sizes)
+    wanted = [i for i, end in enumerate(ends) if end > start and end - sizes[i] < stop]
+    begins = int(ends[wanted[0]]) - sizes[wanted[0]]
+    return file.read_row_groups(wanted).slice(start - begins, stop - start)
+
+
+def _sweep(
+    piece: Piece,
+    rows: pa.Table,
+    trajectory: Trajectory,
+    labels: Sequence[str],
+    store: FrameStore | None,
+    place: slice,
+) -> Sweep:
+    faults = []
+    try:
+        _check_rows(rows, trajectory, labels, piece.poses)
+    except RacinesError as error:
+        faults.append(("rows", f"{error}"))
+    if store is not None and not _in_store(store, place, piece.split, trajectory):
+        reason = f"trajectory {trajectory.id} differs between store and shards"
+        faults.append(("store", reason))
+    images = trajectory.images
+    predicted = [rows[name].cast(pa.float32()) for name in ("view_predicted", "grade_predicted")]
+    return Sweep(
+        split=piece.split,
+        id=trajectory.id,
+        session=trajectory.session,
+        target_view=trajectory.target_view,
+        phantom=trajectory.phantom,
+        digest=trajectory_digest(trajectory),
+        parameters=trajectory.parameters,
+        timestamps=trajectory.timestamps,
+        views=trajectory.views,
+        grades=trajectory.grades,
+        predicted=np.stack([c.fill_null(np.nan).to_numpy() for c in predicted], -1),
+        hashes=np.array([_hash(image) for image in images], np.uint64),
+        signatures=signatures(images),
+        faults=tuple(faults),
+    )
+
+
+def _check_rows(rows: pa.Table, trajectory: Trajectory, labels: Sequence[str], poses: bool) -> None:
+    unit = Unit(trajectory.id, trajectory.session, trajectory.target_view, len(trajectory))
+    check_trajectory(trajectory, unit, labels, poses)
+    where = f"trajectory {trajectory.id}"
+    for index, name in enumerate(PARAMETERS):
+        limit = LIMITS[name.partition("_")[0]]
+        if (np.abs(trajectory.parameters[:, index]) > limit).any():
+            raise RacinesError(f"{where}: {name} exceeds ±{limit:.4g}")
+    for name in ("session", "target_view", "phantom", "source"):
+        if len(rows[name].unique()) > 1:
+            raise RacinesError(f"{where}: {name} changes within it")
+    if not np.array_equal(rows["frame"].to_numpy(), np.arange(len(rows))):
+        raise RacinesError(f"{where}: frame numbers are not 0 to {len(rows) - 1} in order")
+
+
+def _in_store(store: FrameStore, place: slice, split: str, trajectory: Trajectory) -> bool:
+    start, stop = store.bounds(split)
+    if place.stop > len(store) or not start <= place.start < stop:
+        return False
+    index = store.trajectory_index[place]
+    columns = ("parameters", "controls", "grades", "timestamps")
+    return (
+        store.trajectories[int(index[0])] == trajectory.id
+        and bool((index == index[0]).all())
+        and np.array_equal(store.images[place].numpy(), trajectory.images)
+        and np.array_equal(store.views[place].numpy(), trajectory.views)
+        and all(
+            np.array_equal(
+                getattr(store, name)[place].numpy(), getattr(trajectory, name), equal_nan=True
+            )
+            for name in columns
+        )
+    )
+
+
+def _hash(image: np.ndarray) -> int:
+    return int.from_bytes(hashlib.blake2b(image.tobytes(), digest_size=8).digest(), "little")
+
+
+def signatures(images: np.ndarray) -> np.ndarray:
+    """Return (T, 256) float16 means of 8x8 blocks of (T, 128, 128) uint8 images."""
+    if images.shape[1:] != (IMAGE_SIZE, IMAGE_SIZE):
+        return np.zeros((len(images), (IMAGE_SIZE // POOL) ** 2), np.float16)
+    side = IMAGE_SIZE // POOL
+    blocks = images.reshape(-1, side, POOL, side, POOL)
+    return blocks.mean((2, 4), dtype=np.float32).reshape(-1, side * side).astype(np.float16)

@@ -1,0 +1,203 @@
+"""Checking a built dataset: every byte, every row, and what the rows say together.
+
+manifest ──> files, card, recipe
+shards   ──> survey (each shard read once, in parallel) ──> rows, counts, content, splits,
+             store, times, rate, labels, views, annotation, duplicates, oracle, paper, modes
+"""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+
+from racines_data.build.canonical import same_version
+from racines_data.errors import RacinesError
+from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
+from racines_data.validate.duplicates import check_exact, check_near, find_duplicates
+from racines_data.validate.files import check_card, check_files, check_recipe
+from racines_data.validate.labels import check_annotation, check_labels, check_views, view_shares
+from racines_data.validate.oracle import check_rejudged, rejudge
+from racines_data.validate.splits import (
+    check_content,
+    check_counts,
+    check_rate,
+    check_splits,
+    check_times,
+)
+from racines_data.validate.statistics import (
+    Verdict,
+    check_modes,
+    check_paper,
+    has_paper,
+    must_meet_paper,
+    parameter_statistics,
+    statistics_of,
+    verdicts_of,
+)
+from racines_data.validate.survey import Survey, survey
+from racines_data.views import PAPER_STATISTICS, ParameterStatistics
+
+__all__ = ["Check", "Validation", "has_paper", "parameter_statistics", "to_json", "validate"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One property of a dataset, and whether it holds."""
+
+    name: str
+    ok: bool
+    detail: str
+    binding: bool = True
+    """Whether the dataset is invalid without it; else it is told and no more."""
+
+
+@dataclass(frozen=True)
+class Validation:
+    """What was checked, and the figures behind it."""
+
+    manifest: dict[str, Any]
+    checks: list[Check] = field(default_factory=list)
+    statistics: dict[str, ParameterStatistics] = field(default_factory=dict)
+    """Of the parameters that were measured at all."""
+    verdicts: dict[str, Verdict] = field(default_factory=dict)
+    """Of the parameters beside the paper's table, where it is the measure."""
+    figures: dict[str, Any] = field(default_factory=dict)
+    """Views, duplicates and agreement with the oracle, by config."""
+
+    @property
+    def ok(self) -> bool:
+        """Whether every binding check holds."""
+        return all(check.ok for check in self.checks if check.binding)
+
+    def add(self, name: str, check: Callable[[], str], binding: bool = True) -> bool:
+        """Run a check, which returns what it found or raises what is wrong."""
+        try:
+            self.checks.append(Check(name, True, check(), binding))
+        except (RacinesError, pa.ArrowException, OSError, LookupError, ValueError) as error:
+            reason = f"{error}" if isinstance(error, RacinesError) else f"{error!r}"
+            self.checks.append(Check(name, False, reason, binding))
+        return self.checks[-1].ok
+
+
+def validate(
+    root: Path, against: Path | None = None, workers: int = 1, progress: bool = False
+) -> Validation:
+    """Check a dataset, reading every byte of it.
+
+    Args:
+        root: Folder of the dataset.
+        against: Another build that should be the same version.
+        workers: Processes that decode the images of a large dataset.
+        progress: Show a progress bar on stderr.
+
+    Raises:
+        RacinesError: there is no dataset.
+    """
+    manifest = read_manifest(root)
+    result = Validation(manifest)
+    result.add("files", lambda: check_files(root, manifest, workers))
+    result.add("card", lambda: check_card(root, manifest))
+    result.add("recipe", lambda: check_recipe(manifest))
+    for config in ("frames", MULTI_PHANTOM):
+        if config in manifest["configs"]:
+            _check_config(result, root, config, workers, progress)
+    if against is not None:
+        result.add("same version", lambda: same_version(root, against))
+    return result
+
+
+def _check_config(
+    result: Validation, root: Path, config: str, workers: int, progress: bool
+) -> None:
+    """Read the rows of a config once, and run all checks of them."""
+    manifest = result.manifest
+    prefix = "" if config == "frames" else f"{config}, "
+    surveys: list[Survey] = []
+
+    def read() -> str:
+        surveys.append(survey(root, manifest, config, workers, progress))
+        surveys[0].raise_faults("rows")
+        return f"{len(surveys[0])} frames with the columns, types and ranges of the schema"
+
+    result.add(f"{prefix}rows", read)
+    if not surveys or not surveys[0].sweeps:
+        return  # without rows there is nothing more to say of them
+    found = surveys[0]
+    _check_identity(result, prefix, found, root)
+    _check_meaning(result, prefix, found)
+    if config == "frames":
+        _check_paper(result, found)
+
+
+def _check_identity(result: Validation, prefix: str, found: Survey, root: Path) -> None:
+    manifest = result.manifest
+
+    def store() -> str:
+        found.raise_faults("store")
+        return f"{len(found)} frames, equal to the shards"
+
+    result.add(f"{prefix}counts", lambda: check_counts(found, manifest))
+    result.add(f"{prefix}content", lambda: check_content(found, manifest))
+    result.add(f"{prefix}splits", lambda: check_splits(found, root, manifest))
+    result.add(f"{prefix}store", store)
+
+
+def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
+    manifest, labels = result.manifest, manifest_labels(result.manifest)
+    simulated = manifest["source"] == "phantom"
+    if manifest.get("poses", True):  # single images have neither poses nor times
+        result.add(f"{prefix}times", lambda: check_times(found))
+        result.add(f"{prefix}rate", lambda: check_rate(found), binding=simulated)
+    result.add(f"{prefix}labels", lambda: check_labels(found, labels))
+    shares = view_shares(found, labels)
+    result.add(f"{prefix}views", lambda: check_views(shares), binding=False)
+    result.add(f"{prefix}annotation", lambda: check_annotation(found, manifest, labels))
+    copies = find_duplicates(found)
+    result.add(f"{prefix}copies", lambda: check_exact(copies))
+    result.add(f"{prefix}near-copies", lambda: check_near(copies), binding=simulated)
+    figures: dict[str, Any] = {"views": shares, "duplicates": vars(copies)}
+    if simulated:
+        judged: list[Any] = []
+
+        def oracle() -> str:
+            judged.append(rejudge(found, manifest))
+            return check_rejudged(judged[0])
+
+        result.add(f"{prefix}oracle", oracle)
+        if judged and not isinstance(judged[0], str):
+            figures["oracle"] = vars(judged[0])
+    result.figures[found.config] = figures
+
+
+def _check_paper(result: Validation, found: Survey) -> None:
+    parameters = found.column("parameters")
+    result.statistics.update(statistics_of(parameters))
+    if not has_paper(result.manifest):
+        return
+    result.verdicts.update(verdicts_of(result.statistics))
+    binding = must_meet_paper(result.manifest)
+    result.add("paper's table", lambda: check_paper(result.verdicts), binding)
+    result.add("rotation_x", lambda: check_modes(parameters), binding)
+
+
+def to_json(result: Validation) -> dict[str, Any]:
+    """Return a validation as JSON, the paper's statistics and the verdict beside ours."""
+    statistics = {}
+    for name, value in result.statistics.items():
+        statistics[name] = {**vars(value), "paper": None, "verdict": None}
+        if name in result.verdicts:
+            verdict = result.verdicts[name]
+            statistics[name]["paper"] = vars(PAPER_STATISTICS[name])
+            statistics[name]["verdict"] = {**vars(verdict), "ok": not verdict.faults}
+    keys = ("source", "version", "digest", "recipe_digest", "counts")
+    return {
+        "schema": "racines.validation/1",
+        **{key: result.manifest[key] for key in keys},
+        "ok": result.ok,
+        "checks": [dataclasses.asdict(check) for check in result.checks],
+        "statistics": statistics,
+        "figures": result.figures,
+    }

@@ -1,0 +1,131 @@
+"""Traces: the same figures as the agent that made them, and nothing on another ground."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from racines_data.errors import RacinesError
+from racines_envs.agents import load_agent
+from racines_envs.agents.trace_file import read_trace
+from racines_envs.evaluation.run import EvaluationConfig, evaluate
+from racines_envs.evaluation.tracing import record_trace
+from tests.envs.agents.test_onnx_policy import policy
+from tests.envs.fakes import FakeGrader, FakePhantom
+
+FEW = EvaluationConfig(starts=6, seeds=(0, 2), resamples=50, latency=0)
+
+
+@pytest.fixture
+def trace(phantom, tmp_path):
+    record_trace("planner", tmp_path, FEW, tmp_path / "t.json", phantom)
+    return tmp_path / "t.json"
+
+
+def figures(name, path, config, phantom, **more):
+    scores = evaluate(str(name), path, config, phantom, **more).scores
+    return {key: scores[key] for key in ("metrics", "by_seed", "task", "seeds", "phantom")}
+
+
+@pytest.mark.parametrize("name", ["planner", "random"])
+@pytest.mark.parametrize("reward", ["oracle", "shaped"])
+def test_a_trace_has_the_figures_of_its_agent(name, reward, phantom, tmp_path):
+    config = replace(FEW, reward=reward)
+    made = record_trace(name, tmp_path, config, tmp_path / "t.json", phantom)
+    here = figures(name, tmp_path, config, phantom)
+    assert figures(tmp_path / "t.json", tmp_path, config, phantom) == here
+    again = (tmp_path / "t.json").read_bytes()
+    record_trace(name, tmp_path, config, tmp_path / "t.json", phantom)
+    assert (tmp_path / "t.json").read_bytes() == again
+    assert made["episodes"] == 12 and here["metrics"]["episode_steps"]["n"] == 12
+    assert made["steps"] == pytest.approx(12 * here["metrics"]["episode_steps"]["value"])
+
+
+def test_a_policys_trace_under_the_papers_reward(phantom, tmp_path):
+    """The grader ends the episodes: the replay has to draw what the policy saw."""
+    config, grader, agent = replace(FEW, starts=2, reward="paper"), FakeGrader(), policy("image")
+    record_trace("ppo", tmp_path, config, tmp_path / "t.json", phantom, grader, agent)
+    here = figures("ppo", tmp_path, config, phantom, grader=grader, agent=agent)
+    assert figures(tmp_path / "t.json", tmp_path, config, phantom, grader=grader) == here
+    assert here["task"]["observation"] == "image"
+
+
+def test_the_scores_name_the_file(trace, phantom, tmp_path):
+    scores = evaluate(str(trace), tmp_path, replace(FEW, latency=60), phantom).scores
+    assert scores["agent"] == "trace" and list(scores["weights"]["files"]) == ["t.json"]
+    assert "latency" not in scores["metrics"], "a trace decides nothing"
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        (replace(FEW, seeds=(0, 1)), "recorded from 6 starts of each of the sets"),
+        (replace(FEW, starts=5), "recorded from 6 starts"),
+        (replace(FEW, seed=0), "recorded from 6 starts"),
+        (replace(FEW, reward="shaped"), 'reward: recorded with "oracle", this is "shaped"'),
+        (replace(FEW, view="PL"), "trained for SC, not PL"),
+    ],
+)
+def test_other_starts_and_other_tasks_are_refused(trace, phantom, tmp_path, config, message):
+    with pytest.raises(RacinesError, match=message):
+        evaluate(str(trace), tmp_path, config, phantom)
+
+
+def test_another_phantom_is_refused(trace, tmp_path):
+    """Its recipe tells them apart; stand-ins without one, where the same actions lead."""
+    with pytest.raises(RacinesError, match="t.json: set 0, index .: the trace (ends before|goes)"):
+        evaluate(str(trace), tmp_path, FEW, FakePhantom(reach=0.5))
+
+
+def spoil(path, change):
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.update(extra=1), "keys unknown or missing: extra"),
+        (lambda d: d.pop("agent"), "keys unknown or missing: agent"),
+        (lambda d: d.update(schema="racines.trace/9"), "schema is not"),
+        (lambda d: d.update(task=[]), "task: a list is refused"),
+        (lambda d: d["start_set"].update(seeds=[0, 0]), "start_set: give different seeds"),
+        (lambda d: d["start_set"].update(starts=10**9), "10,000 episodes in all"),
+        (lambda d: d["start_set"].update(starts=True), "start_set"),
+        (lambda d: d["episodes"].pop(), "11 episodes: its start set has 2 x 6"),
+        (lambda d: d["episodes"].reverse(), "set 2, index 5: expected"),
+        (lambda d: d["episodes"][3]["actions"].append(13), "index': 3.*actions: give"),
+        (lambda d: d["episodes"][3]["actions"].append(1.0), "actions: give"),
+        (lambda d: d["episodes"][3].update(actions=[]), "actions: give"),
+        (lambda d: d["episodes"][3].update(seed=1), "give set, index and actions"),
+        (lambda d: d.update(agent=float("nan")), "no finite number"),
+        (lambda d: d.update(phantom={"version": "9"}), "phantom: recorded with"),
+        (lambda d: d["task"].update(hits=1), "task: recorded with"),
+        (lambda d: d["episodes"][0]["actions"].pop(), "set 0, index 0: the trace ends before"),
+        (lambda d: d["episodes"][5]["actions"].append(0), "set 0, index 5: the trace goes on"),
+    ],
+)
+def test_what_is_no_sound_trace_is_refused(trace, phantom, tmp_path, change, message):
+    spoil(trace, change)
+    with pytest.raises(RacinesError, match=rf"t\.json: .*{message}"):
+        evaluate(str(trace), tmp_path, FEW, phantom)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", "[" * 100_000, '{"a": 1e999}', "\x80\x04K\x01."])
+def test_what_is_no_json_is_refused(tmp_path, text):
+    (tmp_path / "t.json").write_text(text)
+    with pytest.raises(RacinesError, match="t.json: "):
+        read_trace(tmp_path / "t.json")
+    (tmp_path / "t.json").unlink()
+    with pytest.raises(RacinesError, match="no such file"):
+        read_trace(tmp_path / "t.json")
+    with (tmp_path / "t.json").open("wb") as file:
+        file.truncate(10 * 2**30)
+    with pytest.raises(RacinesError, match="10,737,418,240 bytes: at most"):
+        read_trace(tmp_path / "t.json")
+
+
+def test_a_trace_is_not_trained(trace):
+    with pytest.raises(RacinesError, match="racines export trace"):
+        load_agent(str(trace), "").train(None, trace)

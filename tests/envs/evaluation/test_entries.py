@@ -1,0 +1,93 @@
+"""Runs of agents, as the section `agents` of a params file names them."""
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from racines_data.errors import RacinesError
+from racines_envs.cli import agents as cli
+from racines_envs.evaluation.entries import find_entry
+
+PARAMS = """
+board: tiny
+agents:
+  planner: {}
+  planner-pl: {agent: planner, view: PL}
+  pl: {agent: ppo, view: PL, frames: 256, envs: 16, update_every: 128, minibatch: 64, epochs: 1,
+       hidden: [16, 16], validation_starts: 2}
+evaluation: {starts: 2, seeds: [0], resamples: 20, latency: 0}
+"""
+SETTINGS = {
+    "agents": {
+        "ppo": {"frames": 9},
+        "other": {"agent": "ppo", "view": "PL", "hidden": [8]},
+        "floor-pl": {"agent": "random", "view": "PL"},
+        "dqn": {"agent": "ppo"},
+        "bare": None,
+    }
+}
+
+
+def test_an_entry_is_a_run_of_its_agent():
+    one, two = (find_entry(SETTINGS, name) for name in ("ppo", "other"))
+    assert (one.name, one.agent, one.settings, one.view) == ("ppo", "ppo", {"frames": 9}, None)
+    assert (two.name, two.agent, two.view) == ("other", "ppo", "PL")
+    assert two.settings == {"view": "PL", "hidden": [8]}
+    assert two.folder == Path("envs/runs/other")
+    assert two.scores == Path("envs/runs/scores/other.json")
+
+
+def test_a_view_is_for_agents_without_settings_too():
+    floor = find_entry(SETTINGS, "floor-pl")
+    assert (floor.settings, floor.view) == ({}, "PL")
+
+
+def test_an_agent_without_an_entry_has_its_own_name_or_the_one_given():
+    assert find_entry({}, "ppo").settings == {}
+    spec = "racines_envs.agents.dqn:DQNAgent"
+    own = find_entry(SETTINGS, spec, "mine")
+    assert (own.name, own.agent, own.settings) == ("mine", spec, {}), "agents.dqn is a PPO here"
+    assert find_entry(SETTINGS, "dqn").agent == "ppo"
+    spec = "racines_envs.agents.ppo:PPOAgent"
+    assert find_entry(SETTINGS, spec).settings == {"frames": 9}
+
+
+def test_entries_that_are_none_are_refused():
+    with pytest.raises(RacinesError, match="unknown agent 'ghost'"):
+        find_entry(SETTINGS, "ghost")
+    with pytest.raises(RacinesError, match="unknown agent 'bare'"):
+        find_entry(SETTINGS, "bare")
+    with pytest.raises(RacinesError, match=r"agents\.x: 3 is no mapping"):
+        find_entry({"agents": {"x": 3}}, "x")
+    with pytest.raises(RacinesError, match=r"agents\.x\.agent: 3"):
+        find_entry({"agents": {"x": {"agent": 3}}}, "x")
+
+
+def test_the_commands_train_and_score_runs_by_name(real_phantom, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "params.yaml").write_text(PARAMS)
+    app, train, evaluation = typer.Typer(), typer.Typer(), typer.Typer()
+    cli.register(train, evaluation)
+    for name, verb in (("train", train), ("eval", evaluation)):
+        app.add_typer(verb, name=name)
+
+    def run(*words):
+        done = CliRunner().invoke(app, words, catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+
+    for name in ("pl", "planner-pl"):
+        run("train", "agent", name, "--json")
+        run("eval", "agent", name)
+        scores = json.loads((tmp_path / f"envs/runs/scores/{name}.json").read_text())
+        assert scores["task"]["view"] == "PL" and scores["board"] == "tiny"
+        agent = "ppo" if name == "pl" else "planner"
+        assert (scores["agent"], scores["submission"]) == (name, agent)
+        assert (tmp_path / f"envs/runs/scores/{name}.png").is_file()
+        config = json.loads((tmp_path / f"envs/runs/{name}/config.json").read_text())
+        assert config["agent"] == agent
+    run("eval", "agent", "planner", "--name", "ceiling", "--view", "SC")
+    scores = json.loads((tmp_path / "envs/runs/scores/ceiling.json").read_text())
+    assert scores["agent"] == "ceiling" and scores["task"]["view"] == "SC"

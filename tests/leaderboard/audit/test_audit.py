@@ -1,0 +1,339 @@
+"""The audit: what was left alone holds, and each way of tampering is caught by name."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+from typer.testing import CliRunner
+
+from racines_data.store.frames import open_store
+from racines_data.views import LABELS
+from racines_envs.agents.onnx.policy import OnnxPolicyAgent
+from racines_envs.evaluation.run import EvaluationConfig, evaluate
+from racines_envs.evaluation.tracing import record_trace
+from racines_envs.worlds.making import make_phantom, phantom_recipe
+from racines_leaderboard.audit.bench import Bench, Places
+from racines_leaderboard.audit.compare import compare
+from racines_leaderboard.audit.retrain import retrain
+from racines_leaderboard.audit.roads import HALF
+from racines_leaderboard.audit.run import audit
+from racines_leaderboard.audit.verdicts import FAILS, HOLDS, UNKNOWN, Report
+from racines_leaderboard.board.collect import collect
+from racines_leaderboard.board.recompute import recompute
+from racines_leaderboard.cli.command import app
+from racines_leaderboard.records.schema import check
+from racines_leaderboard.records.seal import sealed
+from racines_models.exchange.onnx.generator import OnnxGenerator
+from racines_models.exchange.predictions.file import Task, write_predictions
+from racines_models.generators.mean_image import MeanImage
+from racines_models.judges.grader.model import Grader, GraderConfig
+from racines_models.protocol import Run
+from racines_models.registry import weights_of
+from racines_models.sample import take_sample
+from racines_models.scores.scoring import score
+from tests.leaderboard.conftest import artefact
+from tests.leaderboard.graphs import sound_generator, sound_policy
+from tests.leaderboard.handed_in import CONFIG, inbox, submitted
+
+RESULTS, SUBMISSIONS = Path("leaderboard/results"), Path("leaderboard/submissions")
+
+
+@pytest.fixture
+def drawn(ground) -> Path:
+    """The record of a predictions file that was handed in and scored."""
+    store, root = open_store(ground.data), Path.cwd()
+    generator = OnnxGenerator(sound_generator(inbox(root, "made") / "mine.onnx"))
+    path = inbox(root, "in") / "drawn.parquet"
+    task = Task(store, take_sample(store, "test", 16), "test", (0,))
+    write_predictions(path, task, generator, "stripes")
+    folder = submitted(root, "predictions", path, store.manifest["digest"])
+    recompute(folder, ground, RESULTS)
+    return RESULTS / "tiny/generators/mine.json"
+
+
+@pytest.fixture
+def steered(ground) -> Path:
+    """The record of a trace that was handed in and scored."""
+    trace = record_a_trace((0, 1, 2), inbox(Path.cwd(), "steered") / "trace.json")
+    recipe: Any = phantom_recipe(make_phantom(None))
+    folder = submitted(Path.cwd(), "trace", trace, recipe["recipe_digest"])
+    recompute(folder, ground, RESULTS)
+    return RESULTS / "tiny/agents/mine.json"
+
+
+@pytest.fixture
+def merged(ground) -> Path:
+    """The record of merged code, collected from the scores of its run."""
+    store, runs = open_store(ground.data), Path("models/runs")
+    generator = MeanImage()
+    generator.fit(store, Run(runs / "mean-image", progress=False))
+    scores = score(generator, store, CONFIG, "mean-image").content
+    scores |= {"weights": weights_of("mean-image", runs / "mean-image")}
+    scores["dataset"]["board"] = "tiny"
+    (runs / "scores").mkdir()
+    (runs / "scores/mean-image.json").write_text(json.dumps(scores))
+    (path,) = collect([runs / "scores"], RESULTS, SUBMISSIONS, "tiny")
+    return path
+
+
+@pytest.fixture
+def climbed(ground) -> Path:
+    """The record of an agent that goes by the grader which judges its last images."""
+    torch.manual_seed(0)
+    settings = GraderConfig(input_size=32)
+    folder = Path("models/runs/grader")
+    folder.mkdir(parents=True)
+    Grader(Grader.build(settings, len(LABELS)), settings).save(folder)
+    config = EvaluationConfig(starts=4, grader=str(folder), latency=0)
+    scores = evaluate("hill-climber", Path("envs/runs/hill-climber"), config).scores
+    Path("envs/runs/scores").mkdir(parents=True)
+    Path("envs/runs/scores/hill-climber.json").write_text(json.dumps(scores))
+    (path,) = collect([Path("envs/runs/scores")], RESULTS, SUBMISSIONS, "tiny")
+    return path
+
+
+def record_a_trace(seeds: tuple[int, ...], path: Path) -> Path:
+    agent = OnnxPolicyAgent(sound_policy(path.with_name("policy.onnx")))
+    config = EvaluationConfig(starts=4, seeds=seeds, latency=0)
+    record_trace("", Path.cwd(), config, path, make_phantom(None), agent=agent)
+    path.with_name("policy.onnx").unlink()
+    return path
+
+
+def audited(path: Path, quick: bool = False) -> Report:
+    return audit(path, Bench("tiny", Places()), quick)
+
+
+def failing(report: Report) -> set[str]:
+    return {each.subject for each in report.verdicts if each.verdict == FAILS}
+
+
+def edit(path: Path, reseal: bool = True, **metrics: dict[str, Any]) -> None:
+    """Change figures of a record, as somebody would who knows of the seal."""
+    record = json.loads(path.read_text())
+    for key, changes in metrics.items():
+        record["scores"]["metrics"][key] |= changes
+    path.write_text(json.dumps(sealed(record) if reseal else record))
+
+
+def swap_artefact(record_path: Path, new: Path) -> None:
+    """Put another file in an artefact's place, with all hashes made to fit."""
+    record = json.loads(record_path.read_text())
+    folder = SUBMISSIONS / record["track"] / record["name"]
+    (entry,) = record["submission"]["artefacts"]
+    (folder / entry["path"]).write_bytes(new.read_bytes())
+    entry |= artefact(entry["kind"], folder / entry["path"])
+    record["scores"]["weights"] = {entry["path"]: entry["sha256"]}
+    (folder / "submission.yaml").write_text(yaml.safe_dump(record["submission"]))
+    record_path.write_text(json.dumps(sealed(record)))
+
+
+@pytest.mark.parametrize("name", ["drawn", "steered", "merged"])
+def test_what_was_left_alone_holds_to_the_last_bit(name, request):
+    path = request.getfixturevalue(name)
+    report = audited(path)
+    assert report.holds, failing(report)
+    assert report.made_again["agreement"] == "bitwise"
+    metrics = json.loads(path.read_text())["scores"]["metrics"]
+    subjects = {each.subject for each in report.verdicts}
+    for key in metrics:
+        assert {f"metrics.{key}.{number}" for number in ("value", "low", "high", "n")} <= subjects
+
+
+def test_a_metric_changed_by_a_thousandth(drawn):
+    value = json.loads(drawn.read_text())["scores"]["metrics"]["ssim"]["value"]
+    edit(drawn, ssim={"value": value + 0.001})
+    assert failing(audited(drawn)) == {"metrics.ssim.value"}
+
+
+def test_a_metric_changed_by_a_thousandth_on_another_machine(drawn):
+    record = json.loads(drawn.read_text())
+    record["scores"]["environment"]["cpu"] = "another"
+    ssim = record["scores"]["metrics"]["ssim"]
+    drawn.write_text(json.dumps(sealed(record)))
+    report = audited(drawn)
+    assert report.holds and report.made_again["agreement"] == "tolerance"
+    edit(drawn, ssim={"value": ssim["value"] + 0.001})
+    assert failing(audited(drawn)) == {"metrics.ssim.value"}
+
+
+def test_weights_changed_by_one_byte(merged):
+    path = Path("models/runs/mean-image/model.safetensors")
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(content)
+    assert failing(audited(merged, quick=True)) == {"weights.model.safetensors"}
+
+
+def test_an_artefact_changed_by_one_byte(steered):
+    path = SUBMISSIONS / "agents/mine/trace.json"
+    path.write_text(path.read_text().replace('"agent"', ' "agent"'))
+    assert {"weights.trace.json", "submission"} <= failing(audited(steered, quick=True))
+
+
+def test_predictions_for_another_version(drawn, monkeypatch):
+    store = open_store("data/racines")
+    monkeypatch.setitem(store.manifest, "digest", "ab" * 32)
+    other = inbox(Path.cwd(), "other") / "drawn.parquet"
+    task = Task(store, take_sample(store, "test", 16), "test", (0,))
+    write_predictions(other, task, OnnxGenerator(Path("made/mine.onnx")), "stripes")
+    swap_artefact(drawn, other)
+    assert failing(audited(drawn, quick=True)) == {"artefacts.drawn.parquet"}
+    assert "metrics" in failing(audited(drawn))
+
+
+def test_a_record_of_another_version(drawn):
+    record = json.loads(drawn.read_text())
+    record["scores"]["dataset"]["recipe_digest"] = "cd" * 32
+    drawn.write_text(json.dumps(sealed(record)))
+    assert failing(audited(drawn, quick=True)) == {"dataset.recipe_digest"}
+
+
+def test_a_trace_recorded_on_other_seeds(steered):
+    swap_artefact(steered, record_a_trace((5, 6, 7), inbox(Path.cwd(), "other") / "trace.json"))
+    assert failing(audited(steered, quick=True)) == {"artefacts.trace.json.start_set"}
+    assert "metrics" in failing(audited(steered))
+    record = json.loads(steered.read_text())
+    record["scores"]["task"]["start_set"]["seeds"] = [5, 6, 7]
+    steered.write_text(json.dumps(sealed(record)))
+    assert "task.start_set" in failing(audited(steered, quick=True))
+
+
+def test_a_swapped_extractor(drawn):
+    record = json.loads(drawn.read_text())
+    record["scores"]["extractors"]["inception"]["sha256"] = "ab" * 32
+    drawn.write_text(json.dumps(sealed(record)))
+    report = audited(drawn)
+    assert failing(report) == {"extractors.inception", "extractors.inception.settings"}
+
+
+def test_the_graders_that_had_a_say_are_those_that_an_agents_record_names(climbed):
+    report = audited(climbed)
+    assert report.holds, failing(report)
+    again = {each.subject: each for each in report.verdicts if each.verdict == HOLDS}
+    for subject in ("extractors.grader", "extractors.guide", "metrics.success_grader.value"):
+        assert subject in again
+    record = json.loads(climbed.read_text())
+    record["scores"]["extractors"]["grader"]["sha256"] = "ab" * 32
+    climbed.write_text(json.dumps(sealed(record)))
+    said = {each.subject: each for each in audited(climbed).verdicts}
+    for subject in ("extractors.grader", "metrics.success_grader"):
+        assert said[subject].verdict == UNKNOWN
+    assert said["metrics.success_true.value"].verdict == HOLDS
+    shutil.rmtree("models/runs/grader")
+    said = {each.subject: each for each in audited(climbed).verdicts}
+    assert said["metrics.success_true"].reason == "the grader that it goes by is not here"
+
+
+def test_an_interval_made_with_another_n(drawn, steered):
+    store = open_store("data/racines")
+    fewer = CONFIG.__class__(samples=8, resamples=20, speed=False)
+    told = score(OnnxGenerator(Path("made/mine.onnx")), store, fewer, "mine").content["metrics"]
+    psnr = {key: told["psnr"][key] for key in ("low", "high")}
+    edit(drawn, psnr=psnr)
+    assert {"metrics.psnr.low", "metrics.psnr.high"} <= failing(audited(drawn))
+    edit(drawn, psnr=psnr | {"n": 8})
+    assert "metrics.psnr.n" in failing(audited(drawn, quick=True))
+    record = json.loads(steered.read_text())["scores"]["metrics"]["success_true"]
+    assert record["n"] == 12
+    edit(steered, success_true={"low": record["low"] / 2, "high": record["high"] / 2})
+    assert "metrics.success_true.wilson" in failing(audited(steered, quick=True))
+
+
+def test_results_edited_after_the_fact(drawn, merged):
+    first = drawn.read_text()
+    edit(drawn, reseal=False, fid={"value": 0.0, "low": 0.0})
+    assert failing(audited(drawn, quick=True)) == {"seal"}
+    edit(drawn, fid={"value": 0.0, "low": 0.0})
+    assert audited(drawn, quick=True).holds, "a new seal: only scoring again can tell"
+    assert {"metrics.fid.value", "metrics.fid.low"} <= failing(audited(drawn))
+    drawn.write_text(first)
+    assert audited(drawn).holds
+    edit(merged, ssim={"value": 0.5, "low": 0.5})
+    assert failing(audited(merged, quick=True)) == {"scores"}
+
+
+@pytest.mark.parametrize(
+    ("key", "number", "moved", "verdict"),
+    [
+        ("recall", "low", 0.009, HOLDS),
+        ("recall", "low", 0.03, UNKNOWN),
+        ("recall", "low", 0.05, FAILS),
+        ("recall", "n", 1, FAILS),
+        ("ssim", "value", 0.009, HOLDS),
+        ("ssim", "value", 0.03, FAILS),
+    ],
+)
+def test_a_half_precision_copy_speaks_against_what_it_can_tell(key, number, moved, verdict):
+    metric = {"value": 0.9, "low": 0.86, "high": 0.94, "n": 512}
+    record = {"track": "generators", "scores": {"metrics": {key: metric}}}
+    made = {"metrics": {key: metric | {number: metric[number] + moved}}}
+    found = {each.subject: each.verdict for each in compare(record, made, HALF)}
+    assert found.pop(f"metrics.{key}.{number}") == verdict
+    assert set(found.values()) == {HOLDS}
+
+
+def test_what_is_not_here_is_said_to_be_unknown(merged):
+    shutil.rmtree("models/runs/mean-image")
+    Path("data/racines").unlink()
+    report = audited(merged)
+    assert report.holds
+    said = {each.subject: each for each in report.verdicts}
+    for subject in ("weights.model.safetensors", "dataset.digest", "metrics.ssim"):
+        assert said[subject].verdict == UNKNOWN and said[subject].reason
+
+
+def test_training_again_reaches_the_tier_only_if_it_holds(merged):
+    record = json.loads(merged.read_text())
+    assert record["tier"] == "self-reported"
+    bench = Bench("tiny", Places())
+    psnr = dict(record["scores"]["metrics"]["psnr"])
+    own = Path("models/runs/scores/mean-image.json")
+    kept = own.read_text()
+    own.unlink()
+    edit(merged, psnr={key: psnr[key] + 9 for key in ("value", "low", "high")})
+    report = retrain(merged, bench, Path("again"))
+    assert failing(report) == {"reproduced.psnr"}
+    assert json.loads(merged.read_text())["tier"] == "self-reported"
+    edit(merged, psnr=psnr)
+    own.write_text(kept)
+    report = retrain(merged, bench, Path("again"))
+    assert report.holds, failing(report)
+    record = json.loads(merged.read_text())
+    assert record["tier"] == "reproduced" and record == sealed(record)
+    assert record["reproduced"]["weights"] == record["scores"]["weights"]
+    assert audited(merged, quick=True).holds
+
+
+def test_the_command_reports_and_exits_by_what_it_found(drawn, merged, tmp_path):
+    words = ["audit", "--all", "--quick", "--json"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    check(document, "audit", "stdout")
+    assert [each["name"] for each in document["reports"]] == ["mean-image", "mine"]
+    edit(drawn, reseal=False, ssim={"n": 15})
+    done = CliRunner().invoke(app, ["audit", "mine", "--quick", "--out", "report.md"])
+    assert done.exit_code == 1 and "DOES NOT HOLD" in done.stdout
+    page = Path("report.md").read_text()
+    assert "| seal | does not hold |" in page and "| metrics.ssim.n | does not hold |" in page
+    assert CliRunner().invoke(app, ["audit", "nobody"]).exit_code == 1
+    assert CliRunner().invoke(app, ["audit"]).exit_code == 2
+
+
+def test_a_record_without_a_seal_gets_one_if_nothing_fails(drawn):
+    record = json.loads(drawn.read_text())
+    seal = record.pop("seal")
+    drawn.write_text(json.dumps(record))
+    words = ["audit", "generators/mine", "--quick", "--seal"]
+    assert CliRunner().invoke(app, words).exit_code == 0
+    assert json.loads(drawn.read_text())["seal"] == seal
+
+
+def test_a_damaged_record_is_reported(drawn):
+    drawn.write_text("{}")
+    assert failing(audited(drawn)) == {"record"}

@@ -1,0 +1,160 @@
+"""Scores made again from what was submitted: those of the road within this process, or none."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from racines_data.errors import RacinesError
+from racines_data.store.frames import open_store
+from racines_envs.agents.onnx.policy import OnnxPolicyAgent
+from racines_envs.evaluation.run import EvaluationConfig, evaluate
+from racines_envs.evaluation.tracing import record_trace
+from racines_envs.worlds.making import make_phantom, phantom_recipe
+from racines_leaderboard.board import recompute as module
+from racines_leaderboard.board.collect import read_board
+from racines_leaderboard.board.recompute import find, recompute
+from racines_leaderboard.cli.command import app
+from racines_leaderboard.submissions.intake import take_in
+from racines_models.exchange.onnx.generator import OnnxGenerator
+from racines_models.exchange.predictions.file import Task, write_predictions
+from racines_models.sample import take_sample
+from racines_models.scores.scoring import score
+from tests.conftest import TINY
+from tests.leaderboard.conftest import artefact, generator_scores, write_submission
+from tests.leaderboard.graphs import harmful, sound_generator, sound_policy
+from tests.leaderboard.handed_in import CONFIG, inbox, submitted
+
+
+def test_a_generator_and_its_predictions_get_the_scores_of_the_open_road(ground, tmp_path):
+    store = open_store(ground.data)
+    path = sound_generator(inbox(tmp_path, "one") / "mine.onnx")
+    wanted = score(OnnxGenerator(path), store, CONFIG, "mine").content["metrics"]
+    task = Task(store, take_sample(store, "test", 16), "test", (0,))
+    drawn = inbox(tmp_path, "two") / "drawn.parquet"
+    write_predictions(drawn, task, OnnxGenerator(path), "stripes")
+    recipe = store.manifest["recipe_digest"]
+    folders = [
+        submitted(tmp_path, "generator", path, store.manifest["digest"]),
+        submitted(tmp_path, "predictions", drawn, recipe, name="drawn"),
+    ]
+    for folder in folders:
+        record = recompute(folder, ground, tmp_path / "results")
+        # A file of one seed says nothing of how much the seed changes.
+        absent = {"diversity"} if folder.name == "drawn" else set()
+        expected = {key: value for key, value in wanted.items() if key not in absent}
+        assert record["tier"] == "recomputed" and record["scores"]["metrics"] == expected
+        entry = record["submission"]["artefacts"][0]
+        assert record["scores"]["weights"] == {entry["path"]: entry["sha256"]}
+        assert record["scores"]["dataset"]["board"] == "tiny"
+    board = read_board(tmp_path / "results", "tiny")
+    assert [record["name"] for record in board["generators"]] == ["drawn", "mine"]
+    assert board["generators"][1]["scores"]["metrics"] == wanted
+
+
+def test_two_generators_are_two_seeds_of_one_method(ground, tmp_path):
+    digest = open_store(ground.data).manifest["digest"]
+    folder = inbox(tmp_path, "in")
+    paths = [sound_generator(folder / name) for name in ("a.onnx", "b.onnx")]
+    dataset = {"source": "phantom", "version": "1.0.0", "digest": digest}
+    write_submission(folder, *(artefact("generator", path) for path in paths), dataset=dataset)
+    taken = take_in(folder, tmp_path / "leaderboard/submissions").folder
+    record = recompute(taken, ground, tmp_path / "results")
+    assert record["scores"]["runs"] == 2 and record["scores"]["seeds"] == [0, 1]
+
+
+def test_a_policy_and_its_trace_get_the_scores_of_the_open_road(ground, tmp_path):
+    phantom = make_phantom(None)
+    recipe = phantom_recipe(phantom)
+    assert recipe is not None
+    config = EvaluationConfig(starts=4, latency=0)
+    path = sound_policy(inbox(tmp_path, "one") / "policy.onnx")
+    opened = OnnxPolicyAgent(path)
+    wanted = evaluate("", tmp_path, config, phantom, agent=opened).scores
+    trace = inbox(tmp_path, "two") / "trace.json"
+    record_trace("", tmp_path, config, trace, phantom, agent=opened)
+    folders = [
+        submitted(tmp_path, "policy", path, recipe["recipe_digest"]),
+        submitted(tmp_path, "trace", trace, recipe["recipe_digest"], name="played"),
+    ]
+    for folder in folders:
+        scores = recompute(folder, ground, tmp_path / "results")["scores"]
+        for key in ("metrics", "by_seed", "task", "phantom"):
+            assert scores[key] == json.loads(json.dumps(wanted[key])), key
+        assert scores["agent"] == folder.name
+    with pytest.raises(RacinesError, match="recorded from 4 starts"):
+        fewer = replace(ground, settings=TINY | {"evaluation": {"starts": 3}})
+        recompute(folders[1], fewer, tmp_path / "results")
+
+
+def test_other_data_are_refused(ground, tmp_path):
+    folder = submitted(
+        tmp_path, "generator", sound_generator(inbox(tmp_path, "in") / "m.onnx"), "ab" * 32
+    )
+    with pytest.raises(RacinesError, match="mine: dataset.digest: abab.*score it on the data"):
+        recompute(folder, ground, tmp_path / "results")
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize(("how", "message"), [("loop", "took more than"), ("claim", "memory")])
+def test_what_breaks_a_limit_leaves_no_record(ground, tmp_path, how, message):
+    digest = open_store(ground.data).manifest["digest"]
+    path = harmful(inbox(tmp_path, "in") / "harm.onnx", how)
+    folder = submitted(tmp_path, "generator", path, digest)
+    quick = replace(ground, limits=replace(ground.limits, call_seconds=1))
+    with pytest.raises(RacinesError, match=f"harm.onnx: .*{message}"):
+        recompute(folder, quick, tmp_path / "results")
+    assert not (tmp_path / "results").exists()
+
+
+def test_figures_that_are_not_finite_leave_no_record(ground, tmp_path, monkeypatch):
+    digest = open_store(ground.data).manifest["digest"]
+    path = sound_generator(inbox(tmp_path, "in") / "m.onnx")
+    folder = submitted(tmp_path, "generator", path, digest)
+    scores = generator_scores("mine", ssim=float("nan"))
+    monkeypatch.setattr(module, "_generator_scores", lambda *_: scores)
+    with pytest.raises(RacinesError, match="mine.json: a figure is not finite"):
+        recompute(folder, ground, tmp_path / "results")
+    assert not (tmp_path / "results").exists()
+
+
+def test_what_cannot_be_scored_again_says_why(ground, tmp_path):
+    submissions = tmp_path / "leaderboard/submissions"
+    with pytest.raises(RacinesError, match="'mine': no submission"):
+        find(submissions, "mine")
+    for track in ("generators", "agents"):
+        adapter = {"kind": "adapter", "adapter": "racines_envs.agents.ppo:PPOAgent"}
+        write_submission(submissions / track / "mine", adapter, track=track)
+    with pytest.raises(RacinesError, match="'mine': in both tracks"):
+        find(submissions, "mine")
+    with pytest.raises(RacinesError, match="no submission"):
+        find(submissions, "../generators/mine")
+    folder = find(submissions, "agents/mine")
+    with pytest.raises(RacinesError, match="no artefact that can be scored again"):
+        recompute(folder, ground, tmp_path / "results")
+    far = artefact("generator", tmp_path / "absent.onnx", url="https://example.org/absent.onnx")
+    write_submission(submissions / "generators/mine", far)
+    with pytest.raises(RacinesError, match="absent.onnx: lies at its URL"):
+        recompute(submissions / "generators/mine", ground, tmp_path / "results")
+
+
+def test_a_file_that_was_changed_in_its_place_is_refused(ground, tmp_path):
+    path = sound_generator(inbox(tmp_path, "in") / "m.onnx")
+    folder = submitted(tmp_path, "generator", path, "ab" * 32)
+    (folder / "m.onnx").write_bytes(path.read_bytes() + b"\x00")
+    with pytest.raises(RacinesError, match="m.onnx: the file has sha256"):
+        recompute(folder, ground, tmp_path / "results")
+
+
+def test_the_command_recomputes_and_shows_the_board(ground, tmp_path):
+    digest = open_store(ground.data).manifest["digest"]
+    path = sound_generator(inbox(tmp_path, "in") / "m.onnx")
+    submitted(tmp_path, "generator", path, digest)
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(TINY))
+    words = ["leaderboard", "--recompute", "mine", "--no-grader", "--json"]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    (entry,) = json.loads(done.stdout)["boards"]["tiny"]["generators"]
+    assert (entry["name"], entry["tier"]) == ("mine", "recomputed")

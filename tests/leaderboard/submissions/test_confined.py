@@ -1,0 +1,156 @@
+"""The confined child: the same bytes as in this process, and an end to whatever does not end."""
+
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from racines_data.errors import RacinesError
+from racines_envs.agents.onnx.policy import OnnxPolicyAgent
+from racines_envs.agents.protocol import Agent
+from racines_envs.worlds.making import make_core
+from racines_leaderboard.submissions.confined import wire
+from racines_leaderboard.submissions.confined.roads import ConfinedGenerator, ConfinedPolicyAgent
+from racines_leaderboard.submissions.confined.session import (
+    Child,
+    ConfinedSession,
+    Limits,
+    rehearse,
+)
+from racines_models.exchange.onnx.generator import OnnxGenerator
+from tests.envs.fakes import FakePhantom
+from tests.leaderboard.graphs import harmful, sound_generator, sound_policy
+from tests.models.conftest import random_parameters
+
+SMALL = Limits(memory=2**30, call_seconds=30)
+
+
+def children() -> set[int]:
+    """Return the processes that this one has started and not collected."""
+    folder = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children")
+    return {int(word) for word in folder.read_text().split()}
+
+
+@pytest.fixture(autouse=True)
+def no_child_is_left():
+    before = children()
+    yield
+    deadline = time.monotonic() + 5
+    while children() - before and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not children() - before
+
+
+def test_images_are_the_same_bytes(tmp_path):
+    path = sound_generator(tmp_path / "mine.onnx")
+    parameters, seeds = random_parameters(21, 0), torch.arange(21) * 3
+    here, there = OnnxGenerator(path), ConfinedGenerator(path, SMALL)
+    drawn = here.generate(parameters, seeds)
+    assert drawn.float().std() > 5 and not torch.equal(drawn[0], drawn[1])
+    assert torch.equal(there.generate(parameters, seeds), drawn)
+    assert (there.name, there.sha256) == (here.name, here.sha256)
+
+
+def test_actions_are_the_same(tmp_path):
+    path = sound_policy(tmp_path / "policy.onnx")
+    core = make_core(
+        "SC", 30, observation="params", reward="oracle", phantom=FakePhantom()
+    )  # fmt: skip
+    seen, seeds = core.reset(seed=0), core.decision_seeds()
+    here, there = OnnxPolicyAgent(path), ConfinedPolicyAgent(path, SMALL)
+    assert isinstance(there, Agent)
+    assert torch.equal(there.logits(seen), here.logits(seen))
+    assert torch.equal(there.act(seen, seeds), here.act(seen, seeds))
+    assert len(set(here.act(seen, seeds).tolist())) > 1
+
+
+@pytest.mark.parametrize(
+    ("how", "limits", "message"),
+    [
+        ("loop", replace(SMALL, call_seconds=1), "took more than 1 s"),
+        ("grow", SMALL, "memory limit is 1,024 MiB"),
+        ("claim", SMALL, "memory limit is 1,024 MiB"),
+    ],
+)
+def test_what_loops_or_allocates_without_end_is_ended(tmp_path, how, limits, message):
+    generator = ConfinedGenerator(harmful(tmp_path / "harm.onnx", how), limits)
+    with pytest.raises(RacinesError, match=rf"harm\.onnx: .*{message}"):
+        generator.generate(random_parameters(3, 0), 0)
+    with pytest.raises(RacinesError, match="harm.onnx"):
+        generator.generate(random_parameters(3, 0), 0)
+
+
+def test_the_child_can_open_nothing(tmp_path):
+    """What a graph could do with code of its own: asked of the child's Python itself."""
+    tried = {
+        f"open({str(tmp_path / 'owned')!r}, 'w')": "Too many open files",
+        "open('/etc/passwd').read()": "Too many open files",
+        "__import__('socket').socket()": "Too many open files",
+        "__import__('os').pipe()": "Too many open files",
+        "bytearray(2**31)": "memory limit",
+        "__import__('os').abort()": "died .SIGABRT.",
+        "__import__('os').write(1, b'x' * 100)": "is no message",
+    }
+    for code, message in tried.items():
+        with pytest.raises(RacinesError, match=f"x.onnx: .*{message}"):
+            _Coded(code)
+    assert not list(tmp_path.iterdir())
+
+
+class _Coded(Child):
+    """A child whose graph library has been replaced by a line of Python."""
+
+    def __init__(self, code: str):
+        import racines_leaderboard.submissions.confined.session as confined
+
+        patched = (
+            "import racines_leaderboard.submissions.confined.child as c; "
+            f"c.MODES['session'] = lambda: lambda content: eval({code!r}) and bytes; c.main()"
+        )
+        start, confined.START = confined.START, confined.START.split("from rac")[0] + patched
+        try:
+            super().__init__("session", b"x", "x.onnx", SMALL)
+        finally:
+            confined.START = start
+
+
+def test_what_is_no_file_is_refused():
+    for kind in ("onnx", "parquet"):
+        with pytest.raises(RacinesError, match="x: refused"):
+            rehearse(kind, b"nothing at all", "x", SMALL)
+    with pytest.raises(RacinesError, match="x: refused"):
+        ConfinedSession(b"nothing at all", "x", limits=SMALL)
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"",
+        b"\x01",
+        b"\x01\x01a\x00\x01" + (2**60).to_bytes(8, "little"),
+        b"\x01\x01a\x00\x02" + (2**40).to_bytes(8, "little") * 2 + b"\0" * 64,
+        b"\x01\x01a\x07\x00",
+        b"\x01\x01a\x00\xff",
+        wire.pack_arrays({"a": np.zeros(3, np.float32)}) + b"x",
+    ],
+)
+def test_answers_that_lie_are_refused(payload):
+    with pytest.raises(wire.WireError):
+        wire.unpack_arrays(payload)
+
+
+def test_the_wire_carries_arrays_and_nothing_else():
+    arrays = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "b": np.zeros((0, 4), np.uint8)}
+    back = wire.unpack_arrays(wire.pack_arrays(arrays))
+    assert all(np.array_equal(back[key], arrays[key]) for key in arrays)
+    assert back["b"].shape == (0, 4)
+    with pytest.raises(wire.WireError, match="object"):
+        wire.pack_arrays({"a": np.array([object()])})
+    with pytest.raises(wire.WireError, match="more than 10"):
+        wire.frame_head(wire.frame(wire.ANSWER, b"x" * 11)[: wire.HEAD.size], 10)
+    with pytest.raises(wire.WireError, match="no message"):
+        wire.frame_head(b"\x80\x04" + b"x" * 11, 10)
