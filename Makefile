@@ -10,7 +10,7 @@ SHELL := /bin/bash
 READY := $(VENV)/.ready
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 
-.PHONY: help repro studio test test-fast test-exports lint types bench docs clean
+.PHONY: help repro studio test test-fast test-instruction-sets test-exports lint types bench docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -28,7 +28,10 @@ endif
 	dvc repro
 
 test: $(READY) ## run all tests
-	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs
+	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs --deselect tests/instruction_sets/test_contracts.py
+
+test-instruction-sets: $(READY) ## run the contracts of rows on each instruction set that the CPU has
+	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal tests/instruction_sets/test_contracts.py
 
 test-fast: $(READY) ## run the tests that take seconds
 	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs -m "not slow"
