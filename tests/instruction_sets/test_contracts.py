@@ -15,7 +15,7 @@ import torch
 ROOT = Path(__file__).parents[2]
 TESTS = [
     "tests/instruction_sets/test_rows.py",
-    "tests/models/test_gan_roster.py",
+    *(f"tests/models/test_{name}.py" for name in ("gan_roster", "generators", "noise_ceiling")),
     "tests/envs/test_agents.py",
 ]
 """Where tests marked `contract` are: those of published weights, and tiny networks."""
@@ -28,6 +28,7 @@ SETTINGS = {
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3000)  # each is some hundred tests on one core, however busy
 @pytest.mark.parametrize("name", SETTINGS)
 def test_contracts_hold_with(name: str) -> None:
     needed, environment = SETTINGS[name]

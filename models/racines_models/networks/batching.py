@@ -8,7 +8,7 @@ AVX2). Dense layers therefore multiply each row on its own here.
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import torch
 from torch import Tensor
@@ -21,7 +21,7 @@ caches it fits."""
 ALIGNED = 16
 """Numbers in a cache line, which begins every row of a product: code may depend on alignment."""
 
-Result = TypeVar("Result", Tensor, tuple[Tensor, ...])
+Result = TypeVar("Result", bound=Tensor | tuple[Tensor, ...])
 
 
 def in_fixed_batches(function: Callable[..., Result], *inputs: Tensor) -> Result:
@@ -41,11 +41,13 @@ def in_fixed_batches(function: Callable[..., Result], *inputs: Tensor) -> Result
     short = -count % size if count else size
     # The copy is aligned as any other batch is, also where the inputs are part of a tensor.
     padded = [torch.cat([x, x.new_ones(1).expand(short, *x.shape[1:])]) for x in inputs]
+    chunks = zip(*(x.split(size) for x in padded), strict=True)
     with _rows_alone(kind):
-        parts = [function(*chunk) for chunk in zip(*(x.split(size) for x in padded), strict=True)]
+        parts: list[Any] = [function(*chunk) for chunk in chunks]
     if isinstance(parts[0], Tensor):
-        return torch.cat(parts)[:count]
-    return tuple(torch.cat(column)[:count] for column in zip(*parts, strict=True))
+        return cast(Result, torch.cat(parts)[:count])
+    columns = zip(*parts, strict=True)
+    return cast(Result, tuple(torch.cat(column)[:count] for column in columns))
 
 
 def _rows_alone(kind: str) -> AbstractContextManager[Any]:
