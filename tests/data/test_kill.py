@@ -16,6 +16,7 @@ from tests.data.fake_source import FakeConfig, FakeSource
 from tests.data.test_build import files, staged
 from tests.waiting import descendants, until, until_ended
 
+pytestmark = [pytest.mark.slow, pytest.mark.docs]
 MAIN = {"frames": 100, "trajectories": 20}
 MANY = {"frames": 72, "trajectories": 24, "sessions": 6, "seed": 5}
 PROGRAM = """
@@ -105,7 +106,6 @@ def work(tmp_path: Path) -> Iterator[Work]:
     yield Work(tmp_path)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("config", "wanted", "halts_at"), [("frames", 4, 12), ("multi_phantom", 5, 18)]
 )
@@ -130,7 +130,6 @@ def test_a_build_killed_half_way_goes_on(
     assert staged(folder) == []
 
 
-@pytest.mark.slow
 def test_workers_end_with_a_parent_that_was_killed(work: Work):
     process = work.start(workers=2, frames=4)
     until(lambda: len(staged(work.folder)) >= 4, process)
@@ -141,7 +140,6 @@ def test_workers_end_with_a_parent_that_was_killed(work: Work):
     until_ended(workers)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("place", FAULTS)
 def test_a_build_killed_while_packaging_goes_on(undisturbed: Path, work: Work, place: str):
     before = build(FakeSource(FakeConfig(frames=20, seed=9)), work.out, DataConfig(workers=1))

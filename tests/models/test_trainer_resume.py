@@ -160,6 +160,7 @@ LONG = {
 
 
 @pytest.mark.slow
+@pytest.mark.docs
 @pytest.mark.parametrize("name", LONG)
 def test_sigkill_at_any_moment(tmp_path, name):
     """The process is killed once its first checkpoint stands, wherever it is by then.
