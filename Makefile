@@ -29,16 +29,16 @@ endif
 	dvc repro
 
 test: $(READY) ## run the tests of the code
-	$(TESTS) -m "not docs" --deselect tests/instruction_sets/test_contracts.py
+	$(TESTS) -m "not docs and not instruction_sets"
 
 test-docs: $(READY) ## run the documentation, the walk-throughs, and what goes on after a kill
 	$(TESTS) -m docs
 
 test-instruction-sets: $(READY) ## run the contracts of rows on each instruction set that the CPU has
-	$(TESTS) tests/instruction_sets/test_contracts.py
+	$(TESTS) -m instruction_sets
 
 test-fast: $(READY) ## run the tests that take seconds
-	$(TESTS) -m "not docs and not slow"
+	$(TESTS) -m "not docs and not instruction_sets and not slow"
 
 test-exports: $(READY) .venv-lerobot/.ready .venv-minari/.ready ## open exports with the real libraries
 	OMP_NUM_THREADS=1 pytest -n 0 tests/export_envs

@@ -10,8 +10,10 @@ pytest collects the inherited tests; they need a `store` fixture that returns a 
 """
 
 import dataclasses
+import shutil
 from collections.abc import Callable
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, ClassVar
 
 import torch
@@ -60,6 +62,10 @@ def check_rows(draw: Callable[..., Tensor | tuple[Tensor, ...]], *inputs: Tensor
         check(everyone[place : place + 1], f"row {place} alone")
 
 
+_fits: dict[tuple[type, int], tuple[FrameStore, Generator, TemporaryDirectory[str]]] = {}
+# By test class and store, which is held so that its id stays its own.
+
+
 class GeneratorContract:
     """What every registered generator does, whatever its method."""
 
@@ -70,7 +76,20 @@ class GeneratorContract:
     """It has an `onnx_module`, to be checked; needs the packages of the extra `onnx`."""
 
     def fitted(self, store: FrameStore, folder: Path) -> Generator:
-        """Return a generator fitted in a folder."""
+        """Return a fitted generator, with the files of its fit in a folder.
+
+        One fit serves all tests of a class, so none may change the generator; the files are a copy.
+        """
+        key = type(self), id(store)
+        if key not in _fits:
+            home = TemporaryDirectory()
+            _fits[key] = store, self.fit(store, Path(home.name)), home
+        _, generator, home = _fits[key]
+        shutil.copytree(home.name, folder, dirs_exist_ok=True)
+        return generator
+
+    def fit(self, store: FrameStore, folder: Path) -> Generator:
+        """Return a generator newly fitted in a folder."""
         generator = self.generator_class(self.config)
         generator.fit(store, Run(folder, seed=3, device="cpu", progress=False))
         return generator
@@ -99,7 +118,7 @@ class GeneratorContract:
     def test_two_fits_agree(self, store: FrameStore, tmp_path: Path) -> None:
         """The same data and seed give the same model file on one machine."""
         for name in ("a", "b"):
-            self.fitted(store, tmp_path / name)
+            self.fit(store, tmp_path / name)
         a, b = (tmp_path / name / "model.safetensors" for name in ("a", "b"))
         assert a.read_bytes() == b.read_bytes()
 

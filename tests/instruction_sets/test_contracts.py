@@ -27,7 +27,7 @@ SETTINGS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.instruction_sets
 @pytest.mark.timeout(3000)  # each is some hundred tests on one core, however busy
 @pytest.mark.parametrize("name", SETTINGS)
 def test_contracts_hold_with(name: str) -> None:
