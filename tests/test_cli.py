@@ -1,7 +1,6 @@
 """The `racines` command as a shell sees it."""
 
 import json
-import time
 from pathlib import Path
 
 import pytest
@@ -52,9 +51,7 @@ def test_help_loads_no_library_that_takes_seconds(tmp_path: Path):
         "heavy |= {'gradio'}\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
     )
-    start = time.monotonic()
     command(tmp_path, "python", "-c", code, fresh=True)
-    assert time.monotonic() - start < 5, "generous: machines are noisy; the list is the test"
 
 
 def test_version(tmp_path: Path):

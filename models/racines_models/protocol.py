@@ -50,8 +50,8 @@ class Generator(ImageSource, Protocol):
     """Makes images of poses after it has seen the training frames.
 
     `generate` (see `ImageSource`) is deterministic: the same parameters and seed give the same
-    bytes, whatever batch a sample stands in. A pose with NaN is refused with `RacinesError`; an
-    absent force is not.
+    bytes to the last bit, whatever batch a sample stands in. A pose with NaN is refused with
+    `RacinesError`; an absent force is not.
     """
 
     name: ClassVar[str]

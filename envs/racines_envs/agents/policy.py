@@ -14,6 +14,7 @@ from racines_envs.agents.encoders import PoseEncoder, open_encoder
 from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
+from racines_models.networks.batching import in_fixed_batches
 
 POLICY = "policy.safetensors"
 _DRAWS = 23
@@ -60,7 +61,11 @@ class PolicyAgent:
         """Return the most probable action of each row, or drawn ones at a `temperature`."""
         was_training = self.actor.training
         self.actor.eval()
-        action = choose(self.logits(observation), seeds, getattr(self.config, "temperature", 0.0))
+        keys, columns = zip(*observation.items(), strict=True)
+        logits = in_fixed_batches(
+            lambda *seen: self.logits(dict(zip(keys, seen, strict=True))), *columns
+        )
+        action = choose(logits, seeds, getattr(self.config, "temperature", 0.0))
         self.actor.train(was_training)
         return action
 

@@ -33,6 +33,7 @@ from racines_envs.task.starts import check_starts, draw_starts
 from racines_envs.task.state import State, Transition
 from racines_envs.task.tasks import Task
 from racines_envs.task.view_error import nearest_showing
+from racines_models.networks.batching import in_fixed_batches
 
 OBSERVATIONS = ("image", "params", "multimodal")
 PARAMS_SIZE = 9
@@ -259,7 +260,7 @@ class ScanCore:
             drawn = self.images.generate(parameters, seeds)
             sensed["image"] = check_drawn(drawn, len(seeds), self.images)
         if self.encoder is not None:
-            sensed["features"] = self.encoder(sensed["image"])
+            sensed["features"] = in_fixed_batches(self.encoder, sensed["image"])
         if self.reward_name == "paper" and self.grader is not None:
             p, g = self.grader.probabilities_and_grade(sensed["image"])
             check_judged(p, g, len(seeds), truth.membership.shape[1] + 1, self.grader)

@@ -138,6 +138,7 @@ def test_the_planner_arrives_idles_and_keeps_the_limits(phantom):
 # -- PPO -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("short_episodes")
 @pytest.mark.parametrize("observation", OBSERVATIONS)
 def test_ppo_trains_saves_and_loads(phantom, tmp_path, observation):
     config = replace(

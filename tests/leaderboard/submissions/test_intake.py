@@ -24,6 +24,7 @@ from racines_leaderboard.submissions.intake import take_in
 from tests.leaderboard.conftest import artefact, generator_scores, write_submission
 from tests.leaderboard.graphs import sound_generator
 from tests.leaderboard.submissions.test_submission import Payload
+from tests.waiting import PATIENCE
 
 
 def tree(folder: Path) -> set[str]:
@@ -209,7 +210,7 @@ class Server:
         port = self._server.server_address[1]
         there = url.replace("https://example.org", f"http://127.0.0.1:{port}")
         proxied = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-        return proxied.open(there, timeout=10)
+        return proxied.open(there, timeout=PATIENCE)
 
     def close(self) -> None:
         self._server.shutdown()

@@ -5,7 +5,7 @@ import json
 import signal
 import subprocess
 import sys
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,6 +18,7 @@ from racines_models.protocol import Run
 from racines_models.training.objective import Training
 from tests.conftest import ROOT
 from tests.models.conftest import FakeStore
+from tests.waiting import until
 
 CONFIG = VaeGanConfig(
     width=2,
@@ -40,13 +41,17 @@ class Killed(Exception):
     """Stands for whatever ends a process."""
 
 
-def mortal(generator, dies_at: int):
-    """Let a generator die when it is asked for a given step."""
+def die() -> None:
+    raise Killed
+
+
+def mortal(generator, dies_at: int, end: Callable[[], None] = die):
+    """Let a generator die, or come to another end, when it is asked for a given step."""
     inner, steps = generator.updates, iter(range(1, 10**9))
 
     def updates(nets, batch):
         if next(steps) == dies_at:
-            raise Killed
+            end()
         yield from inner(nets, batch)
 
     generator.updates = updates
@@ -54,9 +59,9 @@ def mortal(generator, dies_at: int):
 
 
 def fit(
-    folder: Path, make=VaeGan, config=CONFIG, resume=None, dies_at=0, seed=0, store=None
+    folder: Path, make=VaeGan, config=CONFIG, resume=None, dies_at=0, seed=0, store=None, end=die
 ) -> dict:
-    generator = mortal(make(config), dies_at)
+    generator = mortal(make(config), dies_at, end)
     run = Run(folder, seed=seed, device="cpu", resume=resume, progress=False)
     return generator.fit(store or FakeStore(train=60), run)
 
@@ -140,8 +145,9 @@ import sys
 from pathlib import Path
 import torch
 from tests.models import test_trainer_resume as here
+from tests.waiting import halt
 torch.set_num_threads(1)
-here.fit(Path(sys.argv[2]), *here.LONG[sys.argv[1]])
+here.fit(Path(sys.argv[2]), *here.LONG[sys.argv[1]], dies_at=50, end=halt)
 """
 TRAINING = dataclasses.replace(
     CONFIG.training, images=480, checkpoint_every=80, schedule="cosine", warmup_images=64
@@ -154,16 +160,17 @@ LONG = {
 
 
 @pytest.mark.slow
+@pytest.mark.docs
 @pytest.mark.parametrize("name", LONG)
 def test_sigkill_at_any_moment(tmp_path, name):
-    """The process is killed once its first checkpoint stands, wherever it is by then."""
+    """The process is killed once its first checkpoint stands, wherever it is by then.
+
+    The checkpoint is written after 10 of 60 steps; it never goes beyond the fiftieth.
+    """
     torch.set_num_threads(1)
     command = [sys.executable, "-c", SCRIPT, name, str(tmp_path / "killed")]
     process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE)
-    deadline = time.monotonic() + 120
-    while not (tmp_path / "killed/checkpoint/last.pt").exists():
-        assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.01)
+    until((tmp_path / "killed/checkpoint/last.pt").exists, process)
     process.kill()
     assert process.wait() == -signal.SIGKILL
     assert not (tmp_path / "killed/model.safetensors").exists()

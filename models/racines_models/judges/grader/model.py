@@ -19,6 +19,7 @@ from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic, write_json
 from racines_data.views import LABELS
+from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.grading import GRADE_SCALE, GraderNetwork, GradingNetwork
 from racines_models.training.augmentation import Augmentation
 
@@ -93,6 +94,9 @@ class Reading(NamedTuple):
 
 class Grader:
     """Labels and grades images.
+
+    What it says of an image depends on that image alone: not on its place, on its neighbours or on
+    the size of the batch, to the last bit, on one machine.
 
     Raises:
         RacinesError: `load` finds no grader, or one of another kind.
@@ -215,7 +219,10 @@ class Grader:
             )
 
     def _read(self, images: Tensor) -> Reading:
-        return self.answer(self.network.normalise(images.to(self.device)))
+        return Reading(*in_fixed_batches(self._answer_images, images.to(self.device)))
+
+    def _answer_images(self, images: Tensor) -> Reading:
+        return self.answer(self.network.normalise(images))
 
     def answer(self, x: Tensor) -> Reading:
         """Return logits, grades and features of normalised (B, 1, S, S) images."""

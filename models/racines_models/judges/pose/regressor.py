@@ -18,6 +18,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic, write_json
 from racines_data.geometry import Pose, matrix_from_6d, parameters_to_pose, rotation_6d
 from racines_data.imaging import IMAGE_SIZE, check_images
+from racines_models.networks.batching import in_fixed_batches
 from racines_models.training.augmentation import Augmentation
 from racines_models.training.objective import Training
 from racines_models.weights import load_weights
@@ -134,6 +135,9 @@ class PoseNetwork(nn.Module):
 class PoseRegressor:
     """Reads poses from images.
 
+    A pose depends on its image alone: not on its place, on its neighbours or on the size of the
+    batch, to the last bit, on one machine.
+
     Raises:
         RacinesError: `load` finds no pose regressor, a damaged one, or something else.
     """
@@ -151,9 +155,12 @@ class PoseRegressor:
         parts = []
         for batch in check_images(images).split(BATCH):
             # fp32: bfloat16 rounds a position by tenths of a millimetre.
-            parts.append(self.network(self.network.normalise(batch.to(self.device))))
+            parts.append(in_fixed_batches(self._targets, batch.to(self.device)))
         predicted = torch.cat(parts) if parts else torch.empty(0, TARGETS, device=self.device)
         return self.network.pose(predicted).to("cpu")
+
+    def _targets(self, images: Tensor) -> Tensor:
+        return self.network(self.network.normalise(images))
 
     @property
     def settings(self) -> dict[str, Any]:
