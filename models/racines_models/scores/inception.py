@@ -17,6 +17,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
+from racines_models.devices import resolve_device
 
 INCEPTION_SHA256 = "7ff4a85c3a6378f0dfc8433ffd789663b01176bec0a683a435651739c091fa34"
 SIZE = 299
@@ -29,7 +30,7 @@ class InceptionFeatures:
 
     def __init__(self, device: str = "cpu", batch_size: int | None = None) -> None:
         """Load the network; small batches (8) are fastest on a CPU, large ones on a GPU."""
-        self.device = device
+        self.device = device = resolve_device(device)
         self.batch_size = batch_size or (8 if device == "cpu" else 256)
         network = torch.jit.load(str(inception_path()), map_location=device).eval()
         self._network = torch.jit.freeze(network)
