@@ -12,11 +12,12 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 MOVED = {
+    "racines_data": "card_style=plotting",
     "racines_data.build": "canonical shards splits staging writer",
     "racines_data.card": (
         "card_frames=frames card_paths=paths card_pictures=pictures card_plots=plots "
         "card_realism=realism card_rewrite=rewrite card_samples=samples "
-        "card_sections=sections card_statistics=statistics card_style=style "
+        "card_sections=sections card_statistics=statistics "
         "card_tables=tables croissant croissant_rai datasheet"
     ),
     "racines_data.cli": (

@@ -21,6 +21,7 @@ from racines_envs.agents.policy import PolicyAgent, make_actor
 from racines_envs.agents.training.run import copy_state
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.worlds.making import find_task, make_phantom
+from racines_models.devices import on_device
 from racines_models.provenance import dataset_card
 from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
 
@@ -144,6 +145,7 @@ class _Imitation:
     ) -> None:
         if config.epochs < 1 or config.batch_size < 2:
             raise RacinesError("agents.behaviour-cloning: epochs >= 1 and batch_size >= 2, please")
+        config = on_device(config)
         self.config, self.folder, self.store = config, folder, store
         self.seed, self.progress = seed, progress
         self.device = torch.device(config.device)

@@ -22,6 +22,7 @@ from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import RewardConfig
 from racines_envs.worlds.backends import GRADER_FOLDER, make_grader
 from racines_envs.worlds.making import check_grader
+from racines_models.devices import resolve_device
 
 MOVES = len(ACTIONS) - 1
 """All actions but idle; action 2i goes one way and 2i + 1 back."""
@@ -96,7 +97,7 @@ class HillClimberAgent(Untrained):
             RacinesError: no grader there, or one of other views.
         """
         if self.guide is None:
-            self.guide = make_grader(self._folder(), self.config.device)
+            self.guide = make_grader(self._folder(), resolve_device(self.config.device))
         check_grader(self.guide, core.task)
         self._target, self._goal, self._memory = core.task.target, core.rewards, None
         self._ended = lambda: core.state.done

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from racines_envs.cli.settings import given, phantom_config, read_settings
+from racines_envs.cli.settings import Device, given, phantom_config, read_settings
 
 AgentOrRun = "Registered agent, module:Class, or a run of the section agents."
 Name = Annotated[str | None, typer.Option(help="What to call the run; as the agent, or its entry.")]
@@ -46,7 +46,7 @@ def train_agent(
         Path | None, typer.Option(help="Dataset folder, for what learns from it.")
     ] = None,
     frames: Annotated[int | None, typer.Option(help="Environment steps.")] = None,
-    device: Annotated[str | None, typer.Option(help="cpu or cuda.")] = None,
+    device: Device = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the training.")] = None,
     name: Name = None,
     run_dir: Annotated[Path | None, typer.Option(help="Where to write; envs/runs/<run>.")] = None,
@@ -94,7 +94,7 @@ def evaluate_agent(
     data: Annotated[str | None, typer.Option(help="Dataset folder, to replay.")] = None,
     reward: Annotated[str | None, typer.Option(help="paper, oracle or shaped.")] = None,
     grader: Annotated[str | None, typer.Option(help="Grader: run folder.")] = None,
-    device: Annotated[str | None, typer.Option(help="cpu or cuda.")] = None,
+    device: Device = None,
     seed: Annotated[int | None, typer.Option(help="Names one start set, not three.")] = None,
     latency: Annotated[
         int | None, typer.Option(help="Decisions to time one at a time; 0 for none.")

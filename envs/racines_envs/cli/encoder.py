@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from racines_envs.cli.settings import phantom_config, read_settings
+from racines_models.cli.scores import Device
 
 
 def register(train: typer.Typer) -> None:
@@ -28,7 +29,7 @@ def train_encoder(
         typer.Option(help="Packaged settings: smoke, default, reference, paper or abdomen."),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed; default: the params file's.")] = None,
-    device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
+    device: Device = "auto",
     resume: Annotated[
         bool | None,
         typer.Option("--resume/--fresh", help="Continue a run, or start anew; else as it fits."),

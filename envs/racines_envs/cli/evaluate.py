@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from racines_envs.cli.settings import given, phantom_config, read_settings
+from racines_envs.cli.settings import Device, given, phantom_config, read_settings
 
 SCORES = Path("envs/runs/scores")
 Agents = "Names or run folders, comma-separated or given again; LABEL=RUN names one."
@@ -13,7 +13,6 @@ Agents = "Names or run folders, comma-separated or given again; LABEL=RUN names 
 Starts = Annotated[int | None, typer.Option(help="Episodes from each start set.")]
 Seeds = Annotated[str | None, typer.Option(help="Start sets, comma-separated: 0,1,2.")]
 View = Annotated[str | None, typer.Option(help="Target view; that of the agents by default.")]
-Device = Annotated[str | None, typer.Option(help="cpu or cuda.")]
 Params = Annotated[Path | None, typer.Option(help="Settings; ./params.yaml if it is there.")]
 Profile = Annotated[str | None, typer.Option(help="Packaged settings.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]

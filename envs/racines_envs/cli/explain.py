@@ -5,6 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
+from racines_envs.cli.settings import Device
+
 
 def register(app: typer.Typer) -> None:
     """Add the command to the root."""
@@ -26,7 +28,7 @@ def explain(
     grader: Annotated[
         str | None, typer.Option(help="Grader to explain beside it: run folder.")
     ] = None,
-    device: Annotated[str | None, typer.Option(help="cpu or cuda.")] = None,
+    device: Device = None,
     seed: Annotated[int | None, typer.Option(help="Names the start set.")] = None,
     run_dir: Annotated[Path | None, typer.Option(help="The policy; envs/runs/<run>.")] = None,
     out: Annotated[

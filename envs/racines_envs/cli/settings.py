@@ -1,7 +1,11 @@
 """What the commands read their settings from: the params file or a packaged profile."""
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from racines_models.cli.scores import DEVICES
+
+Device = Annotated[str | None, DEVICES]
 
 
 def read_settings(params: Path | None, profile: str | None) -> dict[str, Any]:

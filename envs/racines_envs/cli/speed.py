@@ -4,8 +4,8 @@ from typing import Annotated, Any
 
 import typer
 
-from racines_envs.cli.evaluate import Device, Json, Params, Profile, integers
-from racines_envs.cli.settings import given, phantom_config, read_settings
+from racines_envs.cli.evaluate import Json, Params, Profile, integers
+from racines_envs.cli.settings import Device, given, phantom_config, read_settings
 
 
 def register(evaluate: typer.Typer) -> None:

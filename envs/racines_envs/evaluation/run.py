@@ -30,6 +30,7 @@ from racines_envs.worlds.making import (
     phantom_recipe,
 )
 from racines_models import statistics
+from racines_models.devices import on_device
 
 SCHEMA = "racines.agent-scores/1"
 
@@ -118,6 +119,7 @@ def evaluate(
             a trace that was recorded elsewhere.
     """
     began = time.perf_counter()
+    config = on_device(config)
     ready = prepare(name, run_dir, config, phantom, grader, agent)
     agent, core, seeds, grader = ready.agent, ready.core, ready.seeds, ready.grader
     episodes = rollout(core, agent, seeds.to(core.device))
@@ -149,6 +151,7 @@ def prepare(
     agent: Agent | None = None,
 ) -> Prepared:
     """Return an agent and the environment that it is judged in; arguments as of `evaluate`."""
+    config = on_device(config)
     task = find_task(config.view, phantom)  # an unknown view is refused before anything is loaded
     seeds = start_seeds(config.starts, config.sets)
     agent = agent or load_agent(name, run_dir, config.device)

@@ -26,6 +26,7 @@ from racines_envs.task.core import ScanCore
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import find_task, make_core, phantom_recipe
 from racines_models import statistics
+from racines_models.devices import on_device
 
 SCHEMA = "racines.explanation/1"
 
@@ -83,6 +84,7 @@ def explain(
     from racines_envs.worlds.backends import make_grader
 
     _check(config)
+    config = on_device(config)
     task = find_task(config.view, phantom)
     agent = load_agent(name, run_dir, config.device)
     check_view(agent, config.view, name, run_dir)

@@ -18,6 +18,7 @@ from racines_data.errors import RacinesError
 from racines_envs.apis.gym_vector import VectorScanEnv
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
+from racines_models.devices import on_device
 
 SCHEMA = "racines.speed/1"
 PHASES = ("render", "grade", "truth", "contact", "reward", "rest")
@@ -126,6 +127,7 @@ def step_speed(config: SpeedConfig, phantom: Any = None) -> dict[str, Any]:
     Raises:
         RacinesError: a setting that no environment can be made of.
     """
+    config = on_device(config)
     settings: dict[str, Any] = {
         name: getattr(config, name)
         for name in ("observation", "reward", "backend", "generator", "grader", "device")

@@ -17,6 +17,7 @@ from racines_envs.task.tasks import Task, get_task
 from racines_envs.worlds.backends import GRADER_FOLDER, make_backend, make_grader
 from racines_envs.worlds.data_versions import ANY, check_datasets, trained_on
 from racines_envs.worlds.forces import make_forces
+from racines_models.devices import resolve_device
 
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
@@ -72,6 +73,7 @@ def make_core(
     Raises:
         RacinesError: any name that is unknown or any artefact that is not there.
     """
+    device = resolve_device(device)
     task = find_task(view, None if phantom == RECORDED else phantom, anatomy)
     if termination is not None:
         task = dataclasses.replace(task, termination=termination)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from racines_models.cli.scores import Device
+
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
     from racines_leaderboard.expert.sample import System
@@ -47,17 +49,16 @@ def sample(
         typer.Option(help=f"Grader whose opinion the key holds.  [default: {GRADER}, if there]"),
     ] = None,
     no_grader: Annotated[bool, typer.Option("--no-grader", help="Leave it out.")] = False,
-    device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
+    device: Device = "auto",
 ) -> None:
     """Draw images of stratified poses into a blinded kit."""
     from racines_data.progress import image_counter
     from racines_data.store.frames import open_store
     from racines_leaderboard.expert.sample import Study, System, make_kit
     from racines_leaderboard.records.names import TRUE_FRAMES
-    from racines_models.cli.scores import pick_device
     from racines_models.judges.grader.model import Grader
 
-    store, device = open_store(data), pick_device(device)
+    store = open_store(data)
     grader = None if no_grader else grader or (GRADER if GRADER.is_dir() else None)
     judge = None if grader is None else Grader.load(grader, device)
     systems = [_system(spec, store, split, device) for spec in generator or []]

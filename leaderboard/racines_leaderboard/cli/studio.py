@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from racines_models.cli.scores import Device
+
 
 def register(app: typer.Typer) -> None:
     """Add the command to the root."""
@@ -34,7 +36,7 @@ def studio(
     policies: Annotated[Path, typer.Option(help="Published agents.")] = Path("envs/weights"),
     kits: Annotated[Path, typer.Option(help="Folder of expert kits.")] = Path("study"),
     seed: Annotated[int, typer.Option(min=0, help="Seed of whatever is drawn by chance.")] = 0,
-    device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "cpu",
+    device: Device = "cpu",
     max_sessions: Annotated[
         int, typer.Option(min=1, max=10_000, help="Visitors whose state is kept.")
     ] = 200,
@@ -46,10 +48,9 @@ def studio(
     if find_spec("gradio") is None:
         raise RacinesError('the Studio needs Gradio: pip install "racines[studio]"')
     from racines_leaderboard.studio.app import serve
-    from racines_models.cli.scores import pick_device
 
     place = Place(
-        data, results, submissions, weights, runs, agents, kits, seed, pick_device(device),
+        data, results, submissions, weights, runs, agents, kits, seed, device,
         max_sessions, policies,
     )  # fmt: skip
     typer.echo(f"RACINES Studio: http://{host}:{port} (Ctrl-C stops it)")

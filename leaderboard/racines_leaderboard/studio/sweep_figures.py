@@ -16,8 +16,8 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from racines_data.card.paths import block_top, rectangle
-from racines_data.card.style import MUTED, evenly, view_colours
 from racines_data.geometry import parameters_to_pose
+from racines_data.plotting import MUTED, evenly, view_colours
 from racines_leaderboard.studio.browsing import Sweep
 from racines_leaderboard.studio.pictures import drawn
 

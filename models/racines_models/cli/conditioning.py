@@ -14,7 +14,6 @@ from racines_models.cli.scores import (
     Device,
     Params,
     Profile,
-    pick_device,
     read_values,
 )
 
@@ -58,7 +57,6 @@ def conditioning(
         config = dataclasses.replace(
             config, training=dataclasses.replace(config.training, images=images)
         )
-    device = pick_device(device)
     regressor = PoseRegressor.load(pose, device) if pose else None
     chosen = values.get("seed", 0) if seed is None else seed
     run = Run(out or folder_of(cls.name), chosen, device, progress=not as_json)

@@ -6,6 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
+from racines_models.cli.scores import Device
+
 Root = Annotated[Path | None, typer.Argument(help="Folder of the dataset.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print figures as JSON on stdout.")]
 
@@ -24,20 +26,19 @@ def annotate(
     out: Annotated[
         Path | None, typer.Option(help="Folder of the annotated dataset.  [default: ROOT itself]")
     ] = None,
-    device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
+    device: Device = "auto",
     as_json: AsJson = False,
 ) -> None:
     """Write a grader's view and grade of every frame into view_predicted and grade_predicted."""
     from racines_data.manifest import default_root, read_manifest
     from racines_data.progress import image_counter
     from racines_models.cli.output import show_metrics
-    from racines_models.generators.base import resolve_device
     from racines_models.judges.grader.annotate import annotate as annotate_dataset
     from racines_models.judges.grader.model import Grader
 
     folder = default_root(root)
     total = read_manifest(folder)["counts"]["frames"]
-    judge = Grader.load(grader, resolve_device(device))
+    judge = Grader.load(grader, device)
     with image_counter("annotating", total, hidden=as_json) as advance:
         manifest = annotate_dataset(folder, judge, out, advance)
     told = manifest["annotation"]

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from racines_models.cli.scores import Device
+
 if TYPE_CHECKING:
     from racines_models.exchange.predictions.file import Task
 
@@ -28,7 +30,6 @@ Profile = Annotated[
     str | None,
     typer.Option(help="Packaged settings: smoke, default, reference, paper or abdomen."),
 ]
-Device = Annotated[str, typer.Option(help="cpu, cuda or auto.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print figures as JSON on stdout.")]
 DATA = Path("data/racines")
 
@@ -85,15 +86,12 @@ def export_predictions(
 ) -> None:
     """Draw the poses that generators are scored on and write the images to a file."""
     from racines_data.progress import image_counter
-    from racines_models.cli.scores import pick_device
     from racines_models.exchange.predictions.file import PREDICTIONS, write_predictions
     from racines_models.registry import open_generator
 
     _check_ending(out, ".parquet")
     task = _task(data, split, samples, params, profile)
-    generator: Any = open_generator(
-        name, run, pick_device(device), store=task.store, split=task.split
-    )
+    generator: Any = open_generator(name, run, device, store=task.store, split=task.split)
     total = len(task.sample.frames.index) * len(task.seeds)
     with image_counter(f"drawing {generator.name}", total, hidden=as_json) as advance:
         rows = write_predictions(out, task, generator, generator.name, text, advance)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from racines_models.cli.scores import DATA, GRADER, AsJson, Data, Device, pick_device
+from racines_models.cli.scores import DATA, GRADER, AsJson, Data, Device
 
 
 def register(evaluate: typer.Typer) -> None:
@@ -48,7 +48,6 @@ def floor(
     from racines_models.scores.inception import InceptionFeatures
     from racines_models.studies.floor import FloorConfig, draw_floor, frames_needed, measure_floor
 
-    device = pick_device(device)
     extractors: dict[str, Extractor] = {"inception": InceptionFeatures(device)}
     grader = grader or (GRADER if GRADER.is_dir() else None)
     if grader is not None:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from racines_models.cli.scores import DATA, Data, Device, pick_device
+from racines_models.cli.scores import DATA, Data, Device
 
 
 def register(evaluate: typer.Typer) -> None:
@@ -30,7 +30,7 @@ def gallery(
     from racines_models.registry import generator_names, load_generator
     from racines_models.scores.gallery import gallery_sample, write_gallery
 
-    store, device = open_store(data), pick_device(device)
+    store = open_store(data)
     chosen = names or [name for name in generator_names() if (runs / name).is_dir()]
     drawn = {name: load_generator(name, runs / name, device) for name in chosen}
     write_gallery(out, store, gallery_sample(store, split), drawn, seed)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from racines_models.cli.scores import Device
+
 if TYPE_CHECKING:
     from racines_models.protocol import Run
 
@@ -29,7 +31,7 @@ def train_generator(
         typer.Option(help="Packaged settings: smoke, default, reference, paper or abdomen."),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Seed; default: the params file's.")] = None,
-    device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
+    device: Device = "auto",
     processes: Annotated[
         int, typer.Option(min=1, help="Processes on this machine that share each batch.")
     ] = 1,

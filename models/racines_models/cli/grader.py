@@ -14,7 +14,6 @@ from racines_models.cli.scores import (
     Device,
     Params,
     Profile,
-    pick_device,
     read_values,
 )
 
@@ -55,7 +54,7 @@ def train_student(
 
     values = read_values(params, profile)
     config = fill(StudentConfig, section(values, "student"), "student")
-    chosen, device = values.get("seed", 0) if seed is None else seed, pick_device(device)
+    chosen = values.get("seed", 0) if seed is None else seed
     store, master = open_store(data), Grader.load(teacher, device)
     run = Run(out, chosen, device, resume, progress=not as_json)
     metrics = train_student(store, config, run, master)
@@ -92,8 +91,7 @@ def eval_grader(
     from racines_models.judges.grader.evaluation import evaluate_grader
 
     out = out or (run if split == "test" else run / split)
-    chosen = pick_device(device)
-    metrics = evaluate_grader(run, open_store(data), split, out, recalibrate, chosen)
+    metrics = evaluate_grader(run, open_store(data), split, out, recalibrate, device)
     if as_json:
         typer.echo(json.dumps({"out": str(out)} | metrics))
         return

@@ -14,7 +14,6 @@ from racines_models.cli.scores import (
     Device,
     Params,
     Profile,
-    pick_device,
     read_values,
 )
 
@@ -54,7 +53,7 @@ def realism(
     if path is None or (optional and not path.is_file()):
         _without_real(path, out, optional)
         return
-    frames_real, extractor = read_real(path), _extractor(pick_device(device))
+    frames_real, extractor = read_real(path), _extractor(device)
     reports = {
         name: _realism(frames_real, data, name, config, _named(out, name), extractor, as_json)
         for name in CONFIGS
@@ -98,7 +97,7 @@ def ablation(
     setting = Setting(PhantomConfig(), AblationConfig(hearts, poses), config)
     total = 2 * len(variants) * hearts * poses + min(len(set(frames.patient)), 2 * config.frames)
     with image_counter("ablation", total, as_json) as advance:
-        extractor = _extractor(pick_device(device))
+        extractor = _extractor(device)
         content = ablate(frames, variants, setting, extractor, out.with_suffix(".json"), advance)
     write_atomic(out.with_suffix(".png"), draw_ablation(content))
     if into is not None:

@@ -17,7 +17,17 @@ Profile = Annotated[
     str | None,
     typer.Option(help="Packaged settings: smoke, default, reference, paper or abdomen."),
 ]
-Device = Annotated[str, typer.Option(help="cpu, cuda or auto.")]
+
+
+def present(device: str | None) -> str | None:
+    """Return what `--device` stands for; refused before anything else is looked at."""
+    from racines_models.devices import resolve_device
+
+    return None if device is None else resolve_device(device)
+
+
+DEVICES = typer.Option(help="auto, cpu, cuda or cuda:N.", callback=present)
+Device = Annotated[str, DEVICES]
 AsJson = Annotated[bool, typer.Option("--json", help="Print figures as JSON on stdout.")]
 DATA = Path("data/racines")
 GRADER = Path("models/runs/grader")
@@ -107,7 +117,7 @@ def eval_generator(
     settings = section(values, "scores")
     settings |= {k: v for k, v in (("split", split), ("samples", samples)) if v is not None}
     config = fill(ScoresConfig, settings, "scores")
-    store, device = open_store(data), pick_device(device)
+    store = open_store(data)
     if not no_grader and not grader.is_dir():
         raise RacinesError(f"{grader}: no grader; run: racines train grader, or give --no-grader")
     judge = None if no_grader else Grader.load(grader, device)
@@ -158,15 +168,6 @@ def read_values(params: Path | None, profile: str | None) -> dict[str, Any]:
     if params is None and profile is None and Path("params.yaml").is_file():
         params = Path("params.yaml")
     return read_params(params, profile)
-
-
-def pick_device(device: str) -> str:
-    """Return the device that `auto` stands for, or the one named."""
-    import torch
-
-    if device == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
-    return device
 
 
 def _named(views: dict[str, Any]) -> dict[str, Any]:

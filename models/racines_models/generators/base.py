@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import os
 from abc import ABC, abstractmethod
 from importlib.metadata import version
 from pathlib import Path
@@ -17,6 +16,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_atomic, write_json
 from racines_data.imaging import check_parameters
 from racines_data.store.frames import FrameStore
+from racines_models.devices import resolve_device
 from racines_models.networks.onnx_module import OnnxModule
 from racines_models.protocol import Card, Run
 from racines_models.training.checkpoint import discard_checkpoint
@@ -26,23 +26,6 @@ from racines_models.weights import load_weights
 
 SCHEMA = "racines.generator/1"
 C = TypeVar("C")
-
-
-def resolve_device(device: str) -> str:
-    """Return the device that `auto` stands for, or the one named.
-
-    Of several processes on a machine each has its own CUDA device, by its local rank.
-
-    Raises:
-        RacinesError: CUDA is asked for and absent.
-    """
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        raise RacinesError("--device cuda: no CUDA device here; use --device cpu")
-    if device == "cuda" and "LOCAL_RANK" in os.environ:
-        return f"cuda:{os.environ['LOCAL_RANK']}"
-    return device
 
 
 class BaseGenerator(ABC, Generic[C]):

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
+from racines_models.devices import resolve_device
 from racines_models.networks.batching import SIZE, in_fixed_batches
 
 INCEPTION_SHA256 = "7ff4a85c3a6378f0dfc8433ffd789663b01176bec0a683a435651739c091fa34"
@@ -30,7 +31,7 @@ class InceptionFeatures:
 
     def __init__(self, device: str = "cpu", batch_size: int | None = None) -> None:
         """Load the network; progress is told after each `batch_size` images."""
-        self.device = device
+        self.device = device = resolve_device(device)
         self.batch_size = batch_size or SIZE[torch.device(device).type]
         network = torch.jit.load(str(inception_path()), map_location=device).eval()
         self._network = torch.jit.freeze(network)

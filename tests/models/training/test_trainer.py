@@ -270,5 +270,5 @@ def test_impossible_settings_are_refused(change):
 def test_absent_device_is_refused(store, tmp_path):
     if torch.cuda.is_available():
         pytest.skip("there is a CUDA device")
-    with pytest.raises(RacinesError, match="--device cpu"):
+    with pytest.raises(RacinesError, match="use auto, cpu"):
         Toy().fit(store, Run(tmp_path, device="cuda"))

@@ -17,6 +17,7 @@ from racines_envs.task.tasks import TERMINATIONS, Task
 from racines_envs.worlds.backends import GRADER_FOLDER
 from racines_envs.worlds.making import find_task, make_core, make_phantom, phantom_recipe
 from racines_models import statistics
+from racines_models.devices import on_device
 
 SCHEMA = "racines.agent-rewards/1"
 PAPER = {
@@ -61,6 +62,7 @@ def reward_report(
         RacinesError: an unknown reward or rule, no grader for `paper`, or agents that do not fit.
     """
     _check(config)
+    config = on_device(config)
     seeds, view = start_seeds(config.starts, config.seeds), common_view(runs, config.view)
     task = find_task(view, phantom)
     phantom = make_phantom(phantom, config.device, task.anatomy)

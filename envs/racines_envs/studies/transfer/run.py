@@ -20,6 +20,7 @@ from racines_envs.studies.transfer.rank_correlation import correlate
 from racines_envs.worlds.making import find_task, make_core, make_phantom, phantom_recipe
 from racines_envs.worlds.recorded import RecordedWorld
 from racines_models import statistics
+from racines_models.devices import on_device
 
 SCHEMA = "racines.agent-transfer/1"
 COMPARED = ("success_true", "episode_steps", "spl", "final_grade")
@@ -70,6 +71,7 @@ def transfer(
     """
     if len(set(backends)) != len(backends) or not backends:
         raise RacinesError(f"backends are {', '.join(backends) or 'none'}: name each once")
+    config = on_device(config)
     arguments = [backend_arguments(backend) for backend in backends]
     seeds, view = start_seeds(config.starts, config.seeds), common_view(runs, config.view)
     phantom = make_phantom(phantom, config.device, find_task(view, phantom).anatomy)

@@ -19,6 +19,7 @@ from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic, write_json
 from racines_data.views import LABELS
+from racines_models.devices import resolve_device
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.grading import GRADE_SCALE, GraderNetwork, GradingNetwork
 from racines_models.training.augmentation import Augmentation
@@ -114,6 +115,7 @@ class Grader:
         labels: Sequence[str] = LABELS,
         temperature: float = 1.0,
     ) -> None:
+        device = resolve_device(device)
         self.network = network.to(device).eval().requires_grad_(False)
         self.config = config
         self.labels = tuple(labels)

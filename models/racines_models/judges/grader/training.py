@@ -17,6 +17,7 @@ from accelerate.state import AcceleratorState
 from racines_data.errors import RacinesError
 from racines_data.randomness import derive
 from racines_data.store.frames import Batch, FrameStore
+from racines_models.devices import resolve_device
 from racines_models.judges.grader.calibration import calibrate
 from racines_models.judges.grader.evaluation import write_report
 from racines_models.judges.grader.loss import class_weights, grade_loss, learning_rate, view_loss
@@ -176,6 +177,7 @@ def grader_accelerator(bf16: bool, device: str, section: str) -> Accelerator:
     Raises:
         RacinesError: the device has no bfloat16, or several processes were launched.
     """
+    device = resolve_device(device)
     # Accelerate keeps one state a process and refuses a second run with another precision.
     AcceleratorState._reset_state(reset_partial_state=True)
     try:

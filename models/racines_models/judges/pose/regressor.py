@@ -18,6 +18,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic, write_json
 from racines_data.geometry import Pose, matrix_from_6d, parameters_to_pose, rotation_6d
 from racines_data.imaging import IMAGE_SIZE, check_images
+from racines_models.devices import resolve_device
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.training.augmentation import Augmentation
 from racines_models.training.objective import Training
@@ -143,6 +144,7 @@ class PoseRegressor:
     """
 
     def __init__(self, network: PoseNetwork, config: PoseConfig, device: str = "cpu"):
+        device = resolve_device(device)
         self.network = network.to(device).eval().requires_grad_(False)
         self.config = config
         self.device = torch.device(device)

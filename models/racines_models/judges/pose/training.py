@@ -12,7 +12,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.geometry import Pose, geodesic, parameters_to_pose
 from racines_data.store.frames import FrameStore
-from racines_models.generators.base import resolve_device
+from racines_models.devices import resolve_device
 from racines_models.judges.pose.regressor import PoseConfig, PoseNetwork, PoseRegressor
 from racines_models.protocol import Card, Run
 from racines_models.provenance import code_version, dataset_card, environment

@@ -1,4 +1,4 @@
-"""How the pictures of a card look, and their bytes: equal on every draw, whatever the user's style.
+"""How the project's pictures look, and their bytes: equal on every draw, whatever the user's style.
 
 Nothing of pyplot is used, so no window system, global figure or user's matplotlibrc has a part.
 """
