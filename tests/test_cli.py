@@ -15,8 +15,8 @@ HELP = [
     ("data", "build"),
     ("data", "validate"),
     ("data", "annotate"),
-    ("data", "leakage"),
-    ("phantom", "sheet"),
+    ("study", "leakage"),
+    ("study", "sheet"),
     ("train",),
     ("train", "grader"),
     ("train", "generator"),
@@ -30,7 +30,7 @@ HELP = [
     ("leaderboard",),
     ("submit",),
     ("audit",),
-    ("determinism",),
+    ("study", "determinism"),
     ("studio",),
     ("expert",),
     ("expert", "sample"),
@@ -78,8 +78,8 @@ REFUSED = [
     (("leaderboard", "--params", "absent.yaml"), "absent.yaml: no such file"),
     (("submit", "absent.yaml"), "absent.yaml: no such file"),
     (("expert", "sample", "--truth", "--out", "kit"), "no dataset"),
-    (("expert", "simulate", "absent"), "absent/kit.json: no such file"),
-    (("expert", "oracle", "absent"), "absent/kit.json: no such file"),
+    (("expert", "rate", "absent", "--by", "simulated"), "absent/kit.json: no such file"),
+    (("expert", "rate", "absent"), "absent/kit.json: no such file"),
     (("expert", "score", "absent", "anna.jsonl"), "absent/kit.json: no such file"),
     (("leaderboard", "--recompute", "nobody"), "params.yaml: no such file"),
     (("leaderboard", "--recompute", "nobody", "--params", "absent.yaml"), "absent.yaml"),
@@ -131,9 +131,9 @@ def test_submit(tmp_path: Path):
     assert "sound" in command(tmp_path, "racines", "submit", "in").stdout
     stored = tmp_path / "leaderboard/submissions/agents/mine/submission.yaml"
     assert stored.exists()
-    done = command(tmp_path, "racines", "submit", "in", "--replace", "--json")
+    done = command(tmp_path, "racines", "submit", "in", "--force", "--json")
     assert json.loads(done.stdout)["name"] == "mine"
     path.write_text(path.read_text() + "extra: 1\n")
-    words = ("racines", "submit", "in/submission.yaml", "--replace")
+    words = ("racines", "submit", "in/submission.yaml", "--force")
     assert "'extra'" in command(tmp_path, *words, code=1).stderr
     assert "extra" not in stored.read_text()

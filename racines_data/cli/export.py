@@ -13,13 +13,11 @@ def export(
     root: Annotated[Path, typer.Argument(help="Folder of the dataset.")],
     format: Annotated[str, typer.Option("--format", help="release, lerobot or minari.")],
     out: opt.Out,
-    split: Annotated[
-        str | None, typer.Option(help="train, validation or test; default all.")
-    ] = None,
+    split: opt.OneSplit = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Frames to write, the first.")] = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Write a dataset in another format; images are never compressed with loss."""
+    """Write a dataset, or one split, in another format; images are never compressed with loss."""
     from racines_data.export.registry import load_exporter
 
     made = load_exporter(format)(root, out, split=split, limit=limit, progress=not as_json)

@@ -17,14 +17,9 @@ Root = Annotated[
     Path | None, typer.Argument(help="Folder of the dataset.  [default: data/racines]")
 ]
 Data = Annotated[Path, typer.Option(help="Folder of the dataset.")]
-OtherData = Annotated[
-    Path | None,
-    typer.Option("--data", help="Folder of the dataset, where one is needed."),
-]
+OtherData = Annotated[Path | None, typer.Option("--data", help="Folder of the dataset.")]
 Split = Annotated[str, typer.Option(help="train, validation or test.")]
-OneSplit = Annotated[
-    str | None, typer.Option("--split", help="train, validation or test.  [default: the settings']")
-]
+OneSplit = Annotated[str | None, typer.Option("--split", help="train, validation or test.")]
 Samples = Annotated[
     int | None, typer.Option(min=2, help="Frames that are scored.  [default: the settings']")
 ]
@@ -67,7 +62,7 @@ NoGrader = Annotated[bool, typer.Option("--no-grader", help="Leave out what need
 Pose = Annotated[Path | None, typer.Option(help="Folder of the pose regressor's run.")]
 NoPose = Annotated[bool, typer.Option("--no-pose", help="Leave out what needs a pose regressor.")]
 
-View = Annotated[str | None, typer.Option(help="Target view.  [default: the settings']")]
+View = Annotated[str | None, typer.Option(help="Target view.")]
 Observation = Annotated[str | None, typer.Option(help="image, params or multimodal.")]
 Reward = Annotated[str | None, typer.Option(help="paper, oracle or shaped.")]
 Backend = Annotated[str | None, typer.Option(help="phantom, generator or replay.")]

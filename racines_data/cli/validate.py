@@ -15,7 +15,7 @@ def validate(
     against: Annotated[
         Path | None, typer.Option(help="Another build that should be the same version.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Processes for a large dataset.")] = 2,
+    workers: opt.Workers = 2,
     as_json: opt.AsJson = False,
 ) -> None:
     """Check files, digests, rows, splits, copies and statistics; exit 1 if anything is wrong."""
@@ -24,7 +24,7 @@ def validate(
     from racines_data.validate.run import to_json
     from racines_data.validate.run import validate as check
 
-    result = check(default_root(root), against, workers, progress=not as_json)
+    result = check(default_root(root), against, workers or 1, progress=not as_json)
     if as_json:
         typer.echo(json.dumps(to_json(result)))
     else:

@@ -10,7 +10,7 @@ from racines_data.cli.settings import given
 
 
 def drive(
-    view: Annotated[str, typer.Option(help="Target view.")] = "SC",
+    view: opt.View = "SC",
     anatomy: Annotated[str | None, typer.Option(help="Whose view; the heart's.")] = None,
     backend: opt.Backend = "phantom",
     generator: opt.Generator = None,

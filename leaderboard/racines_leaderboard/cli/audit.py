@@ -30,7 +30,7 @@ def audit(
     data: opt.Data = opt.DATA,
     grader: opt.Grader = None,
     pose: opt.Pose = None,
-    params: Annotated[Path, typer.Option(help="Settings of its board.")] = Path("params.yaml"),
+    params: opt.Params = None,
     results: opt.Results = opt.RESULTS,
     submissions: opt.Submissions = opt.SUBMISSIONS,
     details: opt.Details = False,
@@ -50,7 +50,7 @@ def audit(
 
     judges = {"grader": grader, "pose": pose}
     given = {kind: folder for kind, folder in judges.items() if folder is not None}
-    places = Places(results, submissions, data, params, judges=given)
+    places = Places(results, submissions, data, params or Path("params.yaml"), judges=given)
     if bool(names) == every:
         raise typer.BadParameter("give names, or --all")
     if quick and retrain:

@@ -28,9 +28,7 @@ def leaderboard(
     no_grader: opt.NoGrader = False,
     results: opt.Results = opt.RESULTS,
     submissions: opt.Submissions = opt.SUBMISSIONS,
-    params: Annotated[
-        Path | None, typer.Option(help="Name the board by `board` of this file.")
-    ] = None,
+    params: opt.Params = None,
     markdown: Annotated[
         Path | None, typer.Option(help="Write all boards to this file, charts beside the results.")
     ] = None,
@@ -40,7 +38,10 @@ def leaderboard(
     details: opt.Details = False,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Collect scores into a board, or make them again, rank it, and show it."""
+    """Collect scores into a board, or make them again, rank it, and show it.
+
+    With --params, `board` of that file names the board.
+    """
     from racines_data.errors import RacinesError
     from racines_data.files import write_atomic
     from racines_leaderboard.board import collect as results_of

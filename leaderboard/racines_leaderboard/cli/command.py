@@ -45,7 +45,7 @@ COMMANDS = {
     "study leakage": "racines_models.cli.study.leakage:leakage",
     "study conditioning": "racines_models.cli.study.conditioning:conditioning",
     "study transfer": "racines_envs.cli.study.transfer:transfer",
-    "study rewards": "racines_envs.cli.study.rewards:rewards",
+    "study rewards": "racines_envs.cli.study.rewards:reward_audit",
     "study curves": "racines_envs.cli.study.curves:curves",
     "study forces": "racines_envs.cli.study.forces:forces",
     "study speed": "racines_envs.cli.study.speed:speed",

@@ -27,6 +27,7 @@ OPTIONS = {
     "eval agent": {"--run-dir": "--run", "--scores": "--out"},
     "explain": {"--run-dir": "--run"},
     "export trace": {"--run-dir": "--run"},
+    "study rewards": {"--reward": "--rewards"},
     "submit": {"--replace": "--force"},
     "expert rate": {"--grader": "--by=grader"},
 }

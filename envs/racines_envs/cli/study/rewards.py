@@ -11,12 +11,12 @@ from racines_envs.cli.study.lists import SCORES, Seeds, integers, listed, say
 from racines_models.cli.device import OneDevice
 
 
-def rewards(
+def reward_audit(
     agents: Annotated[list[str], typer.Argument(help=Agents)],
     view: opt.View = None,
     starts: opt.Starts = None,
     seeds: Seeds = None,
-    reward: Annotated[
+    rewards: Annotated[
         str | None, typer.Option(help="oracle, paper, shaped: those to settle, comma-separated.")
     ] = None,
     grader: opt.Grader = None,
@@ -39,7 +39,7 @@ def rewards(
     settings = read_settings(params, profile)
     chosen = given(
         view=view, starts=starts, seeds=integers(seeds), grader=grader, device=device,
-        rewards=tuple(listed([reward])) if reward else None,
+        rewards=tuple(listed([rewards])) if rewards else None,
     )  # fmt: skip
     config = fill(work.RewardReportConfig, section(settings, "rewards") | chosen, "rewards")
     runs = find_runs(listed(agents))
