@@ -15,17 +15,8 @@ def test_a_study_from_sample_to_score(workplace):
     key = json.loads((workplace / "study/kit/key.json").read_text())
     assert list(key["systems"]["mean-image"]["weights"]) == ["model.safetensors"]
     assert "is there already" in command(workplace, *words, *given, code=1).stderr
-    command(
-        workplace,
-        "racines",
-        "expert",
-        "rate",
-        "study/kit",
-        "--by",
-        "simulated",
-        "--error-view",
-        "0",
-    )
+    rate = ("racines", "expert", "rate", "study/kit")
+    command(workplace, *rate, "--by", "simulated", "--error-view", "0")
     ratings = "study/kit-ratings/simulated-0.jsonl"
     done = command(workplace, "racines", "expert", "score", "study/kit", ratings, "--json")
     report = json.loads(done.stdout)

@@ -96,9 +96,8 @@ def test_a_pose_regressor_is_used_where_there_is_one(here):
 
 
 def test_truth_against_truth(here):
-    content = json.loads(
-        invoke("study", "floor", "--n", "4", "--n", "6", "--splits", "2", "--json")
-    )
+    words = ("study", "floor", "--n", "4", "--splits", "2")
+    content = json.loads(invoke(*words, "--n", "6", "--json"))
     assert [row["n"] for row in content["rows"]["inception"]] == [4, 6]
     assert json.loads((here / "models/runs/floor.json").read_text()) == content
     assert (here / "models/runs/floor.png").is_file()
@@ -150,6 +149,5 @@ def test_realism_compares_or_says_loudly_that_it_did_not(here):
 
 def test_ablation_says_what_it_lacks(here):
     assert "NOT COMPARED" in refused("study", "ablation")
-    assert "absent.parquet: no such file" in refused(
-        "study", "ablation", "--real", "absent.parquet"
-    )
+    told = refused("study", "ablation", "--real", "absent.parquet")
+    assert "absent.parquet: no such file" in told

@@ -38,7 +38,7 @@ def conditioning(
     from racines_models.studies.conditioning import folder_of, run_ablation
 
     cls, values = generator_class(name), read_settings(params, profile)
-    settings = section(values, "generators").get(cls.name) or {}
+    settings = section(values, ("generators", cls.name))
     config: Any = fill(cls.Config, settings, f"generators.{cls.name}")
     if images is not None:
         config = dataclasses.replace(

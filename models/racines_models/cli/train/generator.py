@@ -35,8 +35,7 @@ def train_generator(
 
     cls = generator_class(name)
     values = read_settings(params, profile)
-    # A module:Class has dots of its own, so the section is not looked up by a dotted path.
-    settings = section(values, "generators").get(cls.name) or {}
+    settings = section(values, ("generators", cls.name))
     run = Run(
         folder=out or Path("models/runs") / cls.name,
         seed=seed_of(values, seed),
