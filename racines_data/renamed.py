@@ -21,7 +21,7 @@ MOVED = {
         "card_tables=tables croissant croissant_rai datasheet"
     ),
     "racines_data.cli": (
-        "cli_card=card cli_export=export cli_hub=hub cli_import=importing cli_phantom=phantom"
+        "cli_card=card cli_export=export cli_hub=hub cli_import=importing cli_phantom=sheet"
     ),
     "racines_data.export.lerobot": "export.lerobot_statistics=statistics",
     "racines_data.hub": "push",
@@ -47,8 +47,8 @@ MOVED = {
     "racines_envs.agents.training": "agents.training_config=config agents.training_run=run",
     "racines_envs.apis": "gym_env gym_vector rendering torchrl_env",
     "racines_envs.cli": (
-        "cli_drive=drive cli_encoder=encoder cli_eval=evaluate cli_explain=explain "
-        "cli_export=export cli_forces=forces cli_speed=speed settings"
+        "cli_drive=drive cli_encoder=train.encoder cli_eval=study.transfer cli_explain=explain "
+        "cli_export=export cli_forces=study.forces cli_speed=study.speed settings"
     ),
     "racines_envs.driving": "keyboard terminal",
     "racines_envs.evaluation": (
@@ -68,7 +68,7 @@ MOVED = {
     ),
     "racines_leaderboard.board": "chart collect groups pages rank recompute table",
     "racines_leaderboard.cli": (
-        "cli_audit=audit cli_determinism=determinism cli_studio=studio cli_submit=submit "
+        "cli_audit=audit cli_determinism=study.determinism cli_studio=studio cli_submit=submit "
         "commands=board expert.cli=expert"
     ),
     "racines_leaderboard.records": "expert.board=experts expert.names=names schema seal tracks",
@@ -81,9 +81,10 @@ MOVED = {
     ),
     "racines_models": "bootstrap=statistics publish=weights racines_envs.intervals=statistics",
     "racines_models.cli": (
-        "cli_conditioning=conditioning cli_data=data cli_export=export cli_floor=floor "
-        "cli_gallery=gallery cli_generators=generators cli_grader=grader cli_output=output "
-        "cli_pose=pose cli_publish=publish cli_realism=realism cli_scores=scores"
+        "cli_conditioning=study.conditioning cli_data=study.leakage cli_floor=study.floor "
+        "cli_export=export.predictions cli_gallery=study.gallery cli_generators=train.generator "
+        "cli_grader=evaluate.grader cli_output=output cli_pose=train.pose "
+        "cli_publish=export.weights cli_realism=study.realism cli_scores=evaluate.generator"
     ),
     "racines_models.exchange": "naming",
     "racines_models.exchange.onnx": (

@@ -120,7 +120,7 @@ def step_speed(config: SpeedConfig, phantom: Any = None) -> dict[str, Any]:
         phantom: A phantom or its configuration; the shared one by default.
 
     Returns:
-        What `racines eval speed --json` prints: a run a batch size with `steps_per_second` (median
+        What `racines study speed --json` prints: a run a batch size with `steps_per_second` (median
         of the rounds, all rows counted), its least and greatest round, `shares` of the time by
         phase, and the longest `operations` with their shares.
 

@@ -20,6 +20,20 @@ def show_metrics(title: str, metrics: dict[str, Any]) -> None:
     Console().print(table)
 
 
+def judge_figures(metrics: dict[str, Any]) -> dict[str, Any]:
+    """Return what is shown of a grader's report: views, grades and calibration."""
+    shown = metrics["metrics"] | {
+        f"view_accuracy, {name}": figure for name, figure in metrics["views"].items()
+    }
+    for name, figures in metrics["grades"].items():
+        shown |= {f"grade_{kind}, {name}": figure for kind, figure in figures.items()}
+    calibration = metrics["calibration"]
+    for when in ("before", "after"):
+        if when in calibration:
+            shown[f"calibration_error, {when}"] = calibration[when]
+    return shown
+
+
 def show_realism(content: dict[str, Any]) -> None:
     """Print each realism figure of the phantom beside that of two halves of the real frames."""
     title = f"{content['config']}, {content['view']}, {content['n']} frames a set"

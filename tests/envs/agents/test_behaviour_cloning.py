@@ -210,21 +210,16 @@ def test_actions_are_drawn_from_seeds_at_a_temperature():
 
 
 def test_the_command_learns_from_the_folder_it_is_given(phantom, tmp_path, monkeypatch):
-    import typer
     from typer.testing import CliRunner
 
     from racines_envs.agents import behaviour_cloning
-    from racines_envs.cli import agents as cli
+    from racines_leaderboard.cli.command import app
 
     opened = []
     monkeypatch.setattr(behaviour_cloning, "open_store", lambda root: opened.append(root) or store)
     monkeypatch.chdir(tmp_path)
     store = sweeps(phantom, 10)
     (tmp_path / "params.yaml").write_text("agents:\n  behaviour-cloning: {epochs: 1}\n")
-    app, train, evaluation = typer.Typer(), typer.Typer(), typer.Typer()
-    cli.register(train, evaluation)
-    train.command("other")(lambda: None)
-    app.add_typer(train, name="train")
     words = ["train", "agent", "behaviour-cloning", "--view", "SC", "--data", "frames", "--json"]
     done = CliRunner().invoke(app, words, catch_exceptions=False)
     assert done.exit_code == 0 and opened == [Path("frames")]

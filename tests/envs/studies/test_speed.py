@@ -1,31 +1,27 @@
-"""`racines eval speed`: what it prints, that its timers change nothing, and what it refuses."""
+"""`racines study speed`: what it prints, that its timers change nothing, and what it refuses."""
 
 import json
 from typing import Any
 
 import pytest
 import torch
-import typer
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_envs.apis.gym_vector import VectorScanEnv
-from racines_envs.cli.agents import agents as cli
 from racines_envs.studies.step_profile import PHASES, SpeedConfig, Stopwatch, attach, step_speed
 from racines_envs.worlds.making import make_core
+from racines_leaderboard.cli.command import app
 
 
-@pytest.fixture
-def evaluation(tmp_path, monkeypatch) -> typer.Typer:
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    app = typer.Typer()
-    cli.register(typer.Typer(), app)
-    return app
 
 
-def test_the_command_tells_speeds_and_shares(real_phantom, evaluation):
-    words = ["speed", "--num-envs", "2", "--steps", "2", "--json"]
-    done = CliRunner().invoke(evaluation, words, catch_exceptions=False)
+def test_the_command_tells_speeds_and_shares(real_phantom):
+    words = ["study", "speed", "--num-envs", "2", "--steps", "2", "--json"]
+    done = CliRunner().invoke(app, words, catch_exceptions=False)
     content = json.loads(done.stdout)
     assert content["schema"] == "racines.speed/1" and content["observation"] == "image"
     (run,) = content["runs"]
@@ -38,9 +34,9 @@ def test_the_command_tells_speeds_and_shares(real_phantom, evaluation):
     assert shares == sorted(shares, reverse=True) and 0 < sum(shares) <= 1
 
 
-def test_params_with_the_oracle_draw_nothing(real_phantom, evaluation):
-    words = ["speed", "--observation", "params", "--num-envs", "1,2", "--steps", "2"]
-    done = CliRunner().invoke(evaluation, words, catch_exceptions=False)
+def test_params_with_the_oracle_draw_nothing(real_phantom):
+    words = ["study", "speed", "--observation", "params", "--num-envs", "1,2", "--steps", "2"]
+    done = CliRunner().invoke(app, words, catch_exceptions=False)
     rows = [line.split("|") for line in done.stdout.splitlines() if line.endswith("% |")]
     assert [(row[1].strip(), row[3].strip()) for row in rows] == [("1", "0%"), ("2", "0%")]
 
@@ -94,13 +90,13 @@ def test_timers_change_no_result(phantom, grader):
         assert torch.equal(a.reward, b.reward) and torch.equal(a.terminated, b.terminated)
 
 
-def test_what_measures_nothing_is_refused(phantom, evaluation):
+def test_what_measures_nothing_is_refused(phantom):
     with pytest.raises(RacinesError, match="1 or more"):
         SpeedConfig(num_envs=(0,))
     with pytest.raises(RacinesError, match="1 or more"):
         step_speed(SpeedConfig(steps=0), phantom)
-    assert CliRunner().invoke(evaluation, ["speed", "--threads", "0"]).exit_code == 2
-    assert CliRunner().invoke(evaluation, ["speed", "--num-envs", "x"]).exit_code == 2
+    assert CliRunner().invoke(app, ["study", "speed", "--threads", "0"]).exit_code == 2
+    assert CliRunner().invoke(app, ["study", "speed", "--num-envs", "x"]).exit_code == 2
 
 
 def test_a_row_of_many_is_the_row_alone_to_the_last_bit(real_phantom):

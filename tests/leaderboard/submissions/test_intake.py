@@ -69,7 +69,7 @@ def test_a_check_copies_nothing_and_finds_what_taking_in_would(inbox, tmp_path):
     assert tree(tmp_path) == before
     (inbox / "mine.onnx").write_bytes(pickle.dumps([1]))
     assert isinstance(CliRunner().invoke(app, words).exception, RacinesError)
-    assert CliRunner().invoke(app, [*words, "--replace"]).exit_code == 2
+    assert CliRunner().invoke(app, [*words, "--force"]).exit_code == 2
     assert tree(tmp_path) == before
 
 
@@ -275,7 +275,7 @@ def test_the_command_says_what_is_scored_again(inbox, tmp_path, monkeypatch):
     assert "leaderboard/submissions/generators/mine: sound" in said
     assert "Scored again: mine.onnx (a network that draws)" in said
     assert "racines leaderboard --recompute generators/mine" in said
-    document = json.loads(invoke("submit", inbox, "--replace", "--json"))
+    document = json.loads(invoke("submit", inbox, "--force", "--json"))
     assert document["rescored"] == ["mine.onnx"] and document["name"] == "mine"
 
 
