@@ -1,25 +1,19 @@
 """What an anatomy is: tissues painted in space, named structures, and the views that show them.
 
-A new organ is one file with one function `(seed: int) -> Anatomy`, and one entry point in the
-group `racines.anatomies` (in this package: one line of `_ANATOMIES`). See docs/organs.md.
+A new organ is one file with one function `(seed: int) -> Anatomy`, and one entry point of the group
+`racines.anatomies`. See docs/organs.md.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
-from importlib.metadata import entry_points
 
 from torch import Tensor
 
-from racines_data.errors import RacinesError
+from racines_data.plugins import Plugins
 from racines_data.views import ORGANS
 
-ENTRY_POINTS = "racines.anatomies"
-_ANATOMIES = {
-    "heart": "racines_data.phantom.heart:heart",
-    "abdomen": "racines_data.phantom.abdomen:abdomen",
-}
+ANATOMIES = Plugins("anatomy", "racines.anatomies", or_give="module:function")
 
 
 @dataclass(frozen=True)
@@ -109,16 +103,7 @@ def load_anatomy(name: str, seed: int) -> Anatomy:
     Raises:
         RacinesError: no such anatomy, or it cannot be imported.
     """
-    found = _ANATOMIES | {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
-    path = found.get(name, name if ":" in name else "")
-    if not path:
-        raise RacinesError(f"unknown anatomy {name!r}: known are {', '.join(sorted(found))}")
-    module, _, function = path.partition(":")
-    try:
-        make = getattr(import_module(module), function)
-    except (ImportError, AttributeError) as error:
-        raise RacinesError(f"anatomy {name!r} cannot be imported from {path}: {error}") from error
-    return make(seed)
+    return ANATOMIES.load(name)(seed)
 
 
 @cache

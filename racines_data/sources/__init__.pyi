@@ -1,4 +1,4 @@
-from .base import ENTRY_POINTS as ENTRY_POINTS
+from .base import SOURCES as SOURCES
 from .base import Finding as Finding
 from .base import Source as Source
 from .base import Unit as Unit
@@ -8,7 +8,7 @@ from .base import source_class as source_class
 from .base import source_names as source_names
 
 __all__ = [
-    "ENTRY_POINTS",
+    "SOURCES",
     "Finding",
     "Source",
     "Unit",
