@@ -102,8 +102,7 @@ def test_unknown_rewards_are_refused_with_the_known_ones():
     assert set(REWARDS.names()) == {"paper", "oracle", "shaped"}
 
 
-MINE = Reward("mine", "d - d'", lambda before, after, ended, config: before.distance - after.distance,
-              needs_distance=True)  # fmt: skip
+MINE = Reward("mine", "d - d", lambda a, b, ended, _: a.distance - b.distance, needs_distance=True)
 
 
 def test_a_reward_of_ones_own_by_module_name_and_as_it_is(phantom):
