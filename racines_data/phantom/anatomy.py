@@ -1,7 +1,7 @@
 """What an anatomy is: tissues painted in space, named structures, and the views that show them.
 
 A new organ is one file with one function `(seed: int) -> Anatomy`, and one entry point of the group
-`racines.anatomies`. See docs/organs.md.
+`racines.anatomies`, which names its views. See docs/organs.md.
 """
 
 from collections.abc import Callable
@@ -10,10 +10,8 @@ from functools import cache
 
 from torch import Tensor
 
-from racines_data.plugins import Plugins
-from racines_data.views import ORGANS
-
-ANATOMIES = Plugins("anatomy", "racines.anatomies", or_give="module:function")
+from racines_data.errors import RacinesError
+from racines_data.views import ANATOMIES, organs
 
 
 @dataclass(frozen=True)
@@ -101,9 +99,16 @@ def load_anatomy(name: str, seed: int) -> Anatomy:
     """Build an anatomy by its name, or by `module:function`.
 
     Raises:
-        RacinesError: no such anatomy, or it cannot be imported.
+        RacinesError: no such anatomy, it cannot be imported, or its entry point names other views.
     """
-    return ANATOMIES.load(name)(seed)
+    anatomy: Anatomy = ANATOMIES.load(name)(seed)
+    views, named = tuple(view.name for view in anatomy.views), organs().get(name)
+    if named and views != named:
+        raise RacinesError(
+            f"anatomy {name!r} has the views {', '.join(views)}, and its entry point names "
+            f"{', '.join(named)}: write [{','.join(views)}] there"
+        )
+    return anatomy
 
 
 @cache
@@ -113,4 +118,4 @@ def anatomy_views(name: str) -> tuple[str, ...]:
     Raises:
         RacinesError: no such anatomy.
     """
-    return ORGANS.get(name) or tuple(view.name for view in load_anatomy(name, 0).views)
+    return organs().get(name) or tuple(view.name for view in load_anatomy(name, 0).views)

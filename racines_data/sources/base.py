@@ -71,8 +71,8 @@ class Source(Protocol):
     Config: ClassVar[type]
     """Dataclass of settings. Fields `frames` and `seed`, if any, are set from the data section."""
     # A source of other views than the five also has `labels: tuple[str, ...]`, `Random` last. One
-    # of single images, without poses and times, has `poses = False`; both are then NaN. What there is
-    # to say of its data is its `card`, a `racines_data.sources.card.SourceCard`.
+    # of single images, without poses and times, has `poses = False`; both are then NaN. What there
+    # is to say of its data is its `card`, a `racines_data.sources.card.SourceCard`.
 
     @classmethod
     def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> Self:

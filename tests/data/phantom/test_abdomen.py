@@ -18,7 +18,7 @@ from racines_data.randomness import sample_seeds
 from racines_data.sources.phantom import PhantomSource
 from racines_data.store.frames import open_store
 from racines_data.validate.run import validate
-from racines_data.views import LABELS, ORGANS
+from racines_data.views import LABELS, organs
 
 VIEWS = ("KLX", "KSX", "GB")
 SEEDS = range(8)
@@ -145,7 +145,7 @@ def test_a_stone_casts_a_shadow(phantom: Phantom) -> None:
 
 
 def test_the_views_known_without_building_are_the_anatomies_own() -> None:
-    for name, views in ORGANS.items():
+    for name, views in organs().items():
         anatomy = load_anatomy(name, 0)
         assert tuple(view.name for view in anatomy.views) == views == anatomy_views(name)
         named = {structure.name for structure in anatomy.structures}
