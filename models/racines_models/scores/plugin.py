@@ -1,6 +1,6 @@
 """A metric of generators as a plug-in: one `Metric` in one file, and one entry point.
 
-Every installed metric is taken by `racines eval generator`, stands in the scores file under its name,
+Every installed metric is taken by `racines eval generator`, stands in the scores file by its name,
 and is a column of the board. It never ranks.
 
     [project.entry-points."racines.metrics"]
