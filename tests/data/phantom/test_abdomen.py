@@ -19,6 +19,7 @@ from racines_data.sources.phantom import PhantomSource
 from racines_data.store.frames import open_store
 from racines_data.validate.run import validate
 from racines_data.views import LABELS, organs
+from tests.plugins.packages import install
 
 VIEWS = ("KLX", "KSX", "GB")
 SEEDS = range(8)
@@ -184,3 +185,12 @@ def test_a_dataset_carries_the_labels_of_its_anatomy(tmp_path) -> None:
     result = validate(tmp_path / "abdomen")
     broken = [c for c in result.checks if not c.ok and c.name in ("rows", "store", "card")]
     assert not broken
+
+
+def test_an_entry_point_that_names_other_views_is_refused(tmp_path, monkeypatch) -> None:
+    made = "racines_data.phantom.abdomen:abdomen [KLX,GB]"
+    install(tmp_path, "their_organs", {"racines.anatomies": {"belly": made}})
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert organs()["belly"] == ("KLX", "GB") and next(iter(organs())) == "heart"
+    with pytest.raises(RacinesError, match=r"'belly' has the views KLX, KSX, GB.*\[KLX,KSX,GB\]"):
+        load_anatomy("belly", 0)
