@@ -64,7 +64,7 @@ NoPose = Annotated[bool, typer.Option("--no-pose", help="Leave out what needs a 
 
 View = Annotated[str | None, typer.Option(help="Target view.")]
 Observation = Annotated[str | None, typer.Option(help="image, params or multimodal.")]
-Reward = Annotated[str | None, typer.Option(help="paper, oracle or shaped.")]
+Reward = Annotated[str | None, typer.Option(help="paper, oracle, shaped, or another's.")]
 Backend = Annotated[str | None, typer.Option(help="phantom, generator or replay.")]
 Generator = Annotated[str | None, typer.Option(help="Generator: name, run folder or FILE.onnx.")]
 Starts = Annotated[int | None, typer.Option(help="Episodes from each start set.")]

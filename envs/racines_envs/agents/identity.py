@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from racines_envs.agents.encoders import PoseEncoder
+from racines_envs.task.rewards import get_reward
 from racines_envs.worlds.backends import GRADER_FOLDER, make_grader, source_weights
 from racines_envs.worlds.making import phantom_recipe
 
@@ -48,7 +49,7 @@ def environment_identity(
         RacinesError: grader, generator or dataset are not there.
     """
     made: dict[str, Any] = {"grader": None, "generator": None, "data": None}
-    if config.reward == "paper":
+    if get_reward(config.reward).needs_judge:
         judge = make_grader(grader or config.grader or GRADER_FOLDER, "cpu")
         made["grader"] = getattr(judge, "sha256", None)
     if config.backend == "generator" and config.generator:

@@ -56,7 +56,7 @@ def describe(core: ScanCore, backend: str) -> dict[str, Any]:
     """Return what decides where the same actions lead, as JSON gives it back."""
     told = {
         "backend": backend,
-        "reward": core.reward_name,
+        "reward": core.reward.name,
         "task": asdict(core.task),
         "phantom": phantom_recipe(core.phantom),
     }

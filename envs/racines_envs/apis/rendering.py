@@ -293,7 +293,6 @@ def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None
     def at(step: float, share: float) -> tuple[float, float]:
         return left + (right - left) * step / count, bottom - (bottom - top) * share
 
-    source = "grader" if core.reward_name == "paper" else "oracle"
     curves = (
         ("p", steps.probabilities, core.rewards.probability, 1.0, _PROBE),
         ("grade", steps.grades, core.rewards.grade, 10.0, _PATH),
@@ -312,7 +311,7 @@ def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None
         end, anchor = (left - 6, "rm") if name == "p" else (right + 6, "lm")
         for share in (0.0, 0.5, 1.0):
             draw.text((end, at(0, share)[1]), f"{share * full:g}", colour, _font(12), anchor=anchor)
-    title = f"as {core.task.view} by the {source}:"
+    title = f"as {core.task.view} by the {core.reward.judged_by}:"
     draw.text((left, top - 20), title, _TEXT, _font(13))
     offset = left + _font(13).getlength(title) + 10
     draw.text((offset, top - 20), "p (left)", _PROBE, _font(13))

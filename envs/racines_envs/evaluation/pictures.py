@@ -34,10 +34,9 @@ def draw_trajectories(evaluation: Any, path: Path) -> None:
     axes.scatter(*target, marker="*", s=150, color="black", label="nominal pose")
     _frame(axes, np.concatenate([target[None], *(path_ for path_, _ in paths)]), core)
     _draw_plan(figure.add_axes((0.7, 0.12, 0.27, 0.27)), core, paths, target)
-    source = "grader" if core.reward_name == "paper" else "oracle"
     scale = ScalarMappable(Normalize(0.0, 1.0), "viridis")
     bar = figure.add_axes((0.82, 0.5, 0.02, 0.36))
-    figure.colorbar(scale, cax=bar, label=f"p of {core.task.view}, by the {source}")
+    figure.colorbar(scale, cax=bar, label=f"p of {core.task.view}, by the {core.reward.judged_by}")
     milliseconds = scores["metrics"].get("latency", {}).get("value")
     lines = [_line(episodes, row, milliseconds) for row in range(count)]
     figure.text(0.03, 0.03, "\n".join(lines), fontsize=8.5, va="bottom", family="monospace")

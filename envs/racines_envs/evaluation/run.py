@@ -20,6 +20,7 @@ from racines_envs.agents.trace import TraceAgent
 from racines_envs.evaluation.latency import decision_times, latency_figure
 from racines_envs.evaluation.measures import Figures, measure, measure_by_seed
 from racines_envs.task.core import ScanCore
+from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.backends import make_grader
 from racines_envs.worlds.making import (
@@ -203,7 +204,7 @@ def _core(
         observation=agent.observation,
         reward=config.reward,
         phantom=phantom,
-        grader=grader if config.reward == "paper" else None,
+        grader=grader if get_reward(config.reward).needs_judge else None,
         device=config.device,
         encoder=getattr(agent, "encoder", None),
         data=config.data or None,

@@ -23,6 +23,7 @@ from racines_envs.explain.maps import (
 from racines_envs.explain.scores import SMOOTH, areas, overlap, random_maps
 from racines_envs.explain.truth import sector_of, true_regions
 from racines_envs.task.core import ScanCore
+from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import find_task, make_core, phantom_recipe
 from racines_models import statistics
@@ -100,7 +101,7 @@ def explain(
         reward=config.reward,
         phantom=phantom,
         data=config.data or None,
-        grader=grader if config.reward == "paper" else None,
+        grader=grader if get_reward(config.reward).needs_judge else None,
         device=config.device,
     )
     frames = collect(core, agent, evaluation_seeds(config.starts, config.seed), config)

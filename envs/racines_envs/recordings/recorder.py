@@ -148,7 +148,7 @@ def _header(core: ScanCore) -> dict[str, Any]:
         "schema": SCHEMA,
         "task": asdict(core.task),
         "observation": core.observation,
-        "reward": core.reward_name,
+        "reward": core.reward.name,
         "rewards": asdict(core.rewards),
         "images": type(core.images).__name__,
         "forces": CONTACT if core.forces is core.phantom else type(core.forces).__name__,

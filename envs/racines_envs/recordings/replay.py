@@ -13,7 +13,7 @@ from racines_data.geometry import Pose, geodesic
 from racines_envs.recordings.recorder import CONTACT, SCHEMA
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
-from racines_envs.task.rewards import RewardConfig
+from racines_envs.task.rewards import RewardConfig, get_reward
 from racines_envs.task.tasks import Task
 from racines_envs.worlds.making import make_core
 
@@ -86,7 +86,7 @@ def replay(path: Path, core: ScanCore | None = None) -> Replay:
     own = core is None
     core = core or _core(recording, path)
     core.reset(0, pose=_pose(recording.steps[0]))
-    compared = own and recording.header["reward"] != "paper"
+    compared = own and not get_reward(recording.header["reward"]).needs_judge
     metres = radians = rewards = 0.0
     for line in recording.steps[1:]:
         reward = core.step(torch.tensor([ACTIONS.index(line["action"])])).reward
@@ -111,7 +111,7 @@ def _core(recording: Recording, path: Path) -> ScanCore:
     """Return a row of the recorded task that looks at no image."""
     header = recording.header
     task, reward = fill(Task, header["task"], f"{path}: task"), header["reward"]
-    if reward == "paper":
+    if get_reward(reward).needs_judge:
         # Without images nobody knows when the grader ended it: go on as long as the recording did.
         task = replace(task, termination="timeout")
         reward = "oracle"

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 
 from racines_data.geometry import Pose, matrix_to_euler
-from racines_data.views import ORGANS, VIEW_TITLES
+from racines_data.views import VIEW_TITLES, organs
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.tasks import TASKS, Task
 
@@ -67,7 +67,7 @@ def main() -> None:
     """Print the tables of all organs."""
     from racines_data.phantom import PhantomConfig, shared_phantom
 
-    for anatomy in ORGANS:
+    for anatomy in organs():
         print(task_tables(anatomy, shared_phantom(PhantomConfig(anatomy=anatomy))), end="\n\n")
 
 

@@ -20,7 +20,7 @@ from racines_data.geometry import Pose, geodesic, pose_to_parameters, rotation_6
 from racines_data.imaging import ImageSource
 from racines_data.randomness import derive
 from racines_envs.task.actions import ActionTable, check_actions
-from racines_envs.task.rewards import RewardConfig, Score, get_reward, is_hit
+from racines_envs.task.rewards import Reward, RewardConfig, Score, get_reward, is_hit
 from racines_envs.task.sensing import (
     Encoder,
     ForceSource,
@@ -50,7 +50,7 @@ class ScanCore:
         images: ImageSource,
         grader: GraderLike | None = None,
         observation: str = "params",
-        reward: str = "oracle",
+        reward: str | Reward = "oracle",
         rewards: RewardConfig | None = None,
         num_envs: int = 1,
         device: torch.device | str = "cpu",
@@ -64,22 +64,24 @@ class ScanCore:
         the phantom's contact.
 
         Raises:
-            RacinesError: an unknown observation or reward, or reward `paper` without a grader.
+            RacinesError: an unknown observation or reward, or a reward that needs a grader
+                without one.
         """
         if observation not in OBSERVATIONS:
             raise RacinesError(
                 f"unknown observation {observation!r}: choose one of {', '.join(OBSERVATIONS)}"
             )
-        if reward == "paper" and grader is None:
+        self.reward = get_reward(reward)
+        if self.reward.needs_judge and grader is None:
             raise RacinesError(
-                "reward 'paper' needs a trained grader: run `racines train grader`, or use "
-                "reward='oracle'"
+                f"reward {self.reward.name!r} needs a trained grader: run `racines train grader`, "
+                "or use reward='oracle'"
             )
         if num_envs < 1:
             raise RacinesError(f"num_envs is {num_envs}: give at least 1")
         self.task, self.phantom, self.images, self.grader = task, phantom, images, grader
-        self.observation, self.reward_name = observation, reward
-        self.rewards, self._reward = rewards or RewardConfig(), get_reward(reward)
+        self.observation = observation
+        self.rewards, self._reward = rewards or RewardConfig(), self.reward.pay
         self.num_envs, self.device = num_envs, torch.device(device)
         self.encoder = encoder if observation != "params" else None
         own = images if hasattr(images, "wrench") else phantom
@@ -89,7 +91,7 @@ class ScanCore:
         workspace = phantom.workspace
         self._centre = ((workspace.position_max + workspace.position_min) / 2).to(self.device)
         self._half = ((workspace.position_max - workspace.position_min) / 2).to(self.device)
-        self.renders = observation != "params" or reward == "paper"
+        self.renders = observation != "params" or self.reward.needs_judge
         self._env_seed = torch.arange(num_envs, dtype=torch.int64, device=self.device)
         self._episode = torch.full_like(self._env_seed, -1)
         self._sensed: dict[str, Tensor] = {}
@@ -261,14 +263,14 @@ class ScanCore:
             sensed["image"] = check_drawn(drawn, len(seeds), self.images)
         if self.encoder is not None:
             sensed["features"] = in_fixed_batches(self.encoder, sensed["image"])
-        if self.reward_name == "paper" and self.grader is not None:
+        if self.reward.needs_judge and self.grader is not None:
             p, g = self.grader.probabilities_and_grade(sensed["image"])
             check_judged(p, g, len(seeds), truth.membership.shape[1] + 1, self.grader)
             sensed |= {"grader_p": p[:, self.task.target].float(), "grader_g": g.float()}
         if rows is not None:
             sensed = {k: self._sensed[k].index_copy(0, rows, v) for k, v in sensed.items()}
         self._sensed = sensed
-        self.score = self.scored_by("grader" if self.reward_name == "paper" else "oracle")
+        self.score = self.scored_by(self.reward.judged_by)
 
     def _truth(self, pose: Pose) -> Any:
         """Return the truth of (B,) poses, each as if it were alone where the phantom can tell."""
@@ -282,7 +284,7 @@ class ScanCore:
 
     def _distance(self) -> Tensor:
         """Return (N,) unit steps to the nominal pose, or zeros where the reward has no use."""
-        if self.reward_name != "shaped":
+        if not self.reward.needs_distance:
             return torch.zeros_like(self.state.total)
         metres, radians = self.pose_error()
         return metres / self.task.step_translation + radians / self.task.step_rotation

@@ -11,7 +11,7 @@ from racines_data.imaging import ImageSource
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.views import HEART, labels_of
 from racines_envs.task.core import ScanCore
-from racines_envs.task.rewards import RewardConfig
+from racines_envs.task.rewards import Reward, RewardConfig, get_reward
 from racines_envs.task.sensing import Encoder
 from racines_envs.task.tasks import Task, get_task
 from racines_envs.worlds.backends import GRADER_FOLDER, make_backend, make_grader
@@ -32,7 +32,7 @@ def make_core(
     *,
     backend: str | ImageSource = "phantom",
     observation: str = "image",
-    reward: str = "paper",
+    reward: str | Reward = "paper",
     phantom: Any = None,
     anatomy: str | None = None,
     generator: Any = None,
@@ -52,14 +52,15 @@ def make_core(
         num_envs: Rows.
         backend: `phantom`, `generator`, `replay`, or an object that makes images of parameters.
         observation: `image`, `params` or `multimodal`.
-        reward: `paper` (by the grader), `oracle` (the same by the phantom's truth) or `shaped`.
+        reward: `paper` (by the grader), `oracle` (the same by the phantom's truth), `shaped`, the
+            name of another's, `module:REWARD`, or a `Reward`.
         phantom: A phantom or its configuration; the shared one of the anatomy by default, and for
             `replay` that of the dataset. `recorded` for the recordings in its place, which stand
             there anyway where they are no phantom's.
         anatomy: Whose view it is; the phantom's anatomy by default, or else the heart.
         generator: For the backend `generator`: a name, run folder, `module:Class`, `FILE.onnx` or
             object; see `racines_envs.worlds.backends.open_source`.
-        grader: Run folder or object; models/runs/grader for reward `paper`.
+        grader: Run folder or object; models/runs/grader for a reward that needs one.
         termination: Instead of the task's: `first_hit`, `k_hits` or `timeout`.
         rewards: The numbers of the reward.
         device: Where the tensors live.
@@ -78,7 +79,7 @@ def make_core(
     if termination is not None:
         task = dataclasses.replace(task, termination=termination)
     parts: dict[str, Any] = {}
-    if reward == "paper" and grader is None:
+    if get_reward(reward).needs_judge and grader is None:
         grader = GRADER_FOLDER
     if grader is not None:
         known = grader if isinstance(grader, (str, Path)) else None

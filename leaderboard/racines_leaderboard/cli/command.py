@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from racines_data.errors import RacinesError
+from racines_leaderboard.cli.plugins import register
 from racines_leaderboard.cli.renamed import RenamingGroup
 
 GROUPS = {
@@ -87,6 +88,7 @@ def _assemble() -> None:
     for words, function in COMMANDS.items():
         group, _, name = words.rpartition(" ")
         groups[group].command(name)(resolve_name(function))
+    register(app)
 
 
 _assemble()

@@ -10,7 +10,7 @@ from racines_data.errors import RacinesError
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.groups import SHOWN, by_task
 from racines_leaderboard.board.rank import Ranked, Record, rank
-from racines_leaderboard.records.tracks import TIERS, TRACKS, Track
+from racines_leaderboard.records.tracks import TIERS, TRACKS, Track, board_tracks
 from racines_leaderboard.studio.inputs import choice, choices
 
 ALL = "all"
@@ -100,7 +100,7 @@ def _fits(task: str, wanted: Selection) -> bool:
 
 def track_of(wanted: Selection) -> Track:
     """Return the track of a selection."""
-    return next(track for track in TRACKS if track.name == wanted.track)
+    return next(track for track in board_tracks() if track.name == wanted.track)
 
 
 def _content(results: Path, board: str) -> dict[str, list[Record]]:

@@ -59,7 +59,8 @@ def charts_html(results: Path, wanted: Selection) -> str:
     track = track_of(wanted)
     ranking = _once(ranked_groups(results, wanted))
     columns = (*track.columns, *(track.details if wanted.details else ()))
-    shown = [column for column in columns if shown_columns((column,), ranking)]
+    drawn = [column for column in columns if column.value is None]  # what a metric is behind
+    shown = [column for column in drawn if shown_columns((column,), ranking)]
     charts = [element(_chart(column, _Frozen(ranking)), column.title) for column in shown]
     return f'<div class="rc-grid">{"".join(charts)}</div>'
 

@@ -23,6 +23,7 @@ from racines_data.progress import progress_bar
 from racines_data.schema import CONTROLS, PARAMETERS, Trajectory
 from racines_data.sources.base import Finding, Unit
 from racines_data.sources.cactus.files import Kind, Picture, find_pictures, runs
+from racines_data.sources.card import SourceCard
 from racines_data.sources.crop import Box, sector_box
 from racines_data.sources.images import DamagedImage, check_jpeg, read_gray, square
 from racines_data.sources.release.kinds import flagged, refused
@@ -33,6 +34,25 @@ READER = 1
 _THREADS = 4
 _SAMPLE = 96
 Size = tuple[int, int]
+
+CARD = SourceCard(
+    origin="the published CACTUS images, imported; labels and grades without poses",
+    license="cc-by-4.0",
+    rights=("CC BY 4.0, as the originals (DOI 10.20383/103.01484); cite their authors."),
+    collection=(
+        "The published CACTUS images, imported: frames of a cardiac phantom with view and "
+        "grade, without poses."
+    ),
+    collection_type="Direct measurement",
+    annotation=("View and grade as published with the images; see the CACTUS publication."),
+    biases=("A manufactured heart; classes and grades in the shares its authors chose."),
+    limitations="A phantom is not a patient. There are no poses or forces.",
+    personal="None: images of a manufactured phantom.",
+    limits=(
+        "A manufactured phantom, not a patient. There are no poses, forces or times; runs of "
+        "files stand as trajectories, and frames on both sides of a cut may be neighbours."
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -69,6 +89,7 @@ class CactusSource:
     version = "1.0.0"
     poses = False
     Config = CactusConfig
+    card = CARD
 
     def __post_init__(self) -> None:
         """Remember nothing yet."""

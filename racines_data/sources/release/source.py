@@ -24,6 +24,7 @@ from racines_data.geometry import Pose, pose_to_parameters
 from racines_data.progress import progress_bar
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Finding, Unit
+from racines_data.sources.card import SourceCard
 from racines_data.sources.images import read_gray, square
 from racines_data.sources.release.checks import UNIT_KINDS, UNITS
 from racines_data.sources.release.kinds import Kind, flagged
@@ -35,6 +36,28 @@ from racines_data.views import RANDOM, VIEWS
 READER = 1
 """Version of what this reader makes of the files; part of the recipe."""
 _THREADS = 4
+
+CARD = SourceCard(
+    origin="the published RACINES recordings, imported",
+    rights=("As the published recordings; see their publisher. This import adds no rights."),
+    like_paper=True,
+    collection=(
+        "The published RACINES recordings, imported: an operator moved a UR5e arm that holds "
+        "a phased-array probe over a CAE Blue Phantom cardiac block."
+    ),
+    collection_type="Direct measurement",
+    annotation="The recordings name a target view a folder and have no grades.",
+    biases="One manufactured block and one arm; anatomy and pathology do not vary.",
+    limitations=(
+        "A phantom is not a patient. Neighbouring frames of a sweep are near-copies: split by "
+        "trajectory only. There are no grades."
+    ),
+    personal="None: images of a manufactured phantom.",
+    limits=(
+        "A manufactured phantom, not a patient. Neighbouring frames are near-copies: keep "
+        "trajectories whole. There are no grades until a grader has annotated them."
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -80,6 +103,7 @@ class ReleaseSource:
     name = "release"
     version = "1.0.0"
     Config = ReleaseConfig
+    card = CARD
 
     def __post_init__(self) -> None:
         """Name the labels, and remember nothing yet."""

@@ -98,7 +98,7 @@ def test_unknown_agents_and_classes_that_are_none_are_refused(tmp_path):
         agent_class("ddpg")
     with pytest.raises(RacinesError, match="lacks"):
         agent_class("pathlib:Path")
-    with pytest.raises(RacinesError, match="cannot load"):
+    with pytest.raises(RacinesError, match="cannot import nowhere.at.all"):
         agent_class("nowhere.at.all:Agent")
     with pytest.raises(RacinesError, match="racines train agent ppo"):
         load_agent("ppo", tmp_path)

@@ -54,7 +54,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
 
 
 def arithmetic(row: dict[str, Any], numbers: dict[str, float]) -> str:
-    """Return the sum that a mean return under the paper's formula is; nothing for `shaped`."""
+    """Return the sum that a mean return under the paper's formula is; nothing for another."""
     parts = row["parts"]
     if "hits" not in parts:
         return ""

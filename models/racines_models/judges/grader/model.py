@@ -8,9 +8,8 @@ opened by the same `Grader.load` and asked the same way.
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,6 +17,7 @@ from torch import Tensor
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic, write_json
+from racines_data.plugins import Plugins
 from racines_data.views import LABELS
 from racines_models.devices import resolve_device
 from racines_models.networks.batching import in_fixed_batches
@@ -27,9 +27,8 @@ from racines_models.training.augmentation import Augmentation
 WEIGHTS = "grader.safetensors"
 CONFIG = "config.json"
 SCHEMA = "racines.grader/1"
-ARCHITECTURES = {"resnet18": "racines_models.judges.grader.model:Grader"}
-ARCHITECTURES["student"] = "racines_models.judges.student.model:Student"
-"""Who reads a folder, by the architecture that its config names."""
+JUDGES = Plugins("architecture", "racines.judges", ("architecture", "Config", "build"), or_give="")
+"""Who reads a folder, by the architecture that its config names: a file names no module."""
 
 
 @dataclass(frozen=True)
@@ -253,9 +252,7 @@ def read_config(folder: Path) -> dict[str, Any]:
 
 
 def _architecture(name: str, folder: Path) -> type[Grader]:
-    if name not in ARCHITECTURES:
-        raise RacinesError(
-            f"{folder / CONFIG}: architecture {name!r}, expected {' or '.join(ARCHITECTURES)}"
-        )
-    module, kind = ARCHITECTURES[name].split(":")
-    return cast(type[Grader], getattr(import_module(module), kind))
+    try:
+        return JUDGES.load(name)
+    except RacinesError as error:
+        raise RacinesError(f"{folder / CONFIG}: {error}") from error
