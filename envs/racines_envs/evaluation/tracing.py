@@ -8,6 +8,8 @@ from racines_envs.agents.rollout import rollout
 from racines_envs.agents.trace import Recorded
 from racines_envs.agents.trace_file import describe, read_trace, write_trace
 from racines_envs.evaluation.run import EvaluationConfig, prepare
+from racines_envs.worlds.making import WorldLike
+from racines_models.protocol import Judge
 
 
 def record_trace(
@@ -15,8 +17,8 @@ def record_trace(
     run_dir: Path,
     config: EvaluationConfig,
     path: Path,
-    phantom: Any = None,
-    grader: Any = None,
+    phantom: WorldLike = None,
+    grader: Judge | None = None,
     agent: Agent | None = None,
 ) -> dict[str, Any]:
     """Let an agent act from the fixed starts, and write what it did.

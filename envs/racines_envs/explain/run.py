@@ -14,7 +14,7 @@ from racines_envs.agents import load_agent
 from racines_envs.explain.explanation import Explanation, Frames
 from racines_envs.explain.figure import draw_episode
 from racines_envs.explain.maps import (
-    Judge,
+    Explained,
     grader_probabilities,
     integrated_gradients,
     outputs,
@@ -25,9 +25,10 @@ from racines_envs.explain.truth import sector_of, true_regions
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
-from racines_envs.worlds.making import find_task, make_core, phantom_recipe
+from racines_envs.worlds.making import WorldLike, find_task, make_core, phantom_recipe
 from racines_models import statistics
 from racines_models.devices import on_device
+from racines_models.protocol import Judge
 
 SCHEMA = "racines.explanation/1"
 
@@ -66,7 +67,11 @@ class ExplainConfig:
 
 
 def explain(
-    name: str, run_dir: Path, config: ExplainConfig, phantom: Any = None, grader: Any = None
+    name: str,
+    run_dir: Path,
+    config: ExplainConfig,
+    phantom: WorldLike = None,
+    grader: Judge | None = None,
 ) -> Explanation:
     """Explain the agent that lies in `run_dir`.
 
@@ -155,7 +160,7 @@ def collect(core: ScanCore, agent: Any, seeds: Tensor, config: ExplainConfig) ->
 
 
 def _attribute(
-    judge: Judge, frames: Frames, targets: Tensor, logits: bool, config: ExplainConfig
+    judge: Explained, frames: Frames, targets: Tensor, logits: bool, config: ExplainConfig
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Return attributions, the probability of each target, and the completeness error."""
     maps, error = integrated_gradients(judge, frames.images, frames.params, targets, config.steps)
@@ -170,7 +175,7 @@ def _attribute(
 
 
 def _score(
-    judge: Judge, frames: Frames, targets: Tensor, logits: bool, maps: Tensor, core: ScanCore,
+    judge: Explained, frames: Frames, targets: Tensor, logits: bool, maps: Tensor, core: ScanCore,
     config: ExplainConfig,
 ) -> dict[str, Any]:  # fmt: skip
     """Return deletion and insertion of the maps, of random ones, and the differences."""

@@ -141,7 +141,7 @@ def _header(core: ScanCore) -> dict[str, Any]:
     from racines_models.provenance import code_version
 
     phantom = None
-    if hasattr(core.phantom, "config"):
+    if core.phantom.config is not None:
         recipe = {"version": PHANTOM_VERSION, "config": asdict(core.phantom.config)}
         phantom = recipe | {"recipe_digest": recipe_digest(recipe)}
     return {

@@ -17,6 +17,7 @@ from racines_envs.task.rewards import RewardConfig
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.task.tasks import TERMINATIONS, get_task
 from racines_envs.worlds.making import make_core
+from racines_models.protocol import Judge
 
 LOW = RewardConfig(probability=0.35, grade=3.6)
 """What the stand-in's grader reaches now and then."""
@@ -74,7 +75,7 @@ def test_a_high_return_without_the_view_is_counted(phantom):
     """A grader that likes everything is farmed by an agent that goes nowhere near the view."""
     import torch
 
-    class Flatterer:
+    class Flatterer(Judge):
         def probabilities_and_grade(self, images):
             return torch.ones(len(images), 6), torch.full((len(images),), 9.0)
 

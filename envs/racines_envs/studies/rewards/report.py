@@ -8,14 +8,15 @@ import numpy as np
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.world import World
 from racines_envs.evaluation.agent_specs import Run, common_view
 from racines_envs.evaluation.measures import RETURN_OF_A_HIT
 from racines_envs.evaluation.run import check_view, start_seeds
 from racines_envs.studies.rewards.settle import Settled, Trace, record, settle
 from racines_envs.task.rewards import REWARDS, Reward, RewardConfig, follows_paper, get_reward
 from racines_envs.task.tasks import TERMINATIONS, Task
-from racines_envs.worlds.backends import GRADER_FOLDER
-from racines_envs.worlds.making import find_task, make_core, make_phantom, phantom_recipe
+from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike
+from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
 from racines_models import statistics
 from racines_models.devices import on_device
 
@@ -51,7 +52,10 @@ class RewardReportConfig:
 
 
 def reward_report(
-    runs: Sequence[Run], config: RewardReportConfig, phantom: Any = None, grader: Any = None
+    runs: Sequence[Run],
+    config: RewardReportConfig,
+    phantom: WorldLike = None,
+    grader: JudgeLike = None,
 ) -> tuple[dict[str, Any], dict[tuple[str, str, str], Settled]]:
     """Let every agent act to the last step, and settle its episodes under every reward and rule.
 
@@ -115,8 +119,8 @@ def _trace(
     run: Run,
     task: Task,
     seeds: Tensor,
-    phantom: Any,
-    grader: Any,
+    phantom: World,
+    grader: JudgeLike,
     config: RewardReportConfig,
 ) -> Trace:
     agent = run.load(config.device)
