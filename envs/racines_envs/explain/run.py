@@ -11,7 +11,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
 from racines_envs.agents import load_agent
-from racines_envs.explain.explanation import Explanation, Frames
+from racines_envs.explain.explanation import Explanation, Shown
 from racines_envs.explain.figure import draw_episode
 from racines_envs.explain.maps import (
     Explained,
@@ -136,7 +136,7 @@ def _check(config: ExplainConfig) -> None:
 
 
 @torch.no_grad()
-def collect(core: ScanCore, agent: Any, seeds: Tensor, config: ExplainConfig) -> Frames:
+def collect(core: ScanCore, agent: Any, seeds: Tensor, config: ExplainConfig) -> Shown:
     """Let the agent act from (n,) seeds, and keep every so many steps what it saw and did."""
     agent.attach(core)
     observation = core.reset(seeds.to(core.device))
@@ -156,11 +156,11 @@ def collect(core: ScanCore, agent: Any, seeds: Tensor, config: ExplainConfig) ->
     images, params, position, rotation, actions, row, step = (
         torch.cat(column) for column in zip(*kept, strict=True)
     )
-    return Frames(images, params, Pose(position, rotation), actions, row, step)
+    return Shown(images, params, Pose(position, rotation), actions, row, step)
 
 
 def _attribute(
-    judge: Explained, frames: Frames, targets: Tensor, logits: bool, config: ExplainConfig
+    judge: Explained, frames: Shown, targets: Tensor, logits: bool, config: ExplainConfig
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Return attributions, the probability of each target, and the completeness error."""
     maps, error = integrated_gradients(judge, frames.images, frames.params, targets, config.steps)
@@ -175,7 +175,7 @@ def _attribute(
 
 
 def _score(
-    judge: Explained, frames: Frames, targets: Tensor, logits: bool, maps: Tensor, core: ScanCore,
+    judge: Explained, frames: Shown, targets: Tensor, logits: bool, maps: Tensor, core: ScanCore,
     config: ExplainConfig,
 ) -> dict[str, Any]:  # fmt: skip
     """Return deletion and insertion of the maps, of random ones, and the differences."""
@@ -202,7 +202,11 @@ def _score(
 
 
 def _overlaps(
-    maps: Tensor, frames: Frames, regions: dict[str, Tensor], core: ScanCore, config: ExplainConfig
+    maps: Tensor,
+    frames: Shown,
+    regions: dict[str, Tensor],
+    core: ScanCore,
+    config: ExplainConfig,
 ) -> dict[str, Any]:
     """Return where the top tenth of the pixels by magnitude lies, and what chance would give."""
     figures: dict[str, Any] = {}
@@ -214,7 +218,7 @@ def _overlaps(
     return figures
 
 
-def _mean(values: np.ndarray, frames: Frames, config: ExplainConfig) -> dict[str, Any]:
+def _mean(values: np.ndarray, frames: Shown, config: ExplainConfig) -> dict[str, Any]:
     """Return the mean over episodes of their mean images: images of one episode are alike."""
     row = frames.row.cpu().numpy()
     episodes = np.array([values[row == r].mean() for r in np.unique(row)])
@@ -222,7 +226,7 @@ def _mean(values: np.ndarray, frames: Frames, config: ExplainConfig) -> dict[str
 
 
 def _document(
-    name: str, run_dir: Path, config: ExplainConfig, core: ScanCore, frames: Frames,
+    name: str, run_dir: Path, config: ExplainConfig, core: ScanCore, frames: Shown,
     metrics: dict[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
     from racines_envs.agents import agent_class

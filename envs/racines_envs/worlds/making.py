@@ -26,7 +26,7 @@ from racines_models.protocol import Judge
 
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
-    from racines_envs.worlds.replay import Replay
+    from racines_envs.worlds.replay_images import Replay
 
 WorldLike = World | PhantomConfig | str | None
 """What names a world: itself, a phantom's settings, `recorded`, or None for the default."""
@@ -136,7 +136,7 @@ def _is_replay(backend: str | ImageSource) -> "TypeGuard[Replay]":
     """Return whether a backend is recordings that are open already."""
     if isinstance(backend, str):
         return False
-    from racines_envs.worlds.replay import Replay
+    from racines_envs.worlds.replay_images import Replay
 
     return isinstance(backend, Replay)
 
@@ -155,8 +155,8 @@ def _recordings(
     Raises:
         RacinesError: another phantom than the dataset's, unless any dataset may pass.
     """
-    from racines_envs.worlds.recorded import RecordedWorld
-    from racines_envs.worlds.replay import Replay, source_phantom
+    from racines_envs.worlds.recorded_world import RecordedWorld
+    from racines_envs.worlds.replay_images import Replay, source_phantom
 
     replay, own = backend if isinstance(backend, Replay) else None, source_phantom(store)
     replay = replay or Replay(store, device)

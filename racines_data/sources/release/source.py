@@ -29,8 +29,8 @@ from racines_data.sources.images import read_gray, square
 from racines_data.sources.release.checks import UNIT_KINDS, UNITS
 from racines_data.sources.release.kinds import Kind, flagged
 from racines_data.sources.release.log import CONTROL, POSE, TIME, WRENCH, parse_log
-from racines_data.sources.release.survey import Survey, Surveyor
-from racines_data.sources.release.tree import Pair, Recording, find_recordings
+from racines_data.sources.release.survey import FolderSurvey, Surveyor
+from racines_data.sources.release.tree import Pair, SweepFolder, find_recordings
 from racines_data.views import RANDOM, VIEWS
 
 READER = 1
@@ -144,7 +144,7 @@ class ReleaseSource:
         """
         self.report = []
         recordings = find_recordings(self.root, self.config.views, self.report)
-        surveys: list[Survey] = []
+        surveys: list[FolderSurvey] = []
         with ThreadPoolExecutor(_THREADS) as pool, progress_bar(self.progress) as bar:
             surveyor = Surveyor(self.root, self.config, self.report, pool)
             for recording in bar.track(recordings, description="checking folders"):
@@ -184,7 +184,7 @@ class ReleaseSource:
                     f"{wrong[0].reason}"
                 )
 
-    def _flag_sizes(self, found: Sequence[tuple[Recording, Survey]]) -> None:
+    def _flag_sizes(self, found: Sequence[tuple[SweepFolder, FolderSurvey]]) -> None:
         usual = found[0][1].size if found else (0, 0)
         for recording, (pairs, size, _) in found:
             if size != usual:
@@ -193,7 +193,7 @@ class ReleaseSource:
                 self.report.append(flagged(Kind.MIXED_SIZES, recording.where, detail, "", count))
 
 
-def _unit(recording: Recording, survey: Survey) -> ReleaseUnit:
+def _unit(recording: SweepFolder, survey: FolderSurvey) -> ReleaseUnit:
     return ReleaseUnit(
         id=recording.id,
         session=recording.session,

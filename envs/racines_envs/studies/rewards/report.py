@@ -12,7 +12,12 @@ from racines_data.world import World
 from racines_envs.evaluation.agent_specs import Run, common_view
 from racines_envs.evaluation.measures import RETURN_OF_A_HIT
 from racines_envs.evaluation.run import check_view, start_seeds
-from racines_envs.studies.rewards.settle import Settled, Trace, record, settle
+from racines_envs.studies.rewards.settlement import (
+    ScoredSteps,
+    Settled,
+    run_scored,
+    settle,
+)
 from racines_envs.task.rewards import REWARDS, Reward, RewardConfig, follows_paper, get_reward
 from racines_envs.task.tasks import TERMINATIONS, Task
 from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike
@@ -74,7 +79,7 @@ def reward_report(
     grader = grader or config.grader or GRADER_FOLDER
     episodes: dict[tuple[str, str, str], Settled] = {}
     for run in runs:
-        traces: dict[bool, Trace] = {}
+        traces: dict[bool, ScoredSteps] = {}
         for reward in config.rewards:
             judged = get_reward(reward).needs_judge
             if judged not in traces:
@@ -122,7 +127,7 @@ def _trace(
     phantom: World,
     grader: JudgeLike,
     config: RewardReportConfig,
-) -> Trace:
+) -> ScoredSteps:
     agent = run.load(config.device)
     # All that any reward may look at is recorded; what this one would pay is not.
     watched = Reward("watched", "", get_reward("oracle").pay, grader is not None, True)
@@ -138,7 +143,7 @@ def _trace(
         encoder=getattr(agent, "encoder", None),
         device=config.device,
     )
-    return record(core, agent, seeds.to(core.device))
+    return run_scored(core, agent, seeds.to(core.device))
 
 
 def _figures(settled: Settled, config: RewardReportConfig) -> dict[str, Any]:

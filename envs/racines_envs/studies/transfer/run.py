@@ -18,7 +18,7 @@ from racines_envs.evaluation.measures import path_length_score
 from racines_envs.evaluation.run import check_view, reference_steps, start_seeds
 from racines_envs.studies.transfer.rank_correlation import correlate
 from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
-from racines_envs.worlds.recorded import RecordedWorld
+from racines_envs.worlds.recorded_world import RecordedWorld
 from racines_models import statistics
 from racines_models.devices import on_device
 

@@ -11,7 +11,7 @@ from racines_data.geometry import Pose, geodesic, parameters_to_pose, pose_to_pa
 from racines_data.randomness import uniform
 from racines_data.store.frames import FrameStore
 from racines_data.world import Truth, Workspace, World
-from racines_envs.worlds.replay import Replay
+from racines_envs.worlds.replay_images import Replay
 
 _STREAM = 102
 _SLACK = 1e-4

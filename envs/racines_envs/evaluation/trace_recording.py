@@ -5,8 +5,8 @@ from typing import Any
 
 from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import rollout
-from racines_envs.agents.trace import Recorded
-from racines_envs.agents.trace_file import describe, read_trace, write_trace
+from racines_envs.agents.trace_agent import ActionRecorder
+from racines_envs.agents.trace_file import circumstances, read_trace, write_trace
 from racines_envs.evaluation.run import EvaluationConfig, prepare
 from racines_envs.worlds.making import WorldLike
 from racines_models.protocol import Judge
@@ -39,14 +39,14 @@ def record_trace(
         RacinesError: as there.
     """
     ready = prepare(name, run_dir, config, phantom, grader, agent)
-    recorded: Any = Recorded(ready.agent)
+    recorded: Any = ActionRecorder(ready.agent)
     episodes = rollout(ready.core, recorded, ready.seeds.to(ready.core.device))
     told = {
         "agent": ready.agent.name,
         "observation": getattr(ready.agent, "seen", ready.agent.observation),
         "start_set": {"seeds": list(config.sets), "starts": config.starts},
     }
-    told |= describe(ready.core, config.backend)
+    told |= circumstances(ready.core, config.backend)
     steps = write_trace(path, told, recorded.episodes(episodes.final["steps"]))
     read_trace(path)
     return {"out": str(path), "episodes": len(ready.seeds), "steps": steps}
