@@ -39,7 +39,7 @@ MOVED = {
         "validate_oracle=oracle validate_report=report validate_rows=rows "
         "validate_splits=splits validate_statistics=statistics validate_survey=survey"
     ),
-    "racines_envs.agents": "rollout trace=trace_file",
+    "racines_envs.agents": "agents.trace=trace_agent rollout trace=trace_file",
     "racines_envs.agents.onnx": (
         "agents.onnx_policy=policy agents.onnx_policy_export=export "
         "agents.onnx_policy_format=format"
@@ -52,19 +52,21 @@ MOVED = {
     ),
     "racines_envs.driving": "keyboard terminal",
     "racines_envs.evaluation": (
-        "entries latency measures pictures runs=agent_specs trace_recording=tracing"
+        "entries latency measures pictures runs=agent_specs trace_recording"
     ),
     "racines_envs.explain": (
         "explain_figure=figure explain_maps=maps explain_scores=scores explain_truth=truth"
     ),
-    "racines_envs.recordings": "recorder replay",
+    "racines_envs.recordings": "recorder=episode_writer replay=rerun",
     "racines_envs.studies": "curves forces_report=forces step_profile task_table",
-    "racines_envs.studies.rewards": "reward_pages=pages reward_report=report reward_trace=settle",
+    "racines_envs.studies.rewards": (
+        "reward_pages=pages reward_report=report reward_trace=settlement"
+    ),
     "racines_envs.studies.transfer": "rank_correlation transfer=run transfer_pages=pages",
     "racines_envs.task": "actions core names rewards sensing starts state tasks view_error",
     "racines_envs.worlds": (
-        "backends backends_replay=replay data_versions exploration forces making pose_index "
-        "recorded"
+        "backends backends_replay=replay_images data_versions exploration forces making "
+        "pose_index recorded=recorded_world"
     ),
     "racines_leaderboard.board": "chart collect groups pages rank recompute table",
     "racines_leaderboard.cli": (

@@ -28,7 +28,15 @@ class Exporter(Protocol):
         limit: int | None = None,
         progress: bool = False,
     ) -> dict[str, Any]:
-        """Export; see the module."""
+        """Export.
+
+        Args:
+            root: Folder of the dataset.
+            out: New folder to write.
+            split: One split only; default all, in the order train, validation, test.
+            limit: Frames to write, the first of that order.
+            progress: Show a progress bar on stderr.
+        """
         ...
 
 

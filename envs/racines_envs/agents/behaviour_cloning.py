@@ -20,7 +20,7 @@ from racines_envs.agents.identity import settings_identity
 from racines_envs.agents.policy import PolicyAgent, make_actor
 from racines_envs.agents.training.run import copy_state
 from racines_envs.task.actions import ACTIONS, IDLE
-from racines_envs.worlds.making import find_task, make_phantom
+from racines_envs.worlds.making import WorldLike, find_task, make_phantom
 from racines_models.devices import on_device
 from racines_models.provenance import dataset_card
 from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
@@ -80,7 +80,7 @@ class BehaviourCloningAgent(PolicyAgent):
         *,
         data: FrameStore | Path | str | None = None,
         seed: int = 0,
-        phantom: Any = None,
+        phantom: WorldLike = None,
         resume: bool | None = None,
         progress: bool = True,
         **where: Any,
@@ -140,7 +140,7 @@ class _Imitation:
         folder: Path,
         store: FrameStore,
         seed: int,
-        phantom: Any,
+        phantom: WorldLike,
         progress: bool,
     ) -> None:
         if config.epochs < 1 or config.batch_size < 2:

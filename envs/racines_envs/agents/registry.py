@@ -18,7 +18,7 @@ AGENTS = Plugins(
 )
 FILES = {
     ".onnx": "racines_envs.agents.onnx.policy:OnnxPolicyAgent",
-    ".json": "racines_envs.agents.trace:TraceAgent",
+    ".json": "racines_envs.agents.trace_agent:TraceAgent",
 }
 """What opens a file, by its ending."""
 

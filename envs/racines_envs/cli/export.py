@@ -45,7 +45,7 @@ def export_trace(
     from racines_data.config import fill, section
     from racines_envs.agents import agent_class
     from racines_envs.evaluation.run import EvaluationConfig
-    from racines_envs.evaluation.tracing import record_trace
+    from racines_envs.evaluation.trace_recording import record_trace
 
     if out.suffix.lower() != ".json":
         raise typer.BadParameter(f"{out}: end the name with .json", param_hint="--out")

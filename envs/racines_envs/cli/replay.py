@@ -16,9 +16,9 @@ def replay(
     import json
     from dataclasses import asdict
 
-    from racines_envs.recordings.replay import replay as run_again
+    from racines_envs.recordings.rerun import rerun
 
-    done = run_again(recording)
+    done = rerun(recording)
     if as_json:
         typer.echo(json.dumps(asdict(done), indent=2))
     else:

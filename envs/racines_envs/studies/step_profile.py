@@ -18,6 +18,7 @@ from racines_data.errors import RacinesError
 from racines_envs.apis.gym_vector import VectorScanEnv
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
+from racines_envs.worlds.making import WorldLike
 from racines_models.devices import on_device
 
 SCHEMA = "racines.speed/1"
@@ -112,7 +113,7 @@ def attach(core: ScanCore, watch: Stopwatch) -> None:
     core._reward = watch.timed("reward", core._reward)
 
 
-def step_speed(config: SpeedConfig, phantom: Any = None) -> dict[str, Any]:
+def step_speed(config: SpeedConfig, phantom: WorldLike = None) -> dict[str, Any]:
     """Time random agents in the Gymnasium vector environment, at each batch size.
 
     Args:

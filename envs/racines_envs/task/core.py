@@ -10,8 +10,6 @@ A row's result depends on its own seed and actions alone, never on the rows besi
 has ended stays as it is until it is reset (`reset`, or `step` with `autoreset`).
 """
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
@@ -19,12 +17,13 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, geodesic, pose_to_parameters, rotation_6d
 from racines_data.imaging import ImageSource
 from racines_data.randomness import derive
+from racines_data.world import World
 from racines_envs.task.actions import ActionTable, check_actions
 from racines_envs.task.rewards import Reward, RewardConfig, Score, get_reward, is_hit
 from racines_envs.task.sensing import (
     Encoder,
     ForceSource,
-    GraderLike,
+    KnowsSupport,
     check_drawn,
     check_finite,
     check_judged,
@@ -34,6 +33,7 @@ from racines_envs.task.state import State, Transition
 from racines_envs.task.tasks import Task
 from racines_envs.task.view_error import nearest_showing
 from racines_models.networks.batching import in_fixed_batches
+from racines_models.protocol import Judge
 
 OBSERVATIONS = ("image", "params", "multimodal")
 PARAMS_SIZE = 9
@@ -46,9 +46,9 @@ class ScanCore:
     def __init__(
         self,
         task: Task,
-        phantom: Any,
+        phantom: World,
         images: ImageSource,
-        grader: GraderLike | None = None,
+        grader: Judge | None = None,
         observation: str = "params",
         reward: str | Reward = "oracle",
         rewards: RewardConfig | None = None,
@@ -84,8 +84,8 @@ class ScanCore:
         self.rewards, self._reward = rewards or RewardConfig(), self.reward.pay
         self.num_envs, self.device = num_envs, torch.device(device)
         self.encoder = encoder if observation != "params" else None
-        own = images if hasattr(images, "wrench") else phantom
-        self.forces: Any = own if forces is None else forces
+        own = images if isinstance(images, ForceSource) else phantom
+        self.forces: ForceSource = own if forces is None else forces
         self.table = ActionTable.make(task.step_translation, task.step_rotation, self.device)
         self.target = phantom.target(task.view).to(self.device)
         workspace = phantom.workspace
@@ -250,7 +250,7 @@ class ScanCore:
             pose = Pose(pose.position[rows], pose.rotation[rows])
             wrench, seeds = wrench[rows], seeds[rows]
         parameters = pose_to_parameters(pose, wrench)
-        truth = self._truth(pose)
+        truth = self.phantom.judge_alike(pose)
         sensed = {
             "parameters": parameters,
             "view": truth.view,
@@ -271,11 +271,6 @@ class ScanCore:
             sensed = {k: self._sensed[k].index_copy(0, rows, v) for k, v in sensed.items()}
         self._sensed = sensed
         self.score = self.scored_by(self.reward.judged_by)
-
-    def _truth(self, pose: Pose) -> Any:
-        """Return the truth of (B,) poses, each as if it were alone where the phantom can tell."""
-        judge = getattr(self.phantom, "judge_alike", None) or self.phantom.judge
-        return judge(pose)
 
     def scored_by(self, source: str) -> Score:
         """Return the scores of all rows by the `oracle` or, where one looks, the `grader`."""
@@ -360,9 +355,8 @@ class ScanCore:
         if view_error:
             near = self.view_error()
             further |= {"view_position_error": near[0], "view_rotation_error": near[1]}
-        supported = getattr(self.images, "out_of_support", None)
-        if supported is not None:
-            further["out_of_support"] = supported(self.parameters)
+        if isinstance(self.images, KnowsSupport):
+            further["out_of_support"] = self.images.out_of_support(self.parameters)
         return further | {
             "view": sensed["view"],
             "grade": sensed["grade"],

@@ -213,7 +213,7 @@ def test_true_regions_lie_where_the_image_shows_them(real_phantom):
     assert float(image[borders].mean()) > 1.5 * float(image[sector & ~borders].mean())
     assert 0.2 < float(organ.sum() / sector.sum()) < 0.95
     assert 0.01 < float((regions["landmarks"][0] & sector).sum() / sector.sum()) < 0.6
-    points = plane_points(real_phantom, pose)
+    points = plane_points(real_phantom.config.probe, pose)
     apex = points[0, 0, 63:65].mean(0)
     assert float((apex - pose.position[0]).norm()) < 0.002
     shifted = Pose(pose.position + torch.tensor([0.02, 0.0, 0.0]), pose.rotation)

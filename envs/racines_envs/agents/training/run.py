@@ -19,7 +19,8 @@ from racines_envs.agents.rollout import rollout
 from racines_envs.agents.training.config import TrainingConfig
 from racines_envs.task.rewards import RewardConfig
 from racines_envs.task.starts import validation_seeds
-from racines_envs.worlds.making import find_task, make_core, make_phantom, phantom_recipe
+from racines_envs.worlds.backends import JudgeLike
+from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
 from racines_models.devices import on_device
 from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
 
@@ -43,8 +44,8 @@ class TrainingRun(ABC):
         config: TrainingConfig,
         folder: Path,
         seed: int,
-        phantom: Any,
-        grader: Any,
+        phantom: WorldLike,
+        grader: JudgeLike,
         progress: bool,
         data: Path | str | None = None,
     ) -> None:

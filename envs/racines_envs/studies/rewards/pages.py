@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from racines_envs.evaluation.pictures import save
-from racines_envs.studies.rewards.settle import Settled
+from racines_envs.studies.rewards.settlement import Settled
 
 Key = tuple[str, str, str]
 

@@ -8,14 +8,20 @@ import numpy as np
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.world import World
 from racines_envs.evaluation.agent_specs import Run, common_view
 from racines_envs.evaluation.measures import RETURN_OF_A_HIT
 from racines_envs.evaluation.run import check_view, start_seeds
-from racines_envs.studies.rewards.settle import Settled, Trace, record, settle
+from racines_envs.studies.rewards.settlement import (
+    ScoredSteps,
+    Settled,
+    run_scored,
+    settle,
+)
 from racines_envs.task.rewards import REWARDS, Reward, RewardConfig, follows_paper, get_reward
 from racines_envs.task.tasks import TERMINATIONS, Task
-from racines_envs.worlds.backends import GRADER_FOLDER
-from racines_envs.worlds.making import find_task, make_core, make_phantom, phantom_recipe
+from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike
+from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
 from racines_models import statistics
 from racines_models.devices import on_device
 
@@ -51,7 +57,10 @@ class RewardReportConfig:
 
 
 def reward_report(
-    runs: Sequence[Run], config: RewardReportConfig, phantom: Any = None, grader: Any = None
+    runs: Sequence[Run],
+    config: RewardReportConfig,
+    phantom: WorldLike = None,
+    grader: JudgeLike = None,
 ) -> tuple[dict[str, Any], dict[tuple[str, str, str], Settled]]:
     """Let every agent act to the last step, and settle its episodes under every reward and rule.
 
@@ -70,7 +79,7 @@ def reward_report(
     grader = grader or config.grader or GRADER_FOLDER
     episodes: dict[tuple[str, str, str], Settled] = {}
     for run in runs:
-        traces: dict[bool, Trace] = {}
+        traces: dict[bool, ScoredSteps] = {}
         for reward in config.rewards:
             judged = get_reward(reward).needs_judge
             if judged not in traces:
@@ -115,10 +124,10 @@ def _trace(
     run: Run,
     task: Task,
     seeds: Tensor,
-    phantom: Any,
-    grader: Any,
+    phantom: World,
+    grader: JudgeLike,
     config: RewardReportConfig,
-) -> Trace:
+) -> ScoredSteps:
     agent = run.load(config.device)
     # All that any reward may look at is recorded; what this one would pay is not.
     watched = Reward("watched", "", get_reward("oracle").pay, grader is not None, True)
@@ -134,7 +143,7 @@ def _trace(
         encoder=getattr(agent, "encoder", None),
         device=config.device,
     )
-    return record(core, agent, seeds.to(core.device))
+    return run_scored(core, agent, seeds.to(core.device))
 
 
 def _figures(settled: Settled, config: RewardReportConfig) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from racines_data.views import LABELS
 from racines_models.devices import resolve_device
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.grading import GRADE_SCALE, GraderNetwork, GradingNetwork
+from racines_models.protocol import Judge
 from racines_models.training.augmentation import Augmentation
 
 WEIGHTS = "grader.safetensors"
@@ -92,7 +93,7 @@ class Reading(NamedTuple):
     """(N, D) float32, the encoder's output."""
 
 
-class Grader:
+class Grader(Judge):
     """Labels and grades images.
 
     What it says of an image depends on that image alone: not on its place, on its neighbours or on
@@ -206,18 +207,6 @@ class Grader:
         grader = kind(network, config, device, labels, described.get("temperature", 1.0))
         grader.sha256 = digest
         return grader
-
-    def check_labels(self, labels: Sequence[str], what: str) -> None:
-        """Check that the grader knows these labels, those of `what`, in this order.
-
-        Raises:
-            RacinesError: it was trained for other views.
-        """
-        if self.labels != tuple(labels):
-            raise RacinesError(
-                f"the grader knows {', '.join(self.labels)}, {what} has {', '.join(labels)}: train "
-                "a grader on a dataset of that anatomy: racines train grader"
-            )
 
     def _read(self, images: Tensor) -> Reading:
         return Reading(*in_fixed_batches(self._answer_images, images.to(self.device)))

@@ -3,7 +3,7 @@
 Nothing is drawn. Where nobody has been, the nearest frame may be far: `out_of_support` says so.
 """
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -12,6 +12,9 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
 from racines_data.store.frames import FrameStore
 from racines_envs.worlds.pose_index import PoseIndex, spacing
+
+if TYPE_CHECKING:
+    from racines_data.phantom.config import PhantomConfig
 
 QUANTILE = 0.99
 """Out of support is farther from every recorded frame than 99 % of frames are from the nearest of
@@ -59,7 +62,7 @@ class Replay:
         return self.index.nearest(parameters)[1] > self.threshold
 
 
-def source_phantom(store: FrameStore) -> Any:
+def source_phantom(store: FrameStore) -> "PhantomConfig | None":
     """Return the configuration of the phantom that a dataset was acquired from; None if of none."""
     if store.manifest["source"] != "phantom":
         return None

@@ -16,7 +16,7 @@ from racines_envs.task.rewards import RewardConfig, Score, get_reward, is_hit
 
 
 @dataclass(frozen=True)
-class Trace:
+class ScoredSteps:
     """T steps of n rows."""
 
     score: Score
@@ -54,7 +54,7 @@ class Settled:
 
 
 @torch.no_grad()
-def record(core: ScanCore, agent: Agent, seeds: Tensor) -> Trace:
+def run_scored(core: ScanCore, agent: Agent, seeds: Tensor) -> ScoredSteps:
     """Run the episodes of (n,) seeds for all steps of a task that ends by `timeout`."""
     agent.attach(core)
     observation = core.reset(seeds)
@@ -63,7 +63,7 @@ def record(core: ScanCore, agent: Agent, seeds: Tensor) -> Trace:
         observation = core.step(agent.act(observation, core.decision_seeds())).observation
         looks.append(_look(core))
     *score, sees, grade = (torch.stack(values) for values in zip(*looks, strict=True))
-    return Trace(Score(*score), sees, grade)
+    return ScoredSteps(Score(*score), sees, grade)
 
 
 def _look(core: ScanCore) -> tuple[Tensor, ...]:
@@ -71,7 +71,7 @@ def _look(core: ScanCore) -> tuple[Tensor, ...]:
     return (*core.score, sees, core.scored_by("oracle").grade * sees)
 
 
-def settle(trace: Trace, reward: str, hits_to_end: int, rewards: RewardConfig) -> Settled:
+def settle(trace: ScoredSteps, reward: str, hits_to_end: int, rewards: RewardConfig) -> Settled:
     """Return what the episodes come to where `hits_to_end` hits in a row end them; 0: none do.
 
     The same as the environment's own account under that reward and rule, as a test holds.

@@ -1,4 +1,4 @@
-"""Episodes on disk: one JSONL file each, a picture of it in motion, and the replay that checks it.
+"""Episodes on disk: one JSONL file each, and a picture of it in motion; `rerun` checks it.
 
     episode_0000.jsonl    line 1: task, settings, seeds, phantom, versions
                           line 2: step 0, the start; then one line a step, in order
@@ -141,7 +141,7 @@ def _header(core: ScanCore) -> dict[str, Any]:
     from racines_models.provenance import code_version
 
     phantom = None
-    if hasattr(core.phantom, "config"):
+    if core.phantom.config is not None:
         recipe = {"version": PHANTOM_VERSION, "config": asdict(core.phantom.config)}
         phantom = recipe | {"recipe_digest": recipe_digest(recipe)}
     return {

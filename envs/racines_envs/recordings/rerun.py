@@ -10,7 +10,7 @@ import torch
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, geodesic
-from racines_envs.recordings.recorder import CONTACT, SCHEMA
+from racines_envs.recordings.episode_writer import CONTACT, SCHEMA
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import RewardConfig, get_reward
@@ -18,11 +18,11 @@ from racines_envs.task.tasks import Task
 from racines_envs.worlds.making import make_core
 
 TOLERANCE = 1e-5
-"""Largest difference of a replayed pose, m and rad: rounding on another processor stays below."""
+"""Largest difference of a repeated pose, m and rad: rounding on another processor stays below."""
 
 
 @dataclass(frozen=True)
-class Recording:
+class RecordedEpisode:
     """A JSONL file as it was read."""
 
     header: dict[str, Any]
@@ -31,8 +31,8 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Replay:
-    """How a replay compares with its recording."""
+class Rerun:
+    """How an episode that was run again compares with its recording."""
 
     steps: int
     position_error: float
@@ -40,10 +40,10 @@ class Replay:
     rotation_error: float
     """Largest, rad."""
     reward_error: float | None
-    """Largest; None where the reward needs images (`paper`), which a replay does not draw."""
+    """Largest; None where the reward needs images (`paper`), which are not drawn again."""
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path) -> RecordedEpisode:
     """Read the JSONL file of an episode.
 
     Raises:
@@ -67,16 +67,16 @@ def read_recording(path: Path) -> Recording:
     for number, line in enumerate(lines[2:], 3):
         if line.get("action") not in ACTIONS:
             raise RacinesError(f"{path}, line {number}: unknown action {line.get('action')!r}")
-    return Recording(lines[0], lines[1:])
+    return RecordedEpisode(lines[0], lines[1:])
 
 
 @torch.no_grad()
-def replay(path: Path, core: ScanCore | None = None) -> Replay:
+def rerun(path: Path, core: ScanCore | None = None) -> Rerun:
     """Take the recorded actions from the recorded start, and compare every pose.
 
     Args:
         path: The JSONL file.
-        core: One row to replay in; one of the recorded task, phantom and reward by default.
+        core: One row to run it in; one of the recorded task, phantom and reward by default.
 
     Raises:
         RacinesError: an unreadable file, another phantom, or poses that differ by more than
@@ -99,7 +99,10 @@ def replay(path: Path, core: ScanCore | None = None) -> Replay:
                 f"{path}: step {line['step']} does not repeat: the pose is off by {metres:.2e} m "
                 f"and {radians:.2e} rad, the reward by {rewards:.2e}"
             )
-    return Replay(len(recording.steps) - 1, metres, radians, rewards if compared else None)
+    return Rerun(len(recording.steps) - 1, metres, radians, rewards if compared else None)
+
+
+replay = rerun  # its name of old
 
 
 def _pose(line: dict[str, Any]) -> Pose:
@@ -107,7 +110,7 @@ def _pose(line: dict[str, Any]) -> Pose:
     return Pose(torch.tensor(line["position"]).view(1, 3), rotation)
 
 
-def _core(recording: Recording, path: Path) -> ScanCore:
+def _core(recording: RecordedEpisode, path: Path) -> ScanCore:
     """Return a row of the recorded task that looks at no image."""
     header = recording.header
     task, reward = fill(Task, header["task"], f"{path}: task"), header["reward"]

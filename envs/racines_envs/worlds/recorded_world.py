@@ -1,7 +1,6 @@
 """Recordings in the place of a phantom: their own labels, box and poses are all that is known."""
 
 import math
-from typing import Any
 
 import pyarrow.parquet as pq
 import torch
@@ -9,18 +8,17 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, geodesic, parameters_to_pose, pose_to_parameters
-from racines_data.phantom.model import Workspace
-from racines_data.phantom.truth import Truth
 from racines_data.randomness import uniform
 from racines_data.store.frames import FrameStore
-from racines_envs.worlds.replay import Replay
+from racines_data.world import Truth, Workspace, World
+from racines_envs.worlds.replay_images import Replay
 
 _STREAM = 102
 _SLACK = 1e-4
 """Added to the recorded tilt and yaw, rad: a recorded pose lies within its own limits."""
 
 
-class RecordedWorld:
+class RecordedWorld(World):
     """What an environment asks a phantom, answered by the frames of a `Replay`.
 
     The truth at a pose is the label and the grade of the nearest recorded frame, `Random` and 0 out
@@ -85,15 +83,11 @@ class RecordedWorld:
         ones = torch.ones_like(grade)
         return Truth(label, grade, shows, shows * grade[:, None], ones, ones[:, None][:, :0])
 
-    def truth(self, parameters: Tensor) -> Truth:
-        """Judge (B, 12) parameters."""
-        return self.judge(parameters_to_pose(parameters))
-
     def render(self, pose: Pose, seeds: Tensor) -> Tensor:
         """Return the (B, 128, 128) images recorded nearest to poses."""
         return self.replay.generate(pose_to_parameters(pose), seeds)
 
-    def nearest_showing(self, pose: Pose, label: int, units: tuple[float, float]) -> Pose:
+    def own_nearest(self, pose: Pose, label: int, units: tuple[float, float]) -> Pose:
         """Return the nearest recorded poses labelled with a view, near in unit steps."""
         rows = (self._views == label).nonzero().squeeze(1)
         shown = Pose(self._pose.position[rows], self._pose.rotation[rows])
@@ -111,25 +105,32 @@ class RecordedWorld:
             torch.where(seen[..., None], pose.rotation, shown.rotation[index]),
         )
 
-    def draw_starts(self, task: Any, target: Pose, seeds: Tensor) -> Pose:
+    def own_starts(
+        self,
+        label: int,
+        target: Pose,
+        seeds: Tensor,
+        distance: tuple[float, float],
+        angle: tuple[float, float],
+    ) -> Pose:
         """Return (N,) recorded poses, each drawn by its own seed from those that may be starts.
 
-        Those are the frames that do not show the target view and lie as far from the nominal pose
-        as the task says, along the block's top and in angle; where there is none, all that do not
+        Those are the frames that do not show the view and lie as far from the nominal pose as
+        asked for, along the block's top and in angle; where there is none, all that do not
         show the view.
 
         Raises:
             RacinesError: every frame shows the view.
         """
         position, rotation = self._pose
-        other = self._views != task.target
+        other = self._views != label
         across = (position - target.position)[:, :2].norm(dim=-1)
-        angle = geodesic(rotation, target.rotation)
-        fits = other & (across >= task.start_distance[0]) & (across <= task.start_distance[1])
-        fits &= (angle >= task.start_angle[0]) & (angle <= task.start_angle[1])
+        turned = geodesic(rotation, target.rotation)
+        fits = other & (across >= distance[0]) & (across <= distance[1])
+        fits &= (turned >= angle[0]) & (turned <= angle[1])
         rows = (fits if bool(fits.any()) else other).nonzero().squeeze(1)
         if not len(rows):
-            raise RacinesError(f"every recorded frame shows {task.view}: there is no start")
+            raise RacinesError(f"every recorded frame shows {self.views[label]}: there is no start")
         place = (uniform(seeds, 1, _STREAM).squeeze(1) * len(rows)).long().clamp_max(len(rows) - 1)
         return Pose(position[rows[place]], rotation[rows[place]])
 

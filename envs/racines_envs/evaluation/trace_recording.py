@@ -5,9 +5,11 @@ from typing import Any
 
 from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import rollout
-from racines_envs.agents.trace import Recorded
-from racines_envs.agents.trace_file import describe, read_trace, write_trace
+from racines_envs.agents.trace_agent import ActionRecorder
+from racines_envs.agents.trace_file import circumstances, read_trace, write_trace
 from racines_envs.evaluation.run import EvaluationConfig, prepare
+from racines_envs.worlds.making import WorldLike
+from racines_models.protocol import Judge
 
 
 def record_trace(
@@ -15,8 +17,8 @@ def record_trace(
     run_dir: Path,
     config: EvaluationConfig,
     path: Path,
-    phantom: Any = None,
-    grader: Any = None,
+    phantom: WorldLike = None,
+    grader: Judge | None = None,
     agent: Agent | None = None,
 ) -> dict[str, Any]:
     """Let an agent act from the fixed starts, and write what it did.
@@ -37,14 +39,14 @@ def record_trace(
         RacinesError: as there.
     """
     ready = prepare(name, run_dir, config, phantom, grader, agent)
-    recorded: Any = Recorded(ready.agent)
+    recorded: Any = ActionRecorder(ready.agent)
     episodes = rollout(ready.core, recorded, ready.seeds.to(ready.core.device))
     told = {
         "agent": ready.agent.name,
         "observation": getattr(ready.agent, "seen", ready.agent.observation),
         "start_set": {"seeds": list(config.sets), "starts": config.starts},
     }
-    told |= describe(ready.core, config.backend)
+    told |= circumstances(ready.core, config.backend)
     steps = write_trace(path, told, recorded.episodes(episodes.final["steps"]))
     read_trace(path)
     return {"out": str(path), "episodes": len(ready.seeds), "steps": steps}

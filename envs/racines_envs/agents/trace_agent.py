@@ -118,7 +118,7 @@ class TraceAgent:
         return cls(Path(run_dir))
 
 
-class Recorded:
+class ActionRecorder:
     """An agent whose actions are written down as it takes them."""
 
     name: ClassVar[str] = "recorded"
