@@ -47,6 +47,12 @@ class BaseGenerator(ABC, Generic[C]):
         self.seed = 0
         self.data: dict[str, Any] = {}
 
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What is trained on what: only a run of equal identity is continued."""
+        card = self.card
+        return {"name": card.name, "config": card.config, "seed": card.seed, "data": card.data}
+
     @abstractmethod
     def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
         """Learn from the train split and return metrics."""

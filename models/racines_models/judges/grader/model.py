@@ -72,6 +72,8 @@ class GraderConfig(Augmentation):
     """A view weighs its frequency to minus this power: 0 none, 1 full balance."""
     bf16: bool = True
     """Train and grade in bfloat16 autocast (twice as fast on recent CPUs)."""
+    ema: float = 0.0
+    """Decay of the averaged weights that are kept; 0, none, as the rate ends at zero anyway."""
     checkpoint_seconds: float = 30.0
     """Least time between two checkpoints."""
 
