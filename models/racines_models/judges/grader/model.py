@@ -5,7 +5,6 @@ alone; what it should have said is the oracle's, or the expert's. Its student (s
 opened by the same `Grader.load` and asked the same way.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ from torch import Tensor
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_data.files import sha256_file, write_atomic, write_json
+from racines_data.files import sha256_file, write_json
 from racines_data.plugins import Plugins
 from racines_data.views import LABELS
 from racines_models.devices import resolve_device
@@ -24,6 +23,7 @@ from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.grading import GRADE_SCALE, GraderNetwork, GradingNetwork
 from racines_models.protocol import Judge
 from racines_models.training.augmentation import Augmentation
+from racines_models.weights import load_network, read_described, save_weights
 
 WEIGHTS = "grader.safetensors"
 CONFIG = "config.json"
@@ -73,6 +73,8 @@ class GraderConfig(Augmentation):
     """A view weighs its frequency to minus this power: 0 none, 1 full balance."""
     bf16: bool = True
     """Train and grade in bfloat16 autocast (twice as fast on recent CPUs)."""
+    ema: float = 0.0
+    """Decay of the averaged weights that are kept; 0, none, as the rate ends at zero anyway."""
     checkpoint_seconds: float = 30.0
     """Least time between two checkpoints."""
 
@@ -174,11 +176,7 @@ class Grader(Judge):
 
     def save(self, folder: Path, **provenance: Any) -> None:
         """Write `grader.safetensors`, then `config.json` with what `provenance` adds."""
-        from safetensors.torch import save
-
-        state = {k: v.contiguous().cpu() for k, v in self.network.state_dict().items()}
-        write_atomic(folder / WEIGHTS, save(state))
-        self.sha256 = sha256_file(folder / WEIGHTS)
+        self.sha256 = save_weights(folder / WEIGHTS, self.network.state_dict())
         described = {"schema": SCHEMA, "architecture": self.architecture}
         described |= {"config": asdict(self.config), "sha256": self.sha256}
         described |= {"labels": list(self.labels), "temperature": self.temperature}
@@ -190,8 +188,6 @@ class Grader(Judge):
 
         The weights must have the hash that the config names.
         """
-        from racines_models.weights import load_weights
-
         folder = Path(folder)
         described = read_config(folder)
         kind = _architecture(described.get("architecture", cls.architecture), folder)
@@ -203,7 +199,7 @@ class Grader(Judge):
             raise RacinesError(f"{path}: missing or damaged; run: racines train grader")
         labels = described.get("labels") or LABELS  # graders of old are cardiac
         network = kind.build(config, len(labels))
-        network.load_state_dict(load_weights(path))
+        load_network(path, network, "run: racines train grader")
         grader = kind(network, config, device, labels, described.get("temperature", 1.0))
         grader.sha256 = digest
         return grader
@@ -228,15 +224,12 @@ def read_config(folder: Path) -> dict[str, Any]:
     Raises:
         RacinesError: it is absent, no JSON, or of another schema.
     """
-    path = folder / CONFIG
-    if not path.is_file():
-        raise RacinesError(f"{folder}: no grader there; run: racines train grader --out {folder}")
-    try:
-        described = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise RacinesError(f"{path}: not valid JSON: {error}") from error
+    absent = f"no grader there; run: racines train grader --out {folder}"
+    described = read_described(folder, absent)
     if described.get("schema") != SCHEMA:
-        raise RacinesError(f"{path}: schema {described.get('schema')!r}, expected {SCHEMA!r}")
+        raise RacinesError(
+            f"{folder / CONFIG}: schema {described.get('schema')!r}, expected {SCHEMA!r}"
+        )
     return described
 
 
