@@ -26,41 +26,16 @@ def test_help(words: str):
 def test_commands_and_options_are_few_and_are_found_by_what_a_user_wants():
     """A study more is no command more."""
     assert sum(not words.startswith("study ") for words in COMMANDS) <= 33
-    assert len({name for name, _ in _options()}) <= 111
+    assert len({name for name, _ in _options()}) <= 108
 
 
 def test_an_option_says_the_same_everywhere():
     told: dict[str, set[str]] = {}
     for name, text in _options():
         told.setdefault(name, set()).add(text)
-    shared = [
-        "--data",
-        "--params",
-        "--profile",
-        "--device",
-        "--json",
-        "--force",
-        "--grader",
-        "--no-grader",
-        "--pose",
-        "--no-pose",
-        "--resume",
-        "--split",
-        "--results",
-        "--submissions",
-        "--details",
-        "--backend",
-        "--observation",
-        "--starts",
-        "--run",
-        "--runs",
-        "--strict",
-        "--reward",
-        "--workers",
-        "--view",
-        "--name",
-    ]
-    assert {name: told[name] for name in shared if len(told[name]) > 1} == {}
+    shared = "data params profile device json force grader no-grader pose no-pose resume split set "
+    shared += "results submissions details backend observation starts run runs strict reward view"
+    assert {name: told[f"--{name}"] for name in shared.split() if len(told[f"--{name}"]) > 1} == {}
     for name in ("--out", "--seed"):  # what is written, and what is drawn, differ by kind
         assert len(told[name]) <= 5
 
@@ -96,6 +71,8 @@ def test_old_options_work_and_say_the_new_ones(capsys: pytest.CaptureFixture[str
     ]
     assert renamed.renamed(["expert", "oracle", "kit", "--grader"])[-2:] == ["kit", "--by=grader"]
     assert renamed.renamed(new) == new and renamed.renamed(["--version"]) == ["--version"]
+    set_now = [f"--set=steps={n}" for n in (4, 5)]
+    assert renamed.renamed(["explain", "--steps", "4", "--steps=5"])[1:] == set_now
     assert set(renamed.OPTIONS) <= set(COMMANDS)
     assert CliRunner().invoke(app, ["submit", "absent", "--replace", "--check"]).exit_code == 2
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import given, read_settings
+from racines_data.cli.settings import given, overrides, read_settings
 from racines_data.errors import RacinesError
 
 if TYPE_CHECKING:
@@ -22,9 +22,7 @@ def import_(
         str, typer.Option(help="release, cactus, tracked, or another's name.")
     ] = "release",
     out: opt.Out = Path("data/imported"),
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Setting of the source: unit=mm. Repeat it.")
-    ] = None,
+    settings: opt.Set = None,
     strict: opt.Strict = False,
     max_refused: Annotated[
         float | None, typer.Option(min=0, max=1, help="Largest share of frames to refuse.")
@@ -37,7 +35,8 @@ def import_(
 ) -> None:
     """Import recordings as a dataset, and say by kind what could not be used.
 
-    What is refused or flagged stands, file by file, in import_report.parquet of the dataset.
+    A source has settings of its own, such as --set unit=mm. What is refused or flagged stands, file
+    by file, in import_report.parquet of the dataset.
     """
     from racines_data.build.dataset import build, make_source, read_data_section
     from racines_data.config import section
@@ -46,7 +45,7 @@ def import_(
         source=source, workers=workers, seed=seed, max_refused=max_refused, strict=strict or None
     )
     config, sections = read_data_section(values)
-    own = sections.get(config.source, {}) | _settings(settings or [])
+    own = sections.get(config.source, {}) | overrides(settings)
     made = make_source(config, own, inputs)
     if hasattr(made, "progress"):
         setattr(made, "progress", not as_json)  # noqa: B010
@@ -61,18 +60,6 @@ def import_(
         typer.echo(json.dumps({"out": str(out), **summary, **_report(made)}))
     else:
         _print_import(made, out, manifest)
-
-
-def _settings(pairs: list[str]) -> dict[str, Any]:
-    import yaml
-
-    values = {}
-    for pair in pairs:
-        name, equals, value = pair.partition("=")
-        if not equals:
-            raise typer.BadParameter(f"{pair!r}: write NAME=VALUE", param_hint="--set")
-        values[name] = yaml.safe_load(value)
-    return values
 
 
 def _report(source: "Source") -> dict[str, Any]:

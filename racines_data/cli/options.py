@@ -29,6 +29,10 @@ Params = Annotated[
     Path | None, typer.Option(help="Settings.  [default: ./params.yaml, if it is there]")
 ]
 Profile = Annotated[str | None, typer.Option(help=f"Packaged settings: {_PROFILES}.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="A setting of the section, NAME=VALUE; repeat for several."),
+]
 Seed = Annotated[int | None, typer.Option(help="Seed.  [default: the settings']")]
 DrawSeed = Annotated[int, typer.Option("--seed", min=0, help="Seed of what is drawn by chance.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes.")]

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import given, read_settings
+from racines_data.cli.settings import check_ending, given, read_settings
 from racines_envs.cli.settings import phantom_config
 
 RUNS = Path("envs/runs")
@@ -21,8 +21,7 @@ def export_agent(
     """Write a trained policy as one ONNX file, its frozen encoder inside."""
     from racines_envs.agents.onnx.export import export_run
 
-    if out.suffix.lower() != ".onnx":
-        raise typer.BadParameter(f"{out}: end the name with .onnx", param_hint="--out")
+    check_ending(out, ".onnx")
     made = export_run(run, out)
     line = f"{out}: {made['bytes']:,} bytes, opset {made['opset']}, sees {made['observation']}"
     typer.echo(json.dumps(made) if as_json else line)
@@ -47,8 +46,7 @@ def export_trace(
     from racines_envs.evaluation.run import EvaluationConfig
     from racines_envs.evaluation.trace_recording import record_trace
 
-    if out.suffix.lower() != ".json":
-        raise typer.BadParameter(f"{out}: end the name with .json", param_hint="--out")
+    check_ending(out, ".json")
     settings = read_settings(params, profile)
     chosen = given(view=view, starts=starts, reward=reward, grader=grader, seed=seed)
     config = fill(EvaluationConfig, section(settings, "evaluation") | chosen, "evaluation")

@@ -1,5 +1,6 @@
 """Commands and options that have another name now; the old ones still work, and say the new one."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import typer
@@ -24,8 +25,15 @@ COMMANDS = {
 }
 OPTIONS = {
     "train agent": {"--run-dir": "--out"},
-    "eval agent": {"--run-dir": "--run", "--scores": "--out"},
-    "explain": {"--run-dir": "--run"},
+    "eval agent": {"--run-dir": "--run", "--scores": "--out", "--latency": "--set=latency="},
+    "explain": {
+        "--run-dir": "--run",
+        "--every": "--set=every=",
+        "--frames": "--set=frames=",
+        "--steps": "--set=steps=",
+        "--random-maps": "--set=random_maps=",
+    },
+    "study speed": {"--steps": "--set=steps="},
     "export trace": {"--run-dir": "--run"},
     "study rewards": {"--reward": "--rewards"},
     "submit": {"--replace": "--force"},
@@ -42,15 +50,19 @@ def renamed(words: list[str]) -> list[str]:
             words = [*COMMANDS[old].split(), *words[count:]]
             break
     options = OPTIONS.get(" ".join(words[:2])) or OPTIONS.get(words[0]) or {}
-    return [_option(word, options) for word in words]
+    return list(_options(iter(words), options))
 
 
-def _option(word: str, options: dict[str, str]) -> str:
-    name, equals, value = word.partition("=")
-    if name not in options:
-        return word
-    _tell(name, options[name])
-    return options[name] + equals + value
+def _options(words: Iterator[str], options: dict[str, str]) -> Iterator[str]:
+    for word in words:
+        name, equals, value = word.partition("=")
+        if name not in options:
+            yield word
+            continue
+        new = options[name]
+        _tell(name, new)
+        # An option that became a setting takes its value into the same word.
+        yield new + (value or next(words, "")) if new.endswith("=") else new + equals + value
 
 
 def _tell(old: str, new: str) -> None:

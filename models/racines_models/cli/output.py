@@ -1,9 +1,19 @@
 """The tables that the scoring commands print."""
 
+import json
+from pathlib import Path
 from typing import Any
 
+import typer
 from rich.console import Console
 from rich.table import Table
+
+
+def ranged(metric: dict[str, Any]) -> str:
+    """Return a value with its range, where it has one."""
+    if metric["low"] is None:
+        return f"{metric['value']:.4g}"
+    return f"{metric['value']:.4g} ({metric['low']:.4g} to {metric['high']:.4g})"
 
 
 def show_metrics(title: str, metrics: dict[str, Any]) -> None:
@@ -13,11 +23,22 @@ def show_metrics(title: str, metrics: dict[str, Any]) -> None:
         table.add_column(column, justify="right")
     for name, metric in metrics.items():
         unit = f" {metric['unit']}" if metric.get("unit") else ""
+        value = "-" if metric["value"] is None else f"{metric['value']:.4g}{unit}"
         interval = "-"
         if metric["low"] is not None:
             interval = f"{metric['low']:.4g} to {metric['high']:.4g}"
-        table.add_row(name, f"{metric['value']:.4g}{unit}", interval, str(metric["n"]))
+        table.add_row(name, value, interval, str(metric.get("n", "")))
     Console().print(table)
+
+
+def show_training(title: str, out: Path, metrics: dict[str, Any], as_json: bool) -> None:
+    """Print what a training of a judge left: its metrics, by view too, and its speed."""
+    if as_json:
+        typer.echo(json.dumps({"out": str(out)} | metrics))
+        return
+    views = {f"view_accuracy, {name}": each for name, each in metrics.get("views", {}).items()}
+    show_metrics(f"{title}, {metrics['split']} split", metrics["metrics"] | views)
+    typer.echo(f"{out}: {metrics['training']['images_per_second']} images/s in training")
 
 
 def judge_figures(metrics: dict[str, Any]) -> dict[str, Any]:
@@ -44,7 +65,7 @@ def show_realism(content: dict[str, Any]) -> None:
     for name, figure in content["figures"].items():
         ours, real = figure["phantom"], figure["real"]
         ratio = f"{ours['value'] / real['value']:.3g}" if real["low"] > 0 else "-"
-        table.add_row(name, _ranged(ours), _ranged(real), ratio)
+        table.add_row(name, ranged(ours), ranged(real), ratio)
     Console().print(table)
 
 
@@ -59,9 +80,5 @@ def show_ablation(content: dict[str, Any]) -> None:
         if "change" in row:
             reach = f"({row['change_low']:+.4f} to {row['change_high']:+.4f})"
             change = f"{row['change']:+.4f} {reach}"
-        table.add_row(row["name"], _ranged({"value": row["kid"], **row}), change)
+        table.add_row(row["name"], ranged({"value": row["kid"], **row}), change)
     Console().print(table)
-
-
-def _ranged(figure: dict[str, float]) -> str:
-    return f"{figure['value']:.4g} ({figure['low']:.4g} to {figure['high']:.4g})"

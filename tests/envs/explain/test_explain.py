@@ -224,7 +224,17 @@ def test_true_regions_lie_where_the_image_shows_them(real_phantom):
 @pytest.mark.slow
 def test_the_command(tmp_path):
     run = agent(tmp_path / "envs/runs/ppo")
-    words = ["--starts", "1", "--frames", "1", "--steps", "4", "--random-maps", "1", "--json"]
+    words = [
+        "--starts",
+        "1",
+        "--set",
+        "frames=1",
+        "--set",
+        "steps=4",
+        "--random-maps",
+        "1",
+        "--json",
+    ]
     done = command(tmp_path, "racines", "explain", "ppo", "--view", "SC", *words)
     figures = json.loads(done.stdout)["metrics"]["policy"]
     assert 0 < figures["overlap_borders_by_chance"]["value"] < 1

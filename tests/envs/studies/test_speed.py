@@ -20,7 +20,7 @@ def place(tmp_path, monkeypatch):
 
 
 def test_the_command_tells_speeds_and_shares(real_phantom):
-    words = ["study", "speed", "--num-envs", "2", "--steps", "2", "--json"]
+    words = ["study", "speed", "--num-envs", "2", "--set", "steps=2", "--json"]
     done = CliRunner().invoke(app, words, catch_exceptions=False)
     content = json.loads(done.stdout)
     assert content["schema"] == "racines.speed/1" and content["observation"] == "image"
@@ -35,7 +35,7 @@ def test_the_command_tells_speeds_and_shares(real_phantom):
 
 
 def test_params_with_the_oracle_draw_nothing(real_phantom):
-    words = ["study", "speed", "--observation", "params", "--num-envs", "1,2", "--steps", "2"]
+    words = ["study", "speed", "--observation", "params", "--num-envs", "1,2", "--set", "steps=2"]
     done = CliRunner().invoke(app, words, catch_exceptions=False)
     rows = [line.split("|") for line in done.stdout.splitlines() if line.endswith("% |")]
     assert [(row[1].strip(), row[3].strip()) for row in rows] == [("1", "0%"), ("2", "0%")]

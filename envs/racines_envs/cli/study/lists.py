@@ -23,8 +23,12 @@ def integers(text: str | None) -> tuple[int, ...] | None:
         raise typer.BadParameter(f"{text!r}: give integers, comma-separated") from error
 
 
-def say(content: dict[str, Any], table: str, out: Path, as_json: bool) -> None:
-    """Print a study as JSON, or its table and where it was written."""
+def publish(content: dict[str, Any], table: str, out: Path, as_json: bool) -> None:
+    """Write a study and its table, and print it as JSON or as that table."""
+    from racines_data.files import write_atomic, write_json
+
+    write_atomic(out.with_suffix(".md"), table)
+    write_json(out, content)
     if as_json:
         typer.echo(json.dumps(content, indent=2))
     else:

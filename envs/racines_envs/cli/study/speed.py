@@ -5,7 +5,7 @@ from typing import Annotated, Any
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import given, read_settings
+from racines_data.cli.settings import given, overrides, read_settings
 from racines_envs.cli.settings import phantom_config
 from racines_envs.cli.study.lists import integers
 from racines_models.cli.device import OneDevice
@@ -21,7 +21,7 @@ def speed(
     num_envs: Annotated[
         str | None, typer.Option(help="Batch sizes, comma-separated; 1,64.")
     ] = None,
-    steps: Annotated[int | None, typer.Option(help="Steps a round.")] = None,
+    settings: opt.Set = None,
     threads: Annotated[int | None, typer.Option(help="CPU threads; PyTorch's default.")] = None,
     device: OneDevice = None,
     params: opt.Params = None,
@@ -36,18 +36,18 @@ def speed(
     from racines_data.config import fill
     from racines_envs.studies.step_profile import SpeedConfig, step_speed
 
-    settings = read_settings(params, profile)
+    values = read_settings(params, profile)
     chosen = given(
         view=view, observation=observation, reward=reward, grader=grader, backend=backend,
-        generator=generator, num_envs=integers(num_envs), steps=steps, device=device,
-    )  # fmt: skip
+        generator=generator, num_envs=integers(num_envs), device=device,
+    ) | overrides(settings)  # fmt: skip
     if grader is not None and reward is None:
         chosen["reward"] = "paper"
     if threads is not None:
         if threads < 1:
             raise typer.BadParameter(f"{threads} threads: give 1 or more")
         torch.set_num_threads(threads)
-    content = step_speed(fill(SpeedConfig, chosen, "speed"), phantom_config(settings))
+    content = step_speed(fill(SpeedConfig, chosen, "speed"), phantom_config(values))
     typer.echo(json.dumps(content, indent=2) if as_json else _table(content))
 
 

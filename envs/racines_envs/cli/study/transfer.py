@@ -7,7 +7,7 @@ import typer
 from racines_data.cli import options as opt
 from racines_data.cli.settings import given, read_settings
 from racines_envs.cli.settings import Agents, phantom_config
-from racines_envs.cli.study.lists import SCORES, Seeds, integers, listed, say
+from racines_envs.cli.study.lists import SCORES, Seeds, integers, listed, publish
 from racines_models.cli.device import OneDevice
 
 
@@ -31,7 +31,6 @@ def transfer(
     Writes OUT, and a heat map and a table beside it.
     """
     from racines_data.config import fill, section
-    from racines_data.files import write_atomic, write_json
     from racines_envs.evaluation.agent_specs import find_runs
     from racines_envs.studies.transfer import run as work
     from racines_envs.studies.transfer.pages import draw_transfer, transfer_markdown
@@ -43,6 +42,4 @@ def transfer(
     content = work.transfer(runs, listed(backends), config, phantom_config(settings))
     table = transfer_markdown(content)
     draw_transfer(content, out.with_suffix(".png"))
-    write_atomic(out.with_suffix(".md"), table)
-    write_json(out, content)
-    say(content, table, out, as_json)
+    publish(content, table, out, as_json)

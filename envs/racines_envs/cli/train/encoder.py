@@ -1,6 +1,5 @@
 """The command `racines train encoder`. Heavy imports stand inside, so that --help is instant."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -27,7 +26,7 @@ def train_encoder(
     from racines_data.config import fill, section
     from racines_envs.worlds.exploration import ExplorationConfig
     from racines_envs.worlds.exploration import train_encoder as train
-    from racines_models.cli.output import show_metrics
+    from racines_models.cli.output import show_training
     from racines_models.protocol import Run
 
     settings = read_settings(params, profile)
@@ -38,8 +37,4 @@ def train_encoder(
     metrics = train(
         config, Run(out, seed_of(settings, seed), device, resume, progress=not as_json), phantom
     )
-    if as_json:
-        typer.echo(json.dumps({"out": str(out)} | metrics))
-        return
-    show_metrics(f"encoder, {metrics['split']} split", metrics["metrics"])
-    typer.echo(f"{out}: {metrics['training']['images_per_second']} images/s in training")
+    show_training("encoder", out, metrics, as_json)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import given, read_settings
+from racines_data.cli.settings import check_ending, given, read_settings
 from racines_models.cli.device import Device
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def export_generator(
     from racines_models.exchange.onnx import export as onnx_export
     from racines_models.registry import open_generator
 
-    _check_ending(out, ".onnx")
+    check_ending(out, ".onnx")
     made = onnx_export.export_generator(open_generator(name, run), out)
     _tell(made, as_json, f"{out}: {made['bytes']:,} bytes, opset {made['opset']}")
 
@@ -45,7 +45,7 @@ def export_poses(
     """Write the poses that generators are scored on, for a program outside to draw."""
     from racines_models.exchange.predictions.file import POSES, write_poses
 
-    _check_ending(out, ".parquet")
+    check_ending(out, ".parquet")
     task = _task(data, split, samples, params, profile)
     rows = write_poses(out, task)
     made = {"out": str(out), "rows": rows, **task.metadata(POSES)}
@@ -70,7 +70,7 @@ def export_predictions(
     from racines_models.exchange.predictions.file import PREDICTIONS, write_predictions
     from racines_models.registry import open_generator
 
-    _check_ending(out, ".parquet")
+    check_ending(out, ".parquet")
     task = _task(data, split, samples, params, profile)
     generator: Any = open_generator(name, run, device, store=task.store, split=task.split)
     total = len(task.sample.frames.index) * len(task.seeds)
@@ -102,11 +102,6 @@ def _task(
     store = open_store(data)
     sample = take_sample(store, config.split, config.samples)
     return Task(store, sample, config.split, tuple(config.seeds))
-
-
-def _check_ending(out: Path, ending: str) -> None:
-    if out.suffix.lower() != ending:
-        raise typer.BadParameter(f"{out}: end the name with {ending}", param_hint="--out")
 
 
 def _tell(made: dict[str, Any], as_json: bool, line: str) -> None:

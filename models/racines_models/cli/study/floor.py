@@ -35,6 +35,7 @@ def floor(
     from racines_data.files import write_atomic, write_json
     from racines_data.progress import image_counter
     from racines_data.store.frames import open_store
+    from racines_models.cli.output import ranged
     from racines_models.judges.grader.model import Grader
     from racines_models.scores.features import Extractor, GraderFeatures
     from racines_models.scores.inception import InceptionFeatures
@@ -56,9 +57,6 @@ def floor(
         return
     for name, rows in content["rows"].items():
         for row in rows:
-            fid, kid = (
-                f"{row[key]['value']:.4g} ({row[key]['low']:.4g} to {row[key]['high']:.4g})"
-                for key in ("fid", "kid")
-            )
+            fid, kid = ranged(row["fid"]), ranged(row["kid"])
             typer.echo(f"{name}, n = {row['n']}: FID {fid}, KID {kid}")
     typer.echo(f"{out}.json, {out}.png")

@@ -53,29 +53,25 @@ def _show_leakage(content: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from racines_models.cli.output import ranged
+
     table = Table("split by", title="nearest-pose retrieval", title_justify="left")
     for split in content["splits"]:
         table.add_column(split, justify="right")
     splits = content["splits"].values()
     table.add_row("test frames", *(f"{each['ssim']['n']}" for each in splits))
     table.add_row("frames to look up", *(f"{each['train']}" for each in splits))
-    table.add_row("SSIM", *(_ranged(each["ssim"]) for each in splits))
-    table.add_row("PSNR, dB", *(_ranged(each["psnr"]) for each in splits))
+    table.add_row("SSIM", *(ranged(each["ssim"]) for each in splits))
+    table.add_row("PSNR, dB", *(ranged(each["psnr"]) for each in splits))
     shown = {"position_mm": "median mm", "rotation_deg": "median degrees", "seconds": "median s"}
     for key, title in shown.items():
         table.add_row(f"{title} away", *(_number(each[key]) for each in splits))
     table.add_row("of the same sweep", *(f"{each['same_trajectory']:.1%}" for each in splits))
     console = Console()
     console.print(table)
-    gain = ", ".join(f"{k.upper()} {_ranged(v)}" for k, v in content["gain"].items())
+    gain = ", ".join(f"{k.upper()} {ranged(v)}" for k, v in content["gain"].items())
     console.print(f"what the split by frame adds: {gain}", soft_wrap=True, highlight=False)
 
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3g}"
-
-
-def _ranged(figure: dict[str, Any]) -> str:
-    if figure["low"] is None:
-        return f"{figure['value']:.4g}"
-    return f"{figure['value']:.3g} ({figure['low']:.3g} to {figure['high']:.3g})"

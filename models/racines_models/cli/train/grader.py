@@ -1,9 +1,5 @@
 """The command `racines train grader`. Heavy imports stand inside, so that --help is instant."""
 
-import json
-
-import typer
-
 from racines_data.cli import options as opt
 from racines_data.cli.settings import read_settings, seed_of
 from racines_models.cli.device import Device
@@ -22,7 +18,7 @@ def train_grader(
     """Train the grader: views first, then grades; report on the test trajectories."""
     from racines_data.config import fill, section
     from racines_data.store.frames import open_store
-    from racines_models.cli.output import show_metrics
+    from racines_models.cli.output import show_training
     from racines_models.judges.grader import training as grader_training
     from racines_models.judges.grader.model import GraderConfig
     from racines_models.protocol import Run
@@ -31,9 +27,4 @@ def train_grader(
     config = fill(GraderConfig, section(values, "grader"), "grader")
     run = Run(out, seed_of(values, seed), device, resume, progress=not as_json)
     metrics = grader_training.train_grader(open_store(data), config, run)
-    if as_json:
-        typer.echo(json.dumps({"out": str(out)} | metrics))
-        return
-    views = {f"view_accuracy, {name}": metric for name, metric in metrics["views"].items()}
-    show_metrics(f"grader, {metrics['split']} split", metrics["metrics"] | views)
-    typer.echo(f"{out}: {metrics['training']['images_per_second']} images/s in training")
+    show_training("grader", out, metrics, as_json)

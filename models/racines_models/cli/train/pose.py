@@ -1,9 +1,5 @@
 """The command `racines train pose`. Heavy imports stand inside, so that --help is instant."""
 
-import json
-
-import typer
-
 from racines_data.cli import options as opt
 from racines_data.cli.settings import read_settings, seed_of
 from racines_models.cli.device import Device
@@ -25,7 +21,7 @@ def train_pose(
     """
     from racines_data.config import fill, section
     from racines_data.store.frames import open_store
-    from racines_models.cli.output import show_metrics
+    from racines_models.cli.output import show_training
     from racines_models.judges.pose import training as pose_training
     from racines_models.judges.pose.regressor import PoseConfig
     from racines_models.protocol import Run
@@ -34,8 +30,4 @@ def train_pose(
     config = fill(PoseConfig, section(values, "pose"), "pose")
     run = Run(out, seed_of(values, seed), device, resume, progress=not as_json)
     metrics = pose_training.train_pose(open_store(data), config, run)
-    if as_json:
-        typer.echo(json.dumps({"out": str(out)} | metrics))
-        return
-    show_metrics(f"pose regressor, {metrics['split']} split", metrics["metrics"])
-    typer.echo(f"{out}: {metrics['training']['images_per_second']} images/s in training")
+    show_training("pose regressor", out, metrics, as_json)
