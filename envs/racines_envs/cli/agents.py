@@ -144,16 +144,16 @@ def evaluate_agent(
 def _show(scores: dict[str, Any], path: Path) -> None:
     """Print the figures as a table."""
     from rich.console import Console
-    from rich.table import Table
+
+    from racines_data.tables import console_table
 
     task = scores["task"]
-    table = Table(title=f"{scores['agent']} on {task['view']} ({task['observation']})")
-    for column in ("figure", "value", "95 %", "n"):
-        table.add_column(column, justify="left" if column == "figure" else "right")
+    rows = []
     for name, figure in scores["metrics"].items():
         value, low, high = (_number(figure[key]) for key in ("value", "low", "high"))
-        table.add_row(name, value, f"{low} – {high}", str(figure["n"]))
-    Console().print(table)
+        rows.append((name, value, f"{low} – {high}", str(figure["n"])))
+    title = f"{scores['agent']} on {task['view']} ({task['observation']})"
+    Console().print(console_table(("figure", "value", "95 %", "n"), rows, title))
     typer.echo(f"written: {path}")
 
 

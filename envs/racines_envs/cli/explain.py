@@ -72,16 +72,16 @@ def explain(
 def _show(scores: dict[str, Any]) -> None:
     """Print the figures as a table."""
     from rich.console import Console
-    from rich.table import Table
 
-    table = Table(title=f"{scores['agent']}: {scores['images']} images")
-    for column in ("of", "figure", "value", "95 %"):
-        table.add_column(column, justify="left" if column in ("of", "figure") else "right")
+    from racines_data.tables import console_table
+
+    rows = []
     for what, metrics in scores["metrics"].items():
         for name, figure in metrics.items():
             value, low, high = (
                 "–" if figure[key] is None else f"{figure[key]:.3g}"
                 for key in ("value", "low", "high")
             )
-            table.add_row(what, name, value, f"{low} – {high}")
-    Console().print(table)
+            rows.append((what, name, value, f"{low} – {high}"))
+    title = f"{scores['agent']}: {scores['images']} images"
+    Console().print(console_table(("of", "figure", "value", "95 %"), rows, title, right=2))

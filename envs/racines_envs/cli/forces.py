@@ -24,7 +24,7 @@ def forces(
     from racines_data.errors import RacinesError
     from racines_data.files import write_json
     from racines_data.store.frames import open_store
-    from racines_envs.studies.forces import force_report, markdown
+    from racines_envs.studies.forces import force_markdown, force_report
 
     if split == "train":
         raise RacinesError("--split train: the forces are fitted on it; choose validation or test")
@@ -33,5 +33,5 @@ def forces(
     if as_json:
         typer.echo(json.dumps(report, indent=2))
         return
-    typer.echo(markdown(report))
+    typer.echo(force_markdown(report))
     typer.echo(f"held out: {report['frames'][split]} frames of split {split}; written: {out}")

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
+from racines_data.tables import console_table, escape, markdown_table
 from racines_leaderboard.audit.verdicts import (
     FAILS,
     HOLDS,
@@ -88,28 +89,24 @@ def summary(report: Report) -> str:
 
 def show(report: Report, details: bool) -> None:
     """Print a report: all rows with `details`, else those that do not plainly hold."""
-    from rich import box
     from rich.console import Console
-    from rich.table import Table
+    from rich.text import Text
 
     console = Console()
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
-    for name in HEAD:
-        table.add_column(name, overflow="fold")
-    for row in rows(report):
-        if details or row[1] in MARKS:
-            table.add_row(*row, style=MARKS.get(row[1]))
+    shown = [
+        [Text(cell, MARKS.get(row[1], "")) for cell in row]
+        for row in rows(report)
+        if details or row[1] in MARKS
+    ]
     console.print(summary(report), style=None if report.holds else "bold red", markup=False)
-    if table.row_count:
-        console.print(table)
+    if shown:
+        console.print(console_table(HEAD, shown, right=None))
 
 
-def markdown(reports: list[Report]) -> str:
+def audit_markdown(reports: list[Report]) -> str:
     """Return reports as a Markdown page."""
     parts = ["# Audit", "", "Research software, not a medical device.", ""]
     for report in reports:
-        told = [HEAD, ("---",) * len(HEAD), *rows(report)]
-        lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in told]
-        parts += [f"## {report.board}/{report.track}/{report.name}", "", summary(report), ""]
-        parts += [*lines, ""]
+        parts += [f"## {report.board}/{report.track}/{report.name}", "", escape(summary(report))]
+        parts += ["", markdown_table(HEAD, rows(report)), ""]
     return "\n".join(parts)

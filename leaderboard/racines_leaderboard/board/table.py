@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.table import Table as RichTable
 
+from racines_data.tables import console_table, escape, markdown_table
 from racines_leaderboard.board.groups import by_task, rankings
 from racines_leaderboard.board.rank import Ranked, Record, figure, rank, tied
 from racines_leaderboard.records.tracks import TRACKS, Column, Track
@@ -54,11 +54,11 @@ def board_tables(
     return tables
 
 
-def markdown(table: Table) -> str:
+def titled_markdown(table: Table) -> str:
     """Return a table as Markdown: a title in bold, the table, its notes."""
-    rows = [table.head, ("---",) * len(table.head), *table.rows]
-    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
-    return "\n".join([f"**{table.title}**", "", *lines, "", *(f"{n}  " for n in table.notes)])
+    drawn = markdown_table(table.head, table.rows)
+    notes = (f"{escape(note)}  " for note in table.notes)
+    return "\n".join([f"**{escape(table.title)}**", "", drawn, "", *notes])
 
 
 def show(table: Table, console: Console) -> None:
@@ -75,12 +75,7 @@ def show(table: Table, console: Console) -> None:
 
 
 def _drawn(title: str, rows: Sequence[Sequence[str]]) -> RichTable:
-    drawn = RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
-    for i, name in enumerate(rows[0]):
-        drawn.add_column(name, justify="left" if i < 2 else "right", overflow="fold")
-    for row in rows[1:]:
-        drawn.add_row(*map(_stacked, row))
-    return drawn
+    return console_table(rows[0], (map(_stacked, row) for row in rows[1:]), title, 2, padding=0)
 
 
 def plain(content: dict[str, list[Record]]) -> dict[str, Any]:

@@ -23,7 +23,7 @@ def determinism(
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Measure how far each stage repeats itself: bitwise, or by the largest difference."""
-    from racines_leaderboard.determinism.run import Outcome, markdown, measure
+    from racines_leaderboard.determinism.run import Outcome, determinism_markdown, measure
 
     def tell(outcome: Outcome) -> None:
         said = outcome.note or ("bitwise" if outcome.bitwise else f"{outcome.largest:.2g}")
@@ -31,4 +31,4 @@ def determinism(
         typer.echo(f"racines: {line}", err=True)
 
     document = measure(stage or (), tell, out)
-    typer.echo(json.dumps(document, indent=2) if as_json else markdown(document))
+    typer.echo(json.dumps(document, indent=2) if as_json else determinism_markdown(document))

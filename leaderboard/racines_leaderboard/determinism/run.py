@@ -13,6 +13,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
+from racines_data.tables import markdown_table
 from racines_leaderboard.determinism.setup import Arrays, Setup, Stage, Work, threads
 from racines_leaderboard.determinism.stages import stages
 
@@ -169,23 +170,19 @@ def _document(outcomes: list[Outcome], seconds: float) -> dict[str, Any]:
     }
 
 
-def markdown(document: dict[str, Any]) -> str:
+def determinism_markdown(document: dict[str, Any]) -> str:
     """Return a report as Markdown: a row a stage, a column a way."""
     ways = list(dict.fromkeys(each["compared"] for each in document["outcomes"]))
     rows: dict[str, dict[str, str]] = {}
     for each in document["outcomes"]:
         rows.setdefault(each["stage"], {})[each["compared"]] = cell(each)
     here = document["environment"]
-    lines = [
-        f"| stage | {' | '.join(ways)} |",
-        f"| --- |{' --- |' * len(ways)}",
-        *(
-            f"| {stage} | {' | '.join(told.get(way, '') for way in ways)} |"
-            for stage, told in rows.items()
-        ),
-    ]
+    table = markdown_table(
+        ("stage", *ways),
+        ((stage, *(cells.get(way, "") for way in ways)) for stage, cells in rows.items()),
+    )
     about = f"torch {here['torch']}, {here['cpu']}, {here['platform']}"
-    return "\n".join([*lines, "", f"{about}. {document['seconds']:.0f} s.", ""])
+    return "\n".join([table, "", f"{about}. {document['seconds']:.0f} s.", ""])
 
 
 def cell(outcome: dict[str, Any]) -> str:
