@@ -11,15 +11,15 @@ from typing import Any
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_data.files import write_atomic
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.roads import fitted, score_agent, score_run
 from racines_leaderboard.audit.run import check, peers
 from racines_leaderboard.audit.verdicts import Report, Verdict, fails, holds, unknown
 from racines_leaderboard.audit.weights import named, submitted
-from racines_leaderboard.board.collect import Record, read_record
+from racines_leaderboard.board.collect import Record, basis_of, read_record
+from racines_leaderboard.records.schema import write_record
 from racines_leaderboard.records.seal import sealed
-from racines_leaderboard.records.tracks import TRACKS, Track
+from racines_leaderboard.records.tracks import TRACK, Track
 
 
 def retrain(path: Path, bench: Bench, into: Path) -> Report:
@@ -30,7 +30,7 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
         bench: Its board.
         into: Folder of the runs; one that was killed goes on.
     """
-    track = next(each for each in TRACKS if each.name == path.parent.name)
+    track = TRACK[path.parent.name]
     try:
         record = read_record(path, bench.board, track)
     except RacinesError as error:
@@ -60,8 +60,7 @@ def _obstacle(record: Record, bench: Bench) -> str | None:
         return "its code is not merged: only its artefacts can be scored again"
     if bench.settings is None:
         return f"no settings of board {bench.board} here: give --params"
-    recipe = (record["scores"].get("dataset") or {}).get("recipe_digest")
-    if record["track"] == "generators" and bench.data_for(recipe) is None:
+    if record["track"] == "generators" and bench.data_for(basis_of(record)) is None:
         return f"no dataset of its recipe in {bench.places.data}"
     return None
 
@@ -117,6 +116,5 @@ def _within(record: Record, made: dict[str, Any], track: Track) -> list[Verdict]
 
 def _write(path: Path, record: Record, made: dict[str, Any]) -> None:
     keys = ("seeds", "metrics", "weights", "code", "environment")
-    found = {key: made[key] for key in keys}
-    record = sealed(record | {"tier": "reproduced", "reproduced": found})
-    write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+    reproduced = {key: made[key] for key in keys}
+    write_record(path, sealed(record | {"tier": "reproduced", "reproduced": reproduced}))

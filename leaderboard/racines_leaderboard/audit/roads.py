@@ -20,7 +20,7 @@ from racines_data.errors import RacinesError
 from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.weights import named, published, run_of, submitted
 from racines_leaderboard.board.collect import Record
-from racines_leaderboard.board.recompute import Ground, scores_again
+from racines_leaderboard.board.recompute import Ground, recompute_scores
 
 HALF = "half precision"
 
@@ -70,7 +70,7 @@ def _judge(record: Record, bench: Bench, extractor: str) -> Path | None:
 
 def _artefact(record: Record, bench: Bench, on: Ground) -> Road:
     folder = bench.places.submissions / record["track"] / record["name"]
-    return Road("artefacts", f"the artefacts in {folder}", lambda: scores_again(folder, on)[1])
+    return Road("artefacts", f"the artefacts in {folder}", lambda: recompute_scores(folder, on)[1])
 
 
 def _generator(record: Record, bench: Bench) -> Road | str:

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.audit import claims, figures, ground, weights
+from racines_leaderboard.audit import claims, ground, metrics, weights
 from racines_leaderboard.audit.bench import Bench
-from racines_leaderboard.audit.compare import agreement, compare
+from racines_leaderboard.audit.numbers import agreement, compare_numbers
 from racines_leaderboard.audit.roads import find_road
 from racines_leaderboard.audit.verdicts import (
     SKIPPED,
@@ -19,7 +19,7 @@ from racines_leaderboard.audit.verdicts import (
     unknown,
 )
 from racines_leaderboard.board.collect import Record, read_record
-from racines_leaderboard.records.tracks import TRACKS, Track
+from racines_leaderboard.records.tracks import TRACK, Track
 
 
 def audit(path: Path, bench: Bench, quick: bool = False) -> Report:
@@ -30,7 +30,7 @@ def audit(path: Path, bench: Bench, quick: bool = False) -> Report:
         bench: Its board.
         quick: Leave out what makes the numbers again.
     """
-    track = next(each for each in TRACKS if each.name == path.parent.name)
+    track = TRACK[path.parent.name]
     try:
         record = read_record(path, bench.board, track)
     except RacinesError as error:
@@ -45,7 +45,7 @@ def audit(path: Path, bench: Bench, quick: bool = False) -> Report:
             for key, metric in record["scores"]["metrics"].items()
         ]
     else:
-        again, told = made_again(record, bench)
+        again, told = recompute(record, bench)
         settled = {each.subject for each in again}
         verdicts = [each for each in verdicts if each.subject not in settled] + again
     return Report(bench.board, track.name, record["name"], record["tier"], tuple(verdicts), told)
@@ -61,7 +61,7 @@ def check(record: Record, bench: Bench, others: list[Record]) -> list[Verdict]:
         verdicts += ground.task(record, bench)
     verdicts += ground.judges(record, bench, others)
     verdicts += weights.check_weights(record, bench) + weights.check_content(record, bench)
-    return verdicts + figures.check_figures(record, bench)
+    return verdicts + metrics.check_metrics(record, bench)
 
 
 def peers(path: Path, bench: Bench, track: Track) -> list[Record]:
@@ -76,7 +76,7 @@ def peers(path: Path, bench: Bench, track: Track) -> list[Record]:
     return found
 
 
-def made_again(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, Any]]:
+def recompute(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, Any]]:
     """Make the numbers of a record again; return a verdict a number, and how it was done."""
     road = find_road(record, bench)
     metrics = record["scores"]["metrics"]
@@ -87,7 +87,7 @@ def made_again(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, A
     except RacinesError as error:
         return [fails("metrics", f"made from {road.told}: {error}")], {"road": road.name}
     tier = agreement(record, made, road.name)
-    verdicts = compare(record, made, tier)
+    verdicts = compare_numbers(record, made, tier)
     if road.name == "fitted":
         verdicts += [
             equal(f"weights.{name}", sha256, made["weights"].get(name), road.told)
@@ -103,8 +103,7 @@ def find_records(results: Path, names: list[str], board: str | None) -> list[Pat
     Raises:
         RacinesError: a board without results, or a name that no board has.
     """
-    tracks = {track.name for track in TRACKS}
-    paths = [p for p in sorted(results.glob(f"{board or '*'}/*/*.json")) if p.parts[-2] in tracks]
+    paths = [p for p in sorted(results.glob(f"{board or '*'}/*/*.json")) if p.parts[-2] in TRACK]
     if not paths:
         raise RacinesError(f"{results}: no results of {board or 'any board'}")
     for name in names:

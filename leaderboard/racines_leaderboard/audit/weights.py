@@ -8,7 +8,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, unknown
-from racines_leaderboard.board.collect import Record
+from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.submissions.artefacts import files_of, rescored
 
 
@@ -76,7 +76,7 @@ def _file(record: Record, name: str, sha256: str, bench: Bench) -> list[Verdict]
         here = sha256_file(path)
         if here == sha256:
             return [holds(subject, f"the file {path}", sha256, here)]
-        if _data_of(path.parent) in (None, _data_of_record(record)):
+        if _data_of(path.parent) in (None, basis_of(record)):
             return [fails(subject, f"the file {path}, trained on these data", sha256, here)]
     copied = published(record, bench)
     if copied is None or name not in copied:
@@ -91,7 +91,7 @@ def published(record: Record, bench: Bench) -> dict[str, Any] | None:
         return None
     content = json.loads(described.read_text())
     data = content.get("data") or content.get("dataset") or {}
-    if data.get("recipe_digest") != _data_of_record(record):
+    if data.get("recipe_digest") != basis_of(record):
         return None
     return content.get("weights_files", {}).get("files")
 
@@ -115,11 +115,6 @@ def _data_of(folder: Path) -> str | None:
         return None
     told = content.get("data") or content.get("dataset") or content.get("environment") or {}
     return (told.get("phantom") or told).get("recipe_digest")
-
-
-def _data_of_record(record: Record) -> str | None:
-    scores = record["scores"]
-    return (scores.get("dataset") or scores.get("phantom") or {}).get("recipe_digest")
 
 
 def check_content(record: Record, bench: Bench) -> list[Verdict]:

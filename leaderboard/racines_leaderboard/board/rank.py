@@ -32,7 +32,7 @@ def is_bound(record: Record) -> bool:
     return record["scores"].get("sees") in ("truth", "nothing")
 
 
-def figure(record: Record, key: str) -> dict[str, Any] | None:
+def metric_of(record: Record, key: str) -> dict[str, Any] | None:
     """Return a figure of a result, or None where it is absent or has no value.
 
     Figures of experts come from a study that was checked, never from the scores of a submission.
@@ -75,7 +75,7 @@ def tied(ranking: list[Ranked]) -> set[int]:
 
 def _badness(record: Record, column: Column) -> tuple[float, float, float]:
     """A figure and the better and worse end of its interval: lower is better, infinite missing."""
-    metric = figure(record, column.key)
+    metric = metric_of(record, column.key)
     if metric is None:
         return float("inf"), float("inf"), float("inf")
     ends = [metric["value"] if metric[key] is None else metric[key] for key in ("low", "high")]

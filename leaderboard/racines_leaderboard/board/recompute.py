@@ -8,11 +8,10 @@ from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
-from racines_data.files import write_atomic
 from racines_leaderboard.board.collect import Record, one_dataset
-from racines_leaderboard.records.schema import check
+from racines_leaderboard.records.schema import check, write_record
 from racines_leaderboard.records.seal import sealed
-from racines_leaderboard.records.tracks import AGENTS, GENERATORS
+from racines_leaderboard.records.tracks import GENERATORS, TRACK, TRACKS
 from racines_leaderboard.submissions.artefacts import YAML, files_of, rescored
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_leaderboard.submissions.content_checks import check_content
@@ -44,7 +43,7 @@ def find(submissions: Path, name: str) -> Path:
     """
     found = [
         submissions / track.name / name.removeprefix(f"{track.name}/")
-        for track in (GENERATORS, AGENTS)
+        for track in TRACKS
         if "/" not in name.removeprefix(f"{track.name}/")
     ]
     found = [folder for folder in found if (folder / YAML).is_file()]
@@ -69,11 +68,11 @@ def recompute(folder: Path, ground: Ground, results: Path) -> Record:
         RacinesError: a submission at fault or without an artefact that can be scored, one made for
             other data, a file that breaks a limit, or figures that do not belong on the board.
     """
-    document, scores = scores_again(folder, ground)
+    document, scores = recompute_scores(folder, ground)
     return _write(document, scores, ground.board, results)
 
 
-def scores_again(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict[str, Any]]:
+def recompute_scores(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return a submission's document, and the scores of its artefact; nothing is written.
 
     Raises:
@@ -99,7 +98,7 @@ def scores_again(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict[str
 
 
 def _write(document: dict[str, Any], scores: dict[str, Any], board: str, results: Path) -> Record:
-    track = GENERATORS if document["track"] == GENERATORS.name else AGENTS
+    track = TRACK[document["track"]]
     record = {
         "schema": "racines.record/1",
         "board": board,
@@ -118,7 +117,7 @@ def _write(document: dict[str, Any], scores: dict[str, Any], board: str, results
     check(record, "record", str(path))
     check(record["scores"], track.schema, f"{path}: scores")
     one_dataset({path: record}, results, board)
-    write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+    write_record(path, record)
     return record
 
 

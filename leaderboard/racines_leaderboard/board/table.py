@@ -13,7 +13,7 @@ from rich.table import Table as RichTable
 
 from racines_data.tables import console_table, escape, markdown_table
 from racines_leaderboard.board.groups import by_task, rankings
-from racines_leaderboard.board.rank import Ranked, Record, figure, rank, tied
+from racines_leaderboard.board.rank import Ranked, Record, metric_of, rank, tied
 from racines_leaderboard.records.tracks import TRACKS, Column, Track
 
 REPORTED = "reported in the paper, on other data"
@@ -105,7 +105,7 @@ def published() -> dict[str, Any]:
 
 def cell(record: Record, column: Column, usual_n: int) -> str:
     """Return a figure with its 95 % interval; with its n where that is not the row's."""
-    metric = figure(record, column.key)
+    metric = metric_of(record, column.key)
     if metric is None:
         return "–"
     text = _number(metric["value"], column)
@@ -134,7 +134,7 @@ def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:
 
 def shown_columns(columns: Sequence[Column], ranking: Sequence[Ranked]) -> list[Column]:
     """Return the columns that any of the results fills."""
-    return [c for c in columns if any(figure(r.record, c.key) for r in ranking)]
+    return [c for c in columns if any(metric_of(r.record, c.key) for r in ranking)]
 
 
 def _methods(ranking: list[Ranked]) -> str:
@@ -169,7 +169,7 @@ def _sees(track: Track, record: Record) -> tuple[str, ...]:
 
 
 def _usual_n(record: Record, columns: list[Column]) -> int:
-    counts = [m["n"] for c in columns if (m := figure(record, c.key))]
+    counts = [m["n"] for c in columns if (m := metric_of(record, c.key))]
     return max(counts, key=counts.count) if counts else 0
 
 
@@ -187,9 +187,9 @@ def _basis(ranking: list[Ranked]) -> str:
 def _ceiling(ranking: list[Ranked]) -> str:
     """Say how right the judges are where the images are the true ones."""
     record, told = ranking[0].record, []
-    if view := figure(record, "view_agreement_truth"):
+    if view := metric_of(record, "view_agreement_truth"):
         told.append(f"the view agrees in {100 * view['value']:.1f} %")
-    error = [figure(record, f"pose_error_{unit}_truth") for unit in ("mm", "deg")]
+    error = [metric_of(record, f"pose_error_{unit}_truth") for unit in ("mm", "deg")]
     if error[0] and error[1]:
         millimetres, degrees = (each["value"] for each in error if each)
         told.append(f"the pose is read with an error of {millimetres:.1f} mm and {degrees:.1f}°")

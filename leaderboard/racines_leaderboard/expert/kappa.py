@@ -60,7 +60,7 @@ def confusion(
     return counts.reshape(raters, count, size, size)
 
 
-def kappa_figure(
+def kappa_metric(
     counts: np.ndarray, cost: np.ndarray, rule: str, resamples: int = 1000, seed: int = 0
 ) -> dict[str, Any]:
     """Return the mean of R raters' kappas with an interval by trajectory.
@@ -87,7 +87,7 @@ def kappa_figure(
     return {"value": value, "low": low, "high": high, "n": n, "settings": settings}
 
 
-def fleiss_figure(
+def fleiss_metric(
     views: np.ndarray, groups: np.ndarray, size: int, resamples: int = 1000, seed: int = 0
 ) -> dict[str, Any]:
     """Return Fleiss' kappa of (R, n) views over the images that all R raters answered."""

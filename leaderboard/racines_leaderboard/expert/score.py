@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.expert.figures import Answers, compare
-from racines_leaderboard.expert.kappa import fleiss_figure
+from racines_leaderboard.expert.agreement import Answers, agreement
+from racines_leaderboard.expert.kappa import fleiss_metric
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.expert.ratings import Ratings
 from racines_leaderboard.records.names import EXPERT, OVERALL, TRUE_FRAMES
@@ -117,7 +117,7 @@ class _Study:
     def compare(self, given: Answers, reference: Answers, rows: np.ndarray) -> dict[str, Any]:
         """Compare (R, n) answers with (n,) answers to the entries `rows`."""
         places = self.trajectories[rows]
-        return compare(given, reference, places, self.labels, self.resamples)
+        return agreement(given, reference, places, self.labels, self.resamples)
 
     def systems(self, given: Answers) -> dict[str, Any]:
         """Compare (R, N) answers with each reference, overall and by system."""
@@ -154,7 +154,7 @@ class _Study:
             for a, b in combinations(range(len(names)), 2)
         ]
         places = self.trajectories[rows]
-        fleiss = fleiss_figure(given.of(rows).views, places, self.labels, self.resamples)
+        fleiss = fleiss_metric(given.of(rows).views, places, self.labels, self.resamples)
         return {"pairs": pairs, "fleiss_kappa": fleiss}
 
 

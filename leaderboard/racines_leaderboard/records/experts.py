@@ -4,14 +4,12 @@ Only what experts rated is taken: answers of programs and of trials are refused,
 claims otherwise does not pass its schema.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
-from racines_data.files import write_atomic
 from racines_leaderboard.records.names import EXPERT, OVERALL, TRUE_FRAMES
-from racines_leaderboard.records.schema import check, read_json
+from racines_leaderboard.records.schema import check, read_json, write_record
 
 FOLDER = "expert"
 METRICS = {"expert_view": "view_agreement", "expert_grade": "grade_agreement"}
@@ -42,7 +40,7 @@ def publish(report: dict[str, Any], results: Path, board: str) -> list[Path]:
     if not records:
         raise RacinesError("the study has no generator's images, so a board has no row for it")
     for path, record in records.items():
-        write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+        write_record(path, record)
     return list(records)
 
 

@@ -109,4 +109,5 @@ AGENTS = Track(
 )
 
 TRACKS = (GENERATORS, AGENTS)
+TRACK = {track.name: track for track in TRACKS}
 TIERS = ("self-reported", "recomputed", "reproduced")

@@ -7,12 +7,11 @@ import gradio as gr
 
 from racines_leaderboard.studio import watching
 from racines_leaderboard.studio.driving import FIXED_STARTS
-from racines_leaderboard.studio.escape import text
-from racines_leaderboard.studio.notice import missing_html, refusing
+from racines_leaderboard.studio.html import missing, text
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.scene import Scene
-from racines_leaderboard.studio.scene_page import CSS, image_panel, side_panel
-from racines_leaderboard.studio.watch_page import overlay
+from racines_leaderboard.studio.scene import CSS, Scene, image_panel, side_panel
+from racines_leaderboard.studio.tabs import refusing
+from racines_leaderboard.studio.watching import overlay
 
 ONE: dict[str, Any] = {
     "concurrency_id": "agent", "concurrency_limit": 1, "api_visibility": "private",
@@ -72,7 +71,7 @@ def build(place: Place) -> None:
 def _missing(place: Place, offered: list[str]) -> str:
     if len(offered) > len(watching.UNTRAINED):
         return ""
-    return missing_html(
+    return missing(
         f"No trained agent in {place.agents}. Train one:",
         "racines train agent ppo --observation image",
     )

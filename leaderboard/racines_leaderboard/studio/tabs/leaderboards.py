@@ -7,10 +7,11 @@ import gradio as gr
 from racines_leaderboard.board.collect import boards
 from racines_leaderboard.records.tracks import TIERS
 from racines_leaderboard.studio import boards as shown
-from racines_leaderboard.studio.boards_html import charts_html, tables_html
-from racines_leaderboard.studio.notice import missing_html, refusing
+from racines_leaderboard.studio.boards import charts_html, tables_html
+from racines_leaderboard.studio.html import missing
 from racines_leaderboard.studio.place import Place
 from racines_leaderboard.studio.provenance import provenance_html
+from racines_leaderboard.studio.tabs import refusing
 
 ROW_CLICKED = """
 element.addEventListener('click', (event) => {
@@ -25,7 +26,7 @@ def build(place: Place) -> None:
     found = boards(place.results)
     if not found:
         gr.HTML(
-            missing_html(
+            missing(
                 f"{place.results}: no results of any board yet. Score a system and collect it:",
                 "racines eval generator nearest-pose",
                 "racines leaderboard --board my-board --collect models/runs/scores",

@@ -10,10 +10,9 @@ from gradio.context import Context
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.studio import driving
-from racines_leaderboard.studio.notice import refusing
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.scene import Scene
-from racines_leaderboard.studio.scene_page import CSS, image_panel, side_panel
+from racines_leaderboard.studio.scene import CSS, Scene, image_panel, side_panel
+from racines_leaderboard.studio.tabs import refusing
 
 GROUPS = (("Move", ("x", "y", "z")), ("Turn", ("rx", "ry", "rz")))
 """Buttons, by what they do: an axis a column, a direction a row."""

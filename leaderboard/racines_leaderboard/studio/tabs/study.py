@@ -8,16 +8,19 @@ from racines_data.views import RANDOM
 from racines_leaderboard.expert.session import ABOUT
 from racines_leaderboard.studio import labelling
 from racines_leaderboard.studio.codes import LONGEST as CODE
-from racines_leaderboard.studio.labelling import KINDS, NAME, Sitting
-from racines_leaderboard.studio.labelling_html import (
+from racines_leaderboard.studio.html import missing
+from racines_leaderboard.studio.labelling import (
+    KINDS,
+    NAME,
+    Sitting,
     code_html,
     finished_html,
     image_html,
     instructions_html,
     progress_html,
 )
-from racines_leaderboard.studio.notice import missing_html, refusing
 from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.tabs import refusing
 
 VIEW_KEYS = "asdfghjkl"
 KEYS = """
@@ -48,7 +51,7 @@ def build(place: Place) -> None:
     found = labelling.kits(place.kits)
     if not found:
         gr.HTML(
-            missing_html(
+            missing(
                 f"{place.kits}: no kit of images to rate. Draw one:",
                 "racines expert sample --generator nearest-pose --truth --out study/kit",
             )

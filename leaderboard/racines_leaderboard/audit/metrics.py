@@ -19,7 +19,7 @@ CLOSE = 1e-9
 """What the last bits of a sum may differ by, relative."""
 
 
-def check_figures(record: Record, bench: Bench) -> list[Verdict]:
+def check_metrics(record: Record, bench: Bench) -> list[Verdict]:
     """Check each figure's n, interval and parts against one another and the board's settings."""
     scores, verdicts = record["scores"], []
     groups = {"metrics": scores["metrics"]}

@@ -14,11 +14,11 @@ from collections.abc import Iterator
 from typing import Any
 
 from racines_leaderboard.audit.claims import differing
-from racines_leaderboard.audit.figures import TIMED
+from racines_leaderboard.audit.metrics import TIMED
 from racines_leaderboard.audit.roads import HALF
 from racines_leaderboard.audit.verdicts import Verdict, fails, holds, unknown
 from racines_leaderboard.board.collect import Record
-from racines_leaderboard.records.tracks import TRACKS
+from racines_leaderboard.records.tracks import TRACK
 
 BITWISE, TOLERANCE = "bitwise", "tolerance"
 PRIMARY = 4e-4
@@ -52,7 +52,7 @@ def agreement(record: Record, made: dict[str, Any], road: str) -> str:
     return BITWISE if same and 2 * equal >= len(pairs) else TOLERANCE
 
 
-def compare(record: Record, made: dict[str, Any], tier: str) -> list[Verdict]:
+def compare_numbers(record: Record, made: dict[str, Any], tier: str) -> list[Verdict]:
     """Return one verdict for each number of a record."""
     made = json.loads(json.dumps(made))
     verdicts = []
@@ -110,16 +110,16 @@ def _numbers(
 
 def _doubtful(key: str, told: dict[str, Any], track: str) -> float:
     """Return what half-precision weights may move a figure by without a word against it."""
-    ranks = key in next(each for each in TRACKS if each.name == track).ranked_by
-    if ranks or None in (told["low"], told["high"]):
+    if key in TRACK[track].ranked_by or None in (told["low"], told["high"]):
         return 0.0
     return (told["high"] - told["low"]) / 2
 
 
 def _tolerance(key: str, told: dict[str, Any], tier: str, track: str) -> float:
-    ranking = next(each for each in TRACKS if each.name == track).ranked_by
     size = max(1.0, abs(told["value"] or 0.0))
-    bound = PRIMARY if key in ranking else size * max(OTHERS, ITEMS / max(told["n"], 1))
+    bound = (
+        PRIMARY if key in TRACK[track].ranked_by else size * max(OTHERS, ITEMS / max(told["n"], 1))
+    )
     if tier == HALF and None not in (told["low"], told["high"]):
         return max(bound, SHARE * (told["high"] - told["low"]) / 2)
     return bound
