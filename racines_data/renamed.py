@@ -71,7 +71,7 @@ MOVED = {
         "cli_audit=audit cli_determinism=determinism cli_studio=studio cli_submit=submit "
         "commands=board expert.cli=expert"
     ),
-    "racines_leaderboard.expert": "expert.figures=agreement",
+    "racines_leaderboard.expert": "expert.figures=agreement expert.instructions=kit",
     "racines_leaderboard.records": "expert.board=experts expert.names=names schema seal tracks",
     "racines_leaderboard.studio": (
         "studio.boards_html=boards studio.browsing_html=trajectory_page "

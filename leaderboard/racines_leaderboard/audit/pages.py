@@ -56,10 +56,11 @@ def _group(subject: str) -> str:
 
 def _reasons(verdicts: list[Verdict]) -> str:
     """Return what is told of a figure that holds: how far off it was, where it was."""
-    told = [each.reason for each in verdicts]
-    again = [reason for reason in told if reason.startswith("made again")]
-    differing = [reason for reason in again if "equal" not in reason]
-    return (differing or again or told)[0] + (f" ({len(told)} checks)" if len(told) > 1 else "")
+    reasons = [verdict.reason for verdict in verdicts]
+    recomputed = [reason for reason in reasons if reason.startswith("recomputed")]
+    differing = [reason for reason in recomputed if "equal" not in reason]
+    counted = f" ({len(reasons)} checks)" if len(reasons) > 1 else ""
+    return (differing or recomputed or reasons)[0] + counted
 
 
 def _numbers(verdicts: list[Verdict]) -> tuple[str, str]:
@@ -78,13 +79,13 @@ def _short(value: Any) -> str:
 
 
 def summary(report: Report) -> str:
-    """Return one line: the record, what it comes to, and how its numbers were made again."""
+    """Return one line: the record, what it comes to, and how its numbers were recomputed."""
     counts = [f"{report.count(v)} {v}" for v in (FAILS, UNKNOWN, SKIPPED) if report.count(v)]
-    told = f"{len(report.verdicts)} claims" + "".join(f", {each}" for each in counts)
+    claims = f"{len(report.verdicts)} claims" + "".join(f", {each}" for each in counts)
     verdict = "holds" if report.holds else "DOES NOT HOLD"
     how = report.made_again
-    again = f"; made again from {how['from']}, {how['agreement']}" if "agreement" in how else ""
-    return f"{report.board}/{report.track}/{report.name}: {verdict} ({told}{again})"
+    again = f"; recomputed from {how['from']}, {how['agreement']}" if "agreement" in how else ""
+    return f"{report.board}/{report.track}/{report.name}: {verdict} ({claims}{again})"
 
 
 def show(report: Report, details: bool) -> None:

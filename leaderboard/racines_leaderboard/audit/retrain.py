@@ -44,11 +44,11 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
     else:
         verdicts.append(unknown("reproduced", reason))
         made = {}
-    told = {}
+    how = {}
     if made:
-        told = {"road": "trained again", "agreement": "interval", "from": "another training"}
+        how = {"road": "trained again", "agreement": "interval", "from": "another training"}
     tier = record["tier"]
-    report = Report(bench.board, track.name, record["name"], tier, tuple(verdicts), told)
+    report = Report(bench.board, track.name, record["name"], tier, tuple(verdicts), how)
     if made and report.holds:
         _write(path, record, made)
     return report
@@ -97,20 +97,20 @@ def _train_agent(record: Record, bench: Bench, folder: Path) -> None:
 def _within(record: Record, made: dict[str, Any], track: Track) -> list[Verdict]:
     """Return whether each figure that ranks lies in the record's interval; others are told."""
     verdicts = []
-    for key, told in record["scores"]["metrics"].items():
+    for key, claimed in record["scores"]["metrics"].items():
         here, subject = made["metrics"].get(key), f"reproduced.{key}"
-        if here is None or here["value"] is None or told["low"] is None:
-            verdicts.append(unknown(subject, "no interval, or not made here", told["value"]))
+        if here is None or here["value"] is None or claimed["low"] is None:
+            verdicts.append(unknown(subject, "no interval, or not made here", claimed["value"]))
             continue
-        inside = told["low"] <= here["value"] <= told["high"]
-        reason = f"95 % interval {told['low']:.6g} to {told['high']:.6g}"
+        inside = claimed["low"] <= here["value"] <= claimed["high"]
+        reason = f"95 % interval {claimed['low']:.6g} to {claimed['high']:.6g}"
         if key in track.ranked_by:
             say = holds if inside else fails
-            verdicts.append(say(subject, f"in its {reason}", told["value"], here["value"]))
+            verdicts.append(say(subject, f"in its {reason}", claimed["value"], here["value"]))
         else:
             where = "inside" if inside else "outside"
             reason = f"does not rank: {where} its {reason}"
-            verdicts.append(unknown(subject, reason, told["value"], here["value"]))
+            verdicts.append(unknown(subject, reason, claimed["value"], here["value"]))
     return verdicts
 
 

@@ -150,12 +150,8 @@ def differences(first: Arrays, second: Arrays) -> tuple[bool, float, float]:
 def _gap(a: Tensor, b: Tensor) -> Tensor:
     """Absolute differences; NaN in both is none, NaN in one is infinite."""
     a, b = a.double(), b.double()
-    gap = (a - b).abs()
-    gap[a == b] = 0.0  # infinities
-    both = a.isnan() & b.isnan()
-    gap[both] = 0.0
-    gap[(a.isnan() ^ b.isnan())] = float("inf")
-    return gap
+    same = (a == b) | (a.isnan() & b.isnan())  # two infinities are equal
+    return (a - b).abs().nan_to_num(nan=torch.inf, posinf=torch.inf).masked_fill(same, 0.0)
 
 
 def _document(outcomes: list[Outcome], seconds: float) -> dict[str, Any]:

@@ -17,8 +17,15 @@ from racines_data.files import sha256_file, write_json
 from racines_data.imaging import ImageSource
 from racines_data.store.frames import Batch, FrameStore
 from racines_leaderboard.expert.blinding import Plan, blind, write_images
-from racines_leaderboard.expert.instructions import described
-from racines_leaderboard.expert.kit import IMAGES, KEY, KIT, Kit, digest_of, images_sha256
+from racines_leaderboard.expert.kit import (
+    IMAGES,
+    KEY,
+    KIT,
+    Kit,
+    described,
+    digest_of,
+    images_sha256,
+)
 from racines_leaderboard.expert.strata import stratify
 from racines_leaderboard.records.names import TRUE_FRAMES
 from racines_leaderboard.records.schema import check

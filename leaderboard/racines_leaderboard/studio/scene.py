@@ -170,6 +170,11 @@ CSS = """
 """
 
 
+def panels(scene: Scene) -> tuple[str, str]:
+    """Return the two halves of a page: the image with its state, and what stands beside it."""
+    return image_panel(scene), side_panel(scene)
+
+
 def image_panel(scene: Scene, image: np.ndarray | None = None) -> str:
     """Return the ultrasound image and the state in words; `image` in place of the scene's."""
     shown = scene.image if image is None else image

@@ -67,20 +67,20 @@ def check_parquet(content: bytes, where: str) -> None:
     if footer > min(MAX_FOOTER, len(content) - 12):
         raise RacinesError(f"{where}: a footer of {footer:,} bytes: at most {MAX_FOOTER:,}")
     try:
-        told = pq.read_metadata(pa.BufferReader(content))
-        groups = [told.row_group(i) for i in range(min(told.num_row_groups, MAX_GROUPS + 1))]
+        stated = pq.read_metadata(pa.BufferReader(content))
+        groups = [stated.row_group(i) for i in range(min(stated.num_row_groups, MAX_GROUPS + 1))]
         columns = [group.column(i) for group in groups for i in range(group.num_columns)]
     except Exception as error:
         raise RacinesError(f"{where}: not readable as Parquet: {error}; write it again") from error
     unpacked = sum(column.total_uncompressed_size for column in columns)
-    sizes = (*(column.total_uncompressed_size for column in columns), told.num_rows, 0)
-    if told.num_rows > MAX_ROWS or unpacked > MAX_UNPACKED or min(sizes) < 0:
+    sizes = (*(column.total_uncompressed_size for column in columns), stated.num_rows, 0)
+    if stated.num_rows > MAX_ROWS or unpacked > MAX_UNPACKED or min(sizes) < 0:
         raise RacinesError(
-            f"{where}: claims {told.num_rows:,} rows, {unpacked:,} bytes unpacked: at most "
+            f"{where}: claims {stated.num_rows:,} rows, {unpacked:,} bytes unpacked: at most "
             f"{MAX_ROWS:,} and {MAX_UNPACKED:,}"
         )
-    if told.num_row_groups > MAX_GROUPS:
-        raise RacinesError(f"{where}: {told.num_row_groups:,} row groups: at most {MAX_GROUPS:,}")
+    if stated.num_row_groups > MAX_GROUPS:
+        raise RacinesError(f"{where}: {stated.num_row_groups:,} row groups: at most {MAX_GROUPS:,}")
 
 
 def check_safetensors(content: bytes, where: str) -> None:

@@ -8,7 +8,7 @@ from gradio.context import Context
 from racines_data.schema import SPLITS
 from racines_leaderboard.studio.html import missing
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.tabs import refusing
+from racines_leaderboard.studio.tabs import PRIVATE, refusing
 
 
 def build(place: Place) -> None:
@@ -75,17 +75,16 @@ def _wire(place: Place, filters: list[Any], name: Any, frame: Any, shown: list[A
         )
         return [make(trajectory, frame) for make in makers]
 
-    private: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
     gr.on(
         [each.change for each in filters], refusing(listed), filters, name,
-        api_name="data_listed", **private,
+        api_name="data_listed", **PRIVATE,
     )  # fmt: skip
     page = Context.root_block
     assert page is not None
     # Not at a change of `config`: the name is the old one's until the filters have run.
     triggers = [page.load, name.change]
-    gr.on(triggers, refusing(show), [config, name], shown, api_name="data_show", **private)
+    gr.on(triggers, refusing(show), [config, name], shown, api_name="data_show", **PRIVATE)
     frame.input(
         refusing(move), [config, name, frame], shown[2:], api_name="data_move",
-        trigger_mode="always_last", **private,
+        trigger_mode="always_last", **PRIVATE,
     )  # fmt: skip

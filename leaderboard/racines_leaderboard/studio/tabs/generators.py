@@ -14,13 +14,11 @@ from racines_leaderboard.studio.inputs import whole
 from racines_leaderboard.studio.parts import load_store, trained_generators
 from racines_leaderboard.studio.place import Place
 from racines_leaderboard.studio.side_by_side import CSS, cards_page
-from racines_leaderboard.studio.tabs import refusing
+from racines_leaderboard.studio.tabs import one_at_a_time, refusing
 
 TICKED = 4
 """Generators that are ticked at first: those that lead a board."""
-ONE: dict[str, Any] = {
-    "concurrency_id": "generators", "concurrency_limit": 1, "api_visibility": "private",
-}  # fmt: skip
+ONE = one_at_a_time("generators")
 """One pose after the other, for all visitors."""
 INTRODUCTION = (
     '<p class="rc-note">What each generator draws at a pose, beside the phantom and the nearest '

@@ -20,7 +20,7 @@ from racines_leaderboard.studio.labelling import (
     progress_html,
 )
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.tabs import refusing
+from racines_leaderboard.studio.tabs import PRIVATE, refusing
 
 VIEW_KEYS = "asdfghjkl"
 KEYS = """
@@ -75,11 +75,10 @@ def build(place: Place) -> None:
         code = gr.HTML(elem_id="study-code")
     shown = [sitting, door, desk, progress, image, done, code, view, grade, save, undo]
     _wire(place, fields, start, (save, undo, leave), shown)
-    private: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
     gr.on(
         None,
         refusing(lambda kit: instructions_html(labelling.open_kit(place.kits, kit))),
-        fields[0], instructions, api_name="study_instructions", **private,
+        fields[0], instructions, api_name="study_instructions", **PRIVATE,
     )  # fmt: skip
 
 
@@ -128,11 +127,10 @@ def _wire(place: Place, fields: list[Any], start: Any, buttons: Any, shown: list
             return _shown(None)
         return _shown(labelling.answer(sitting, view, grade))
 
-    private: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
-    start.click(refusing(begin), fields, shown, api_name="study_begin", **private)
-    save.click(refusing(answer), [sitting, view, grade], shown, api_name="study_save", **private)
+    start.click(refusing(begin), fields, shown, api_name="study_begin", **PRIVATE)
+    save.click(refusing(answer), [sitting, view, grade], shown, api_name="study_save", **PRIVATE)
     undo.click(None, None, [view, grade], js="() => [null, null]", api_name="study_undo")
-    leave.click(lambda: _shown(None), None, shown, api_name="study_leave", **private)
+    leave.click(lambda: _shown(None), None, shown, api_name="study_leave", **PRIVATE)
 
 
 def _shown(sitting: Sitting | None) -> list[Any]:
