@@ -1,10 +1,10 @@
 """Recomputed numbers against those of a record, each within what its tier allows.
 
 bitwise     the same libraries, processor, threads, data and weights: every bit
-tolerance   elsewhere: the figures that rank within 0.0004; the others within 0.001 of their
+tolerance   elsewhere: the metrics that rank within 0.0004; the others within 0.001 of their
             size, or two items of n
 half        from half-precision weights: the same, or a quarter of the interval's half-width;
-            of a figure that does not rank, what is off by more but by less than the half-width
+            of a metric that does not rank, what is off by more but by less than the half-width
             cannot be told: other weights draw other images
 """
 
@@ -22,7 +22,7 @@ from racines_leaderboard.records.tracks import TRACK
 
 BITWISE, TOLERANCE = "bitwise", "tolerance"
 PRIMARY = 4e-4
-"""Of the figures that rank, in their own unit: below half of 0.001."""
+"""Of the metrics that rank, in their own unit: below half of 0.001."""
 OTHERS, ITEMS = 1e-3, 2.0
 SHARE = 0.25
 """Of the half-width of an interval, for half-precision weights."""
@@ -35,7 +35,7 @@ def agreement(record: Record, made: dict[str, Any], road: str) -> str:
     """Return how near the numbers must come: `bitwise`, `tolerance` or `half precision`.
 
     The name of a processor does not tell all of it. Where the machines are the same by name and
-    not half of the continuous figures are equal, they are not the same.
+    not half of the continuous metrics are equal, they are not the same.
     """
     if road == HALF:
         return HALF
@@ -109,7 +109,7 @@ def _numbers(
 
 
 def _doubtful(key: str, claimed: dict[str, Any], track: str) -> float:
-    """Return what half-precision weights may move a figure by without a word against it."""
+    """Return what half-precision weights may move a metric by without a word against it."""
     if key in TRACK[track].ranked_by or None in (claimed["low"], claimed["high"]):
         return 0.0
     return (claimed["high"] - claimed["low"]) / 2

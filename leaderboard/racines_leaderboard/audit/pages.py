@@ -22,7 +22,7 @@ SHOWN = 16
 
 
 def rows(report: Report) -> Iterator[Row]:
-    """Give the rows of a report: one a figure that holds, one all that is open for one reason."""
+    """Give the rows of a report: one a metric that holds, one all that is open for one reason."""
     groups: dict[str, list[Verdict]] = {}
     for verdict in report.verdicts:
         groups.setdefault(_group(verdict.subject), []).append(verdict)
@@ -55,7 +55,7 @@ def _group(subject: str) -> str:
 
 
 def _reasons(verdicts: list[Verdict]) -> str:
-    """Return what is told of a figure that holds: how far off it was, where it was."""
+    """Return what is told of a metric that holds: how far off it was, where it was."""
     reasons = [verdict.reason for verdict in verdicts]
     recomputed = [reason for reason in reasons if reason.startswith("recomputed")]
     differing = [reason for reason in recomputed if "equal" not in reason]

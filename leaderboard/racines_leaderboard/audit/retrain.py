@@ -1,7 +1,7 @@
-"""Training again: merged code, by the board's settings; whether its figures hold.
+"""Training again: merged code, by the board's settings; whether its metrics hold.
 
-Another training ends elsewhere, but for the same machine. So a figure holds if the new one lies
-within the old one's 95 % interval. Where all figures that rank hold, the record's tier becomes
+Another training ends elsewhere, but for the same machine. So a metric holds if the new one lies
+within the old one's 95 % interval. Where all metrics that rank hold, the record's tier becomes
 `reproduced`, and what came out is kept in it.
 """
 
@@ -95,7 +95,7 @@ def _train_agent(record: Record, bench: Bench, folder: Path) -> None:
 
 
 def _within(record: Record, made: dict[str, Any], track: Track) -> list[Verdict]:
-    """Return whether each figure that ranks lies in the record's interval; others are told."""
+    """Return whether each metric that ranks lies in the record's interval; others are told."""
     verdicts = []
     for key, claimed in record["scores"]["metrics"].items():
         here, subject = made["metrics"].get(key), f"reproduced.{key}"

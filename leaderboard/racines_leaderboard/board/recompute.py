@@ -71,7 +71,7 @@ def recompute(folder: Path, ground: Ground, results: Path) -> Record:
 
     Raises:
         RacinesError: a submission at fault or without an artefact that can be scored, one made for
-            other data, a file that breaks a limit, or figures that do not belong on the board.
+            other data, a file that breaks a limit, or metrics that do not belong on the board.
     """
     document, scores = recompute_scores(folder, ground)
     return _write(document, scores, ground.board, results)

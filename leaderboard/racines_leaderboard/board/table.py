@@ -36,9 +36,9 @@ class Table:
 def board_tables(
     board: str, content: dict[str, list[Record]], details: bool = False
 ) -> list[Table]:
-    """Return the tables of a board: its tracks (agents by task), then the paper's figures.
+    """Return the tables of a board: its tracks (agents by task), then the paper's metrics.
 
-    With `details`, each table is followed by one of the further figures, in the same order.
+    With `details`, each table is followed by one of the further metrics, in the same order.
     """
     tables = []
     for track in TRACKS:
@@ -79,7 +79,7 @@ def _drawn(title: str, rows: Sequence[Sequence[str]]) -> RichTable:
 
 
 def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
-    """Return ranked results as data: by track, in order, each figure with its interval and n."""
+    """Return ranked results as data: by track, in order, each metric with its interval and n."""
     return {
         track.name: [
             {"rank": ranked.place, "name": ranked.record["name"], "tier": ranked.record["tier"]}
@@ -93,18 +93,18 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
 
 
 def _stacked(text: str) -> str:
-    """Put the interval and n of a figure under it, so that a wide table fits a terminal."""
+    """Put the interval and n of a metric under it, so that a wide table fits a terminal."""
     return text.replace(" (", "\n(").replace(" – ", "–").replace(", n = ", "\nn = ")
 
 
 @functools.cache
 def published() -> dict[str, Any]:
-    """Return the figures of the paper."""
+    """Return the metrics of the paper."""
     return json.loads((resources.files("racines_leaderboard") / "published.json").read_text())
 
 
 def cell(record: Record, column: Column, usual_n: int) -> str:
-    """Return a figure with its 95 % interval; with its n where that is not the row's."""
+    """Return a metric with its 95 % interval; with its n where that is not the row's."""
     metric = metric_of(record, column.key)
     if metric is None:
         return "–"
@@ -139,25 +139,25 @@ def shown_columns(columns: Sequence[Column], ranking: Sequence[Ranked]) -> list[
 
 def _methods(ranking: list[Ranked]) -> str:
     """Say in a few words what each submitted system is."""
-    told = [
+    methods = [
         f"{r.record['name']}, {r.record['submission']['method']}"
         for r in ranking
         if r.record["submission"]
     ]
-    return f"Systems: {'; '.join(told)}." if told else ""
+    return f"Systems: {'; '.join(methods)}." if methods else ""
 
 
 def _experts(ranking: list[Ranked]) -> str:
     """Say what experts agree with, and whose study is left out."""
-    told = []
+    notes = []
     if any("expert" in r.record for r in ranking):
-        told.append(
+        notes.append(
             "Expert: a blinded study of the generator's images, views that agree with the truth of "
             "the pose, and grades that differ from it by at most 1; it does not rank."
         )
     if stale := [r.record["name"] for r in ranking if r.record.get("expert_stale")]:
-        told.append(f"Left out: studies of other weights or data ({', '.join(stale)}).")
-    return " ".join(told)
+        notes.append(f"Left out: studies of other weights or data ({', '.join(stale)}).")
+    return " ".join(notes)
 
 
 def _sees(track: Track, record: Record) -> tuple[str, ...]:
@@ -186,18 +186,20 @@ def _basis(ranking: list[Ranked]) -> str:
 
 def _ceiling(ranking: list[Ranked]) -> str:
     """Say how right the judges are where the images are the true ones."""
-    record, told = ranking[0].record, []
+    record, findings = ranking[0].record, []
     if view := metric_of(record, "view_agreement_truth"):
-        told.append(f"the view agrees in {100 * view['value']:.1f} %")
+        findings.append(f"the view agrees in {100 * view['value']:.1f} %")
     error = [metric_of(record, f"pose_error_{unit}_truth") for unit in ("mm", "deg")]
     if error[0] and error[1]:
         millimetres, degrees = (each["value"] for each in error if each)
-        told.append(f"the pose is read with an error of {millimetres:.1f} mm and {degrees:.1f}°")
-    return f"On the true frames {' and '.join(told)}." if told else ""
+        findings.append(
+            f"the pose is read with an error of {millimetres:.1f} mm and {degrees:.1f}°"
+        )
+    return f"On the true frames {' and '.join(findings)}." if findings else ""
 
 
 def reported_table(track: Track) -> Table:
-    """Return the paper's own figures of a track."""
+    """Return the paper's own metrics of a track."""
     paper = published()
     systems = paper[track.name]
     names = list(dict.fromkeys(name for system in systems for name in system["figures"]))

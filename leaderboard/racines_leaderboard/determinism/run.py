@@ -91,10 +91,10 @@ def _kept(out: Path | None) -> tuple[list[Outcome], float]:
     if out is None or not out.is_file():
         return [], 0.0
     try:
-        told, here = json.loads(out.read_text()), _document([], 0.0)
-        if any(told[key] != here[key] for key in ("schema", "code", "environment")):
+        before, here = json.loads(out.read_text()), _document([], 0.0)
+        if any(before[key] != here[key] for key in ("schema", "code", "environment")):
             return [], 0.0
-        return [Outcome(**each) for each in told["outcomes"]], told["seconds"]
+        return [Outcome(**each) for each in before["outcomes"]], before["seconds"]
     except (ValueError, KeyError, TypeError):
         return [], 0.0  # another file, or of another version: measured again
 
@@ -104,20 +104,22 @@ def compare_stage(stage: Stage, work: Work) -> list[Outcome]:
     first: Arrays | None = None
     outcomes = []
     for name in stage.compared:
-        told, setup = VARIANTS[name]
+        compared, setup = VARIANTS[name]
         began = time.perf_counter()
         if setup.device == "cuda" and not torch.cuda.is_available():
-            outcomes.append(_absent(stage, told, "no CUDA device here"))
+            outcomes.append(_absent(stage, compared, "no CUDA device here"))
             continue
         try:
             if first is None:
                 first = _run(stage, work, FIRST)
             second = _run(stage, work, setup)
         except RacinesError as error:
-            outcomes.append(_absent(stage, told, str(error)))
+            outcomes.append(_absent(stage, compared, str(error)))
             continue
         seconds = round(time.perf_counter() - began, 2)
-        outcomes.append(Outcome(stage.name, told, *differences(first, second), stage.unit, seconds))
+        outcomes.append(
+            Outcome(stage.name, compared, *differences(first, second), stage.unit, seconds)
+        )
     return outcomes
 
 
@@ -126,8 +128,8 @@ def _run(stage: Stage, work: Work, setup: Setup) -> Arrays:
         return {key: value.clone() for key, value in stage.make(work, setup).items()}
 
 
-def _absent(stage: Stage, told: str, reason: str) -> Outcome:
-    return Outcome(stage.name, told, None, None, None, stage.unit, 0.0, reason)
+def _absent(stage: Stage, compared: str, reason: str) -> Outcome:
+    return Outcome(stage.name, compared, None, None, None, stage.unit, 0.0, reason)
 
 
 def differences(first: Arrays, second: Arrays) -> tuple[bool, float, float]:

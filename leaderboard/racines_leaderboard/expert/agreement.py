@@ -1,4 +1,4 @@
-"""The figures of a study: how raters' views and grades agree with a reference, or with each other.
+"""The metrics of a study: how raters' views and grades agree with a reference, or with each other.
 
 The paper counts how often view and grade agree (369 and 350 of 400) and leaves open when two grades
 agree. Here they do when they differ by at most one, as in the scores of the grader; how often they

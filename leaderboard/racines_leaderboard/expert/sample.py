@@ -88,15 +88,15 @@ def make_kit(
     frames = _poses(store, study, max(shares), rng)
     if grader is None and bool((frames.views < 0).all()):
         raise RacinesError("the frames have no view, so there is nothing to agree with: --grader")
-    parts = [Batch(*(column[:share] for column in frames)) for share in shares]
+    batches = [Batch(*(column[:share] for column in frames)) for share in shares]
     drawn = [
-        _images(system, part, study.seed, progress)
-        for system, part in zip(systems, parts, strict=True)
+        _images(system, batch, study.seed, progress)
+        for system, batch in zip(systems, batches, strict=True)
     ]
     answers = [
         answer
-        for system, part, images in zip(systems, parts, drawn, strict=True)
-        for answer in _answers(system, part, images, store, grader)
+        for system, batch, images in zip(systems, batches, drawn, strict=True)
+        for answer in _answers(system, batch, images, store, grader)
     ]
     plan = blind([answer["system"] for answer in answers], study.repeats, rng)
     key = {

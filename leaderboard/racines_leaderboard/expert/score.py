@@ -58,8 +58,8 @@ def score(
         "dataset": key["dataset"],
         "truth": key["truth"],
         "systems": {
-            name: {"weights": key["systems"].get(name, {}).get("weights")} | told
-            for name, told in study.systems(together).items()
+            name: {"weights": key["systems"].get(name, {}).get("weights")} | agreement
+            for name, agreement in study.systems(together).items()
         },
         "grader": key["grader"],
         "raters": [
@@ -94,9 +94,9 @@ class _Study:
         row = {image: i for i, image in enumerate(kit.images)}
         pairs = [(row[e["repeat_of"]], i) for i, e in enumerate(table) if e["repeat_of"]]
         sources = {key["truth"]: "truth", "grader": "grader"}
-        found = {name: _opinion(table, column, kit) for name, column in sources.items()}
-        found = {n: one for n, one in found.items() if n != kind and one.views.max() >= 0}
-        if not found:
+        references = {name: _opinion(table, column, kit) for name, column in sources.items()}
+        references = {n: one for n, one in references.items() if n != kind and one.views.max() >= 0}
+        if not references:
             raise RacinesError(
                 f"the kit holds no opinion but that of the {kind} itself: make it with --grader"
             )
@@ -104,7 +104,7 @@ class _Study:
             np.array([entry["system"] for entry in table]),
             np.unique([entry["trajectory"] for entry in table], return_inverse=True)[1],
             np.array(pairs, np.int64).reshape(-1, 2),
-            found,
+            references,
             len(kit.labels),
             resamples,
         )

@@ -19,9 +19,9 @@ COLUMNS = {
 def show(report: dict[str, Any], console: Console) -> None:
     """Print a report."""
     rows = {
-        (name, reference): told["metrics"]
+        (name, reference): agreement["metrics"]
         for name, system in report["systems"].items()
-        for reference, told in system["references"].items()
+        for reference, agreement in system["references"].items()
     }
     raters = ", ".join(each["rater"] for each in report["raters"])
     _print(console, f"{report['kind']} ({raters})", ("system", "against"), rows)

@@ -1,16 +1,16 @@
-"""The two tracks: which figures they show, in which direction they are good, how they rank."""
+"""The two tracks: which metrics they show, in which direction they are good, how they rank."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Column:
-    """A figure as the tables show it."""
+    """A metric as the tables show it."""
 
     key: str
     label: str
     better: str
-    """`higher`, `lower`, or `none` for a figure that is shown and not judged."""
+    """`higher`, `lower`, or `none` for a metric that is shown and not judged."""
     digits: int = 3
     scale: float = 1.0
     unit: str = ""
@@ -40,7 +40,7 @@ class Track:
     counted: str
     """What n counts."""
     details: tuple[Column, ...] = ()
-    """Further figures, for a second table."""
+    """Further metrics, for a second table."""
 
 
 GENERATORS = Track(

@@ -135,16 +135,16 @@ WIDTH, LETTER, LONGEST = 4.2, 0.075, 30
 
 def tables_html(results: Path, wanted: Selection) -> str:
     """Return the tables of a selection, the paper's figures below them."""
-    track, parts = track_of(wanted), []
+    track, tables = track_of(wanted), []
     for title, ranking in ranked_groups(results, wanted).items():
-        parts.append(table_html(ranked_table(title, track, ranking)))
+        tables.append(table_html(ranked_table(title, track, ranking)))
         if wanted.details and shown_columns(track.details, ranking):
             further = dataclasses.replace(track, columns=track.details)
             detailed = ranked_table(f"{title} · in detail", further, ranking).bare()
-            parts.append(table_html(detailed))
-    if not parts:
+            tables.append(table_html(detailed))
+    if not tables:
         return '<p class="rc-note">No result fits: choose other filters.</p>'
-    return "\n".join([*parts, table_html(reported_table(track), names=False)])
+    return "\n".join([*tables, table_html(reported_table(track), names=False)])
 
 
 def table_html(table: Table, names: bool = True) -> str:
@@ -215,8 +215,8 @@ def _css(head: str) -> str:
 
 
 def _cell(content: str) -> str:
-    found = _INTERVAL.fullmatch(content)
-    if found is None:
+    ranged = _INTERVAL.fullmatch(content)
+    if ranged is None:
         return content
-    below = html.text(f"{found['between']}{found['n'] or ''}")
-    return html.Markup(f'{html.text(found["value"])}<span class="rc-between">{below}</span>')
+    below = html.text(f"{ranged['between']}{ranged['n'] or ''}")
+    return html.Markup(f'{html.text(ranged["value"])}<span class="rc-between">{below}</span>')

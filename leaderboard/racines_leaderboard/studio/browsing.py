@@ -82,8 +82,8 @@ def trajectories(store: FrameStore, split: Any, view: Any) -> list[str]:
     split = choice(split, SPLITS, "split")
     view = choice(view, (ALL, *store.labels), "view")
     low, high = store.bounds(split)
-    found = torch.unique_consecutive(store.trajectory_index[low:high]).tolist()
-    fitting = [i for i in found if view in (ALL, store.target_views[i])]
+    present = torch.unique_consecutive(store.trajectory_index[low:high]).tolist()
+    fitting = [i for i in present if view in (ALL, store.target_views[i])]
     return [store.trajectories[i] for i in fitting[:LISTED]]
 
 

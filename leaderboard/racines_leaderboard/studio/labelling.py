@@ -171,9 +171,9 @@ def image_html(sitting: Sitting) -> str:
 def progress_html(sitting: Sitting) -> str:
     """Return how far a rater is, in words and as a bar."""
     share = 100 * sitting.done / max(sitting.total, 1)
-    told = f"{sitting.done} of {sitting.total} images answered · {sitting.rater}"
+    progress = f"{sitting.done} of {sitting.total} images answered · {sitting.rater}"
     return (
-        f'<div class="rc-note"><p>{text(told)}</p>'
+        f'<div class="rc-note"><p>{text(progress)}</p>'
         f'<div class="rc-bar"><div style="width:{share:.1f}%"></div></div></div>'
     )
 

@@ -11,8 +11,8 @@ SHORT = 16
 
 def provenance_html(record: Record) -> str:
     """Return a record's provenance and its figures as HTML."""
-    told = "".join(f"<dt>{text(name)}</dt><dd>{value}</dd>" for name, value in _facts(record))
-    return f'<div class="rc-facts"><dl>{told}</dl>{_figures(record)}</div>'
+    entries = "".join(f"<dt>{text(name)}</dt><dd>{value}</dd>" for name, value in _facts(record))
+    return f'<div class="rc-facts"><dl>{entries}</dl>{_figures(record)}</div>'
 
 
 def _facts(record: Record) -> list[tuple[str, str]]:
@@ -61,10 +61,10 @@ def _task(task: Any) -> str:
 def _digests(digests: Any) -> str:
     if not isinstance(digests, dict):
         return ""
-    told = (
+    shown = (
         f"{text(name)} <code>{text(str(value)[:SHORT])}…</code>" for name, value in digests.items()
     )
-    return ", ".join(told)
+    return ", ".join(shown)
 
 
 def _pairs(content: dict[str, Any]) -> str:

@@ -198,24 +198,24 @@ def _sketch(image: Image.Image) -> bytes:
 def state_line(scene: Scene) -> str:
     """Return step, refusals, judgement and, where it is shown, the truth."""
     workspace, force = scene.refused
-    parts = [
+    words = [
         f"<b>{text(scene.task)}</b>",
         f"step <b>{scene.step}</b> of {scene.most}",
         f"last: <b>{text(scene.action)}</b>",
         f"refused: <b>{workspace}</b> at the workspace, <b>{force}</b> by force",
     ]
-    parts += [
+    words += [
         f"{text(curve.name)}: p <b>{curve.probabilities[scene.step]:.2f}</b>, "
         f"grade <b>{curve.grades[scene.step]:.1f}</b>"
         for curve in scene.curves
     ]
     if scene.truth is not None:
         truth = scene.truth
-        parts.append(f"true view <b>{text(truth.view)}</b>, grade <b>{truth.grade:.1f}</b>")
-        parts.append(
+        words.append(f"true view <b>{text(truth.view)}</b>, grade <b>{truth.grade:.1f}</b>")
+        words.append(
             f"to the nominal pose <b>{truth.millimetres:.0f} mm</b>, <b>{truth.degrees:.0f}°</b>"
         )
-    return f'<div class="rs-state">{"".join(f"<span>{part}</span>" for part in parts)}</div>'
+    return f'<div class="rs-state">{"".join(f"<span>{word}</span>" for word in words)}</div>'
 
 
 def side_panel(scene: Scene) -> str:

@@ -80,9 +80,9 @@ def sliders(place: Place) -> tuple[Slider, ...]:
     else:
         columns = store.parameters.double().numpy()
         spans = list(zip(np.nanmin(columns, 0), np.nanmax(columns, 0), strict=True))
-    found: dict[str, Any] = dict(zip(PARAMETERS, spans, strict=True))
+    reach: dict[str, Any] = dict(zip(PARAMETERS, spans, strict=True))
     return tuple(
-        _slider(f"{group}_{axis}", unit, scale, step, *found[f"{group}_{axis}"])
+        _slider(f"{group}_{axis}", unit, scale, step, *reach[f"{group}_{axis}"])
         for group, unit, scale, step in GROUPS
         for axis in "xyz"
     )
@@ -193,11 +193,11 @@ def read_parameters(place: Place, values: Sequence[Any]) -> Any:
     all_sliders = sliders(place)
     if len(values) != len(all_sliders):
         raise RacinesError(f"{len(values)} parameters: give {len(all_sliders)}")
-    found = {
+    chosen = {
         slider.name: inputs.number(value, slider.low, slider.high, slider.name) / slider.scale
         for slider, value in zip(all_sliders, values, strict=True)
     }
-    return torch.tensor([[found[name] for name in PARAMETERS]], dtype=torch.float32)
+    return torch.tensor([[chosen[name] for name in PARAMETERS]], dtype=torch.float32)
 
 
 def draw_cards(place: Place, values: Sequence[Any], seed: Any, ticked: Any) -> list[Card]:

@@ -136,23 +136,23 @@ def image_html(trajectory: Trajectory, frame: int) -> str:
     view = store.labels[label] if label >= 0 else "view unknown"
     graded = f"grade {grade:.1f}" if math.isfinite(grade) else "no grade"
     seconds = f", {trajectory.times[frame]:.2f} s" if trajectory.timed else ""
-    told = f"{view}, {graded} · frame {frame + 1} of {trajectory.frames}{seconds}"
+    caption = f"{view}, {graded} · frame {frame + 1} of {trajectory.frames}{seconds}"
     source = store.manifest["source"]
     simulated = "simulated" if source == "phantom" else f"source: {source}"
-    picture = ultrasound(image_png(store.images[row].numpy()), told)
-    return f'{picture}<p class="rc-note">{text(told)} · {text(simulated)}</p>'
+    picture = ultrasound(image_png(store.images[row].numpy()), caption)
+    return f'{picture}<p class="rc-note">{text(caption)} · {text(simulated)}</p>'
 
 
 def facts_html(trajectory: Trajectory) -> str:
     """Return what a trajectory is."""
     seconds = f", {trajectory.times[-1]:.1f} s" if trajectory.timed else ""
     manifest = trajectory.store.manifest
-    told = (
+    facts = (
         f"{trajectory.name}: {trajectory.split} split, aimed at {trajectory.target_view}, session "
         f"{trajectory.session}, {trajectory.frames} frames{seconds}. Data: {manifest['source']} "
         f"{manifest['version']}, digest {manifest['digest'][:12]}."
     )
-    return f'<p class="rc-note">{text(told)}</p>'
+    return f'<p class="rc-note">{text(facts)}</p>'
 
 
 def parameters_html(trajectory: Trajectory, frame: int) -> str:
@@ -172,12 +172,12 @@ def figures_html(trajectory: Trajectory, frame: int) -> str:
     grades, path = _figures(trajectory)
     left = f"{100 * grades.places[frame, 0]:.2f}%"
     cursor = f'<div class="rc-cursor" style="left:{left};top:15%;height:63%"></div>'
-    parts = [f'<div class="rc-over">{element(grades.png, "grade over time")}{cursor}</div>']
+    pictures = [f'<div class="rc-over">{element(grades.png, "grade over time")}{cursor}</div>']
     if path is not None:
         x, y = 100 * path.places[frame]
         dot = f'<div class="rc-dot" style="left:{x:.2f}%;top:{y:.2f}%"></div>'
-        parts.append(f'<div class="rc-over">{element(path.png, "path of the probe")}{dot}</div>')
-    return "".join(parts)
+        pictures.append(f'<div class="rc-over">{element(path.png, "path of the probe")}{dot}</div>')
+    return "".join(pictures)
 
 
 _drawings: Shared[tuple[Marked, Marked | None]] = Shared(64)

@@ -129,11 +129,11 @@ def _bring(path: Path, artefact: dict[str, Any], stage: Path, opener: Opener | N
     if "url" in artefact and not os.path.lexists(path.parent / name):
         if opener is None:
             return False
-        found = fetch(artefact, out, opener)
+        measured = fetch(artefact, out, opener)
     else:
         with opened(path.parent, name, str(path)) as stream, out.open("xb") as file:
-            found = measure(stream, f"{path}: {name}", file)
-    check_measured(artefact, found, str(path))
+            measured = measure(stream, f"{path}: {name}", file)
+    check_measured(artefact, measured, str(path))
     return True
 
 

@@ -15,8 +15,8 @@ def build(place: Place) -> None:
     """Build the tab."""
     from racines_leaderboard.studio import browsing
 
-    found = browsing.configs(place.data)
-    if not found:
+    configs = browsing.configs(place.data)
+    if not configs:
         gr.HTML(
             missing(
                 f"{place.data}: no dataset here. Build one, or fetch one:",
@@ -25,12 +25,12 @@ def build(place: Place) -> None:
             )
         )
         return
-    labels = browsing.opened(place.data, found[0]).labels
+    labels = browsing.opened(place.data, configs[0]).labels
     with gr.Row():
-        config = gr.Radio(found, value=found[0], label="Data", visible=len(found) > 1)
+        config = gr.Radio(configs, value=configs[0], label="Data", visible=len(configs) > 1)
         split = gr.Radio(list(SPLITS), value=SPLITS[0], label="Split", min_width=260)
         view = gr.Dropdown([browsing.ALL, *labels], value=browsing.ALL, label="Aimed at")
-    names = browsing.trajectories(browsing.opened(place.data, found[0]), SPLITS[0], browsing.ALL)
+    names = browsing.trajectories(browsing.opened(place.data, configs[0]), SPLITS[0], browsing.ALL)
     name = gr.Dropdown(names, value=names[0], label="Trajectory", elem_id="data-trajectory")
     facts = gr.HTML(elem_id="data-facts")
     frame = gr.Slider(1, 2, value=1, step=1, label="Frame", elem_id="data-frame")

@@ -48,8 +48,8 @@ HELP = (
 
 def build(place: Place) -> None:
     """Build the tab."""
-    found = labelling.kits(place.kits)
-    if not found:
+    kits = labelling.kits(place.kits)
+    if not kits:
         gr.HTML(
             missing(
                 f"{place.kits}: no kit of images to rate. Draw one:",
@@ -59,7 +59,7 @@ def build(place: Place) -> None:
         return
     sitting = gr.State(None)
     with gr.Column() as door:
-        fields = _door(found)
+        fields = _door(kits)
         instructions = gr.HTML()
         start = gr.Button("Begin or go on", variant="primary", elem_id="study-begin")
     with gr.Column(visible=False) as desk:
@@ -82,9 +82,9 @@ def build(place: Place) -> None:
     )  # fmt: skip
 
 
-def _door(found: list[str]) -> list[Any]:
+def _door(kits: list[str]) -> list[Any]:
     with gr.Row():
-        kit = gr.Dropdown(found, value=found[0], label="Study", min_width=220)
+        kit = gr.Dropdown(kits, value=kits[0], label="Study", min_width=220)
         name = gr.Textbox(
             label="Name", info="A pseudonym: a-z, 0-9 and dashes.", max_length=NAME, max_lines=1,
             elem_id="study-name", min_width=220,

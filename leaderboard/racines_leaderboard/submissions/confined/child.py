@@ -74,8 +74,8 @@ def _allow_seconds(seconds: int) -> None:
 
 def _text(error: BaseException) -> bytes:
     short = isinstance(error, MemoryError) or "alloc" in str(error)
-    told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    return (b"M" if short else b"E") + told[:MAX_TEXT].encode(errors="replace")
+    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return (b"M" if short else b"E") + text[:MAX_TEXT].encode(errors="replace")
 
 
 def _session() -> Callable[[bytes], Run]:
@@ -91,8 +91,8 @@ def _session() -> Callable[[bytes], Run]:
         names = [output.name for output in session.get_outputs()]
 
         def run(payload: bytes) -> bytes:
-            found: list[Any] = list(session.run(names, wire.unpack_arrays(payload)))
-            return wire.pack_arrays(dict(zip(names, found, strict=True)))
+            outputs: list[Any] = list(session.run(names, wire.unpack_arrays(payload)))
+            return wire.pack_arrays(dict(zip(names, outputs, strict=True)))
 
         return run
 
