@@ -45,7 +45,7 @@ def audit(path: Path, bench: Bench, quick: bool = False) -> Report:
             for key, metric in record["scores"]["metrics"].items()
         ]
     else:
-        numbers, how = recompute(record, bench)
+        numbers, how = recomputed(record, bench)
         settled = {each.subject for each in numbers}
         verdicts = [each for each in verdicts if each.subject not in settled] + numbers
     return Report(bench.board, track.name, record["name"], record["tier"], tuple(verdicts), how)
@@ -76,7 +76,7 @@ def peers(path: Path, bench: Bench, track: Track) -> list[Record]:
     return records
 
 
-def recompute(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, Any]]:
+def recomputed(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, Any]]:
     """Recompute the numbers of a record; return a verdict a number, and how it was done."""
     road = find_road(record, bench)
     metrics = record["scores"]["metrics"]

@@ -1,3 +1,4 @@
+import dataclasses
 import io
 import re
 
@@ -9,7 +10,7 @@ from racines_data.errors import RacinesError
 from racines_leaderboard.board.collect import collect, read_board
 from racines_leaderboard.board.pages import BEGIN, END, with_tables, write_page
 from racines_leaderboard.board.table import REPORTED, board_tables, plain, show, titled_markdown
-from tests.leaderboard.conftest import agent_scores, generator_scores
+from tests.leaderboard.conftest import agent_scores, generator_scores, write_submission
 
 
 @pytest.fixture
@@ -67,6 +68,18 @@ def test_further_figures_stand_in_a_table_of_their_own(tmp_path, write_scores):
     assert "0.750" in titled_markdown(further)
     assert "the pose is read with an error of 1.2 mm and 2.5°" in titled_markdown(main)
     assert len(board_tables("b", content)) == 2
+
+
+def test_a_submitters_words_are_text_on_a_page_and_on_a_terminal(tmp_path, write_scores):
+    hostile = "net | x | [y](https://a.b) <img src=z> `code` [red]"
+    write_submission(tmp_path / "s" / "generators" / "net", name="net", method=hostile)
+    collect([write_scores("g", generator_scores("net"))], tmp_path / "r", tmp_path / "s", "b")
+    table = board_tables("b", read_board(tmp_path / "r", "b"))[0]
+    shown = r"net \| x \| \[y\](https://a.b) &lt;img src=z&gt; \`code\` \[red\]"
+    assert f"Systems: net, {shown}." in titled_markdown(table)
+    out = io.StringIO()
+    show(dataclasses.replace(table, title=hostile), Console(file=out, width=200))
+    assert f"Systems: net, {hostile}." in out.getvalue() and hostile in out.getvalue()
 
 
 def test_a_terminal_gets_every_cell(results):
