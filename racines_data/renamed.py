@@ -68,12 +68,20 @@ MOVED = {
         "backends backends_replay=replay_images data_versions exploration forces making "
         "pose_index recorded=recorded_world"
     ),
+    "racines_leaderboard.audit": "audit.compare=numbers audit.figures=metrics",
     "racines_leaderboard.board": "chart collect groups pages rank recompute table",
     "racines_leaderboard.cli": (
         "cli_audit=audit cli_determinism=study.determinism cli_studio=studio cli_submit=submit "
         "commands=board expert.cli=expert"
     ),
+    "racines_leaderboard.expert": "expert.figures=agreement expert.instructions=kit",
     "racines_leaderboard.records": "expert.board=experts expert.names=names schema seal tracks",
+    "racines_leaderboard.studio": (
+        "studio.boards_html=boards studio.browsing_html=trajectory_page "
+        "studio.compare=side_by_side studio.escape=html studio.compare_page=side_by_side "
+        "studio.labelling_html=labelling studio.scene_page=scene "
+        "studio.sweep_figures=trajectory_page studio.watch_page=watching"
+    ),
     "racines_leaderboard.submissions": (
         "artefacts content_checks fetch file_checks intake submission=document "
         "submission_text=text template"

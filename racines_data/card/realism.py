@@ -8,9 +8,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from racines_data.card.tables import number, table
+from racines_data.card.tables import number
 from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM
+from racines_data.tables import markdown_table
 
 SCHEMA = "racines.realism/1"
 _DIGITS = {"kid": 4, "fid": 1, "local_contrast": 2}
@@ -88,7 +89,7 @@ def _figures(content: Mapping[str, Any]) -> str:
     for key, figure in content["figures"].items():
         cells = (_range(figure[side], _DIGITS.get(key, 1)) for side in ("phantom", "real"))
         rows.append((_TITLES.get(key, figure.get("rule", key)), *cells))
-    return table(("figure", "simulated to real", "real to real"), rows, right=1)
+    return markdown_table(("figure", "simulated to real", "real to real"), rows, right=1)
 
 
 def _range(value: Mapping[str, float], digits: int) -> str:
@@ -102,7 +103,7 @@ def _ablation(content: Mapping[str, Any]) -> Iterator[str]:
     if rows:
         yield "What each part of the simulation brings (KID without it, and the change):"
         cells = [(row["name"], number(row["kid"]), _signed(row.get("change"))) for row in rows]
-        yield table(("left out or changed", "KID", "change"), cells, right=1)
+        yield markdown_table(("left out or changed", "KID", "change"), cells, right=1)
 
 
 def _signed(value: float | None) -> str:

@@ -7,6 +7,7 @@ from racines_data.card import tables as card_tables
 from racines_data.card.statistics import has_paper
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels
 from racines_data.sources.card import manifest_card
+from racines_data.tables import Markdown, code, markdown_table
 
 
 def summary(manifest: Mapping[str, Any], origin: str) -> str:
@@ -30,20 +31,20 @@ def contents(manifest: Mapping[str, Any]) -> str:
     """Return versions and digests."""
     rows = [
         ("version", f"{manifest['source']} {manifest['version']}"),
-        ("tag", f"`{manifest.get('tag', '')}`"),
-        ("content digest", f"`{manifest['digest']}`"),
+        ("tag", code(manifest.get("tag", ""))),
+        ("content digest", code(manifest["digest"])),
     ]
     many = manifest.get(MULTI_PHANTOM)
     if many:
-        rows.append((f"content digest of `{MULTI_PHANTOM}`", f"`{many['digest']}`"))
-    rows.append(("recipe digest", f"`{manifest['recipe_digest']}`"))
+        rows.append((Markdown(f"content digest of `{MULTI_PHANTOM}`"), code(many["digest"])))
+    rows.append(("recipe digest", code(manifest["recipe_digest"])))
     annotation = manifest.get("annotation")
     if annotation:
-        rows.append(("annotated by the grader", f"`{annotation.get('grader')}`"))
+        rows.append(("annotated by the grader", code(annotation.get("grader"))))
     return f"""\
 ## Version and digests
 
-{card_tables.table(("", ""), rows)}
+{markdown_table(("", ""), rows)}
 
 The *content* digest is of the pixels, numbers and splits; it is equal for rebuilds on one platform.
 The *recipe* digest is of what they are made from: source, version, settings, seed, inputs. The

@@ -1,11 +1,12 @@
 """Tables of a card in Markdown."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from racines_data.card.statistics import CACTUS_COUNTS, has_paper, unit_of
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels
 from racines_data.schema import SPLITS
+from racines_data.tables import Markdown, code, markdown_table
 from racines_data.views import PAPER_STATISTICS, VIEW_TITLES
 
 COLUMNS = (
@@ -31,14 +32,6 @@ COLUMNS = (
 """Name, type, unit and meaning of the columns of `frames`."""
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[Any]], right: int = 0) -> str:
-    """Return a Markdown table; the columns from `right` on are aligned to the right."""
-    rule = [" --- " if i < right or not right else " ---: " for i in range(len(head))]
-    lines = ["| " + " | ".join(head) + " |", "|" + "|".join(rule) + "|"]
-    lines += ["| " + " | ".join(str(cell) for cell in row) + " |" for row in rows]
-    return "\n".join(lines)
-
-
 def number(value: float, digits: int = 4) -> str:
     """Return a number with a fixed number of digits and a true minus, none before zero."""
     text = f"{value:.{digits}f}"
@@ -48,8 +41,8 @@ def number(value: float, digits: int = 4) -> str:
 def columns_table() -> str:
     """Return the columns of `frames`."""
     names = (", ".join(f"`{name}`" for name in row[0].split(", ")) for row in COLUMNS)
-    rows = ((name, *row[1:]) for name, row in zip(names, COLUMNS, strict=True))
-    return table(("column", "type", "unit", "meaning"), rows)
+    rows = ((Markdown(name), *row[1:]) for name, row in zip(names, COLUMNS, strict=True))
+    return markdown_table(("column", "type", "unit", "meaning"), rows)
 
 
 def splits_table(manifest: Mapping[str, Any]) -> str:
@@ -62,7 +55,7 @@ def splits_table(manifest: Mapping[str, Any]) -> str:
     for split, count in (many or {}).get("splits", {}).items():
         told = f"{count['trajectories']:,} ({count['hearts']} hearts)"
         rows.append((MULTI_PHANTOM, split, told, f"{count['frames']:,}"))
-    return table(("config", "split", "trajectories", "frames"), rows, right=2)
+    return markdown_table(("config", "split", "trajectories", "frames"), rows, right=2)
 
 
 def statistics_table(manifest: Mapping[str, Any]) -> str:
@@ -71,19 +64,18 @@ def statistics_table(manifest: Mapping[str, Any]) -> str:
     kinds = ("minimum", "maximum", "mean", "std")
     if not has_paper(manifest):
         rows = [
-            (f"`{k}`", unit_of(k), *(number(v[kind]) for kind in kinds)) for k, v in ours.items()
+            (code(k), unit_of(k), *(number(v[kind]) for kind in kinds)) for k, v in ours.items()
         ]
-        return table(("parameter", "unit", "min", "max", "mean", "std"), rows, right=2)
+        return markdown_table(("parameter", "unit", "min", "max", "mean", "std"), rows, right=2)
     rows = []
     for name, values in ours.items():
         paper = PAPER_STATISTICS[name]
         pairs = (f"{number(values[kind])} / {number(getattr(paper, kind))}" for kind in kinds)
         shift = number((values["mean"] - paper.mean) / paper.std, 2)
-        rows.append(
-            (f"`{name}`", unit_of(name), *pairs, shift, number(values["std"] / paper.std, 2))
-        )
+        ratio = number(values["std"] / paper.std, 2)
+        rows.append((code(name), unit_of(name), *pairs, shift, ratio))
     head = ("parameter", "unit", "min", "max", "mean", "std", "Δ mean, paper's std", "std ratio")
-    return table(head, rows, right=2)
+    return markdown_table(head, rows, right=2)
 
 
 def classes_table(manifest: Mapping[str, Any]) -> str:
@@ -104,7 +96,7 @@ def classes_table(manifest: Mapping[str, Any]) -> str:
     if any(unknown):
         rows.append(["unknown", *(f"{n:,}" for n in unknown), "", *([""] if cactus else [])])
     head = ("class", *(split for split in SPLITS if split in views), "share")
-    return table((*head, "CACTUS") if cactus else head, rows, right=1)
+    return markdown_table((*head, "CACTUS") if cactus else head, rows, right=1)
 
 
 def grades_table(manifest: Mapping[str, Any]) -> str:
@@ -114,4 +106,4 @@ def grades_table(manifest: Mapping[str, Any]) -> str:
         total = sum(found["counts"])
         if total:
             rows.append((split, *(f"{100.0 * n / total:.1f}" for n in found["counts"])))
-    return table(("grade, %", *(str(grade) for grade in range(11))), rows, right=1)
+    return markdown_table(("grade, %", *(str(grade) for grade in range(11))), rows, right=1)

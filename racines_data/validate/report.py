@@ -1,9 +1,12 @@
 """A validation as people read it: one line a check, and the table beside the paper's."""
 
+from typing import Any
+
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from racines_data.tables import console_table
 from racines_data.validate.run import Check, Validation
 from racines_data.views import PAPER_STATISTICS
 
@@ -27,19 +30,16 @@ def _mark(check: Check) -> tuple[str, str]:
 
 
 def _table(result: Validation) -> Table:
-    table = Table("parameter")
-    for kind in _KINDS:
-        table.add_column(kind, justify="right")
-    if result.verdicts:
-        table.add_column("verdict")
+    rows: list[list[str | Text]] = []
     for name, values in result.statistics.items():
-        row = [f"{getattr(values, kind):.4f}" for kind in _KINDS]
-        if name not in result.verdicts:
-            table.add_row(name, *row)
-            continue
-        faults = result.verdicts[name].faults
-        verdict = Text("; ".join(faults), "red") if faults else Text("holds", "green")
-        table.add_row(name, *row, verdict)
-        paper = (f"{getattr(PAPER_STATISTICS[name], kind):.4f}" for kind in _KINDS)
-        table.add_row("  paper, real", *paper, style="dim")
-    return table
+        rows.append([name, *_numbers(values)])
+        if name in result.verdicts:
+            faults = result.verdicts[name].faults
+            rows[-1].append(Text("; ".join(faults), "red") if faults else Text("holds", "green"))
+            paper = ("  paper, real", *_numbers(PAPER_STATISTICS[name]))
+            rows.append([Text(cell, "dim") for cell in paper])
+    return console_table(("parameter", *_KINDS, *(["verdict"] if result.verdicts else [])), rows)
+
+
+def _numbers(values: Any) -> list[str]:
+    return [f"{getattr(values, kind):.4f}" for kind in _KINDS]

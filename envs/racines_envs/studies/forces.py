@@ -7,11 +7,13 @@ from torch import Tensor
 from racines_data.geometry import parameters_to_pose
 from racines_data.schema import PARAMETERS
 from racines_data.store.frames import FrameStore
+from racines_data.tables import markdown_table
 from racines_envs.worlds.forces import ForceConfig, fit_forces, measured
 from racines_envs.worlds.replay_images import source_phantom
 
 SCHEMA = "racines.forces/1"
 AXES = PARAMETERS[:6]
+KINDS = ("rmse", "mae")
 UNITS = ("N", "N", "N", "N·m", "N·m", "N·m")
 
 
@@ -65,9 +67,9 @@ def _errors(error: Tensor) -> dict[str, dict[str, Any]]:
 def forces_markdown(report: dict[str, Any]) -> str:
     """Return the report as a table: one row an axis, RMSE and MAE of each prediction."""
     errors = report["errors"]
-    head = ["axis", *(f"{name} {kind}" for name in errors for kind in ("RMSE", "MAE"))]
-    lines = ["| " + " | ".join(head) + " |", "| --- " + "| ---: " * (len(head) - 1) + "|"]
-    for axis, unit in zip(AXES, UNITS, strict=True):
-        figures = [f"{errors[name][axis][kind]:.3f}" for name in errors for kind in ("rmse", "mae")]
-        lines.append(f"| {axis}, {unit} | " + " | ".join(figures) + " |")
-    return "\n".join(lines)
+    head = ["axis", *(f"{name} {kind.upper()}" for name in errors for kind in KINDS)]
+    rows = [
+        (f"{axis}, {unit}", *(f"{e[axis][kind]:.3f}" for e in errors.values() for kind in KINDS))
+        for axis, unit in zip(AXES, UNITS, strict=True)
+    ]
+    return markdown_table(head, rows, right=1)

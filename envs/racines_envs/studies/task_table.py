@@ -7,6 +7,7 @@ import torch
 
 from racines_data.geometry import Pose, matrix_to_euler
 from racines_data.phantom.model import Phantom
+from racines_data.tables import code, markdown_table
 from racines_data.views import VIEW_TITLES, organs
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.tasks import TASKS, Task
@@ -39,8 +40,7 @@ def task_table(task: Task, phantom: Phantom) -> str:
         ("terminated", ends),
         ("truncated", f"after {task.max_steps} steps"),
     ]
-    lines = [f"| `{task.id}` | |", "| --- | --- |"]
-    return "\n".join(lines + [f"| {name} | {value} |" for name, value in rows])
+    return markdown_table((code(task.id), ""), rows)
 
 
 def task_tables(anatomy: str, phantom: Phantom) -> str:

@@ -44,7 +44,7 @@ def submission(record: Record, bench: Bench) -> list[Verdict]:
     if held.get("schema") != here["schema"]:
         # Earlier records hold fewer fields; those that both have must agree.
         shared = sorted(set(held) & set(here))
-        held, here = ({key: each[key] for key in shared} for each in (held, here))
+        held, here = ({key: document[key] for key in shared} for document in (held, here))
         reason = f"an earlier format; the fields of both agree by digest: {', '.join(shared)}"
     else:
         reason = "digest of the submission.yaml held in the record, and of the one here"
@@ -57,9 +57,9 @@ def _digest(document: dict[str, Any]) -> str:
 
 def code(record: Record) -> list[Verdict]:
     """Check the version of the code, and whether its commit is part of this checkout's past."""
-    told = record["scores"]["code"]
-    verdicts = [equal("code.version", told["version"], version("racines"), "the package here")]
-    if commit := told.get("commit"):
+    claimed = record["scores"]["code"]
+    verdicts = [equal("code.version", claimed["version"], version("racines"), "the package here")]
+    if commit := claimed.get("commit"):
         verdicts.append(_commit(commit))
     return verdicts
 
@@ -82,18 +82,18 @@ def environment(record: Record) -> list[Verdict]:
     """Say whether the scores were made on a machine like this one."""
     from racines_models import provenance
 
-    told = record["scores"]["environment"]
-    if others := differing(told, provenance.environment()):
+    claimed = record["scores"]["environment"]
+    if others := differing(claimed, provenance.environment()):
         reason = f"made elsewhere ({', '.join(others)} differ): numbers are held within tolerance"
         return [unknown("environment", reason)]
     return [holds("environment", f"as here: {', '.join(MACHINE)}")]
 
 
-def differing(told: dict[str, Any], here: dict[str, Any]) -> list[str]:
+def differing(claimed: dict[str, Any], here: dict[str, Any]) -> list[str]:
     """Return in which of what floating point depends on two environments differ."""
-    versions = [each["python"].split(".")[:2] for each in (told, here)]
-    found = [] if versions[0] == versions[1] else ["python"]
-    return found + [key for key in MACHINE if told.get(key) != here.get(key)]
+    versions = [machine["python"].split(".")[:2] for machine in (claimed, here)]
+    versions_differ = [] if versions[0] == versions[1] else ["python"]
+    return versions_differ + [key for key in MACHINE if claimed.get(key) != here.get(key)]
 
 
 def scores_file(record: Record, bench: Bench) -> list[Verdict]:

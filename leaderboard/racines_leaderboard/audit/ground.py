@@ -14,62 +14,62 @@ from racines_leaderboard.board.collect import Record
 
 def dataset(record: Record, bench: Bench) -> list[Verdict]:
     """Check source, version, digests and sample of the dataset that a generator was scored on."""
-    told, verdicts = record["scores"]["dataset"], []
-    recipe = told["recipe_digest"]
+    claimed, verdicts = record["scores"]["dataset"], []
+    recipe = claimed["recipe_digest"]
     if bench.recipe is None:
         reason = f"no settings of board {bench.board} here that name a recipe: give --params"
         verdicts.append(unknown("dataset.recipe_digest", reason, recipe))
     else:
         reason = "the recipe that the board's settings build"
         verdicts.append(equal("dataset.recipe_digest", recipe, bench.recipe, reason))
-    verdicts.append(equal("dataset.split", told["split"], bench.scores.split, "scores.split"))
+    verdicts.append(equal("dataset.split", claimed["split"], bench.scores.split, "scores.split"))
     store, where = bench.data_for(recipe), bench.places.data
     if store is None:
         reason = f"no dataset of that recipe in {where}"
         keys = ("source", "version", "digest", "sample")
         return verdicts + [
-            unknown(f"dataset.{key}", reason, told[key]) for key in keys if key in told
+            unknown(f"dataset.{key}", reason, claimed[key]) for key in keys if key in claimed
         ]
     here = store.manifest
     reason = f"the manifest of {where}"
     for key in ("source", "version"):
-        verdicts.append(equal(f"dataset.{key}", told[key], here[key], reason))
-    if told["digest"] == here["digest"]:
-        verdicts.append(holds("dataset.digest", reason, told["digest"], here["digest"]))
+        verdicts.append(equal(f"dataset.{key}", claimed[key], here[key], reason))
+    if claimed["digest"] == here["digest"]:
+        verdicts.append(holds("dataset.digest", reason, claimed["digest"], here["digest"]))
     else:
         built = "the same recipe, built elsewhere: a few pixels differ"
-        verdicts.append(unknown("dataset.digest", built, told["digest"], here["digest"]))
-    if "sample" in told:
+        verdicts.append(unknown("dataset.digest", built, claimed["digest"], here["digest"]))
+    if "sample" in claimed:
         reason = f"digest of the rows of {bench.scores.samples:,} frames at most"
-        verdicts.append(equal("dataset.sample", told["sample"], bench.sample.digest, reason))
+        verdicts.append(equal("dataset.sample", claimed["sample"], bench.sample.digest, reason))
     return verdicts
 
 
 def judges(record: Record, bench: Bench, peers: list[Record]) -> list[Verdict]:
     """Check that the extractors are the benchmark's own; where they are not here, the board's."""
     verdicts = []
-    for kind, told in record["scores"].get("extractors", {}).items():
-        subject, sha256 = f"extractors.{kind}", told.get("sha256")
+    for kind, claimed in record["scores"].get("extractors", {}).items():
+        subject, sha256 = f"extractors.{kind}", claimed.get("sha256")
         if kind == "inception":
             reason = "weights, layer, resizer and range here"
-            verdicts.append(equal(subject, told, bench.inception, reason))
+            verdicts.append(equal(subject, claimed, bench.inception, reason))
             continue
         verdict = unknown(subject, "an extractor unknown to this code", sha256)
         if kind in KINDS:
             verdict = _judge(subject, KINDS[kind], sha256, record, bench)
         if verdict.verdict == UNKNOWN:
             others = [peer["scores"].get("extractors", {}).get(kind) for peer in peers]
-            verdict = _of_board(verdict, told, others)
+            verdict = _of_board(verdict, claimed, others)
         verdicts.append(verdict)
     return verdicts
 
 
 def _of_board(
-    verdict: Verdict, told: dict[str, Any], others: list[dict[str, Any] | None]
+    verdict: Verdict, claimed: dict[str, Any], others: list[dict[str, Any] | None]
 ) -> Verdict:
     """Return the verdict on a judge that is not here by those of two or more other rows."""
     named = [other for other in others if other is not None]
-    strangers = [other for other in named if other != told]
+    strangers = [other for other in named if other != claimed]
     if len(named) < 2 or 2 * len(strangers) <= len(named):
         return verdict
     reason = "most rows of the board were judged by another"
@@ -102,15 +102,15 @@ def drawing_seeds(record: Record, bench: Bench) -> list[Verdict]:
         return [unknown("seeds", f"no settings of board {bench.board} here: give --params")]
     from racines_models.scores.scoring import take_turns
 
-    told, runs = record["scores"]["seeds"], record["scores"].get("runs", 1)
+    claimed, runs = record["scores"]["seeds"], record["scores"].get("runs", 1)
     allowed = []
     for stochastic in (True, False):  # what draws the same whatever the seed draws once a run
         stand_in: Any = SimpleNamespace(card=SimpleNamespace(stochastic=stochastic))
         turns = take_turns([stand_in] * runs, bench.scores.seeds)
         allowed.append([seed for _, seed in turns])
     reason = "scores.seeds of the board's settings; without noise the first alone"
-    verdict = holds if told in allowed else fails
-    return [verdict("seeds", reason, told, allowed[0])]
+    verdict = holds if claimed in allowed else fails
+    return [verdict("seeds", reason, claimed, allowed[0])]
 
 
 def task(record: Record, bench: Bench) -> list[Verdict]:
@@ -121,7 +121,7 @@ def task(record: Record, bench: Bench) -> list[Verdict]:
     from racines_envs.evaluation.run import EvaluationConfig
     from racines_envs.worlds.making import find_task, phantom_recipe
 
-    scores, told = record["scores"], record["scores"]["task"]
+    scores, claimed = record["scores"], record["scores"]["task"]
     config = fill(EvaluationConfig, section(bench.settings, "evaluation"), "evaluation")
     phantom = phantom_config(bench.settings)
     verdicts = []
@@ -130,17 +130,17 @@ def task(record: Record, bench: Bench) -> list[Verdict]:
         reason = "the phantom of the board's settings"
         verdicts.append(equal(f"phantom.{key}", value, here.get(key), reason))
     try:
-        defined = json.loads(json.dumps(asdict(find_task(told["view"], phantom))))
+        defined = json.loads(json.dumps(asdict(find_task(claimed["view"], phantom))))
     except RacinesError as error:
-        return [*verdicts, fails("task.view", str(error), told["view"])]
-    if "definition" in told:
-        same = equal("task.definition", told["definition"], defined, "the task as it is here")
+        return [*verdicts, fails("task.view", str(error), claimed["view"])]
+    if "definition" in claimed:
+        same = equal("task.definition", claimed["definition"], defined, "the task as it is here")
         verdicts.append(same)
     for key in ("backend", "reward"):
         reason = f"evaluation.{key} of the board's settings"
-        verdicts.append(equal(f"task.{key}", told[key], getattr(config, key), reason))
+        verdicts.append(equal(f"task.{key}", claimed[key], getattr(config, key), reason))
     starts = {"seeds": list(config.sets), "starts": config.starts}
     reason = "the start sets of the board's settings"
-    verdicts.append(equal("task.start_set", told["start_set"], starts, reason))
+    verdicts.append(equal("task.start_set", claimed["start_set"], starts, reason))
     verdicts.append(equal("seeds", scores["seeds"], list(config.sets), reason))
     return verdicts

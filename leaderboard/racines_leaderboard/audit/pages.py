@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
+from racines_data.tables import console_table, escape, markdown_table
 from racines_leaderboard.audit.verdicts import (
     FAILS,
     HOLDS,
@@ -21,7 +22,7 @@ SHOWN = 16
 
 
 def rows(report: Report) -> Iterator[Row]:
-    """Give the rows of a report: one a figure that holds, one all that is open for one reason."""
+    """Give the rows of a report: one a metric that holds, one all that is open for one reason."""
     groups: dict[str, list[Verdict]] = {}
     for verdict in report.verdicts:
         groups.setdefault(_group(verdict.subject), []).append(verdict)
@@ -54,11 +55,12 @@ def _group(subject: str) -> str:
 
 
 def _reasons(verdicts: list[Verdict]) -> str:
-    """Return what is told of a figure that holds: how far off it was, where it was."""
-    told = [each.reason for each in verdicts]
-    again = [reason for reason in told if reason.startswith("made again")]
-    differing = [reason for reason in again if "equal" not in reason]
-    return (differing or again or told)[0] + (f" ({len(told)} checks)" if len(told) > 1 else "")
+    """Return what is told of a metric that holds: how far off it was, where it was."""
+    reasons = [verdict.reason for verdict in verdicts]
+    recomputed = [reason for reason in reasons if reason.startswith("recomputed")]
+    differing = [reason for reason in recomputed if "equal" not in reason]
+    counted = f" ({len(reasons)} checks)" if len(reasons) > 1 else ""
+    return (differing or recomputed or reasons)[0] + counted
 
 
 def _numbers(verdicts: list[Verdict]) -> tuple[str, str]:
@@ -77,39 +79,35 @@ def _short(value: Any) -> str:
 
 
 def summary(report: Report) -> str:
-    """Return one line: the record, what it comes to, and how its numbers were made again."""
+    """Return one line: the record, what it comes to, and how its numbers were recomputed."""
     counts = [f"{report.count(v)} {v}" for v in (FAILS, UNKNOWN, SKIPPED) if report.count(v)]
-    told = f"{len(report.verdicts)} claims" + "".join(f", {each}" for each in counts)
+    claims = f"{len(report.verdicts)} claims" + "".join(f", {each}" for each in counts)
     verdict = "holds" if report.holds else "DOES NOT HOLD"
     how = report.made_again
-    again = f"; made again from {how['from']}, {how['agreement']}" if "agreement" in how else ""
-    return f"{report.board}/{report.track}/{report.name}: {verdict} ({told}{again})"
+    again = f"; recomputed from {how['from']}, {how['agreement']}" if "agreement" in how else ""
+    return f"{report.board}/{report.track}/{report.name}: {verdict} ({claims}{again})"
 
 
 def show(report: Report, details: bool) -> None:
     """Print a report: all rows with `details`, else those that do not plainly hold."""
-    from rich import box
     from rich.console import Console
-    from rich.table import Table
+    from rich.text import Text
 
     console = Console()
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1))
-    for name in HEAD:
-        table.add_column(name, overflow="fold")
-    for row in rows(report):
-        if details or row[1] in MARKS:
-            table.add_row(*row, style=MARKS.get(row[1]))
+    shown = [
+        [Text(cell, MARKS.get(row[1], "")) for cell in row]
+        for row in rows(report)
+        if details or row[1] in MARKS
+    ]
     console.print(summary(report), style=None if report.holds else "bold red", markup=False)
-    if table.row_count:
-        console.print(table)
+    if shown:
+        console.print(console_table(HEAD, shown, right=None))
 
 
-def markdown(reports: list[Report]) -> str:
+def audit_markdown(reports: list[Report]) -> str:
     """Return reports as a Markdown page."""
     parts = ["# Audit", "", "Research software, not a medical device.", ""]
     for report in reports:
-        told = [HEAD, ("---",) * len(HEAD), *rows(report)]
-        lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in told]
-        parts += [f"## {report.board}/{report.track}/{report.name}", "", summary(report), ""]
-        parts += [*lines, ""]
+        parts += [f"## {report.board}/{report.track}/{report.name}", "", escape(summary(report))]
+        parts += ["", markdown_table(HEAD, rows(report)), ""]
     return "\n".join(parts)

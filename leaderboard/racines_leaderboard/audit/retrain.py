@@ -1,7 +1,7 @@
-"""Training again: merged code, by the board's settings; whether its figures hold.
+"""Training again: merged code, by the board's settings; whether its metrics hold.
 
-Another training ends elsewhere, but for the same machine. So a figure holds if the new one lies
-within the old one's 95 % interval. Where all figures that rank hold, the record's tier becomes
+Another training ends elsewhere, but for the same machine. So a metric holds if the new one lies
+within the old one's 95 % interval. Where all metrics that rank hold, the record's tier becomes
 `reproduced`, and what came out is kept in it.
 """
 
@@ -11,15 +11,15 @@ from typing import Any
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_data.files import write_atomic
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.roads import fitted, score_agent, score_run
 from racines_leaderboard.audit.run import check, peers
 from racines_leaderboard.audit.verdicts import Report, Verdict, fails, holds, unknown
 from racines_leaderboard.audit.weights import named, submitted
-from racines_leaderboard.board.collect import Record, read_record
+from racines_leaderboard.board.collect import Record, basis_of, read_record
+from racines_leaderboard.records.schema import write_record
 from racines_leaderboard.records.seal import sealed
-from racines_leaderboard.records.tracks import TRACKS, Track
+from racines_leaderboard.records.tracks import TRACK, Track
 
 
 def retrain(path: Path, bench: Bench, into: Path) -> Report:
@@ -30,7 +30,7 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
         bench: Its board.
         into: Folder of the runs; one that was killed goes on.
     """
-    track = next(each for each in TRACKS if each.name == path.parent.name)
+    track = TRACK[path.parent.name]
     try:
         record = read_record(path, bench.board, track)
     except RacinesError as error:
@@ -44,11 +44,11 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
     else:
         verdicts.append(unknown("reproduced", reason))
         made = {}
-    told = {}
+    how = {}
     if made:
-        told = {"road": "trained again", "agreement": "interval", "from": "another training"}
+        how = {"road": "trained again", "agreement": "interval", "from": "another training"}
     tier = record["tier"]
-    report = Report(bench.board, track.name, record["name"], tier, tuple(verdicts), told)
+    report = Report(bench.board, track.name, record["name"], tier, tuple(verdicts), how)
     if made and report.holds:
         _write(path, record, made)
     return report
@@ -60,8 +60,7 @@ def _obstacle(record: Record, bench: Bench) -> str | None:
         return "its code is not merged: only its artefacts can be scored again"
     if bench.settings is None:
         return f"no settings of board {bench.board} here: give --params"
-    recipe = (record["scores"].get("dataset") or {}).get("recipe_digest")
-    if record["track"] == "generators" and bench.data_for(recipe) is None:
+    if record["track"] == "generators" and bench.data_for(basis_of(record)) is None:
         return f"no dataset of its recipe in {bench.places.data}"
     return None
 
@@ -96,27 +95,26 @@ def _train_agent(record: Record, bench: Bench, folder: Path) -> None:
 
 
 def _within(record: Record, made: dict[str, Any], track: Track) -> list[Verdict]:
-    """Return whether each figure that ranks lies in the record's interval; others are told."""
+    """Return whether each metric that ranks lies in the record's interval; others are told."""
     verdicts = []
-    for key, told in record["scores"]["metrics"].items():
+    for key, claimed in record["scores"]["metrics"].items():
         here, subject = made["metrics"].get(key), f"reproduced.{key}"
-        if here is None or here["value"] is None or told["low"] is None:
-            verdicts.append(unknown(subject, "no interval, or not made here", told["value"]))
+        if here is None or here["value"] is None or claimed["low"] is None:
+            verdicts.append(unknown(subject, "no interval, or not made here", claimed["value"]))
             continue
-        inside = told["low"] <= here["value"] <= told["high"]
-        reason = f"95 % interval {told['low']:.6g} to {told['high']:.6g}"
+        inside = claimed["low"] <= here["value"] <= claimed["high"]
+        reason = f"95 % interval {claimed['low']:.6g} to {claimed['high']:.6g}"
         if key in track.ranked_by:
             say = holds if inside else fails
-            verdicts.append(say(subject, f"in its {reason}", told["value"], here["value"]))
+            verdicts.append(say(subject, f"in its {reason}", claimed["value"], here["value"]))
         else:
             where = "inside" if inside else "outside"
             reason = f"does not rank: {where} its {reason}"
-            verdicts.append(unknown(subject, reason, told["value"], here["value"]))
+            verdicts.append(unknown(subject, reason, claimed["value"], here["value"]))
     return verdicts
 
 
 def _write(path: Path, record: Record, made: dict[str, Any]) -> None:
     keys = ("seeds", "metrics", "weights", "code", "environment")
-    found = {key: made[key] for key in keys}
-    record = sealed(record | {"tier": "reproduced", "reproduced": found})
-    write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+    reproduced = {key: made[key] for key in keys}
+    write_record(path, sealed(record | {"tier": "reproduced", "reproduced": reproduced}))

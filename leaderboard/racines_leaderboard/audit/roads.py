@@ -1,4 +1,4 @@
-"""How the numbers of a record are made again: from which files, and how near they must come.
+"""How the numbers of a record are recomputed: from which files, and how near they must come.
 
 artefacts       the submitted files, through the confined roads of `racines leaderboard --recompute`
 run             the weights that the record names, in the folder of their run
@@ -20,7 +20,7 @@ from racines_data.errors import RacinesError
 from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.weights import named, published, run_of, submitted
 from racines_leaderboard.board.collect import Record
-from racines_leaderboard.board.recompute import Ground, scores_again
+from racines_leaderboard.board.recompute import Ground, recompute_scores, score_on
 
 HALF = "half precision"
 
@@ -30,12 +30,13 @@ class Road:
     """A way to the numbers."""
 
     name: str
-    told: str
+    source: str
+    """From what, in words."""
     score: Callable[[], dict[str, Any]]
 
 
 def find_road(record: Record, bench: Bench) -> Road | str:
-    """Return the best way to make a record's numbers again, or why there is none."""
+    """Return the best way to recompute a record's numbers, or why there is none."""
     if bench.settings is None:
         return f"no settings of board {bench.board} here: give --params"
     if record["track"] == "agents":
@@ -64,13 +65,13 @@ def ground(record: Record, bench: Bench) -> Ground:
 
 
 def _judge(record: Record, bench: Bench, extractor: str) -> Path | None:
-    told = record["scores"].get("extractors", {}).get(extractor, {})
-    return bench.judge(KINDS[extractor], told.get("sha256"))
+    card = record["scores"].get("extractors", {}).get(extractor, {})
+    return bench.judge(KINDS[extractor], card.get("sha256"))
 
 
 def _artefact(record: Record, bench: Bench, on: Ground) -> Road:
     folder = bench.places.submissions / record["track"] / record["name"]
-    return Road("artefacts", f"the artefacts in {folder}", lambda: scores_again(folder, on)[1])
+    return Road("artefacts", f"the artefacts in {folder}", lambda: recompute_scores(folder, on)[1])
 
 
 def _generator(record: Record, bench: Bench) -> Road | str:
@@ -85,13 +86,13 @@ def _generator(record: Record, bench: Bench) -> Road | str:
         return Road("run", f"the weights in {folder}", lambda: score_run(record, bench, folder))
     trains = "training" in {each.name for each in dataclasses.fields(cls.Config)}
     if not trains:
-        told = "it does not train: fitted again on the data"
-        return Road("fitted", told, lambda: _fitted(record, bench))
+        source = "it does not train: fitted again on the data"
+        return Road("fitted", source, lambda: _fitted(record, bench))
     copies = published(record, bench)
     if copies is not None and set(copies) == set(named(record)):
         copy = bench.places.weights / name
-        told = f"the half-precision copy of the weights, {copy}"
-        return Road(HALF, told, lambda: score_run(record, bench, copy))
+        source = f"the half-precision copy of the weights, {copy}"
+        return Road(HALF, source, lambda: score_run(record, bench, copy))
     return f"no weights of it here: neither {folder} nor a published copy; --retrain trains anew"
 
 
@@ -128,33 +129,24 @@ def fitted(record: Record, bench: Bench, folder: Path | None) -> Iterator[Path]:
 
 def score_run(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
     """Return the scores of the generator in a run's folder, by the judges that a record names."""
-    from racines_models.judges.grader.model import Grader
-    from racines_models.judges.pose.regressor import PoseRegressor
     from racines_models.registry import open_runs, weights_of
-    from racines_models.scores.scoring import score
 
     assert bench.store is not None
-    on, name = ground(record, bench), record["name"]
-    return score(
-        open_runs(name, folder, device="cpu"),
-        bench.store,
-        dataclasses.replace(bench.scores, speed=False),
-        name,
-        grader=None if on.grader is None else Grader.load(on.grader, "cpu"),
-        pose=None if on.pose is None else PoseRegressor.load(on.pose, "cpu"),
-        cache=on.cache,
-    ).content | {"weights": weights_of(name, folder)}
+    name = record["name"]
+    opened = open_runs(name, folder, device="cpu")
+    scores = score_on(ground(record, bench), bench.store, bench.scores, opened, name)
+    return scores | {"weights": weights_of(name, folder)}
 
 
 def _agent(record: Record, bench: Bench) -> Road | str:
-    folder, told = run_of(record, bench), named(record)
+    folder, claimed = run_of(record, bench), named(record)
     if "guide" in record["scores"].get("extractors", {}) and not _judge(record, bench, "guide"):
         return "the grader that it goes by is not here"
-    if not told:
+    if not claimed:
         return Road("no weights", "it learns nothing", lambda: score_agent(record, bench, folder))
     from racines_models.provenance import weights_sha256
 
-    if folder.is_dir() and weights_sha256(folder) == told:
+    if folder.is_dir() and weights_sha256(folder) == claimed:
         return Road("run", f"the policy in {folder}", lambda: score_agent(record, bench, folder))
     return f"no policy of it in {folder}; --retrain trains anew"
 

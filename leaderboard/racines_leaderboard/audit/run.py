@@ -1,13 +1,13 @@
-"""The audit of one record: checks without scoring, then the numbers made again."""
+"""The audit of one record: checks without scoring, then its numbers recomputed."""
 
 import json
 from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.audit import claims, figures, ground, weights
+from racines_leaderboard.audit import claims, ground, metrics, weights
 from racines_leaderboard.audit.bench import Bench
-from racines_leaderboard.audit.compare import agreement, compare
+from racines_leaderboard.audit.numbers import agreement, compare_numbers
 from racines_leaderboard.audit.roads import find_road
 from racines_leaderboard.audit.verdicts import (
     SKIPPED,
@@ -19,7 +19,7 @@ from racines_leaderboard.audit.verdicts import (
     unknown,
 )
 from racines_leaderboard.board.collect import Record, read_record
-from racines_leaderboard.records.tracks import TRACKS, Track
+from racines_leaderboard.records.tracks import TRACK, Track
 
 
 def audit(path: Path, bench: Bench, quick: bool = False) -> Report:
@@ -28,9 +28,9 @@ def audit(path: Path, bench: Bench, quick: bool = False) -> Report:
     Args:
         path: `<results>/<board>/<track>/<name>.json`.
         bench: Its board.
-        quick: Leave out what makes the numbers again.
+        quick: Recompute no number.
     """
-    track = next(each for each in TRACKS if each.name == path.parent.name)
+    track = TRACK[path.parent.name]
     try:
         record = read_record(path, bench.board, track)
     except RacinesError as error:
@@ -38,17 +38,17 @@ def audit(path: Path, bench: Bench, quick: bool = False) -> Report:
         return Report(bench.board, track.name, path.stem, "", verdicts)
     verdicts = [holds("record", "fits its schema, and stands where it says")]
     verdicts += check(record, bench, peers(path, bench, track))
-    told: dict[str, Any] = {}
+    how: dict[str, Any] = {}
     if quick:
         verdicts += [
-            Verdict(f"metrics.{key}", SKIPPED, "--quick makes no number again", metric["value"])
+            Verdict(f"metrics.{key}", SKIPPED, "--quick recomputes no number", metric["value"])
             for key, metric in record["scores"]["metrics"].items()
         ]
     else:
-        again, told = made_again(record, bench)
-        settled = {each.subject for each in again}
-        verdicts = [each for each in verdicts if each.subject not in settled] + again
-    return Report(bench.board, track.name, record["name"], record["tier"], tuple(verdicts), told)
+        numbers, how = recomputed(record, bench)
+        settled = {each.subject for each in numbers}
+        verdicts = [each for each in verdicts if each.subject not in settled] + numbers
+    return Report(bench.board, track.name, record["name"], record["tier"], tuple(verdicts), how)
 
 
 def check(record: Record, bench: Bench, others: list[Record]) -> list[Verdict]:
@@ -61,23 +61,23 @@ def check(record: Record, bench: Bench, others: list[Record]) -> list[Verdict]:
         verdicts += ground.task(record, bench)
     verdicts += ground.judges(record, bench, others)
     verdicts += weights.check_weights(record, bench) + weights.check_content(record, bench)
-    return verdicts + figures.check_figures(record, bench)
+    return verdicts + metrics.check_metrics(record, bench)
 
 
 def peers(path: Path, bench: Bench, track: Track) -> list[Record]:
     """Return the other records of a track, without those that are damaged."""
-    found = []
+    records = []
     for other in sorted(path.parent.glob("*.json")):
         if other != path:
             try:
-                found.append(read_record(other, bench.board, track))
+                records.append(read_record(other, bench.board, track))
             except RacinesError:
                 continue
-    return found
+    return records
 
 
-def made_again(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, Any]]:
-    """Make the numbers of a record again; return a verdict a number, and how it was done."""
+def recomputed(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, Any]]:
+    """Recompute the numbers of a record; return a verdict a number, and how it was done."""
     road = find_road(record, bench)
     metrics = record["scores"]["metrics"]
     if isinstance(road, str):
@@ -85,16 +85,16 @@ def made_again(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, A
     try:
         made = json.loads(json.dumps(road.score()))
     except RacinesError as error:
-        return [fails("metrics", f"made from {road.told}: {error}")], {"road": road.name}
+        return [fails("metrics", f"made from {road.source}: {error}")], {"road": road.name}
     tier = agreement(record, made, road.name)
-    verdicts = compare(record, made, tier)
+    verdicts = compare_numbers(record, made, tier)
     if road.name == "fitted":
         verdicts += [
-            equal(f"weights.{name}", sha256, made["weights"].get(name), road.told)
+            equal(f"weights.{name}", sha256, made["weights"].get(name), road.source)
             for name, sha256 in weights.named(record).items()
         ]
-    told = {"road": road.name, "agreement": tier, "from": road.told}
-    return verdicts, told | {"environment": made["environment"]}
+    how = {"road": road.name, "agreement": tier, "from": road.source}
+    return verdicts, how | {"environment": made["environment"]}
 
 
 def find_records(results: Path, names: list[str], board: str | None) -> list[Path]:
@@ -103,8 +103,7 @@ def find_records(results: Path, names: list[str], board: str | None) -> list[Pat
     Raises:
         RacinesError: a board without results, or a name that no board has.
     """
-    tracks = {track.name for track in TRACKS}
-    paths = [p for p in sorted(results.glob(f"{board or '*'}/*/*.json")) if p.parts[-2] in tracks]
+    paths = [p for p in sorted(results.glob(f"{board or '*'}/*/*.json")) if p.parts[-2] in TRACK]
     if not paths:
         raise RacinesError(f"{results}: no results of {board or 'any board'}")
     for name in names:

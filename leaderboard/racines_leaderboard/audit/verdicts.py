@@ -38,7 +38,7 @@ class Report:
     """The tier that the record says it has."""
     verdicts: tuple[Verdict, ...]
     made_again: dict[str, Any] = field(default_factory=dict)
-    """How the numbers were made again: `road`, `agreement`; empty where they were not."""
+    """How the numbers were recomputed: `road`, `agreement`; empty where they were not."""
 
     @property
     def holds(self) -> bool:
@@ -78,5 +78,5 @@ def equal(subject: str, claimed: Any, found: Any, reason: str) -> Verdict:
 
 def gravest(verdicts: Iterable[Verdict]) -> str:
     """Return the gravest of some verdicts."""
-    found = {each.verdict for each in verdicts}
-    return next(verdict for verdict in VERDICTS if verdict in found)
+    present = {verdict.verdict for verdict in verdicts}
+    return next(verdict for verdict in VERDICTS if verdict in present)

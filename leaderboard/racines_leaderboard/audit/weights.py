@@ -8,14 +8,14 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, unknown
-from racines_leaderboard.board.collect import Record
+from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.submissions.artefacts import files_of, rescored
 
 
 def named(record: Record) -> dict[str, str]:
     """Return the sha256 of each file of weights that a record names."""
-    told = record["scores"]["weights"] or {}
-    return dict(told.get("files", told))
+    weights = record["scores"]["weights"] or {}
+    return dict(weights.get("files", weights))
 
 
 def submitted(record: Record) -> bool:
@@ -32,36 +32,38 @@ def run_of(record: Record, bench: Bench) -> Path:
     if record["track"] == "generators":
         return bench.places.runs / record["name"]
     run, kept = (place / record["name"] for place in (bench.places.agents, bench.places.policies))
-    told = named(record)
-    return kept if told and not _holds(run, told) and _holds(kept, told) else run
+    claimed = named(record)
+    return kept if claimed and not _holds(run, claimed) and _holds(kept, claimed) else run
 
 
-def _holds(folder: Path, told: dict[str, str]) -> bool:
-    files = [(folder / name, sha256) for name, sha256 in told.items()]
+def _holds(folder: Path, claimed: dict[str, str]) -> bool:
+    files = [(folder / name, sha256) for name, sha256 in claimed.items()]
     return all(path.is_file() and sha256_file(path) == sha256 for path, sha256 in files)
 
 
 def check_weights(record: Record, bench: Bench) -> list[Verdict]:
     """Check every file that a record names: an artefact, or weights of merged code."""
-    told = named(record)
-    if not told:
+    claimed = named(record)
+    if not claimed:
         return [holds("weights", "it names none: it learns nothing")]
     if submitted(record):
-        return _artefacts(record, told, bench)
+        return _artefacts(record, claimed, bench)
     return [
-        verdict for name, sha256 in told.items() for verdict in _file(record, name, sha256, bench)
+        verdict
+        for name, sha256 in claimed.items()
+        for verdict in _file(record, name, sha256, bench)
     ]
 
 
-def _artefacts(record: Record, told: dict[str, str], bench: Bench) -> list[Verdict]:
+def _artefacts(record: Record, claimed: dict[str, str], bench: Bench) -> list[Verdict]:
     folder = bench.places.submissions / record["track"] / record["name"]
-    claimed = {each["path"]: each["sha256"] for each in files_of(record["submission"])}
+    handed_in = {file["path"]: file["sha256"] for file in files_of(record["submission"])}
     verdicts = []
-    for name, sha256 in told.items():
+    for name, sha256 in claimed.items():
         subject, path = f"weights.{name}", folder / name
-        if claimed.get(name) != sha256:
+        if handed_in.get(name) != sha256:
             reason = "another than the submission in the record says"
-            verdicts.append(fails(subject, reason, sha256, claimed.get(name)))
+            verdicts.append(fails(subject, reason, sha256, handed_in.get(name)))
         elif path.is_symlink() or not path.is_file():
             verdicts.append(unknown(subject, f"{path} is not here", sha256))
         else:
@@ -76,7 +78,7 @@ def _file(record: Record, name: str, sha256: str, bench: Bench) -> list[Verdict]
         here = sha256_file(path)
         if here == sha256:
             return [holds(subject, f"the file {path}", sha256, here)]
-        if _data_of(path.parent) in (None, _data_of_record(record)):
+        if _data_of(path.parent) in (None, basis_of(record)):
             return [fails(subject, f"the file {path}, trained on these data", sha256, here)]
     copied = published(record, bench)
     if copied is None or name not in copied:
@@ -91,17 +93,17 @@ def published(record: Record, bench: Bench) -> dict[str, Any] | None:
         return None
     content = json.loads(described.read_text())
     data = content.get("data") or content.get("dataset") or {}
-    if data.get("recipe_digest") != _data_of_record(record):
+    if data.get("recipe_digest") != basis_of(record):
         return None
     return content.get("weights_files", {}).get("files")
 
 
-def _published(subject: str, sha256: str, told: dict[str, Any], path: Path) -> list[Verdict]:
+def _published(subject: str, sha256: str, copied: dict[str, Any], path: Path) -> list[Verdict]:
     copy = f"{subject}.half_precision"
     if not path.is_file():
-        return [fails(copy, f"{path} is missing", told["sha256"])]
-    verdicts = [equal(copy, told["sha256"], sha256_file(path), f"the file {path}")]
-    made_of = told.get("made_of")
+        return [fails(copy, f"{path} is missing", copied["sha256"])]
+    verdicts = [equal(copy, copied["sha256"], sha256_file(path), f"the file {path}")]
+    made_of = copied.get("made_of")
     if made_of != sha256 and made_of is not None:
         return [*verdicts, fails(subject, f"{path} was made of other weights", sha256, made_of)]
     reason = f"only their half-precision copy is here, {path}; its scores are held to theirs"
@@ -113,13 +115,8 @@ def _data_of(folder: Path) -> str | None:
         content = json.loads((folder / "config.json").read_text())
     except (OSError, ValueError):
         return None
-    told = content.get("data") or content.get("dataset") or content.get("environment") or {}
-    return (told.get("phantom") or told).get("recipe_digest")
-
-
-def _data_of_record(record: Record) -> str | None:
-    scores = record["scores"]
-    return (scores.get("dataset") or scores.get("phantom") or {}).get("recipe_digest")
+    data = content.get("data") or content.get("dataset") or content.get("environment") or {}
+    return (data.get("phantom") or data).get("recipe_digest")
 
 
 def check_content(record: Record, bench: Bench) -> list[Verdict]:
@@ -146,17 +143,17 @@ def _predictions(subject: str, path: Path, record: Record, bench: Bench) -> list
     store = bench.data_for(dataset["recipe_digest"])
     if store is None:
         return [unknown(f"{subject}.dataset", f"no dataset of its recipe in {bench.places.data}")]
-    told = Predictions(path, store, dataset["split"]).metadata
+    metadata = Predictions(path, store, dataset["split"]).metadata
     reason = "drawn of the frames that the record names"
-    return [equal(f"{subject}.sample", dataset.get("sample"), told["sample"], reason)]
+    return [equal(f"{subject}.sample", dataset.get("sample"), metadata["sample"], reason)]
 
 
 def _trace(subject: str, path: Path, record: Record) -> list[Verdict]:
     from racines_envs.agents.trace_file import read_trace
 
-    told, task = read_trace(path).told, record["scores"]["task"]
+    recorded, task = read_trace(path).told, record["scores"]["task"]
     reason = "recorded on what the record names"
     return [
-        equal(f"{subject}.{key}", task[key], told[key], reason)
+        equal(f"{subject}.{key}", task[key], recorded[key], reason)
         for key in ("start_set", "backend", "reward")
     ]

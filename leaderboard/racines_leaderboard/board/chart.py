@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from racines_data.files import write_atomic
 from racines_leaderboard.board.groups import rankings
-from racines_leaderboard.board.rank import Ranked, Record, figure
+from racines_leaderboard.board.rank import Ranked, Record, metric_of
 from racines_leaderboard.records.tracks import Column, Track
 
 INK = "#1f3a5f"
@@ -19,7 +19,7 @@ PANELS_A_ROW = 5
 def write_chart(path: Path, track: Track, records: list[Record]) -> bool:
     """Draw the results of a track as a PNG file; return False where there is none to draw."""
     ranking = rankings(track, records)
-    columns = [c for c in track.columns if any(figure(r.record, c.key) for r in ranking)]
+    columns = [c for c in track.columns if any(metric_of(r.record, c.key) for r in ranking)]
     if not columns:
         return False
     down = -(-len(columns) // PANELS_A_ROW)
@@ -42,7 +42,7 @@ def write_chart(path: Path, track: Track, records: list[Record]) -> bool:
 def panel(axis: Axes, column: Column, ranking: Sequence[Ranked]) -> None:
     """Draw one figure of N results, a line each, as dots with their 95 % intervals."""
     for row, ranked in enumerate(ranking):
-        metric = figure(ranked.record, column.key)
+        metric = metric_of(ranked.record, column.key)
         if metric is None:
             continue
         value = metric["value"] * column.scale

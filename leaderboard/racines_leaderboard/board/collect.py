@@ -3,18 +3,16 @@
 A board is a folder `results/<board>/{generators,agents}/<name>.json`, one record a system.
 """
 
-import json
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
-from racines_data.files import write_atomic
 from racines_leaderboard.records.experts import FOLDER as EXPERTS
 from racines_leaderboard.records.experts import with_experts
-from racines_leaderboard.records.schema import check, read_json
+from racines_leaderboard.records.schema import check, read_json, write_record
 from racines_leaderboard.records.seal import sealed
-from racines_leaderboard.records.tracks import TRACKS, Track
+from racines_leaderboard.records.tracks import TRACK, TRACKS, Track
 from racines_leaderboard.submissions.document import find_submission
 
 Record = dict[str, Any]
@@ -23,10 +21,8 @@ TRACK_OF = {f"racines.{track.schema}/1": track for track in TRACKS}
 
 def boards(results: Path) -> list[str]:
     """Return the names of the boards that hold a result."""
-    tracks = {track.name for track in TRACKS}
-    return sorted(
-        {path.parts[-3] for path in results.glob("*/*/*.json") if path.parts[-2] in tracks}
-    )
+    paths = results.glob("*/*/*.json")
+    return sorted({path.parts[-3] for path in paths if path.parts[-2] in TRACK})
 
 
 def read_board(results: Path, board: str) -> dict[str, list[Record]]:
@@ -82,8 +78,7 @@ def collect(
             records[place] = _still_reproduced(record, place)
     one_dataset(records, results, board)
     for path, record in records.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+        write_record(path, record)
     return list(records)
 
 

@@ -7,7 +7,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
 from racines_leaderboard.board.chart import write_chart
 from racines_leaderboard.board.collect import boards, read_board
-from racines_leaderboard.board.table import board_tables, markdown
+from racines_leaderboard.board.table import board_tables, titled_markdown
 from racines_leaderboard.records.tracks import TRACKS
 
 BEGIN = "<!-- leaderboard {board}: written by `racines leaderboard --readme` -->"
@@ -24,7 +24,7 @@ artefacts), *reproduced* (trained again).
 def board_markdown(results: Path, board: str, details: bool = False) -> str:
     """Return the tables of a board as Markdown, with `details` also of the further figures."""
     tables = board_tables(board, read_board(results, board), details)
-    return "\n\n".join(markdown(table) for table in tables)
+    return "\n\n".join(titled_markdown(table) for table in tables)
 
 
 def write_page(page: Path, results: Path) -> None:

@@ -1,12 +1,12 @@
 """Ranking the results of one track; what the intervals do not separate shares a rank.
 
-By one figure: the best leads a group of all that follow, as far as their 95 % intervals overlap the
+By one metric: the best leads a group of all that follow, as far as their 95 % intervals overlap the
 leader's; the next one leads the next group. A group shares the mean of the ranks that its members
 would take alone, as in 1.5, 1.5, 3: so the ranks of all add up to the same sum whoever is tied, and
 a tie of others neither helps nor hurts. A leader is what keeps the rule sound. Overlap is not
 transitive, so without one a long chain of neighbours would share a rank with a first and a last
 that are far apart. And groups are runs of the order by value, so a wide interval never overtakes a
-better figure.
+better metric.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from racines_leaderboard.records.tracks import Column, Track
 
 Record = dict[str, Any]
 EXPERT = "expert_"
-"""Begins the keys of figures that an expert study gave."""
+"""Begins the keys of metrics that an expert study gave."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ def is_bound(record: Record) -> bool:
     return record["scores"].get("sees") in ("truth", "nothing")
 
 
-def figure(record: Record, key: str) -> dict[str, Any] | None:
-    """Return a figure of a result, or None where it is absent or has no value.
+def metric_of(record: Record, key: str) -> dict[str, Any] | None:
+    """Return a metric of a result, or None where it is absent or has no value.
 
-    Figures of experts come from a study that was checked, never from the scores of a submission.
+    Metrics of experts come from a study that was checked, never from the scores of a submission.
     """
     source = record.get("expert", {}) if key.startswith(EXPERT) else record["scores"]["metrics"]
     metric = source.get(key)
@@ -43,25 +43,25 @@ def figure(record: Record, key: str) -> dict[str, Any] | None:
 
 
 def rank(track: Track, records: list[Record]) -> list[Ranked]:
-    """Order the results of a track by its rule, best first; tied ones by figure, then by name.
+    """Order the results of a track by its rule, best first; tied ones by metric, then by name.
 
-    Bounds stand among the others by their figures, take no place and tie with nothing.
+    Bounds stand among the others by their metrics, take no place and tie with nothing.
     """
     columns = {column.key: column for column in track.columns}
     deciding = [columns[key] for key in track.ranked_by]
     rivals = [record for record in records if not is_bound(record)]
     keys = (_mean_ranks if track.mean_rank else _ranks_in_turn)(deciding, rivals)
     plain = _plain_keys(track, deciding, records)
-    by_figures = {id(record): key for record, key in zip(records, plain, strict=True)}
+    by_metrics = {id(record): key for record, key in zip(records, plain, strict=True)}
     order = sorted(
-        range(len(rivals)), key=lambda i: (keys[i], by_figures[id(rivals[i])], rivals[i]["name"])
+        range(len(rivals)), key=lambda i: (keys[i], by_metrics[id(rivals[i])], rivals[i]["name"])
     )
     ranking = [Ranked(1 + sum(key < keys[i] for key in keys), rivals[i]) for i in order]
     for bound in sorted((r for r in records if is_bound(r)), key=lambda r: r["name"], reverse=True):
         worse = [
             i
             for i, each in enumerate(ranking)
-            if by_figures[id(each.record)] > by_figures[id(bound)]
+            if by_metrics[id(each.record)] > by_metrics[id(bound)]
         ]
         ranking.insert(worse[0] if worse else len(ranking), Ranked(None, bound))
     return ranking
@@ -74,8 +74,8 @@ def tied(ranking: list[Ranked]) -> set[int]:
 
 
 def _badness(record: Record, column: Column) -> tuple[float, float, float]:
-    """A figure and the better and worse end of its interval: lower is better, infinite missing."""
-    metric = figure(record, column.key)
+    """A metric and the better and worse end of its interval: lower is better, infinite missing."""
+    metric = metric_of(record, column.key)
     if metric is None:
         return float("inf"), float("inf"), float("inf")
     ends = [metric["value"] if metric[key] is None else metric[key] for key in ("low", "high")]
@@ -85,12 +85,12 @@ def _badness(record: Record, column: Column) -> tuple[float, float, float]:
 
 
 def _group_ranks(column: Column, records: list[Record]) -> list[float]:
-    """Return each record's rank by one figure; a group shares the mean of its members' ranks."""
-    figures = [_badness(record, column) for record in records]
+    """Return each record's rank by one metric; a group shares the mean of its members' ranks."""
+    metrics = [_badness(record, column) for record in records]
     groups: list[list[int]] = []
     reach = -float("inf")
-    for i in sorted(range(len(records)), key=lambda i: figures[i][0]):
-        _, best, worst = figures[i]
+    for i in sorted(range(len(records)), key=lambda i: metrics[i][0]):
+        _, best, worst = metrics[i]
         if not groups or best > reach:
             groups.append([])
             reach = worst
@@ -109,7 +109,7 @@ def _mean_ranks(columns: list[Column], records: list[Record]) -> list[tuple[floa
 
 
 def _ranks_in_turn(columns: list[Column], records: list[Record]) -> list[tuple[float, ...]]:
-    """Return ranks by the first figure, then among those tied in it by the next, and so on."""
+    """Return ranks by the first metric, then among those tied in it by the next, and so on."""
     keys: list[tuple[float, ...]] = [()] * len(records)
     for column in columns:
         groups: dict[tuple[float, ...], list[int]] = {}
@@ -125,7 +125,7 @@ def _ranks_in_turn(columns: list[Column], records: list[Record]) -> list[tuple[f
 def _plain_keys(
     track: Track, columns: list[Column], records: list[Record]
 ) -> list[tuple[float, ...]]:
-    """Return the order by the figures alone: within ties, and for bounds."""
+    """Return the order by the metrics alone: within ties, and for bounds."""
     values = [[_badness(record, column)[0] for record in records] for column in columns]
     if not track.mean_rank:
         return list(zip(*values, strict=True))

@@ -1,22 +1,26 @@
-"""Scores made again from a submission's artefacts, by the code of this checkout."""
+"""Scores recomputed from a submission's artefacts, by the code of this checkout."""
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
-from racines_data.files import write_atomic
 from racines_leaderboard.board.collect import Record, one_dataset
-from racines_leaderboard.records.schema import check
+from racines_leaderboard.records.schema import check, write_record
 from racines_leaderboard.records.seal import sealed
-from racines_leaderboard.records.tracks import AGENTS, GENERATORS
+from racines_leaderboard.records.tracks import GENERATORS, TRACK, TRACKS
 from racines_leaderboard.submissions.artefacts import YAML, files_of, rescored
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_leaderboard.submissions.content_checks import check_content
 from racines_leaderboard.submissions.document import find_submission
+
+if TYPE_CHECKING:
+    from racines_data.store.frames import FrameStore
+    from racines_models.scores.scoring import ScoresConfig
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ def find(submissions: Path, name: str) -> Path:
     """
     found = [
         submissions / track.name / name.removeprefix(f"{track.name}/")
-        for track in (GENERATORS, AGENTS)
+        for track in TRACKS
         if "/" not in name.removeprefix(f"{track.name}/")
     ]
     found = [folder for folder in found if (folder / YAML).is_file()]
@@ -67,13 +71,13 @@ def recompute(folder: Path, ground: Ground, results: Path) -> Record:
 
     Raises:
         RacinesError: a submission at fault or without an artefact that can be scored, one made for
-            other data, a file that breaks a limit, or figures that do not belong on the board.
+            other data, a file that breaks a limit, or metrics that do not belong on the board.
     """
-    document, scores = scores_again(folder, ground)
+    document, scores = recompute_scores(folder, ground)
     return _write(document, scores, ground.board, results)
 
 
-def scores_again(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict[str, Any]]:
+def recompute_scores(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return a submission's document, and the scores of its artefact; nothing is written.
 
     Raises:
@@ -99,7 +103,7 @@ def scores_again(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict[str
 
 
 def _write(document: dict[str, Any], scores: dict[str, Any], board: str, results: Path) -> Record:
-    track = GENERATORS if document["track"] == GENERATORS.name else AGENTS
+    track = TRACK[document["track"]]
     record = {
         "schema": "racines.record/1",
         "board": board,
@@ -118,18 +122,18 @@ def _write(document: dict[str, Any], scores: dict[str, Any], board: str, results
     check(record, "record", str(path))
     check(record["scores"], track.schema, f"{path}: scores")
     one_dataset({path: record}, results, board)
-    write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+    write_record(path, record)
     return record
 
 
 def _check_data(document: dict[str, Any], here: dict[str, Any], where: str) -> None:
     """Check that a submission was made for the data that it is to be scored on."""
-    told = document["dataset"]
+    named = document["dataset"]
     digests = {here.get("digest"), here.get("recipe_digest")}
-    if told["digest"] not in digests:
+    if named["digest"] not in digests:
         shown = " or ".join(sorted(str(digest) for digest in digests if digest))
         raise RacinesError(
-            f"{document['name']}: dataset.digest: {told['digest']}; {where} has {shown}: score it "
+            f"{document['name']}: dataset.digest: {named['digest']}; {where} has {shown}: score it "
             "on the data that it names"
         )
 
@@ -140,14 +144,11 @@ def _generator_scores(
     from racines_data.store.frames import open_store
     from racines_leaderboard.submissions.confined.roads import ConfinedGenerator
     from racines_models.exchange.predictions.reader import Predictions
-    from racines_models.judges.grader.model import Grader
-    from racines_models.judges.pose.regressor import PoseRegressor
-    from racines_models.scores.scoring import ScoresConfig, score
+    from racines_models.scores.scoring import ScoresConfig
 
     store = open_store(ground.data)
     _check_data(document, store.manifest, str(ground.data))
     config = fill(ScoresConfig, section(ground.settings, "scores"), "scores")
-    config = dataclasses.replace(config, speed=False)
     opened: list[Any]
     if kind == "predictions":
         opened = [Predictions(path, store, config.split) for path in paths]
@@ -155,17 +156,28 @@ def _generator_scores(
         opened = [ConfinedGenerator(path, ground.limits) for path in paths]
     if ground.grader is not None and not ground.grader.is_dir():
         raise RacinesError(f"{ground.grader}: no grader; run: racines train grader")
-    scores = score(
-        opened,
+    scores = score_on(ground, store, config, opened, document["name"])
+    scores["dataset"]["board"] = ground.board
+    return scores
+
+
+def score_on(
+    ground: Ground, store: "FrameStore", config: "ScoresConfig", sources: Sequence[Any], name: str
+) -> dict[str, Any]:
+    """Return the scores of generators by a ground's judges, without their speed."""
+    from racines_models.judges.grader.model import Grader
+    from racines_models.judges.pose.regressor import PoseRegressor
+    from racines_models.scores.scoring import score
+
+    return score(
+        sources,
         store,
-        config,
-        document["name"],
+        dataclasses.replace(config, speed=False),
+        name,
         grader=None if ground.grader is None else Grader.load(ground.grader, "cpu"),
         pose=None if ground.pose is None else PoseRegressor.load(ground.pose, "cpu"),
         cache=ground.cache,
     ).content
-    scores["dataset"]["board"] = ground.board
-    return scores
 
 
 def _agent_scores(

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any
 
-from rich import box
 from rich.console import Console
 from rich.table import Table as RichTable
 
+from racines_data.tables import console_table, escape, markdown_table
 from racines_leaderboard.board.groups import by_task, rankings
-from racines_leaderboard.board.rank import Ranked, Record, figure, rank, tied
+from racines_leaderboard.board.rank import Ranked, Record, metric_of, rank, tied
 from racines_leaderboard.records.tracks import TRACKS, Column, Track, board_tracks
 
 REPORTED = "reported in the paper, on other data"
@@ -36,9 +36,9 @@ class Table:
 def board_tables(
     board: str, content: dict[str, list[Record]], details: bool = False
 ) -> list[Table]:
-    """Return the tables of a board: its tracks (agents by task), then the paper's figures.
+    """Return the tables of a board: its tracks (agents by task), then the paper's metrics.
 
-    With `details`, each table is followed by one of the further figures, in the same order.
+    With `details`, each table is followed by one of the further metrics, in the same order.
     """
     tables = []
     for track in board_tracks():
@@ -54,11 +54,11 @@ def board_tables(
     return tables
 
 
-def markdown(table: Table) -> str:
+def titled_markdown(table: Table) -> str:
     """Return a table as Markdown: a title in bold, the table, its notes."""
-    rows = [table.head, ("---",) * len(table.head), *table.rows]
-    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
-    return "\n".join([f"**{table.title}**", "", *lines, "", *(f"{n}  " for n in table.notes)])
+    drawn = markdown_table(table.head, table.rows)
+    notes = (f"{escape(note)}  " for note in table.notes)
+    return "\n".join([f"**{escape(table.title)}**", "", drawn, "", *notes])
 
 
 def show(table: Table, console: Console) -> None:
@@ -75,16 +75,11 @@ def show(table: Table, console: Console) -> None:
 
 
 def _drawn(title: str, rows: Sequence[Sequence[str]]) -> RichTable:
-    drawn = RichTable(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=0)
-    for i, name in enumerate(rows[0]):
-        drawn.add_column(name, justify="left" if i < 2 else "right", overflow="fold")
-    for row in rows[1:]:
-        drawn.add_row(*map(_stacked, row))
-    return drawn
+    return console_table(rows[0], (map(_stacked, row) for row in rows[1:]), title, 2, padding=0)
 
 
 def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
-    """Return ranked results as data: by track, in order, each figure with its interval and n."""
+    """Return ranked results as data: by track, in order, each metric with its interval and n."""
     return {
         track.name: [
             {"rank": ranked.place, "name": ranked.record["name"], "tier": ranked.record["tier"]}
@@ -98,19 +93,19 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
 
 
 def _stacked(text: str) -> str:
-    """Put the interval and n of a figure under it, so that a wide table fits a terminal."""
+    """Put the interval and n of a metric under it, so that a wide table fits a terminal."""
     return text.replace(" (", "\n(").replace(" – ", "–").replace(", n = ", "\nn = ")
 
 
 @functools.cache
 def published() -> dict[str, Any]:
-    """Return the figures of the paper."""
+    """Return the metrics of the paper."""
     return json.loads((resources.files("racines_leaderboard") / "published.json").read_text())
 
 
 def cell(record: Record, column: Column, usual_n: int) -> str:
-    """Return a figure with its 95 % interval; with its n where that is not the row's."""
-    metric = shown_figure(record, column)
+    """Return a metric with its 95 % interval; with its n where that is not the row's."""
+    metric = metric_of(record, column.key)
     if metric is None:
         return "–"
     text = _number(metric["value"], column)
@@ -137,37 +132,37 @@ def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     return Table(title, head, tuple(rows), tuple(filter(None, notes)))
 
 
-def shown_figure(record: Record, column: Column) -> dict[str, Any] | None:
+def shown_metric(record: Record, column: Column) -> dict[str, Any] | None:
     """Return what a column shows of a result, or None where there is nothing."""
-    return figure(record, column.key) if column.value is None else column.value(record)
+    return metric_of(record, column.key) if column.value is None else column.value(record)
 
 
 def shown_columns(columns: Sequence[Column], ranking: Sequence[Ranked]) -> list[Column]:
     """Return the columns that any of the results fills."""
-    return [c for c in columns if any(shown_figure(r.record, c) for r in ranking)]
+    return [c for c in columns if any(shown_metric(r.record, c) for r in ranking)]
 
 
 def _methods(ranking: list[Ranked]) -> str:
     """Say in a few words what each submitted system is."""
-    told = [
+    methods = [
         f"{r.record['name']}, {r.record['submission']['method']}"
         for r in ranking
         if r.record["submission"]
     ]
-    return f"Systems: {'; '.join(told)}." if told else ""
+    return f"Systems: {'; '.join(methods)}." if methods else ""
 
 
 def _experts(ranking: list[Ranked]) -> str:
     """Say what experts agree with, and whose study is left out."""
-    told = []
+    notes = []
     if any("expert" in r.record for r in ranking):
-        told.append(
+        notes.append(
             "Expert: a blinded study of the generator's images, views that agree with the truth of "
             "the pose, and grades that differ from it by at most 1; it does not rank."
         )
     if stale := [r.record["name"] for r in ranking if r.record.get("expert_stale")]:
-        told.append(f"Left out: studies of other weights or data ({', '.join(stale)}).")
-    return " ".join(told)
+        notes.append(f"Left out: studies of other weights or data ({', '.join(stale)}).")
+    return " ".join(notes)
 
 
 def _sees(track: Track, record: Record) -> tuple[str, ...]:
@@ -179,7 +174,7 @@ def _sees(track: Track, record: Record) -> tuple[str, ...]:
 
 
 def _usual_n(record: Record, columns: list[Column]) -> int:
-    counts = [m["n"] for c in columns if (m := shown_figure(record, c))]
+    counts = [m["n"] for c in columns if (m := shown_metric(record, c))]
     return max(counts, key=counts.count) if counts else 0
 
 
@@ -196,18 +191,20 @@ def _basis(ranking: list[Ranked]) -> str:
 
 def _ceiling(ranking: list[Ranked]) -> str:
     """Say how right the judges are where the images are the true ones."""
-    record, told = ranking[0].record, []
-    if view := figure(record, "view_agreement_truth"):
-        told.append(f"the view agrees in {100 * view['value']:.1f} %")
-    error = [figure(record, f"pose_error_{unit}_truth") for unit in ("mm", "deg")]
+    record, findings = ranking[0].record, []
+    if view := metric_of(record, "view_agreement_truth"):
+        findings.append(f"the view agrees in {100 * view['value']:.1f} %")
+    error = [metric_of(record, f"pose_error_{unit}_truth") for unit in ("mm", "deg")]
     if error[0] and error[1]:
         millimetres, degrees = (each["value"] for each in error if each)
-        told.append(f"the pose is read with an error of {millimetres:.1f} mm and {degrees:.1f}°")
-    return f"On the true frames {' and '.join(told)}." if told else ""
+        findings.append(
+            f"the pose is read with an error of {millimetres:.1f} mm and {degrees:.1f}°"
+        )
+    return f"On the true frames {' and '.join(findings)}." if findings else ""
 
 
 def reported_table(track: Track) -> Table:
-    """Return the paper's own figures of a track."""
+    """Return the paper's own metrics of a track."""
     paper = published()
     systems = paper[track.name]
     names = list(dict.fromkeys(name for system in systems for name in system["figures"]))

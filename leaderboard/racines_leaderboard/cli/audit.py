@@ -107,12 +107,12 @@ def _document(reports: list["Report"]) -> dict[str, Any]:
 
 def _write(out: Path, document: dict[str, Any], reports: list["Report"]) -> None:
     from racines_data.files import write_atomic, write_json
-    from racines_leaderboard.audit.pages import markdown
+    from racines_leaderboard.audit.pages import audit_markdown
 
     if out.suffix == ".json":
         write_json(out, document)
     else:
-        write_atomic(out, markdown(reports))
+        write_atomic(out, audit_markdown(reports))
 
 
 def _seal(path: Path) -> None:

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
+from racines_data.tables import markdown_table
 from racines_leaderboard.determinism.setup import Arrays, Setup, Stage, Work, threads
 from racines_leaderboard.determinism.stages import stages
 
@@ -90,10 +91,10 @@ def _kept(out: Path | None) -> tuple[list[Outcome], float]:
     if out is None or not out.is_file():
         return [], 0.0
     try:
-        told, here = json.loads(out.read_text()), _document([], 0.0)
-        if any(told[key] != here[key] for key in ("schema", "code", "environment")):
+        before, here = json.loads(out.read_text()), _document([], 0.0)
+        if any(before[key] != here[key] for key in ("schema", "code", "environment")):
             return [], 0.0
-        return [Outcome(**each) for each in told["outcomes"]], told["seconds"]
+        return [Outcome(**each) for each in before["outcomes"]], before["seconds"]
     except (ValueError, KeyError, TypeError):
         return [], 0.0  # another file, or of another version: measured again
 
@@ -103,20 +104,22 @@ def compare_stage(stage: Stage, work: Work) -> list[Outcome]:
     first: Arrays | None = None
     outcomes = []
     for name in stage.compared:
-        told, setup = VARIANTS[name]
+        compared, setup = VARIANTS[name]
         began = time.perf_counter()
         if setup.device == "cuda" and not torch.cuda.is_available():
-            outcomes.append(_absent(stage, told, "no CUDA device here"))
+            outcomes.append(_absent(stage, compared, "no CUDA device here"))
             continue
         try:
             if first is None:
                 first = _run(stage, work, FIRST)
             second = _run(stage, work, setup)
         except RacinesError as error:
-            outcomes.append(_absent(stage, told, str(error)))
+            outcomes.append(_absent(stage, compared, str(error)))
             continue
         seconds = round(time.perf_counter() - began, 2)
-        outcomes.append(Outcome(stage.name, told, *differences(first, second), stage.unit, seconds))
+        outcomes.append(
+            Outcome(stage.name, compared, *differences(first, second), stage.unit, seconds)
+        )
     return outcomes
 
 
@@ -125,8 +128,8 @@ def _run(stage: Stage, work: Work, setup: Setup) -> Arrays:
         return {key: value.clone() for key, value in stage.make(work, setup).items()}
 
 
-def _absent(stage: Stage, told: str, reason: str) -> Outcome:
-    return Outcome(stage.name, told, None, None, None, stage.unit, 0.0, reason)
+def _absent(stage: Stage, compared: str, reason: str) -> Outcome:
+    return Outcome(stage.name, compared, None, None, None, stage.unit, 0.0, reason)
 
 
 def differences(first: Arrays, second: Arrays) -> tuple[bool, float, float]:
@@ -149,12 +152,8 @@ def differences(first: Arrays, second: Arrays) -> tuple[bool, float, float]:
 def _gap(a: Tensor, b: Tensor) -> Tensor:
     """Absolute differences; NaN in both is none, NaN in one is infinite."""
     a, b = a.double(), b.double()
-    gap = (a - b).abs()
-    gap[a == b] = 0.0  # infinities
-    both = a.isnan() & b.isnan()
-    gap[both] = 0.0
-    gap[(a.isnan() ^ b.isnan())] = float("inf")
-    return gap
+    same = (a == b) | (a.isnan() & b.isnan())  # two infinities are equal
+    return (a - b).abs().nan_to_num(nan=torch.inf, posinf=torch.inf).masked_fill(same, 0.0)
 
 
 def _document(outcomes: list[Outcome], seconds: float) -> dict[str, Any]:
@@ -169,23 +168,19 @@ def _document(outcomes: list[Outcome], seconds: float) -> dict[str, Any]:
     }
 
 
-def markdown(document: dict[str, Any]) -> str:
+def determinism_markdown(document: dict[str, Any]) -> str:
     """Return a report as Markdown: a row a stage, a column a way."""
     ways = list(dict.fromkeys(each["compared"] for each in document["outcomes"]))
     rows: dict[str, dict[str, str]] = {}
     for each in document["outcomes"]:
         rows.setdefault(each["stage"], {})[each["compared"]] = cell(each)
     here = document["environment"]
-    lines = [
-        f"| stage | {' | '.join(ways)} |",
-        f"| --- |{' --- |' * len(ways)}",
-        *(
-            f"| {stage} | {' | '.join(told.get(way, '') for way in ways)} |"
-            for stage, told in rows.items()
-        ),
-    ]
+    table = markdown_table(
+        ("stage", *ways),
+        ((stage, *(cells.get(way, "") for way in ways)) for stage, cells in rows.items()),
+    )
     about = f"torch {here['torch']}, {here['cpu']}, {here['platform']}"
-    return "\n".join([*lines, "", f"{about}. {document['seconds']:.0f} s.", ""])
+    return "\n".join([table, "", f"{about}. {document['seconds']:.0f} s.", ""])
 
 
 def cell(outcome: dict[str, Any]) -> str:

@@ -140,5 +140,5 @@ def threads(count: int) -> Iterator[None]:
 
 def in_batches(make: Callable[[slice], Tensor], batch: int, count: int = POSES) -> Tensor:
     """Return what `make` gives of `count` rows, asked for `batch` rows at a time."""
-    parts = [make(slice(start, start + batch)).cpu() for start in range(0, count, batch)]
-    return torch.cat(parts)
+    batches = [make(slice(start, start + batch)).cpu() for start in range(0, count, batch)]
+    return torch.cat(batches)

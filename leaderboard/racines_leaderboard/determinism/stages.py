@@ -28,11 +28,11 @@ def stages() -> list[Stage]:
         Stage("grader, reading", "probability", grader, ("again", "threads", "batch", "cuda")),
     ]
     for name in generator_names():
-        told = (f"{name}, training", f"{name}, drawing", f"{name}, ONNX")
-        made.append(Stage(told[0], "weights", _training(name), ("again", "threads", "cuda")))
+        names = (f"{name}, training", f"{name}, drawing", f"{name}, ONNX")
+        made.append(Stage(names[0], "weights", _training(name), ("again", "threads", "cuda")))
         drawn = ("again", "threads", "batch", "cuda")
-        made.append(Stage(told[1], GRAY, _drawing(name), drawn))
-        made.append(Stage(told[2], GRAY, _drawing(name), ("onnx",)))
+        made.append(Stage(names[1], GRAY, _drawing(name), drawn))
+        made.append(Stage(names[2], GRAY, _drawing(name), ("onnx",)))
     return [
         *made,
         Stage("scores", "figures", scores, ("again", "threads")),
@@ -138,15 +138,15 @@ def rollouts(work: Work, setup: Setup) -> Arrays:
     from racines_envs.worlds.making import make_core
 
     seeds, size = evaluation_seeds(STARTS, 0), min(setup.batch, STARTS)
-    parts: dict[str, list[Tensor]] = {}
+    finals: dict[str, list[Tensor]] = {}
     for part in seeds.split(size):
         core = make_core(
             "SC", len(part), observation="params", reward="oracle", device=setup.device
         )
         episodes = rollout(core, PlannerAgent(), part.to(core.device))
         for key, values in episodes.final.items():
-            parts.setdefault(key, []).append(torch.as_tensor(values, dtype=torch.float64))
-    return {key: torch.cat(values) for key, values in parts.items()}
+            finals.setdefault(key, []).append(torch.as_tensor(values, dtype=torch.float64))
+    return {key: torch.cat(values) for key, values in finals.items()}
 
 
 def ppo(work: Work, setup: Setup) -> Arrays:

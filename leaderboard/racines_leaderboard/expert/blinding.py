@@ -32,11 +32,11 @@ class Plan:
     def named(self, answers: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
         """Return the answer to each name, in order, with the name that it repeats."""
         images = len(answers)
-        told = {}
+        named = {}
         for place, (entry, name) in enumerate(zip(self.entries, self.names, strict=True)):
             first = self.names[entry] if place >= images else None
-            told[name] = answers[entry] | {"repeat_of": first}
-        return dict(sorted(told.items()))
+            named[name] = answers[entry] | {"repeat_of": first}
+        return dict(sorted(named.items()))
 
 
 def blind(systems: Sequence[str], repeats: int, rng: np.random.Generator) -> Plan:
@@ -45,11 +45,11 @@ def blind(systems: Sequence[str], repeats: int, rng: np.random.Generator) -> Pla
     `repeats` is at most half of the images.
     """
     names = np.array(systems)
-    found, counts = np.unique(names, return_counts=True)
+    present, counts = np.unique(names, return_counts=True)
     again = np.concatenate(
         [
             rng.permutation(np.flatnonzero(names == system))[:share]
-            for system, share in zip(found, allocate(repeats, counts), strict=True)
+            for system, share in zip(present, allocate(repeats, counts), strict=True)
         ]
     )
     total = len(names) + repeats

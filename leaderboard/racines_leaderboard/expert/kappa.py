@@ -22,9 +22,9 @@ def kappa(counts: np.ndarray, cost: np.ndarray) -> np.ndarray:
     `cost` is the (K, K) disagreement of each pair of answers, 0 on the diagonal.
     """
     rows, columns = counts.sum(-1), counts.sum(-2)
-    found = (counts * cost).sum((-2, -1)) * counts.sum((-2, -1))
+    observed = (counts * cost).sum((-2, -1)) * counts.sum((-2, -1))
     chance = np.einsum("...i,ij,...j->...", rows, cost, columns)
-    return 1.0 - np.divide(found, chance, out=np.full(chance.shape, np.nan), where=chance > 0)
+    return 1.0 - np.divide(observed, chance, out=np.full(chance.shape, np.nan), where=chance > 0)
 
 
 def nominal(size: int) -> np.ndarray:
@@ -60,7 +60,7 @@ def confusion(
     return counts.reshape(raters, count, size, size)
 
 
-def kappa_figure(
+def kappa_metric(
     counts: np.ndarray, cost: np.ndarray, rule: str, resamples: int = 1000, seed: int = 0
 ) -> dict[str, Any]:
     """Return the mean of R raters' kappas with an interval by trajectory.
@@ -68,7 +68,7 @@ def kappa_figure(
     Args:
         counts: (R, C, K, K) counts by rater and trajectory.
         cost: (K, K) disagreement of each pair of answers.
-        rule: What the figure is, for its settings.
+        rule: What the metric is, for its settings.
         resamples: Bootstrap resamples.
         seed: Of the resamples.
     """
@@ -78,16 +78,16 @@ def kappa_figure(
     settings = {"rule": rule, "trajectories": clusters}
     value = _mean(kappa(seen.sum(1), cost))
 
-    def told(weights: np.ndarray) -> np.ndarray:
+    def statistic(weights: np.ndarray) -> np.ndarray:
         return kappa(np.einsum("bc,rckl->brkl", weights, seen, optimize=True), cost).mean(1)
 
     counted = clusters if value is not None else 0
-    low, high, method = _interval(told, counted, resamples, seed)
+    low, high, method = _interval(statistic, counted, resamples, seed)
     settings |= {"interval": method}
     return {"value": value, "low": low, "high": high, "n": n, "settings": settings}
 
 
-def fleiss_figure(
+def fleiss_metric(
     views: np.ndarray, groups: np.ndarray, size: int, resamples: int = 1000, seed: int = 0
 ) -> dict[str, Any]:
     """Return Fleiss' kappa of (R, n) views over the images that all R raters answered."""
@@ -98,13 +98,13 @@ def fleiss_figure(
     votes = torch.from_numpy((views[:, complete, None] == np.arange(size)).sum(0))
     unique, cluster = np.unique(groups[complete], return_inverse=True)
 
-    def told(weights: np.ndarray) -> np.ndarray:
+    def statistic(weights: np.ndarray) -> np.ndarray:
         rows = [torch.from_numpy(np.repeat(np.arange(len(votes)), w[cluster])) for w in weights]
         return np.array([float(fleiss_kappa(votes[row], mode="counts")) for row in rows])
 
-    value = _mean(told(np.ones((1, len(unique)), np.int64))) if len(votes) else None
+    value = _mean(statistic(np.ones((1, len(unique)), np.int64))) if len(votes) else None
     clusters = len(unique) if value is not None else 0
-    low, high, method = _interval(told, clusters, resamples, seed)
+    low, high, method = _interval(statistic, clusters, resamples, seed)
     settings = {"rule": "Fleiss' kappa of the views", "library": "torchmetrics", "interval": method}
     return {"value": value, "low": low, "high": high, "n": len(votes), "settings": settings}
 

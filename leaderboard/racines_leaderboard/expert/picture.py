@@ -31,10 +31,10 @@ def draw(report: dict[str, Any]) -> Figure:
     rows = figure.subplots(len(references), 3, squeeze=False, width_ratios=(1.0, 1.25, 1.0))
     rater = RATERS.get(report["kind"], f"{report['kind']} as rater")
     for (left, middle, right), name in zip(rows, references, strict=True):
-        told = report["systems"][OVERALL]["references"][name]
+        agreement = report["systems"][OVERALL]["references"][name]
         labels, reference = report["kit"]["labels"], TITLES[name]
-        _matrix(left, told["confusion"]["views"], labels, f"Views, {OVERALL}", True)
-        grades = told["confusion"]["grades"]
+        _matrix(left, agreement["confusion"]["views"], labels, f"Views, {OVERALL}", True)
+        grades = agreement["confusion"]["grades"]
         _matrix(middle, grades, [*map(str, range(len(grades)))], f"Grades, {OVERALL}", False)
         for axes in (left, middle):
             axes.set_xlabel(rater)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.expert.figures import round_half_up
+from racines_leaderboard.expert.agreement import round_half_up
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.expert.session import Session
 

@@ -146,10 +146,10 @@ def _record(line: bytes, kit: Kit) -> tuple[dict[str, Any], str | None]:
         record = json.loads(line)
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         return {}, f"not JSON: {error}"
-    found = best_match(validator("expert-rating").iter_errors(record))
-    if isinstance(found, ValidationError):
-        field = ".".join(map(str, found.absolute_path))
-        return record, f"{field}: {found.message}" if field else found.message
+    error = best_match(validator("expert-rating").iter_errors(record))
+    if isinstance(error, ValidationError):
+        field = ".".join(map(str, error.absolute_path))
+        return record, f"{field}: {error.message}" if field else error.message
     if not math.isfinite(record["seconds"] or 0.0):
         return record, f"seconds: {record['seconds']}: give a time, or null"
     if record["kit"] != kit.digest:

@@ -17,8 +17,15 @@ from racines_data.files import sha256_file, write_json
 from racines_data.imaging import ImageSource
 from racines_data.store.frames import Batch, FrameStore
 from racines_leaderboard.expert.blinding import Plan, blind, write_images
-from racines_leaderboard.expert.instructions import described
-from racines_leaderboard.expert.kit import IMAGES, KEY, KIT, Kit, digest_of, images_sha256
+from racines_leaderboard.expert.kit import (
+    IMAGES,
+    KEY,
+    KIT,
+    Kit,
+    described,
+    digest_of,
+    images_sha256,
+)
 from racines_leaderboard.expert.strata import stratify
 from racines_leaderboard.records.names import TRUE_FRAMES
 from racines_leaderboard.records.schema import check
@@ -81,15 +88,15 @@ def make_kit(
     frames = _poses(store, study, max(shares), rng)
     if grader is None and bool((frames.views < 0).all()):
         raise RacinesError("the frames have no view, so there is nothing to agree with: --grader")
-    parts = [Batch(*(column[:share] for column in frames)) for share in shares]
+    batches = [Batch(*(column[:share] for column in frames)) for share in shares]
     drawn = [
-        _images(system, part, study.seed, progress)
-        for system, part in zip(systems, parts, strict=True)
+        _images(system, batch, study.seed, progress)
+        for system, batch in zip(systems, batches, strict=True)
     ]
     answers = [
         answer
-        for system, part, images in zip(systems, parts, drawn, strict=True)
-        for answer in _answers(system, part, images, store, grader)
+        for system, batch, images in zip(systems, batches, drawn, strict=True)
+        for answer in _answers(system, batch, images, store, grader)
     ]
     plan = blind([answer["system"] for answer in answers], study.repeats, rng)
     key = {

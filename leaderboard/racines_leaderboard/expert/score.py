@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.expert.figures import Answers, compare
-from racines_leaderboard.expert.kappa import fleiss_figure
+from racines_leaderboard.expert.agreement import Answers, agreement
+from racines_leaderboard.expert.kappa import fleiss_metric
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.expert.ratings import Ratings
 from racines_leaderboard.records.names import EXPERT, OVERALL, TRUE_FRAMES
@@ -58,8 +58,8 @@ def score(
         "dataset": key["dataset"],
         "truth": key["truth"],
         "systems": {
-            name: {"weights": key["systems"].get(name, {}).get("weights")} | told
-            for name, told in study.systems(together).items()
+            name: {"weights": key["systems"].get(name, {}).get("weights")} | agreement
+            for name, agreement in study.systems(together).items()
         },
         "grader": key["grader"],
         "raters": [
@@ -94,9 +94,9 @@ class _Study:
         row = {image: i for i, image in enumerate(kit.images)}
         pairs = [(row[e["repeat_of"]], i) for i, e in enumerate(table) if e["repeat_of"]]
         sources = {key["truth"]: "truth", "grader": "grader"}
-        found = {name: _opinion(table, column, kit) for name, column in sources.items()}
-        found = {n: one for n, one in found.items() if n != kind and one.views.max() >= 0}
-        if not found:
+        references = {name: _opinion(table, column, kit) for name, column in sources.items()}
+        references = {n: one for n, one in references.items() if n != kind and one.views.max() >= 0}
+        if not references:
             raise RacinesError(
                 f"the kit holds no opinion but that of the {kind} itself: make it with --grader"
             )
@@ -104,7 +104,7 @@ class _Study:
             np.array([entry["system"] for entry in table]),
             np.unique([entry["trajectory"] for entry in table], return_inverse=True)[1],
             np.array(pairs, np.int64).reshape(-1, 2),
-            found,
+            references,
             len(kit.labels),
             resamples,
         )
@@ -117,7 +117,7 @@ class _Study:
     def compare(self, given: Answers, reference: Answers, rows: np.ndarray) -> dict[str, Any]:
         """Compare (R, n) answers with (n,) answers to the entries `rows`."""
         places = self.trajectories[rows]
-        return compare(given, reference, places, self.labels, self.resamples)
+        return agreement(given, reference, places, self.labels, self.resamples)
 
     def systems(self, given: Answers) -> dict[str, Any]:
         """Compare (R, N) answers with each reference, overall and by system."""
@@ -154,7 +154,7 @@ class _Study:
             for a, b in combinations(range(len(names)), 2)
         ]
         places = self.trajectories[rows]
-        fleiss = fleiss_figure(given.of(rows).views, places, self.labels, self.resamples)
+        fleiss = fleiss_metric(given.of(rows).views, places, self.labels, self.resamples)
         return {"pairs": pairs, "fleiss_kappa": fleiss}
 
 

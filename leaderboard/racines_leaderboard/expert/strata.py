@@ -54,10 +54,10 @@ def stratify(
     """
     bins = np.digitize(np.nan_to_num(grades), GRADE_EDGES)
     bins[(views < 0) | (views == random)] = 0
-    found = np.unique(views)
-    wanted = allocate(total, np.array([(views == view).sum() for view in found]))
+    present = np.unique(views)
+    wanted = allocate(total, np.array([(views == view).sum() for view in present]))
     chosen = []
-    for view, count in zip(found, wanted, strict=True):
+    for view, count in zip(present, wanted, strict=True):
         groups = [np.flatnonzero((views == view) & (bins == b)) for b in np.unique(bins)]
         shares = allocate(int(count), np.array([len(group) for group in groups]))
         for group, share in zip(groups, shares, strict=True):

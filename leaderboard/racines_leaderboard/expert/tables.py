@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
+
+from racines_data.tables import console_table
 
 COLUMNS = {
     "view_agreement": ("view (%)", 100.0, 1),
@@ -19,9 +19,9 @@ COLUMNS = {
 def show(report: dict[str, Any], console: Console) -> None:
     """Print a report."""
     rows = {
-        (name, reference): told["metrics"]
+        (name, reference): agreement["metrics"]
         for name, system in report["systems"].items()
-        for reference, told in system["references"].items()
+        for reference, agreement in system["references"].items()
     }
     raters = ", ".join(each["rater"] for each in report["raters"])
     _print(console, f"{report['kind']} ({raters})", ("system", "against"), rows)
@@ -47,16 +47,16 @@ def _print(
 ) -> None:
     if not rows:
         return
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
-    for name in head:
-        table.add_column(name)
-    for name, _, _ in COLUMNS.values():
-        table.add_column(name, justify="right")
-    table.add_column("n", justify="right")
-    for names, metrics in rows.items():
-        cells = [_cell(metrics[k], scale, digits) for k, (_, scale, digits) in COLUMNS.items()]
-        table.add_row(*names, *cells, str(metrics["view_agreement"]["n"]))
-    console.print(table)
+    lines = [
+        (
+            *names,
+            *(_cell(metrics[key], scale, digits) for key, (_, scale, digits) in COLUMNS.items()),
+            str(metrics["view_agreement"]["n"]),
+        )
+        for names, metrics in rows.items()
+    ]
+    columns = (*head, *(name for name, _, _ in COLUMNS.values()), "n")
+    console.print(console_table(columns, lines, title, right=2))
 
 
 def _cell(metric: dict[str, Any], scale: float, digits: int) -> str:

@@ -4,18 +4,16 @@ Only what experts rated is taken: answers of programs and of trials are refused,
 claims otherwise does not pass its schema.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
-from racines_data.files import write_atomic
 from racines_leaderboard.records.names import EXPERT, OVERALL, TRUE_FRAMES
-from racines_leaderboard.records.schema import check, read_json
+from racines_leaderboard.records.schema import check, read_json, write_record
 
 FOLDER = "expert"
 METRICS = {"expert_view": "view_agreement", "expert_grade": "grade_agreement"}
-"""Columns of a board, and the figures of a study that they show."""
+"""Columns of a board, and the metrics of a study that they show."""
 
 
 def publish(report: dict[str, Any], results: Path, board: str) -> list[Path]:
@@ -30,10 +28,10 @@ def publish(report: dict[str, Any], results: Path, board: str) -> list[Path]:
     names = [name for name in report["systems"] if name not in (OVERALL, TRUE_FRAMES)]
     records = {}
     for name in names:
-        told = report["systems"][name]["references"].get(report["truth"])
-        if told is None:
+        agreement = report["systems"][name]["references"].get(report["truth"])
+        if agreement is None:
             raise RacinesError(f"{name}: the dataset has no views to agree with; none to publish")
-        record = _record(report, board, name, told["metrics"])
+        record = _record(report, board, name, agreement["metrics"])
         path = results / board / FOLDER / f"{name}.json"
         check(record, "expert-record", str(path))
         if (fault := _fault(record, _scores(results, board, name))) is not None:
@@ -42,31 +40,33 @@ def publish(report: dict[str, Any], results: Path, board: str) -> list[Path]:
     if not records:
         raise RacinesError("the study has no generator's images, so a board has no row for it")
     for path, record in records.items():
-        write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
+        write_record(path, record)
     return list(records)
 
 
 def with_experts(records: list[dict[str, Any]], folder: Path) -> list[dict[str, Any]]:
-    """Add to each generator's record the figures that experts gave it, as `expert`.
+    """Add to each generator's record the metrics that experts gave it, as `expert`.
 
     A study of other data or weights than the record's is left out, and `expert_stale` says so.
 
     Raises:
         RacinesError: a damaged record, or one in another's place.
     """
-    told = []
+    extended = []
     for record in records:
         path = folder / f"{record['name']}.json"
         if not path.is_file():
-            told.append(record)
+            extended.append(record)
             continue
         study = read_json(path, "expert-record")
         for key, value in (("generator", record["name"]), ("board", record["board"])):
             if study[key] != value:
                 raise RacinesError(f"{path}: {key}: {study[key]!r}, expected {value!r}")
         stale = _fault(study, record["scores"]) is not None
-        told.append(record | ({"expert_stale": True} if stale else {"expert": study["metrics"]}))
-    return told
+        extended.append(
+            record | ({"expert_stale": True} if stale else {"expert": study["metrics"]})
+        )
+    return extended
 
 
 def _record(

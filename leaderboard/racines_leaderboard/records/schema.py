@@ -12,6 +12,7 @@ from jsonschema.exceptions import best_match
 from referencing import Registry, Resource
 
 from racines_data.errors import RacinesError
+from racines_data.files import write_atomic
 
 EXPERT_KINDS = ("expert-kit", "expert-key", "expert-rating", "expert-scores", "expert-record")
 KINDS = (
@@ -57,6 +58,11 @@ def read_json(path: Path, kind: str) -> dict[str, Any]:
         raise RacinesError(f"{path}: not readable as JSON: {error}") from error
     check(document, kind, str(path))
     return document
+
+
+def write_record(path: Path, record: dict[str, Any]) -> None:
+    """Write a record as it lies on a board."""
+    write_atomic(path, json.dumps(record, indent=2, ensure_ascii=False) + "\n")
 
 
 def _finite(path: Path, text: str) -> float:

@@ -1,7 +1,7 @@
 """A record's seal: the sha256 of what it says, written when the record is.
 
 A seal notices that a record was edited, or damaged, after it was written. Whoever edits a record
-can seal it again; that is noticed by making the numbers again alone (`racines audit`).
+can seal it again; that is noticed by recomputing the numbers alone (`racines audit`).
 """
 
 import hashlib

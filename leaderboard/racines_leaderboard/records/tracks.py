@@ -1,4 +1,4 @@
-"""The two tracks: which figures they show, in which direction they are good, how they rank.
+"""The two tracks: which metrics they show, in which direction they are good, how they rank.
 
 Installed packages add columns: each metric of the group `racines.metrics` is one, and so is each
 `Column` of the group `racines.columns`. They are shown where a result fills them, and never rank.
@@ -14,12 +14,12 @@ from racines_data.plugins import Plugins
 
 @dataclass(frozen=True)
 class Column:
-    """A figure as the tables show it."""
+    """A metric as the tables show it."""
 
     key: str
     label: str
     better: str
-    """`higher`, `lower`, or `none` for a figure that is shown and not judged."""
+    """`higher`, `lower`, or `none` for a metric that is shown and not judged."""
     digits: int = 3
     scale: float = 1.0
     unit: str = ""
@@ -53,7 +53,7 @@ class Track:
     counted: str
     """What n counts."""
     details: tuple[Column, ...] = ()
-    """Further figures, for a second table."""
+    """Further metrics, for a second table."""
 
 
 GENERATORS = Track(
@@ -122,6 +122,7 @@ AGENTS = Track(
 )
 
 TRACKS = (GENERATORS, AGENTS)
+TRACK = {track.name: track for track in TRACKS}
 TIERS = ("self-reported", "recomputed", "reproduced")
 COLUMNS = Plugins("board column", "racines.columns", ("key", "title", "track"), "module:COLUMN")
 

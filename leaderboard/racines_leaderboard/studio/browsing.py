@@ -20,7 +20,7 @@ LISTED = 500
 
 
 @dataclass(frozen=True)
-class Sweep:
+class Trajectory:
     """One trajectory of T frames."""
 
     store: FrameStore
@@ -73,7 +73,7 @@ def _opened(root: Path, config: str, stamp: int) -> FrameStore:
     return open_store(root, config)
 
 
-def sweeps(store: FrameStore, split: Any, view: Any) -> list[str]:
+def trajectories(store: FrameStore, split: Any, view: Any) -> list[str]:
     """Return the first trajectories of a split, or of one target view of it, by name.
 
     Raises:
@@ -82,12 +82,12 @@ def sweeps(store: FrameStore, split: Any, view: Any) -> list[str]:
     split = choice(split, SPLITS, "split")
     view = choice(view, (ALL, *store.labels), "view")
     low, high = store.bounds(split)
-    found = torch.unique_consecutive(store.trajectory_index[low:high]).tolist()
-    fitting = [i for i in found if view in (ALL, store.target_views[i])]
+    present = torch.unique_consecutive(store.trajectory_index[low:high]).tolist()
+    fitting = [i for i in present if view in (ALL, store.target_views[i])]
     return [store.trajectories[i] for i in fitting[:LISTED]]
 
 
-def sweep(store: FrameStore, name: Any) -> Sweep:
+def trajectory(store: FrameStore, name: Any) -> Trajectory:
     """Return a trajectory by its name.
 
     Raises:
@@ -102,10 +102,10 @@ def sweep(store: FrameStore, name: Any) -> Sweep:
     first = int(rows[0])
     split = next(s for s in SPLITS if first in range(*store.bounds(s)))
     target, session = store.target_views[index], store.sessions[index]
-    return Sweep(store, name, target, session, split, first, len(rows))
+    return Trajectory(store, name, target, session, split, first, len(rows))
 
 
-def frame_of(chosen: Sweep, frame: Any) -> int:
+def frame_of(chosen: Trajectory, frame: Any) -> int:
     """Return the place of a frame, 0 to T - 1, from its number on the page, 1 to T.
 
     Raises:

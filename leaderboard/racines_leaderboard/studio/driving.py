@@ -125,8 +125,8 @@ class Live:
 
         if self._grader is not None and self._images:
             p, grade = self._grader.probabilities_and_grade(torch.stack(self._images))
-            found = p[:, self.core.task.target].tolist(), grade.tolist()
-            self._judged.extend(zip(*found, strict=True))
+            judgement = p[:, self.core.task.target].tolist(), grade.tolist()
+            self._judged.extend(zip(*judgement, strict=True))
         self._images.clear()
 
 

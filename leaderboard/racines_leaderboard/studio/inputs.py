@@ -5,7 +5,6 @@ from collections.abc import Collection
 from typing import Any, TypeVar
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.studio.escape import text
 
 Option = TypeVar("Option")
 MARKS = frozenset(" .,;:()'/&+-_")
@@ -74,8 +73,3 @@ def words(value: Any, longest: int, field: str) -> str:
         shown = " ".join(wrong[:5]) if all(map(str.isprintable, wrong)) else "invisible ones"
         raise RacinesError(f"{field}: letters, digits and {''.join(sorted(MARKS))}, not {shown}")
     return value.strip()
-
-
-def refusal(error: RacinesError) -> str:
-    """Return a refused input's reason as HTML."""
-    return f'<p class="rc-refused" role="alert">{text(error)}</p>'

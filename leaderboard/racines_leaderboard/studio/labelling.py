@@ -15,7 +15,9 @@ from racines_leaderboard.expert.ratings import check_rater, read_ratings
 from racines_leaderboard.expert.session import ABOUT, Session
 from racines_leaderboard.records.names import EXPERT
 from racines_leaderboard.studio import codes
+from racines_leaderboard.studio.html import text
 from racines_leaderboard.studio.inputs import choice, whole, words
+from racines_leaderboard.studio.pictures import ultrasound
 
 KINDS = {"I try the page out": "trial", "I am an expert in echocardiography": EXPERT}
 """What a rater says to be, and the kind of the ratings; the first is the default."""
@@ -143,3 +145,54 @@ def _said_at_first(kit: Kit, path: Path) -> tuple[str, str] | None:
 
 def _session(sitting: Sitting) -> Session:
     return Session.open(sitting.kit, sitting.ratings, sitting.rater, sitting.kind, sitting.about)
+
+
+def instructions_html(kit: Kit) -> str:
+    """Return what a kit tells its raters."""
+    document = kit.document
+    views = "".join(
+        f"<li><strong>{text(view['name'])}</strong>, {text(view['title'])}</li>"
+        for view in document["views"]
+    )
+    return (
+        f'<div class="rc-note"><p>{text(document["preface"], 2000)}</p>'
+        f"<p>{text(document['instructions'], 4000)}</p><ul>{views}</ul></div>"
+    )
+
+
+def image_html(sitting: Sitting) -> str:
+    """Return the image to be judged; its name is not shown, for the address tells nothing else."""
+    if sitting.image is None:
+        return ""
+    png = Kit.open(sitting.kit).image_path(sitting.image).read_bytes()
+    return ultrasound(png, f"image {sitting.done + 1} of {sitting.total}")
+
+
+def progress_html(sitting: Sitting) -> str:
+    """Return how far a rater is, in words and as a bar."""
+    share = 100 * sitting.done / max(sitting.total, 1)
+    progress = f"{sitting.done} of {sitting.total} images answered · {sitting.rater}"
+    return (
+        f'<div class="rc-note"><p>{text(progress)}</p>'
+        f'<div class="rc-bar"><div style="width:{share:.1f}%"></div></div></div>'
+    )
+
+
+def code_html(sitting: Sitting) -> str:
+    """Return the code with which a rater can go on another time."""
+    return (
+        '<p class="rc-note rc-code">To go on another time: name '
+        f"<code>{text(sitting.rater)}</code>, code <code>{text(sitting.code)}</code>. "
+        "Write both down; nobody can find the code again.</p>"
+    )
+
+
+def finished_html(sitting: Sitting) -> str:
+    """Return thanks, and how the ratings are scored."""
+    file = f"{sitting.ratings.name}/{sitting.rater}.jsonl"
+    command = f"racines expert score {sitting.kit.name} {file}"
+    return (
+        f'<div class="rc-done"><p>All {sitting.total} images have an answer. Thank you.</p>'
+        f"<p>The ratings are in <code>{text(file)}</code>; whoever holds the key scores them "
+        f"with <code>{text(command)}</code>.</p></div>"
+    )

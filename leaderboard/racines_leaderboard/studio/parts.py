@@ -88,15 +88,15 @@ def trained_generators(place: Place) -> dict[str, Trained]:
     """Return the generators with weights by label: the published ones first, then the runs."""
     from racines_models.registry import generator_names
 
-    found: dict[str, Trained] = {}
+    trained: dict[str, Trained] = {}
     names = set(generator_names())
     for parent, suffix in ((place.weights, ""), (place.runs, " (run)")):
         for config in sorted(parent.glob("*/config.json")):
             name, folder = _generator_in(config), config.parent
             if name in names and _small(folder / "model.safetensors"):
                 label = f"{folder.name}{suffix}"
-                found[label] = Trained(label, name, folder)
-    return found
+                trained[label] = Trained(label, name, folder)
+    return trained
 
 
 def load_trained(trained: Trained, device: str) -> Any:

@@ -3,8 +3,7 @@
 import base64
 import io
 import threading
-from collections.abc import Callable, Hashable
-from typing import Generic, TypeVar
+from collections.abc import Callable
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -12,31 +11,12 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from racines_data.plotting import card_style
-from racines_leaderboard.studio.escape import text
+from racines_leaderboard.studio.html import text
 
 DPI = 180
 """Of figures: about twice a screen's, so that their text stays sharp."""
-_drawing = threading.RLock()
+_drawing = threading.Lock()
 """Matplotlib's settings belong to the process: one figure at a time."""
-Drawing = TypeVar("Drawing")
-
-
-class Drawings(Generic[Drawing]):
-    """The latest drawings by key, for all visitors; nobody draws what another is drawing."""
-
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self._kept: dict[Hashable, Drawing] = {}
-
-    def get(self, key: Hashable, draw: Callable[[], Drawing]) -> Drawing:
-        """Return what was drawn for a key, or draw it and keep it in the oldest one's place."""
-        if key not in self._kept:
-            with _drawing:
-                if key not in self._kept:
-                    made = draw()
-                    self._kept = dict([*self._kept.items(), (key, made)][-self._size :])
-                    return made
-        return self._kept.get(key) or draw()
 
 
 def drawn(draw: Callable[[], Figure], after: Callable[[Figure], None] | None = None) -> bytes:

@@ -3,7 +3,7 @@
 from typing import Any
 
 from racines_leaderboard.board.rank import Record
-from racines_leaderboard.studio.escape import link, text
+from racines_leaderboard.studio.html import link, table, text
 
 SHORT = 16
 """Characters of a digest that are shown."""
@@ -11,8 +11,8 @@ SHORT = 16
 
 def provenance_html(record: Record) -> str:
     """Return a record's provenance and its figures as HTML."""
-    told = "".join(f"<dt>{text(name)}</dt><dd>{value}</dd>" for name, value in _facts(record))
-    return f'<div class="rc-facts"><dl>{told}</dl>{_figures(record)}</div>'
+    entries = "".join(f"<dt>{text(name)}</dt><dd>{value}</dd>" for name, value in _facts(record))
+    return f'<div class="rc-facts"><dl>{entries}</dl>{_figures(record)}</div>'
 
 
 def _facts(record: Record) -> list[tuple[str, str]]:
@@ -61,10 +61,10 @@ def _task(task: Any) -> str:
 def _digests(digests: Any) -> str:
     if not isinstance(digests, dict):
         return ""
-    told = (
+    shown = (
         f"{text(name)} <code>{text(str(value)[:SHORT])}…</code>" for name, value in digests.items()
     )
-    return ", ".join(told)
+    return ", ".join(shown)
 
 
 def _pairs(content: dict[str, Any]) -> str:
@@ -80,12 +80,6 @@ def _figures(record: Record) -> str:
         ends = [metric.get("low"), metric.get("high")]
         between = "–" if None in ends else " – ".join(f"{end:.4g}" for end in ends)
         how = (metric.get("settings") or {}).get("interval", "")
-        cells = (f"{metric['value']:.4g}", between, f"{metric['n']:,}")
-        line = "".join(f"<td>{text(cell)}</td>" for cell in cells)
-        ends_of_row = (f'<td class="rc-text">{text(each)}</td>' for each in (name, how))
-        rows.append(f"<tr>{line.join(ends_of_row)}</tr>")
-    head = '<th class="rc-text">Figure</th><th>Value</th><th>95 %</th><th>n</th>'
-    return (
-        f'<div class="rc-scroll"><table><thead><tr>{head}<th class="rc-text">Interval by</th></tr>'
-        f"</thead><tbody>{''.join(rows)}</tbody></table></div>"
-    )
+        rows.append((name, f"{metric['value']:.4g}", between, f"{metric['n']:,}", how))
+    head = ("Figure", "Value", "95 %", "n", "Interval by")
+    return table(head, rows, ("rc-text", "", "", "", "rc-text"))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.studio import inputs
@@ -35,7 +36,7 @@ _explaining = threading.Lock()
 
 
 @dataclass(frozen=True)
-class Found:
+class Watchable:
     """An agent that can be watched."""
 
     label: str
@@ -80,19 +81,19 @@ class Episode:
         return tuple(offered + [ACTION] * looks + [TARGET] * hasattr(self.grader, "network"))
 
 
-def agents(place: Place) -> dict[str, Found]:
+def agents(place: Place) -> dict[str, Watchable]:
     """Return the agents by label: those without files, the published policies, then the runs."""
-    found = {name: Found(name, name, place.agents / name, None, 0) for name in UNTRAINED}
+    offered = {name: Watchable(name, name, place.agents / name, None, 0) for name in UNTRAINED}
     for parent, suffix in ((place.policies, " (published)"), (place.agents, "")):
         for config in sorted(parent.glob("*/config.json")):
             label = f"{config.parent.name}{suffix}"
-            run = _found(label, config)
-            if run is not None and label not in found:
-                found[label] = run
-    return found
+            run = _watchable(label, config)
+            if run is not None and label not in offered:
+                offered[label] = run
+    return offered
 
 
-def _found(label: str, config: Path) -> Found | None:
+def _watchable(label: str, config: Path) -> Watchable | None:
     """Return the agent of a run folder; None where it holds none that is registered here."""
     from racines_envs.agents import agent_names
 
@@ -102,7 +103,7 @@ def _found(label: str, config: Path) -> Found | None:
         return None
     settings = content.get("config")
     view = settings.get("view") if isinstance(settings, dict) else None
-    return Found(label, content["agent"], config.parent, view, weights.stat().st_mtime_ns)
+    return Watchable(label, content["agent"], config.parent, view, weights.stat().st_mtime_ns)
 
 
 def tasks_of(place: Place, label: Any) -> list[str]:
@@ -125,11 +126,11 @@ def watch(place: Place, label: Any, task: Any, number: Any) -> Episode:
         RacinesError: what is not offered, or an agent whose files are damaged.
     """
     offered = agents(place)
-    found = offered[inputs.choice(label, tuple(offered), "agent")]
+    chosen = offered[inputs.choice(label, tuple(offered), "agent")]
     task = inputs.choice(task, tasks_of(place, label), "task")
     number = inputs.whole(number, 0, FIXED_STARTS - 1, "number of the start")
-    key = found, task, number, place.device
-    return _episodes.get(key, lambda: _run(place, found, key))
+    key = chosen, task, number, place.device
+    return _episodes.get(key, lambda: _run(place, chosen, key))
 
 
 def moment(episode: Episode, step: Any) -> Scene:
@@ -180,12 +181,12 @@ def _explain(episode: Episode, step: int, what: str) -> tuple[np.ndarray, float]
         image, params = episode.moments[step].image, episode.params[step : step + 1]
         targets = torch.tensor([target], device=image.device)
         maps, _ = integrated_gradients(judge, image, params, targets, POINTS)
-        found = outputs(judge, image, params)[0]
-    p = found.softmax(-1) if what == ACTION else found
+        output = outputs(judge, image, params)[0]
+    p = output.softmax(-1) if what == ACTION else output
     return maps[0].cpu().numpy(), float(p[target])
 
 
-def _run(place: Place, found: Found, key: tuple[Any, ...]) -> Episode:
+def _run(place: Place, chosen: Watchable, key: tuple[Any, ...]) -> Episode:
     """Let the agent act until its episode ends, 200 steps at most."""
     import torch
 
@@ -194,7 +195,7 @@ def _run(place: Place, found: Found, key: tuple[Any, ...]) -> Episode:
     from racines_envs.task.tasks import TASKS
     from racines_envs.worlds.making import make_core
 
-    agent: Any = load_agent(found.agent, found.folder, place.device)
+    agent: Any = load_agent(chosen.agent, chosen.folder, place.device)
     task = TASKS[key[1]]
     core = make_core(
         task,
@@ -207,7 +208,7 @@ def _run(place: Place, found: Found, key: tuple[Any, ...]) -> Episode:
     grader = load_grader(place, view_names(core))
     if hasattr(agent, "guide"):
         if grader is None:
-            raise RacinesError(f"{found.label}: goes by a grader, and none of these views is here")
+            raise RacinesError(f"{chosen.label}: goes by a grader, and none of these views is here")
         agent.guide = grader
     history, moments, params = History(1), [], []
     agent.attach(core)
@@ -239,3 +240,40 @@ def _judged(grader: Any, images: Sequence[Any], target: int) -> Curve | None:
         return None
     p, grades = grader.probabilities_and_grade(torch.cat(list(images)))
     return Curve("grader", tuple(p[:, target].tolist()), tuple(grades.tolist()))
+
+
+ENLARGED = 3
+"""Times the image's size: attributions are smooth, the image keeps its pixels."""
+SOFT = 1.2
+"""Blur of the drawn attributions, pixels."""
+FOR, AGAINST = np.array([255.0, 70.0, 50.0]), np.array([70.0, 150.0, 255.0])
+
+
+def overlay(image: np.ndarray, attributions: np.ndarray) -> np.ndarray:
+    """Return an image with its attributions: red speaks for what is explained, blue against.
+
+    Args:
+        image: (128, 128) uint8.
+        attributions: (128, 128); the strongest hundredth is opaque.
+
+    Returns:
+        (384, 384, 3) uint8.
+    """
+    import torch
+
+    from racines_envs.explain.scores import blur
+
+    soft = blur(torch.from_numpy(attributions).float().unsqueeze(0), SOFT)[0].numpy()
+    scale = max(float(np.quantile(np.abs(soft), 0.99)), 1e-12)
+    share = _enlarge(soft / scale).clip(-1.0, 1.0)[..., None]
+    gray = _enlarge(image.astype(np.float32))[..., None].clip(0.0, 255.0)
+    strength = np.abs(share) ** 0.8
+    colour = np.where(share > 0, FOR, AGAINST)
+    return (0.8 * gray * (1.0 - strength) + colour * strength).round().astype(np.uint8)
+
+
+def _enlarge(values: np.ndarray) -> np.ndarray:
+    """Return (128, 128) numbers enlarged, interpolated."""
+    size = values.shape[1] * ENLARGED, values.shape[0] * ENLARGED
+    picture = Image.fromarray(values.astype(np.float32))
+    return np.asarray(picture.resize(size, Image.Resampling.BILINEAR))

@@ -56,13 +56,13 @@ def check_file(folder: Path, artefact: dict[str, Any], where: str) -> bool:
     return True
 
 
-def check_measured(artefact: dict[str, Any], found: tuple[str, int], where: str) -> None:
+def check_measured(artefact: dict[str, Any], measured: tuple[str, int], where: str) -> None:
     """Check the digest and size that were found against those that the entry claims.
 
     Raises:
         RacinesError: they differ.
     """
-    digest, size = found
+    digest, size = measured
     if (digest, size) != (artefact["sha256"], artefact["size"]):
         raise RacinesError(
             f"{where}: {artefact['path']}: the file has sha256 {digest} and {size} bytes, the "

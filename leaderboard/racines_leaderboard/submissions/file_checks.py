@@ -81,14 +81,14 @@ def opened(folder: Path, name: str, where: str, limit: int = MAX_BYTES) -> Itera
         link = error.errno == errno.ELOOP
         reason = "a symbolic link: put the file itself there" if link else error.strerror
         raise RacinesError(f"{where}: {name}: {reason}") from error
-    told = os.fstat(handle)
-    if not stat.S_ISREG(told.st_mode):
+    status = os.fstat(handle)
+    if not stat.S_ISREG(status.st_mode):
         os.close(handle)
         raise RacinesError(f"{where}: {name}: no regular file: put the file itself there")
     with os.fdopen(handle, "rb") as stream:
-        if not 1 <= told.st_size <= limit:
+        if not 1 <= status.st_size <= limit:
             raise RacinesError(
-                f"{where}: {name}: {told.st_size:,} bytes: give a file of 1 to {limit:,}"
+                f"{where}: {name}: {status.st_size:,} bytes: give a file of 1 to {limit:,}"
             )
         yield stream
 

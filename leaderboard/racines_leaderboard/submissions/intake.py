@@ -59,12 +59,7 @@ def take_in(
     target = submissions / document["track"] / document["name"]
     _check_free(target, document, replace, path)
     with _staged(target.parent) as stage:
-        remote = []
-        for artefact in files_of(document):
-            if not _bring(path, artefact, stage, opener if fetching else None):
-                remote.append(artefact["path"])
-                continue
-            check_content(stage / artefact["path"], artefact["kind"], document["track"], limits)
+        remote = _gather(path, document, stage, opener if fetching else None, limits)
         text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
         (stage / YAML).write_text(text)
         for each in stage.iterdir():
@@ -74,7 +69,7 @@ def take_in(
             swap_folder(stage, target)
         else:
             os.rename(stage, target)
-    return Taken(target, document, tuple(remote))
+    return Taken(target, document, remote)
 
 
 def look_at(source: Path, limits: Limits | None = None) -> Taken:
@@ -87,15 +82,9 @@ def look_at(source: Path, limits: Limits | None = None) -> Taken:
     """
     path = source / YAML if source.is_dir() else source
     document = read_document(path)
-    remote = []
     with tempfile.TemporaryDirectory() as folder:
-        for artefact in files_of(document):
-            if not _bring(path, artefact, Path(folder), None):
-                remote.append(artefact["path"])
-                continue
-            copy = Path(folder) / artefact["path"]
-            check_content(copy, artefact["kind"], document["track"], limits)
-    return Taken(path.parent, document, tuple(remote))
+        remote = _gather(path, document, Path(folder), None, limits)
+    return Taken(path.parent, document, remote)
 
 
 def _check_free(target: Path, document: dict[str, Any], replace: bool, path: Path) -> None:
@@ -117,17 +106,34 @@ def _check_free(target: Path, document: dict[str, Any], replace: bool, path: Pat
         )
 
 
+def _gather(
+    path: Path,
+    document: dict[str, Any],
+    stage: Path,
+    opener: Opener | None,
+    limits: Limits | None,
+) -> tuple[str, ...]:
+    """Bring all artefacts into the stage and check what they hold; return those left remote."""
+    remote = []
+    for artefact in files_of(document):
+        if _bring(path, artefact, stage, opener):
+            check_content(stage / artefact["path"], artefact["kind"], document["track"], limits)
+        else:
+            remote.append(artefact["path"])
+    return tuple(remote)
+
+
 def _bring(path: Path, artefact: dict[str, Any], stage: Path, opener: Opener | None) -> bool:
     """Copy or fetch an artefact into the stage; False if it stays at its URL."""
     name, out = artefact["path"], stage / artefact["path"]
     if "url" in artefact and not os.path.lexists(path.parent / name):
         if opener is None:
             return False
-        found = fetch(artefact, out, opener)
+        measured = fetch(artefact, out, opener)
     else:
         with opened(path.parent, name, str(path)) as stream, out.open("xb") as file:
-            found = measure(stream, f"{path}: {name}", file)
-    check_measured(artefact, found, str(path))
+            measured = measure(stream, f"{path}: {name}", file)
+    check_measured(artefact, measured, str(path))
     return True
 
 

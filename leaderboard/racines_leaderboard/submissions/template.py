@@ -80,7 +80,7 @@ def _kind(path: Path, track: str) -> str:
         except (ValueError, AttributeError, RecursionError):
             said = ""
         return "trace" if str(said).startswith("racines.trace/") else "scores"
-    found = [n for n, kind in KINDS.items() if kind.suffix == path.suffix and track in kind.tracks]
-    if not found:
+    kinds = [n for n, kind in KINDS.items() if kind.suffix == path.suffix and track in kind.tracks]
+    if not kinds:
         raise RacinesError(f"{path}: no artefact of {track}: put it elsewhere")
-    return found[0]
+    return kinds[0]

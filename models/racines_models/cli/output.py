@@ -6,7 +6,8 @@ from typing import Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
+
+from racines_data.tables import console_table
 
 
 def ranged(metric: dict[str, Any]) -> str:
@@ -18,17 +19,15 @@ def ranged(metric: dict[str, Any]) -> str:
 
 def show_metrics(title: str, metrics: dict[str, Any]) -> None:
     """Print metrics with their intervals."""
-    table = Table("figure", title=title, title_justify="left")
-    for column in ("value", "95 % interval", "n"):
-        table.add_column(column, justify="right")
+    rows = []
     for name, metric in metrics.items():
         unit = f" {metric['unit']}" if metric.get("unit") else ""
         value = "-" if metric["value"] is None else f"{metric['value']:.4g}{unit}"
         interval = "-"
         if metric["low"] is not None:
             interval = f"{metric['low']:.4g} to {metric['high']:.4g}"
-        table.add_row(name, value, interval, str(metric.get("n", "")))
-    Console().print(table)
+        rows.append((name, value, interval, str(metric.get("n", ""))))
+    Console().print(console_table(("metric", "value", "95 % interval", "n"), rows, title))
 
 
 def show_training(title: str, out: Path, metrics: dict[str, Any], as_json: bool) -> None:
@@ -59,26 +58,24 @@ def show_realism(content: dict[str, Any]) -> None:
     """Print each realism figure of the phantom beside that of two halves of the real frames."""
     title = f"{content['config']}, {content['view']}, {content['n']} frames a set"
     title += f", {content['splits']} splits"
-    table = Table("figure", title=title, title_justify="left")
-    for column in ("phantom, real", "real, real", "ratio"):
-        table.add_column(column, justify="right")
+    rows = []
     for name, figure in content["figures"].items():
         ours, real = figure["phantom"], figure["real"]
         ratio = f"{ours['value'] / real['value']:.3g}" if real["low"] > 0 else "-"
-        table.add_row(name, ranged(ours), ranged(real), ratio)
-    Console().print(table)
+        rows.append((name, ranged(ours), ranged(real), ratio))
+    head = ("metric", "phantom, real", "real, real", "ratio")
+    Console().print(console_table(head, rows, title))
 
 
 def show_ablation(content: dict[str, Any]) -> None:
     """Print the KID of the phantom without each of its parts."""
     title = f"{content['view']}, {content['n']} frames a set, {content['splits']} splits"
-    table = Table("variant", title=title, title_justify="left")
-    for column in ("KID (range over splits)", "change (range over the same splits)"):
-        table.add_column(column, justify="right")
+    rows = []
     for row in (content["base"], *content["ablation"]):
         change = ""
         if "change" in row:
             reach = f"({row['change_low']:+.4f} to {row['change_high']:+.4f})"
             change = f"{row['change']:+.4f} {reach}"
-        table.add_row(row["name"], ranged({"value": row["kid"], **row}), change)
-    Console().print(table)
+        rows.append((row["name"], ranged({"value": row["kid"], **row}), change))
+    head = ("variant", "KID (range over splits)", "change (range over the same splits)")
+    Console().print(console_table(head, rows, title))

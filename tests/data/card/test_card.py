@@ -11,7 +11,7 @@ import yaml
 
 from racines_data.build.dataset import DataConfig, build
 from racines_data.card.markdown import write_card
-from racines_data.card.tables import statistics_table, table
+from racines_data.card.tables import statistics_table
 from racines_data.manifest import read_manifest
 from racines_data.schema import PARAMETERS, frame_features
 from racines_data.store.frames import open_store
@@ -138,7 +138,3 @@ def test_another_organ_is_not_held_against_the_papers_heart(scanned: Path):
     assert " / " in statistics_table(manifest)
     manifest["labels"] = ["RK", "LIVER", "GB", "Random"]
     assert " / " not in statistics_table(manifest)
-
-
-def test_table():
-    assert table(("a", "b"), [(1, 2)], right=1) == "| a | b |\n| --- | ---: |\n| 1 | 2 |"

@@ -19,7 +19,7 @@ def test_the_page_holds_the_tables_of_the_code(anatomy):
     tables = task_tables(anatomy, phantom)
     assert tables in PAGE.read_text()
     for task in TASKS.values():
-        assert (f"| `{task.id}` | |" in tables) == (task.anatomy == anatomy)
+        assert (f"| `{task.id}` |  |" in tables) == (task.anatomy == anatomy)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from racines_envs.evaluation.run import EvaluationConfig, evaluate
 from racines_envs.evaluation.trace_recording import record_trace
 from racines_envs.worlds.making import make_phantom, phantom_recipe
 from racines_leaderboard.audit.bench import Bench, Places
-from racines_leaderboard.audit.compare import compare
+from racines_leaderboard.audit.numbers import compare_numbers
 from racines_leaderboard.audit.retrain import retrain
 from racines_leaderboard.audit.roads import HALF
 from racines_leaderboard.audit.run import audit
@@ -272,7 +272,7 @@ def test_a_half_precision_copy_speaks_against_what_it_can_tell(key, number, move
     metric = {"value": 0.9, "low": 0.86, "high": 0.94, "n": 512}
     record = {"track": "generators", "scores": {"metrics": {key: metric}}}
     made = {"metrics": {key: metric | {number: metric[number] + moved}}}
-    found = {each.subject: each.verdict for each in compare(record, made, HALF)}
+    found = {each.subject: each.verdict for each in compare_numbers(record, made, HALF)}
     assert found.pop(f"metrics.{key}.{number}") == verdict
     assert set(found.values()) == {HOLDS}
 

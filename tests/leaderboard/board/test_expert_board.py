@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.board.collect import boards, collect, read_board
-from racines_leaderboard.board.table import board_tables, markdown, plain
+from racines_leaderboard.board.table import board_tables, plain, titled_markdown
 from racines_leaderboard.cli.command import app
 from racines_leaderboard.expert import raters
 from racines_leaderboard.expert.ratings import read_all
@@ -49,12 +49,12 @@ def results(tmp_path, write_scores):
 
 
 def test_experts_agreement_stands_beside_the_scores(results, reports):
-    before = markdown(board_tables("b", read_board(results, "b"))[0])
+    before = titled_markdown(board_tables("b", read_board(results, "b"))[0])
     assert "Expert" not in before and "9,999" not in before
     (path,) = publish(reports["expert"], results, "b")
     assert path == results / "b" / "expert" / "inverse.json" and boards(results) == ["b"]
     table = board_tables("b", read_board(results, "b"))[0]
-    text = markdown(table)
+    text = titled_markdown(table)
     assert "Expert, view (%) ↑" in text and "Expert, grade (%) ↑" in text
     metric = reports["expert"]["systems"]["inverse"]["references"]["oracle"]["metrics"]
     agreement = metric["view_agreement"]
@@ -104,7 +104,7 @@ def test_a_study_of_weights_that_were_replaced_is_left_out(results, reports):
     record = json.loads(path.read_text())
     record["scores"]["weights"]["w"] = "99"
     path.write_text(json.dumps(record))
-    text = markdown(board_tables("b", read_board(results, "b"))[0])
+    text = titled_markdown(board_tables("b", read_board(results, "b"))[0])
     assert "Expert, view" not in text and "Left out: studies of other weights or data" in text
 
 

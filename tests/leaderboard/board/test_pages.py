@@ -1,3 +1,4 @@
+import dataclasses
 import io
 import re
 
@@ -8,8 +9,8 @@ from rich.console import Console
 from racines_data.errors import RacinesError
 from racines_leaderboard.board.collect import collect, read_board
 from racines_leaderboard.board.pages import BEGIN, END, with_tables, write_page
-from racines_leaderboard.board.table import REPORTED, board_tables, markdown, plain, show
-from tests.leaderboard.conftest import agent_scores, generator_scores
+from racines_leaderboard.board.table import REPORTED, board_tables, plain, show, titled_markdown
+from tests.leaderboard.conftest import agent_scores, generator_scores, write_submission
 
 
 @pytest.fixture
@@ -40,14 +41,14 @@ def test_tables_show_figures_intervals_n_and_the_papers_figures_apart(results):
     ]
     assert tables[0].rows[0][:2] == ("1", "vae-gan")
     assert "SSIM ↑" in tables[0].head and "FID ↓" in tables[0].head
-    text = markdown(tables[0])
+    text = titled_markdown(tables[0])
     assert "80.0 (79.9 – 80.1)" in text
     assert "| – |" in text, "a missing figure is a dash, not a zero"
     assert "self-reported" in text and "100" in text
     assert "phantom 1.0.0 (simulated), recipe abababababab" in text
     assert "On the true frames the view agrees in 90.0 %" in text
-    assert "0.4253" in markdown(tables[1]) and "0.4253" not in text
-    assert "75.0 (65.0 – 85.0)" in markdown(tables[3])
+    assert "0.4253" in titled_markdown(tables[1]) and "0.4253" not in text
+    assert "75.0 (65.0 – 85.0)" in titled_markdown(tables[3])
     assert tables[3].head[2] == "Sees" and tables[3].rows[0][2] == "image"
     assert tables[2].rows[0][2] == "truth", "not all that it is shown, but what it says it goes by"
 
@@ -64,9 +65,21 @@ def test_further_figures_stand_in_a_table_of_their_own(tmp_path, write_scores):
     ]
     assert "Pose error (mm) ↓" in main.head and "MS-SSIM ↑" not in main.head
     assert "MS-SSIM ↑" in further.head and "Density ↑" not in further.head
-    assert "0.750" in markdown(further)
-    assert "the pose is read with an error of 1.2 mm and 2.5°" in markdown(main)
+    assert "0.750" in titled_markdown(further)
+    assert "the pose is read with an error of 1.2 mm and 2.5°" in titled_markdown(main)
     assert len(board_tables("b", content)) == 2
+
+
+def test_a_submitters_words_are_text_on_a_page_and_on_a_terminal(tmp_path, write_scores):
+    hostile = "net | x | [y](https://a.b) <img src=z> `code` [red]"
+    write_submission(tmp_path / "s" / "generators" / "net", name="net", method=hostile)
+    collect([write_scores("g", generator_scores("net"))], tmp_path / "r", tmp_path / "s", "b")
+    table = board_tables("b", read_board(tmp_path / "r", "b"))[0]
+    shown = r"net \| x \| \[y\](https://a.b) &lt;img src=z&gt; \`code\` \[red\]"
+    assert f"Systems: net, {shown}." in titled_markdown(table)
+    out = io.StringIO()
+    show(dataclasses.replace(table, title=hostile), Console(file=out, width=200))
+    assert f"Systems: net, {hostile}." in out.getvalue() and hostile in out.getvalue()
 
 
 def test_a_terminal_gets_every_cell(results):

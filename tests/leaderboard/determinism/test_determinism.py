@@ -11,8 +11,8 @@ from racines_leaderboard.determinism import run as module
 from racines_leaderboard.determinism.run import (
     cell,
     compare_stage,
+    determinism_markdown,
     differences,
-    markdown,
     measure,
 )
 from racines_leaderboard.determinism.setup import Setup, Stage, Work, in_batches, threads
@@ -67,7 +67,7 @@ def test_what_is_not_to_be_had_is_said(tmp_path, monkeypatch):
         "no CUDA device here",
     ]
     assert json.loads(json.dumps(document)) == document
-    assert "| made up | – | – |" in markdown(document)
+    assert "| made up | – | – |" in determinism_markdown(document)
     assert cell(document["outcomes"][0]) == "–"
     with pytest.raises(RacinesError, match="no stage nothing: choose among made up"):
         measure(["nothing"])

@@ -9,12 +9,12 @@ from torchmetrics.functional.classification import multiclass_cohen_kappa
 from racines_data.errors import RacinesError
 from racines_data.views import LABELS
 from racines_leaderboard.expert import raters
-from racines_leaderboard.expert.figures import Answers, compare
+from racines_leaderboard.expert.agreement import Answers, agreement
 from racines_leaderboard.expert.kappa import (
     confusion,
-    fleiss_figure,
+    fleiss_metric,
     kappa,
-    kappa_figure,
+    kappa_metric,
     nominal,
     quadratic,
 )
@@ -52,7 +52,7 @@ def test_kappa_is_that_of_torchmetrics(cost, weights):
 
 def test_kappa_without_any_disagreement_by_chance_has_no_value():
     assert np.isnan(kappa(np.diag([5, 0]), nominal(2)))
-    figure = kappa_figure(np.diag([5, 0])[None, None], nominal(2), "k")
+    figure = kappa_metric(np.diag([5, 0])[None, None], nominal(2), "k")
     assert figure["value"] is None and figure["n"] == 5
 
 
@@ -60,7 +60,7 @@ def test_fleiss_kappa_of_a_published_table():
     table = np.array(FLEISS.split(), int).reshape(10, 5)
     views = np.stack([np.repeat(np.arange(5), row) for row in table], 1)
     assert views.shape == (14, 10)
-    figure = fleiss_figure(views, np.arange(10), 5, 50)
+    figure = fleiss_metric(views, np.arange(10), 5, 50)
     assert figure["value"] == pytest.approx(0.210, abs=5e-4)
     assert figure["low"] < figure["value"] < figure["high"] and figure["n"] == 10
     assert "jackknife" in figure["settings"]["interval"], "ten subjects are few"
@@ -69,7 +69,7 @@ def test_fleiss_kappa_of_a_published_table():
 def test_figures_of_answers_counted_by_hand():
     reference = Answers(np.array([0, 1, RANDOM, 2, -1]), np.array([7.4, 3.0, 0.0, 5.0, np.nan]))
     given = Answers(np.array([[0, 2, RANDOM, RANDOM, 1]]), np.array([[8.0, 5.0, 0.0, 0.0, 4.0]]))
-    told = compare(given, reference, np.arange(5), len(LABELS), 50)
+    told = agreement(given, reference, np.arange(5), len(LABELS), 50)
     values = {name: (metric["value"], metric["n"]) for name, metric in told["metrics"].items()}
     assert values["view_agreement"] == (0.5, 4)
     assert values["grade_agreement"] == (0.5, 4), "8 and 7.4 agree, 0 and 0 agree"
@@ -82,7 +82,7 @@ def test_figures_of_answers_counted_by_hand():
 def test_several_raters_count_each_image_once():
     reference = Answers(np.array([0, 1, 2, 3]), np.full(4, 5.0))
     given = Answers(np.array([[0, 1, 2, 0], [0, 0, -1, 3]]), np.full((2, 4), 5.0))
-    metric = compare(given, reference, np.arange(4), len(LABELS), 50)["metrics"]["view_agreement"]
+    metric = agreement(given, reference, np.arange(4), len(LABELS), 50)["metrics"]["view_agreement"]
     assert metric["n"] == 4 and metric["value"] == pytest.approx((1 + 0.5 + 1 + 0.5) / 4)
 
 
@@ -128,8 +128,8 @@ def test_intervals_hold_the_known_error_of_a_simulated_rater(error, sd):
             Answers(*raters.Simulated(error, sd, one).answer(views, grades, len(LABELS)))
             for one in (seed, seed + 200)
         )
-        metrics = compare(first.alone(), reference, places, len(LABELS), 300)["metrics"]
-        twice = compare(second.alone(), first, places, len(LABELS), 2)["metrics"]
+        metrics = agreement(first.alone(), reference, places, len(LABELS), 300)["metrics"]
+        twice = agreement(second.alone(), first, places, len(LABELS), 2)["metrics"]
         metrics["again"] = twice["view_agreement"]
         for name, value in truth.items():
             held[name] += metrics[name]["low"] <= value <= metrics[name]["high"]

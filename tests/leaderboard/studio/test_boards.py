@@ -7,8 +7,14 @@ import pytest
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.records.tracks import TIERS
-from racines_leaderboard.studio.boards import Selection, names, record_of, selected
-from racines_leaderboard.studio.boards_html import charts_html, tables_html
+from racines_leaderboard.studio.boards import (
+    Selection,
+    charts_html,
+    names,
+    record_of,
+    selected,
+    tables_html,
+)
 from racines_leaderboard.studio.place import Place
 from racines_leaderboard.studio.provenance import provenance_html
 

@@ -13,8 +13,13 @@ from racines_data.errors import RacinesError
 from racines_data.schema import SPLITS
 from racines_data.store.frames import FrameStore
 from racines_leaderboard.studio import browsing
-from racines_leaderboard.studio.browsing_html import figures_html, image_html, parameters_html
-from racines_leaderboard.studio.sweep_figures import grades_figure, path_figure
+from racines_leaderboard.studio.trajectory_page import (
+    figures_html,
+    grades_figure,
+    image_html,
+    parameters_html,
+    path_figure,
+)
 
 
 @pytest.fixture(scope="module")
@@ -23,19 +28,19 @@ def store(tiny_root: Path) -> FrameStore:
 
 
 def test_every_trajectory_is_in_one_split_and_found_by_its_view(store: FrameStore):
-    by_split = {split: browsing.sweeps(store, split, "all") for split in SPLITS}
+    by_split = {split: browsing.trajectories(store, split, "all") for split in SPLITS}
     assert sorted(sum(by_split.values(), [])) == sorted(store.trajectories)
     for split, names in by_split.items():
-        of_views = [browsing.sweeps(store, split, view) for view in store.labels]
+        of_views = [browsing.trajectories(store, split, view) for view in store.labels]
         assert sorted(sum(of_views, [])) == sorted(names)
-    sweep = browsing.sweep(store, by_split["test"][0])
+    sweep = browsing.trajectory(store, by_split["test"][0])
     assert sweep.split == "test" and sweep.frames > 1
     low, high = store.bounds("test")
     assert low <= sweep.rows.start and sweep.rows.stop <= high
 
 
 def test_a_frame_shows_its_own_image_and_numbers(store: FrameStore):
-    sweep = browsing.sweep(store, store.trajectories[0])
+    sweep = browsing.trajectory(store, store.trajectories[0])
     frame = browsing.frame_of(sweep, sweep.frames)
     assert frame == sweep.frames - 1
     x = 1e3 * float(store.parameters[sweep.rows.stop - 1, 6])
@@ -48,7 +53,7 @@ def test_a_frame_shows_its_own_image_and_numbers(store: FrameStore):
 
 
 def test_marks_lie_on_the_pictures(store: FrameStore):
-    sweep = browsing.sweep(store, store.trajectories[0])
+    sweep = browsing.trajectory(store, store.trajectories[0])
     grades, path = grades_figure(sweep), path_figure(sweep)
     assert path is not None
     for marked in (grades, path):
@@ -68,16 +73,16 @@ def test_marks_lie_on_the_pictures(store: FrameStore):
 
 @pytest.mark.parametrize("frame", [0, 10**6, 1.5, math.nan, "1", None, True])
 def test_frames_beyond_the_trajectory_are_refused(store: FrameStore, frame):
-    sweep = browsing.sweep(store, store.trajectories[0])
+    sweep = browsing.trajectory(store, store.trajectories[0])
     with pytest.raises(RacinesError, match="frame"):
         browsing.frame_of(sweep, frame)
 
 
 def test_unknown_names_are_refused(store: FrameStore, tiny_root: Path):
     for call in (
-        lambda: browsing.sweep(store, "<script>"),
-        lambda: browsing.sweeps(store, "all", "all"),
-        lambda: browsing.sweeps(store, "test", "nothing"),
+        lambda: browsing.trajectory(store, "<script>"),
+        lambda: browsing.trajectories(store, "all", "all"),
+        lambda: browsing.trajectories(store, "test", "nothing"),
         lambda: browsing.opened(tiny_root, "../frames"),
         lambda: browsing.opened(None, "frames"),
     ):
@@ -92,7 +97,7 @@ def test_data_without_poses_have_no_path(store: FrameStore):
             self.parameters = store.parameters.clone()
             self.parameters[:, 6:] = math.nan
 
-    sweep = browsing.sweep(store, store.trajectories[0])
+    sweep = browsing.trajectory(store, store.trajectories[0])
     blind = dataclasses.replace(sweep, store=Without())  # pyright: ignore
     assert path_figure(blind) is None
     assert figures_html(blind, 0).count("<img") == 1

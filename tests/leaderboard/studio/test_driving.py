@@ -10,7 +10,8 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core
-from racines_leaderboard.studio import driving, scene_page
+from racines_leaderboard.studio import driving
+from racines_leaderboard.studio import scene as scenes
 from racines_leaderboard.studio.driving import FIXED, SEEDED, Lives, begin
 from racines_leaderboard.studio.place import Place
 from tests.envs.fakes import FakeGrader, FakePhantom
@@ -89,8 +90,8 @@ def test_hidden_truth_is_nowhere(phantom):
     kept, session = lives(), begin("SC", FIXED, 0)
     hidden, shown = kept.look(session, False), kept.look(session, True)
     assert hidden.truth is None and [curve.name for curve in hidden.curves] == ["grader"]
-    assert "true view" not in scene_page.image_panel(hidden)
-    assert "true view" in scene_page.image_panel(shown)
+    assert "true view" not in scenes.image_panel(hidden)
+    assert "true view" in scenes.image_panel(shown)
     green = (0x4A, 0xDE, 0x80)
     assert green in set(shown.above.getdata()) and green not in set(hidden.above.getdata())
 
@@ -106,7 +107,7 @@ def test_an_episode_ends_with_its_reason_and_takes_no_further_step(phantom):
         seen = core.step(action).observation
         session, scene = kept.step(session, int(action), False)
     assert scene.ended == "SC was held for 3 steps in a row" and scene.success
-    assert "The episode is over" in scene_page.image_panel(scene)
+    assert "The episode is over" in scenes.image_panel(scene)
     after, scene = kept.step(session, 0, False)
     assert after == session and scene.step == len(session.actions)
 
@@ -116,7 +117,7 @@ def test_refused_steps_are_counted_and_the_force_stays_in_its_limit(phantom):
     for _ in range(30):
         session, scene = kept.step(session, 4, False)  # press
     assert sum(scene.refused) > 0 and scene.force <= scene.limit
-    assert f"<b>{scene.refused[1]}</b> by force" in scene_page.state_line(scene)
+    assert f"<b>{scene.refused[1]}</b> by force" in scenes.state_line(scene)
 
 
 @pytest.mark.parametrize(
@@ -144,14 +145,14 @@ def test_what_was_not_offered_is_refused(task, kind, number):
 def test_the_drawings_are_whole_and_say_the_force(phantom):
     kept, session = lives(), begin("SC", FIXED, 0)
     _, scene = drive(kept, session)
-    page = scene_page.side_panel(scene)
+    page = scenes.side_panel(scene)
     drawings = [part.split("</svg>")[0] + "</svg>" for part in page.split("<svg")[1:]]
     trees = [ElementTree.fromstring("<svg" + drawing) for drawing in drawings]
     assert len(trees) == 3
     bar = trees[0].findall("rect")[1]
-    full = scene_page.RIGHT - scene_page.LEFT
+    full = scenes.RIGHT - scenes.LEFT
     share = float(bar.attrib["width"]) / full
-    assert share == pytest.approx(scene.force / scene.limit / scene_page.FULL_FORCE, abs=1e-3)
+    assert share == pytest.approx(scene.force / scene.limit / scenes.FULL_FORCE, abs=1e-3)
     for tree in trees[1:]:
         lines = tree.findall("polyline")
         assert [len(line.attrib["points"].split()) for line in lines] == [9, 9]

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.studio.escape import link, text
+from racines_leaderboard.studio.html import link, text
 from racines_leaderboard.studio.inputs import choice, choices, number, whole, words
 
 ATTACKS = [

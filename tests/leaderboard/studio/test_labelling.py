@@ -9,8 +9,14 @@ from racines_data.errors import RacinesError
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.expert.ratings import read_all
 from racines_leaderboard.studio import labelling
-from racines_leaderboard.studio.labelling import KINDS, Sitting, answer, begin
-from racines_leaderboard.studio.labelling_html import finished_html, image_html
+from racines_leaderboard.studio.labelling import (
+    KINDS,
+    Sitting,
+    answer,
+    begin,
+    finished_html,
+    image_html,
+)
 from tests.leaderboard.expert_kit import kit_of
 
 TRIAL, EXPERT = KINDS

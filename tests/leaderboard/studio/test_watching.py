@@ -17,7 +17,7 @@ from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core
 from racines_leaderboard.studio import watching
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.watch_page import overlay
+from racines_leaderboard.studio.watching import overlay
 from tests.envs.fakes import FakeGrader, FakePhantom
 
 

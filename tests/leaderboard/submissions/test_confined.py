@@ -1,6 +1,8 @@
 """The confined child: the same bytes as in this process, and an end to whatever does not end."""
 
+import pickle
 from dataclasses import replace
+from multiprocessing.connection import Pipe
 
 import numpy as np
 import psutil
@@ -99,16 +101,16 @@ def test_the_child_can_open_nothing(tmp_path):
 class _Coded(Child):
     """A child whose graph library has been replaced by a line of Python."""
 
-    def __init__(self, code: str):
+    def __init__(self, code: str, limits: Limits = SMALL):
         import racines_leaderboard.submissions.confined.session as confined
 
         patched = (
             "import racines_leaderboard.submissions.confined.child as c; "
-            f"c.MODES['session'] = lambda: lambda content: eval({code!r}) and bytes; c.main()"
+            f"c.MODES['session'] = lambda: lambda content: eval({code!r}) or bytes; c.main()"
         )
         start, confined.START = confined.START, confined.START.split("from rac")[0] + patched
         try:
-            super().__init__("session", b"x", "x.onnx", SMALL)
+            super().__init__("session", b"x", "x.onnx", limits)
         finally:
             confined.START = start
 
@@ -121,15 +123,21 @@ def test_what_is_no_file_is_refused():
         ConfinedSession(b"nothing at all", "x", limits=SMALL)
 
 
+def tensors(header: bytes, size: int = 0) -> bytes:
+    return len(header).to_bytes(8, "little") + header + bytes(size)
+
+
 @pytest.mark.parametrize(
     "payload",
     [
         b"",
         b"\x01",
-        b"\x01\x01a\x00\x01" + (2**60).to_bytes(8, "little"),
-        b"\x01\x01a\x00\x02" + (2**40).to_bytes(8, "little") * 2 + b"\0" * 64,
-        b"\x01\x01a\x07\x00",
-        b"\x01\x01a\x00\xff",
+        (2**60).to_bytes(8, "little") + b"{}",
+        tensors(b'{"a": {"dtype": "F32", "shape": [%d], "data_offsets": [0, 8]}}' % 2**60, 8),
+        tensors(b'{"a": {"dtype": "F32", "shape": [%d, 4], "data_offsets": [0, 0]}}' % 2**62),
+        tensors(b'{"a": {"dtype": "F64", "shape": [1], "data_offsets": [0, 8]}}', 8),
+        tensors(b'{"a": {"dtype": "BF16", "shape": [1], "data_offsets": [0, 2]}}', 2),
+        tensors(b'{"a": {"dtype": "OBJECT", "shape": [1], "data_offsets": [0, 8]}}', 8),
         wire.pack_arrays({"a": np.zeros(3, np.float32)}) + b"x",
     ],
 )
@@ -139,13 +147,41 @@ def test_answers_that_lie_are_refused(payload):
 
 
 def test_the_wire_carries_arrays_and_nothing_else():
-    arrays = {"a": np.arange(6, dtype=np.float32).reshape(2, 3), "b": np.zeros((0, 4), np.uint8)}
+    turned = np.arange(6, dtype=np.float32).reshape(3, 2).T
+    arrays = {"a": turned, "b": np.zeros((0, 4), np.uint8), "c": np.array(2.0, np.float32)}
     back = wire.unpack_arrays(wire.pack_arrays(arrays))
     assert all(np.array_equal(back[key], arrays[key]) for key in arrays)
-    assert back["b"].shape == (0, 4)
+    assert [back[key].shape for key in "abc"] == [(2, 3), (0, 4), ()]
     with pytest.raises(wire.WireError, match="object"):
         wire.pack_arrays({"a": np.array([object()])})
-    with pytest.raises(wire.WireError, match="more than 10"):
-        wire.frame_head(wire.frame(wire.ANSWER, b"x" * 11)[: wire.HEAD.size], 10)
-    with pytest.raises(wire.WireError, match="no message"):
-        wire.frame_head(b"\x80\x04" + b"x" * 11, 10)
+
+
+def test_messages_come_whole_and_bounded():
+    ours, theirs = Pipe(duplex=False)
+    for payload in (b"x" * 10, pickle.dumps(print), b"x" * 11):
+        wire.say(theirs, wire.ANSWER, payload)
+    assert wire.hear(ours, 10) == (wire.ANSWER, b"x" * 10)
+    assert wire.hear(ours) == (wire.ANSWER, pickle.dumps(print))
+    with pytest.raises(OSError):
+        wire.hear(ours, 10)
+    assert ours.closed
+
+
+@pytest.mark.parametrize(
+    ("written", "message"),
+    [
+        (b"\0\0\0\1A\0\0\0\xffx", "took more than 2 s"),
+        (b"\0\0\0\1A\x7f\0\0\0", "no message of at most 67,108,864 bytes"),
+        (b"\0\0\0\1A\xff\xff\xff\xff" + b"\x7f" * 8, "no message of at most"),
+        (b"\0\0\0\1Z\0\0\0\0", "refused"),
+        (b"\0\0\0\0\0\0\0\0", "refused"),
+    ],
+)
+def test_a_child_that_breaks_off_or_claims_too_much_is_ended(written, message):
+    """It opens well, and then answers with bytes of its own and is silent."""
+    words = f"__import__('os').write(1, {written!r}) and __import__('time').sleep(600)"
+    child = _Coded(f"(lambda payload: {words})", replace(SMALL, call_seconds=2))
+    with pytest.raises(RacinesError, match=f"x.onnx: .*{message}"):
+        child.ask(wire.RUN, b"")
+    with pytest.raises(RacinesError, match="x.onnx: its process was stopped before"):
+        child.ask(wire.RUN, b"")

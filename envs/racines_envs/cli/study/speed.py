@@ -53,15 +53,15 @@ def speed(
 
 def _table(content: dict[str, Any]) -> str:
     """Return the figures as a Markdown table, and what the longest operations are."""
+    from racines_data.tables import markdown_table
     from racines_envs.studies.step_profile import PHASES
 
-    lines = [
-        f"| environments | steps/s | {' | '.join(PHASES)} |",
-        "| ---: | ---: |" + " ---: |" * len(PHASES),
+    rows = [
+        (run["num_envs"], f"{run['steps_per_second']:,.0f}")
+        + tuple(f"{run['shares'][phase]:.0%}" for phase in PHASES)
+        for run in content["runs"]
     ]
-    for run in content["runs"]:
-        shares = " | ".join(f"{run['shares'][phase]:.0%}" for phase in PHASES)
-        lines.append(f"| {run['num_envs']} | {run['steps_per_second']:,.0f} | {shares} |")
+    lines = [markdown_table(("environments", "steps/s", *PHASES), rows, right=0)]
     for run in content["runs"]:
         named = ", ".join(f"{each['name']} {each['share']:.0%}" for each in run["operations"])
         lines.append(f"\nOperations at {run['num_envs']}: {named}")

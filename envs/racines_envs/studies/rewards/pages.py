@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from racines_data.tables import markdown_table
 from racines_envs.evaluation.pictures import save
 from racines_envs.studies.rewards.settlement import Settled
 
@@ -18,9 +19,7 @@ def reward_markdown(content: dict[str, Any]) -> str:
         f"**Rewards on {content['view']}**, {starts['starts']} starts × {len(starts['seeds'])} "
         f"sets, at most {content['max_steps']} steps; in brackets 95 % intervals.",
         "",
-        _row(_HEAD),
-        _row(["---"] * len(_HEAD)),
-        *(_row(_cells(row)) for row in content["rows"]),
+        markdown_table(_HEAD, map(_cells, content["rows"])),
         "",
         f"A return is high from {content['high_return']:g}. Hovering is the steps that an episode "
         "spends in the view, by the reward's own source.",
@@ -127,7 +126,3 @@ def _ranged(figure: dict[str, Any], scale: float, form: str, unit: str = "") -> 
         for key in ("value", "low", "high")
     )
     return f"{value}{unit} ({low} to {high})"
-
-
-def _row(cells: list[str]) -> str:
-    return "| " + " | ".join(cells) + " |"

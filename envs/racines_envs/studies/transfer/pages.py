@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from racines_data.tables import markdown_table
 from racines_envs.evaluation.pictures import save
 
 
@@ -12,23 +13,24 @@ def transfer_markdown(content: dict[str, Any]) -> str:
     """Return the matrix and the correlations as Markdown tables."""
     backends, cells = content["backends"], _cells(content)
     starts = content["start_set"]
+    rows = [
+        [
+            agent["label"],
+            _short(agent["trained_in"] or "–"),
+            *(_outcome(cells[agent["label"], backend]) for backend in backends),
+        ]
+        for agent in content["agents"]
+    ]
     lines = [
         f"**Transfer on {content['view']}**: true success (95 %), steps of the successes, final "
         f"grade; {starts['starts']} starts × {len(starts['seeds'])} sets, judged by "
         f"{_judges(content['judged_by'])}.",
         "",
-        _row(["agent", "trained in", *map(_short, backends)]),
-        _row(["---"] * (len(backends) + 2)),
+        markdown_table(["agent", "trained in", *map(_short, backends)], rows),
     ]
-    for agent in content["agents"]:
-        each = [_told(cells[agent["label"], backend]) for backend in backends]
-        lines.append(_row([agent["label"], _short(agent["trained_in"] or "–"), *each]))
     if content["correlations"]:
         head = ["backends", "figure", "Spearman's ρ (95 %)", "Kendall's τ (95 %)"]
-        lines += ["", _row(head), _row(["---"] * 4)]
-    for found in content["correlations"]:
-        both = [_interval(found[name]) for name in ("spearman", "kendall")]
-        lines.append(_row([" and ".join(map(_short, found["backends"])), found["figure"], *both]))
+        lines += ["", markdown_table(head, map(_correlation, content["correlations"]))]
     return "\n".join(lines) + "\n"
 
 
@@ -81,7 +83,12 @@ def _short(backend: str) -> str:
     return f"{kind}:{Path(what).name}" if what else kind
 
 
-def _told(metrics: dict[str, Any]) -> str:
+def _correlation(found: dict[str, Any]) -> list[str]:
+    both = (_interval(found[name]) for name in ("spearman", "kendall"))
+    return [" and ".join(map(_short, found["backends"])), found["figure"], *both]
+
+
+def _outcome(metrics: dict[str, Any]) -> str:
     success = metrics["success_true"]
     rate, low, high = (100 * success[key] for key in ("value", "low", "high"))
     steps, grade = metrics["steps"]["value"], metrics["final_grade"]["value"]
@@ -96,7 +103,3 @@ def _interval(figure: dict[str, Any]) -> str:
 
 def _number(value: float | None, form: str) -> str:
     return "–" if value is None else format(value, form)
-
-
-def _row(cells: list[str]) -> str:
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -19,7 +19,7 @@ def determinism(
 
     With --out the report is written as JSON, stage by stage; a killed run goes on.
     """
-    from racines_leaderboard.determinism.run import Outcome, markdown, measure
+    from racines_leaderboard.determinism.run import Outcome, determinism_markdown, measure
 
     def tell(outcome: Outcome) -> None:
         said = outcome.note or ("bitwise" if outcome.bitwise else f"{outcome.largest:.2g}")
@@ -27,4 +27,4 @@ def determinism(
         typer.echo(f"racines: {line}", err=True)
 
     document = measure(stage or (), tell, out)
-    typer.echo(json.dumps(document, indent=2) if as_json else markdown(document))
+    typer.echo(json.dumps(document, indent=2) if as_json else determinism_markdown(document))

@@ -7,16 +7,13 @@ import gradio as gr
 
 from racines_leaderboard.studio import watching
 from racines_leaderboard.studio.driving import FIXED_STARTS
-from racines_leaderboard.studio.escape import text
-from racines_leaderboard.studio.notice import missing_html, refusing
+from racines_leaderboard.studio.html import missing, text
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.scene import Scene
-from racines_leaderboard.studio.scene_page import CSS, image_panel, side_panel
-from racines_leaderboard.studio.watch_page import overlay
+from racines_leaderboard.studio.scene import CSS, image_panel, panels, side_panel
+from racines_leaderboard.studio.tabs import one_at_a_time, refusing
+from racines_leaderboard.studio.watching import overlay
 
-ONE: dict[str, Any] = {
-    "concurrency_id": "agent", "concurrency_limit": 1, "api_visibility": "private",
-}  # fmt: skip
+ONE = one_at_a_time("agent")
 """One episode after the other, for all visitors."""
 INTRODUCTION = (
     '<p class="rc-note">An agent acts from a fixed start of the evaluation; then move through its '
@@ -72,7 +69,7 @@ def build(place: Place) -> None:
 def _missing(place: Place, offered: list[str]) -> str:
     if len(offered) > len(watching.UNTRAINED):
         return ""
-    return missing_html(
+    return missing(
         f"No trained agent in {place.agents}. Train one:",
         "racines train agent ppo --observation image",
     )
@@ -89,7 +86,7 @@ def _watch(place: Place, agent: Any, task: Any, number: Any) -> tuple[Any, ...]:
     episode = watching.watch(place, agent, task, number)
     slider = gr.Slider(maximum=episode.steps, value=0, interactive=True)
     what = gr.Radio(choices=list(episode.explainable), value=watching.OFF)
-    return (agent, task, number), slider, what, *_pages(watching.moment(episode, 0))
+    return (agent, task, number), slider, what, *panels(watching.moment(episode, 0))
 
 
 def _show(place: Place, watched: Any, step: Any, what: Any) -> tuple[Any, Any]:
@@ -98,11 +95,7 @@ def _show(place: Place, watched: Any, step: Any, what: Any) -> tuple[Any, Any]:
     episode = watching.watch(place, *watched)
     scene = watching.moment(episode, step)
     if what == watching.OFF:
-        return _pages(scene)
+        return panels(scene)
     drawn, p = watching.explain(episode, step, what)
     explained = f'<p class="rc-note">{text(what)}: p {p:.2f}</p>'
     return image_panel(scene, overlay(scene.image, drawn)) + explained, side_panel(scene)
-
-
-def _pages(scene: Scene) -> tuple[str, str]:
-    return image_panel(scene), side_panel(scene)

@@ -6,30 +6,31 @@ import gradio as gr
 from gradio.context import Context
 
 from racines_data.schema import SPLITS
-from racines_leaderboard.studio.notice import missing_html, refusing
+from racines_leaderboard.studio.html import missing
 from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.tabs import PRIVATE, refusing
 
 
 def build(place: Place) -> None:
     """Build the tab."""
     from racines_leaderboard.studio import browsing
 
-    found = browsing.configs(place.data)
-    if not found:
+    configs = browsing.configs(place.data)
+    if not configs:
         gr.HTML(
-            missing_html(
+            missing(
                 f"{place.data}: no dataset here. Build one, or fetch one:",
                 f"racines data build --out {place.data}",
                 "dvc pull",
             )
         )
         return
-    labels = browsing.opened(place.data, found[0]).labels
+    labels = browsing.opened(place.data, configs[0]).labels
     with gr.Row():
-        config = gr.Radio(found, value=found[0], label="Data", visible=len(found) > 1)
+        config = gr.Radio(configs, value=configs[0], label="Data", visible=len(configs) > 1)
         split = gr.Radio(list(SPLITS), value=SPLITS[0], label="Split", min_width=260)
         view = gr.Dropdown([browsing.ALL, *labels], value=browsing.ALL, label="Aimed at")
-    names = browsing.sweeps(browsing.opened(place.data, found[0]), SPLITS[0], browsing.ALL)
+    names = browsing.trajectories(browsing.opened(place.data, configs[0]), SPLITS[0], browsing.ALL)
     name = gr.Dropdown(names, value=names[0], label="Trajectory", elem_id="data-trajectory")
     facts = gr.HTML(elem_id="data-facts")
     frame = gr.Slider(1, 2, value=1, step=1, label="Frame", elem_id="data-frame")
@@ -44,44 +45,46 @@ def build(place: Place) -> None:
 
 
 def _wire(place: Place, filters: list[Any], name: Any, frame: Any, shown: list[Any]) -> None:
-    from racines_leaderboard.studio import browsing, browsing_html
+    from racines_leaderboard.studio import browsing, trajectory_page
 
     config = filters[0]
 
     def listed(config: Any, split: Any, view: Any) -> Any:
-        names = browsing.sweeps(browsing.opened(place.data, config), split, view)
+        names = browsing.trajectories(browsing.opened(place.data, config), split, view)
         return gr.Dropdown(choices=names, value=names[0] if names else None)
 
     def at(config: Any, name: Any, frame: Any) -> tuple[Any, int]:
-        sweep = browsing.sweep(browsing.opened(place.data, config), name)
-        return sweep, browsing.frame_of(sweep, frame)
+        trajectory = browsing.trajectory(browsing.opened(place.data, config), name)
+        return trajectory, browsing.frame_of(trajectory, frame)
 
     def show(config: Any, name: Any) -> list[Any]:
         if name is None:  # a filter that no trajectory passes
             return ["", gr.Slider(), "", "", '<p class="rc-note">No trajectory fits.</p>']
-        sweep, first = at(config, name, 1)
-        slider = gr.Slider(maximum=max(sweep.frames, 2), value=1)
-        return [browsing_html.facts_html(sweep), slider, *_pictures(sweep, first)]
+        trajectory, first = at(config, name, 1)
+        slider = gr.Slider(maximum=max(trajectory.frames, 2), value=1)
+        return [trajectory_page.facts_html(trajectory), slider, *_pictures(trajectory, first)]
 
     def move(config: Any, name: Any, frame: Any) -> list[Any]:
         return _pictures(*at(config, name, frame))
 
-    def _pictures(sweep: Any, frame: int) -> list[str]:
-        html = browsing_html
-        makers = (html.image_html, html.parameters_html, html.figures_html)
-        return [make(sweep, frame) for make in makers]
+    def _pictures(trajectory: Any, frame: int) -> list[str]:
+        makers = (
+            trajectory_page.image_html,
+            trajectory_page.parameters_html,
+            trajectory_page.figures_html,
+        )
+        return [make(trajectory, frame) for make in makers]
 
-    private: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
     gr.on(
         [each.change for each in filters], refusing(listed), filters, name,
-        api_name="data_listed", **private,
+        api_name="data_listed", **PRIVATE,
     )  # fmt: skip
     page = Context.root_block
     assert page is not None
     # Not at a change of `config`: the name is the old one's until the filters have run.
     triggers = [page.load, name.change]
-    gr.on(triggers, refusing(show), [config, name], shown, api_name="data_show", **private)
+    gr.on(triggers, refusing(show), [config, name], shown, api_name="data_show", **PRIVATE)
     frame.input(
         refusing(move), [config, name, frame], shown[2:], api_name="data_move",
-        trigger_mode="always_last", **private,
+        trigger_mode="always_last", **PRIVATE,
     )  # fmt: skip

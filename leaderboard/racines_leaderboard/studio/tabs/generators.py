@@ -8,19 +8,17 @@ import gradio as gr
 from gradio.context import Context
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.studio import compare
-from racines_leaderboard.studio.compare_page import CSS, cards_page
-from racines_leaderboard.studio.escape import text
-from racines_leaderboard.studio.inputs import refusal, whole
-from racines_leaderboard.studio.notice import missing_html, refusing
+from racines_leaderboard.studio import side_by_side
+from racines_leaderboard.studio.html import missing, refusal, text
+from racines_leaderboard.studio.inputs import whole
 from racines_leaderboard.studio.parts import load_store, trained_generators
 from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.side_by_side import CSS, cards_page
+from racines_leaderboard.studio.tabs import one_at_a_time, refusing
 
 TICKED = 4
 """Generators that are ticked at first: those that lead a board."""
-ONE: dict[str, Any] = {
-    "concurrency_id": "generators", "concurrency_limit": 1, "api_visibility": "private",
-}  # fmt: skip
+ONE = one_at_a_time("generators")
 """One pose after the other, for all visitors."""
 INTRODUCTION = (
     '<p class="rc-note">What each generator draws at a pose, beside the phantom and the nearest '
@@ -34,8 +32,8 @@ def build(place: Place) -> None:
     """Build the tab."""
     tab, offered = Context.block, list(trained_generators(place))
     try:
-        handles, names = compare.sliders(place), compare.presets(place)
-        values = compare.first(place)
+        handles, names = side_by_side.sliders(place), side_by_side.presets(place)
+        values = side_by_side.first(place)
     except RacinesError as error:  # a damaged dataset is no reason to close the other tabs
         gr.HTML(refusal(error))
         return
@@ -46,7 +44,7 @@ def build(place: Place) -> None:
     with gr.Row():
         go = gr.Button("Set this pose", variant="primary", elem_id="generators-set", min_width=140)
         again = gr.Button("Random test frame", elem_id="generators-frame", min_width=140)
-    best = compare.leading(place, offered)[:TICKED]
+    best = side_by_side.leading(place, offered)[:TICKED]
     ticked = gr.CheckboxGroup(offered, value=best, label="Generators")
     turn, note = gr.State(0), gr.HTML(elem_id="generators-note")
     cards = gr.HTML(css_template=CSS, elem_id="generators-cards")
@@ -70,7 +68,7 @@ def build(place: Place) -> None:
         tab.select(**draw, api_name="generators_open", **busy)
 
 
-def _sliders(handles: Sequence[compare.Slider], values: Sequence[float]) -> list[gr.Slider]:
+def _sliders(handles: Sequence[side_by_side.Slider], values: Sequence[float]) -> list[gr.Slider]:
     """Return the twelve sliders at their values, three a group."""
     made, pairs = [], list(zip(handles, values, strict=True))
     for first in range(0, len(handles), 3):
@@ -90,26 +88,26 @@ def _missing(place: Place, offered: Sequence[str]) -> str:
     """Return what is not there, and which command makes it."""
     said = ""
     if not offered:
-        said += missing_html(
+        said += missing(
             f"No trained generator in {place.weights} or {place.runs}. Train one:",
             "racines train generator cgan",
         )
     if load_store(place) is None:
-        said += missing_html(
+        said += missing(
             f"No dataset in {place.data}, so no nearest frame. Build it:", "racines data build"
         )
     return said
 
 
 def _preset(place: Place, name: Any) -> list[Any]:
-    return [f'<p class="rc-note">{text(name)} pose</p>', *compare.preset(place, name)]
+    return [f'<p class="rc-note">{text(name)} pose</p>', *side_by_side.preset(place, name)]
 
 
 def _frame(place: Place, turn: Any) -> list[Any]:
     turn = whole(turn, 0, 2**31, "turn")
-    values, which = compare.frame(place, turn)
+    values, which = side_by_side.frame(place, turn)
     return [turn + 1, f'<p class="rc-note">test split, {text(which)}</p>', *values]
 
 
 def _draw(place: Place, seed: Any, ticked: Any, *values: Any) -> str:
-    return cards_page(compare.compare(place, values, seed, ticked))
+    return cards_page(side_by_side.draw_cards(place, values, seed, ticked))

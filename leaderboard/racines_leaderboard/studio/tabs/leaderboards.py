@@ -7,10 +7,11 @@ import gradio as gr
 from racines_leaderboard.board.collect import boards
 from racines_leaderboard.records.tracks import TIERS
 from racines_leaderboard.studio import boards as shown
-from racines_leaderboard.studio.boards_html import charts_html, tables_html
-from racines_leaderboard.studio.notice import missing_html, refusing
+from racines_leaderboard.studio.boards import charts_html, tables_html
+from racines_leaderboard.studio.html import missing
 from racines_leaderboard.studio.place import Place
 from racines_leaderboard.studio.provenance import provenance_html
+from racines_leaderboard.studio.tabs import refusing
 
 ROW_CLICKED = """
 element.addEventListener('click', (event) => {
@@ -22,10 +23,10 @@ element.addEventListener('click', (event) => {
 
 def build(place: Place) -> None:
     """Build the tab."""
-    found = boards(place.results)
-    if not found:
+    names = boards(place.results)
+    if not names:
         gr.HTML(
-            missing_html(
+            missing(
                 f"{place.results}: no results of any board yet. Score a system and collect it:",
                 "racines eval generator nearest-pose",
                 "racines leaderboard --board my-board --collect models/runs/scores",
@@ -33,7 +34,7 @@ def build(place: Place) -> None:
         )
         return
     with gr.Row():
-        board = gr.Dropdown(found, value=found[-1], label="Board", min_width=200)
+        board = gr.Dropdown(names, value=names[-1], label="Board", min_width=200)
         track = gr.Radio(shown.TRACK_NAMES, value=shown.TRACK_NAMES[0], label="Track")
     with gr.Row(visible=False) as of_agents:
         view = gr.Dropdown([shown.ALL], value=shown.ALL, label="View", min_width=300)
@@ -68,7 +69,7 @@ def _wire(
         offered = shown.names(place.results, wanted)
         return tables, charts, gr.Dropdown(choices=offered, value=None), ""
 
-    def told(name: Any, *values: Any) -> str:
+    def provenance(name: Any, *values: Any) -> str:
         if name is None:
             return ""
         wanted = shown.selected(place.results, *values)
@@ -85,4 +86,6 @@ def _wire(
     outputs = [tables, charts, system, record]
     gr.on(None, refusing(show), chosen, outputs, api_name="boards_show", **private)
     tables.click(refusing(clicked), None, system, api_name="boards_clicked", **private)
-    system.change(refusing(told), [system, *chosen], record, api_name="boards_record", **private)
+    system.change(
+        refusing(provenance), [system, *chosen], record, api_name="boards_record", **private
+    )

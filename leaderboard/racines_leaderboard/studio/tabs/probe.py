@@ -10,10 +10,9 @@ from gradio.context import Context
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.studio import driving
-from racines_leaderboard.studio.notice import refusing
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.scene import Scene
-from racines_leaderboard.studio.scene_page import CSS, image_panel, side_panel
+from racines_leaderboard.studio.scene import CSS, panels
+from racines_leaderboard.studio.tabs import one_at_a_time, refusing
 
 GROUPS = (("Move", ("x", "y", "z")), ("Turn", ("rx", "ry", "rz")))
 """Buttons, by what they do: an axis a column, a direction a row."""
@@ -23,9 +22,7 @@ PLAIN = {
     "+rz": "turn +", "-rz": "turn −", "idle": "stay",
 }  # fmt: skip
 """Each action in a word; the axes are the probe's, x to the right of its image."""
-ONE: dict[str, Any] = {
-    "concurrency_id": "probe", "concurrency_limit": 1, "api_visibility": "private",
-}  # fmt: skip
+ONE = one_at_a_time("probe")
 """Steps are taken one after the other, in the order in which they came."""
 STYLE = """<style>
 .probe-pad { gap: .4rem; }
@@ -153,21 +150,17 @@ def _open(lives: driving.Lives, session: Any, *chosen: Any) -> tuple[Any, ...]:
 
 def _begin(lives: driving.Lives, task: Any, kind: Any, number: Any, truth: Any) -> tuple[Any, ...]:
     session = driving.begin(task, kind, number)
-    return session, *_pages(lives.look(session, truth is True))
+    return session, *panels(lives.look(session, truth is True))
 
 
 def _step(lives: driving.Lives, action: int, session: Any, truth: Any) -> tuple[Any, ...]:
     if session is None:
         raise RacinesError("no episode yet: press Start anew")
     session, scene = lives.step(session, action, truth is True)
-    return session, *_pages(scene)
+    return session, *panels(scene)
 
 
 def _look(lives: driving.Lives, session: Any, truth: Any) -> tuple[Any, Any]:
     if session is None:
         return gr.skip(), gr.skip()
-    return _pages(lives.look(session, truth is True))
-
-
-def _pages(scene: Scene) -> tuple[str, str]:
-    return image_panel(scene), side_panel(scene)
+    return panels(lives.look(session, truth is True))

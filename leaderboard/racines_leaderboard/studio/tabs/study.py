@@ -8,16 +8,19 @@ from racines_data.views import RANDOM
 from racines_leaderboard.expert.session import ABOUT
 from racines_leaderboard.studio import labelling
 from racines_leaderboard.studio.codes import LONGEST as CODE
-from racines_leaderboard.studio.labelling import KINDS, NAME, Sitting
-from racines_leaderboard.studio.labelling_html import (
+from racines_leaderboard.studio.html import missing
+from racines_leaderboard.studio.labelling import (
+    KINDS,
+    NAME,
+    Sitting,
     code_html,
     finished_html,
     image_html,
     instructions_html,
     progress_html,
 )
-from racines_leaderboard.studio.notice import missing_html, refusing
 from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.tabs import PRIVATE, refusing
 
 VIEW_KEYS = "asdfghjkl"
 KEYS = """
@@ -45,10 +48,10 @@ HELP = (
 
 def build(place: Place) -> None:
     """Build the tab."""
-    found = labelling.kits(place.kits)
-    if not found:
+    kits = labelling.kits(place.kits)
+    if not kits:
         gr.HTML(
-            missing_html(
+            missing(
                 f"{place.kits}: no kit of images to rate. Draw one:",
                 "racines expert sample --generator nearest-pose --truth --out study/kit",
             )
@@ -56,7 +59,7 @@ def build(place: Place) -> None:
         return
     sitting = gr.State(None)
     with gr.Column() as door:
-        fields = _door(found)
+        fields = _door(kits)
         instructions = gr.HTML()
         start = gr.Button("Begin or go on", variant="primary", elem_id="study-begin")
     with gr.Column(visible=False) as desk:
@@ -72,17 +75,16 @@ def build(place: Place) -> None:
         code = gr.HTML(elem_id="study-code")
     shown = [sitting, door, desk, progress, image, done, code, view, grade, save, undo]
     _wire(place, fields, start, (save, undo, leave), shown)
-    private: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
     gr.on(
         None,
         refusing(lambda kit: instructions_html(labelling.open_kit(place.kits, kit))),
-        fields[0], instructions, api_name="study_instructions", **private,
+        fields[0], instructions, api_name="study_instructions", **PRIVATE,
     )  # fmt: skip
 
 
-def _door(found: list[str]) -> list[Any]:
+def _door(kits: list[str]) -> list[Any]:
     with gr.Row():
-        kit = gr.Dropdown(found, value=found[0], label="Study", min_width=220)
+        kit = gr.Dropdown(kits, value=kits[0], label="Study", min_width=220)
         name = gr.Textbox(
             label="Name", info="A pseudonym: a-z, 0-9 and dashes.", max_length=NAME, max_lines=1,
             elem_id="study-name", min_width=220,
@@ -125,11 +127,10 @@ def _wire(place: Place, fields: list[Any], start: Any, buttons: Any, shown: list
             return _shown(None)
         return _shown(labelling.answer(sitting, view, grade))
 
-    private: dict[str, Any] = {"api_visibility": "private", "show_progress": "hidden"}
-    start.click(refusing(begin), fields, shown, api_name="study_begin", **private)
-    save.click(refusing(answer), [sitting, view, grade], shown, api_name="study_save", **private)
+    start.click(refusing(begin), fields, shown, api_name="study_begin", **PRIVATE)
+    save.click(refusing(answer), [sitting, view, grade], shown, api_name="study_save", **PRIVATE)
     undo.click(None, None, [view, grade], js="() => [null, null]", api_name="study_undo")
-    leave.click(lambda: _shown(None), None, shown, api_name="study_leave", **private)
+    leave.click(lambda: _shown(None), None, shown, api_name="study_leave", **PRIVATE)
 
 
 def _shown(sitting: Sitting | None) -> list[Any]:

@@ -7,10 +7,10 @@ socket and no process. Standard input and output are the wire; what libraries pr
 import contextlib
 import ctypes
 import json
-import os
 import resource
 import sys
 from collections.abc import Callable
+from multiprocessing.connection import Connection
 from typing import Any
 
 from racines_leaderboard.submissions.confined import wire
@@ -26,24 +26,28 @@ def main() -> None:
     _bound(resource.RLIMIT_CORE, 0)
     _bound(resource.RLIMIT_FSIZE, 0)
     _bound(resource.RLIMIT_CPU, limits["cpu_seconds"])
+    asked, answers = Connection(0, writable=False), Connection(1, readable=False)
     try:
         opened = MODES[mode]()
         _close_the_doors()
     except Exception as error:
-        _say(wire.REFUSED, _text(error))
+        wire.say(answers, wire.REFUSED, _text(error))
         return
     run: Run | None = None
-    while (message := _hear()) is not None:
-        kind, payload = message
+    while True:
+        try:
+            kind, payload = wire.hear(asked)
+        except EOFError:
+            return
         _allow_seconds(limits["open_seconds" if kind == wire.OPEN else "call_seconds"])
         try:
             if kind == wire.OPEN:
                 run = opened(payload)
-                _say(wire.ANSWER)
+                wire.say(answers, wire.ANSWER)
             elif run is not None:
-                _say(wire.ANSWER, run(payload))
+                wire.say(answers, wire.ANSWER, run(payload))
         except BaseException as error:
-            _say(wire.REFUSED, _text(error))
+            wire.say(answers, wire.REFUSED, _text(error))
             return
 
 
@@ -70,30 +74,8 @@ def _allow_seconds(seconds: int) -> None:
 
 def _text(error: BaseException) -> bytes:
     short = isinstance(error, MemoryError) or "alloc" in str(error)
-    told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    return (b"M" if short else b"E") + told[:MAX_TEXT].encode(errors="replace")
-
-
-def _say(kind: int, payload: bytes = b"") -> None:
-    data = memoryview(wire.frame(kind, payload))
-    while data:
-        data = data[os.write(1, data) :]
-
-
-def _hear() -> tuple[int, bytes] | None:
-    head = _take(wire.HEAD.size)
-    if len(head) < wire.HEAD.size:
-        return None
-    kind, length = wire.frame_head(head, sys.maxsize)
-    return kind, _take(length)
-
-
-def _take(count: int) -> bytes:
-    parts, left = [], count
-    while left and (part := os.read(0, min(left, 2**20))):
-        parts.append(part)
-        left -= len(part)
-    return b"".join(parts)
+    text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return (b"M" if short else b"E") + text[:MAX_TEXT].encode(errors="replace")
 
 
 def _session() -> Callable[[bytes], Run]:
@@ -109,8 +91,8 @@ def _session() -> Callable[[bytes], Run]:
         names = [output.name for output in session.get_outputs()]
 
         def run(payload: bytes) -> bytes:
-            found: list[Any] = list(session.run(names, wire.unpack_arrays(payload)))
-            return wire.pack_arrays(dict(zip(names, found, strict=True)))
+            outputs: list[Any] = list(session.run(names, wire.unpack_arrays(payload)))
+            return wire.pack_arrays(dict(zip(names, outputs, strict=True)))
 
         return run
 

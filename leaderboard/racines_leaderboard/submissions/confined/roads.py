@@ -1,5 +1,6 @@
 """A stranger's generator and policy: the in-process classes, their graph in a confined child."""
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -18,8 +19,7 @@ class ConfinedGenerator(OnnxGenerator):
 
     def __init__(self, path: Path, limits: Limits | None = None):
         """Open a file under limits."""
-        _rehearse(path, limits)
-        super().__init__(path, "cpu", partial(ConfinedSession, limits=limits))
+        super().__init__(path, "cpu", _confined(path, limits))
 
 
 class ConfinedPolicyAgent(OnnxPolicyAgent):
@@ -31,10 +31,11 @@ class ConfinedPolicyAgent(OnnxPolicyAgent):
 
     def __init__(self, path: Path, limits: Limits | None = None) -> None:
         """Open a file under limits."""
-        _rehearse(path, limits)
-        super().__init__(path, "cpu", partial(ConfinedSession, limits=limits))
+        super().__init__(path, "cpu", _confined(path, limits))
 
 
-def _rehearse(path: Path, limits: Limits | None) -> None:
+def _confined(path: Path, limits: Limits | None) -> Callable[..., ConfinedSession]:
+    """Rehearse a file's parse; return what opens it."""
     content = read_bounded(path.parent, path.name, str(path.parent), MAX_BYTES)
     rehearse("onnx", content, str(path), limits)
+    return partial(ConfinedSession, limits=limits)

@@ -1,20 +1,21 @@
 """A stranger's file in a child process with limits of time, memory and everything else.
 
-The parent sends bytes and gets bytes back (`confined_wire`); it unpickles nothing. What breaks a
-limit ends in a `RacinesError` that names the file and the limit, and the child is killed.
+The parent sends bytes and gets bytes back (`wire`); it unpickles nothing. What breaks a limit ends
+in a `RacinesError` that names the file and the limit, and the child is killed.
 """
 
 import contextlib
 import json
 import os
-import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 import weakref
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from multiprocessing.connection import Pipe
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,7 @@ class Child:
         """Start it and hand it the file.
 
         Args:
-            mode: One of `confined_child.MODES`.
+            mode: One of `child.MODES`.
             content: The file.
             where: Its name, for errors.
             limits: The defaults by default.
@@ -67,22 +68,22 @@ class Child:
         roots = "|".join(str(Path(str(p.__file__)).resolve().parents[1]) for p in packages)
         # -I: neither the environment nor the current folder says what is imported.
         words = [sys.executable, "-I", "-c", START, roots, mode, json.dumps(asdict(self.limits))]
-        self._process = subprocess.Popen(
-            words,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            cwd="/",
-            env=_environment(),
-            start_new_session=True,
-        )
+        asked, self._asks = Pipe(duplex=False)
+        self._answers, answers = Pipe(duplex=False)
+        with asked, answers:  # the child's ends
+            self._process = subprocess.Popen(
+                words,
+                stdin=asked.fileno(),
+                stdout=answers.fileno(),
+                stderr=subprocess.DEVNULL,
+                cwd="/",
+                env=_environment(),
+                start_new_session=True,
+            )
         self._end = weakref.finalize(self, _kill, self._process)
-        for pipe in (self._process.stdin, self._process.stdout):
-            assert pipe is not None
-            os.set_blocking(pipe.fileno(), False)
         self.ask(wire.OPEN, content)
 
-    def ask(self, kind: int, payload: bytes) -> bytes:
+    def ask(self, kind: bytes, payload: bytes) -> bytes:
         """Send a message and return the answer's payload.
 
         Raises:
@@ -90,22 +91,24 @@ class Child:
         """
         seconds = self.limits.open_seconds if kind == wire.OPEN else self.limits.call_seconds
         deadline = time.monotonic() + seconds
+        # Whatever is waited for ends with the child: the pipes have no other holder.
+        clock = threading.Timer(seconds, _stop, [self._process])
+        clock.daemon = True
+        clock.start()
         try:
             with contextlib.suppress(BrokenPipeError):  # its last words say why
-                self._send(wire.frame(kind, payload), deadline)
-            kind, length = wire.frame_head(self._take(wire.HEAD.size, deadline), self.limits.answer)
-            answer = self._take(length, deadline)
-        except wire.WireError as error:
+                wire.say(self._asks, kind, payload)
+            kind, answer = wire.hear(self._answers, self.limits.answer)
+        except (EOFError, OSError) as error:
+            late = time.monotonic() >= deadline
+            reason = f"took more than {seconds} s: stopped" if late else self._cause(seconds)
             self.close()
-            raise RacinesError(f"{self.where}: refused: {error}") from error
-        except TimeoutError as error:
-            self.close()
-            raise RacinesError(f"{self.where}: took more than {seconds} s: stopped") from error
-        except EOFError as error:
-            raise RacinesError(f"{self.where}: {self._cause_of_death(seconds)}") from error
+            raise RacinesError(f"{self.where}: {reason}") from error
         except BaseException:
             self.close()
             raise
+        finally:
+            clock.cancel()
         if kind != wire.ANSWER:
             self.close()
             raise RacinesError(f"{self.where}: {self._told(answer)}")
@@ -114,31 +117,18 @@ class Child:
     def close(self) -> None:
         """Kill the child, if it still runs."""
         self._end()
+        self._asks.close()
+        self._answers.close()
 
-    def _send(self, data: bytes, deadline: float) -> None:
-        assert self._process.stdin is not None
-        handle, left = self._process.stdin.fileno(), memoryview(data)
-        while left:
-            _wait([], [handle], deadline)
-            left = left[os.write(handle, left[: 2**20]) :]
-
-    def _take(self, count: int, deadline: float) -> bytes:
-        assert self._process.stdout is not None
-        handle, parts = self._process.stdout.fileno(), []
-        while count:
-            _wait([handle], [], deadline)
-            part = os.read(handle, min(count, 2**20))
-            if not part:
-                raise EOFError
-            parts.append(part)
-            count -= len(part)
-        return b"".join(parts)
-
-    def _cause_of_death(self, seconds: int) -> str:
+    def _cause(self, seconds: int) -> str:
+        """Say why there is no answer: no message came, or the child died."""
+        if self._asks.closed:
+            return "its process was stopped before"
+        if self._answers.closed:
+            return f"refused: what came is no message of at most {self.limits.answer:,} bytes"
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(5)
         code = self._process.returncode
-        self.close()
         if code == -signal.SIGXCPU:
             return f"took more than {seconds} s of the CPU: stopped"
         name = signal.Signals(-code).name if code and code < 0 else f"exit code {code}"
@@ -158,22 +148,17 @@ def _environment() -> dict[str, str]:
     return kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
-def _wait(read: Sequence[int], write: Sequence[int], deadline: float) -> None:
-    ready = select.select(read, write, [], max(0.0, deadline - time.monotonic()))
-    if not (ready[0] or ready[1]):
-        raise TimeoutError
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a child with all that it may have started, and collect it."""
+def _stop(process: subprocess.Popen[bytes]) -> None:
+    """Kill a child with all that it may have started."""
     if process.poll() is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """Kill a child, and collect it."""
+    _stop(process)
     process.wait()
-    for pipe in (process.stdin, process.stdout):
-        if pipe is not None:
-            with contextlib.suppress(OSError):
-                pipe.close()
 
 
 class ConfinedSession:

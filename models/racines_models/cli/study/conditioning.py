@@ -55,14 +55,13 @@ def conditioning(
 
 def _show(content: dict[str, Any]) -> None:
     from rich.console import Console
-    from rich.table import Table
+
+    from racines_data.tables import console_table
 
     title = f"{content['generator']}, {content['n']} {content['split']} frames"
     figures = [key for key, value in content["variants"][0].items() if isinstance(value, float)]
-    table = Table("conditioning", "injection", title=title, title_justify="left")
-    for figure in figures:
-        table.add_column(figure, justify="right")
-    for row in content["variants"]:
-        values = [f"{row[figure]:.4g}" for figure in figures]
-        table.add_row(row["conditioning"], row["injection"], *values)
-    Console().print(table)
+    rows = [
+        (row["conditioning"], row["injection"], *(f"{row[figure]:.4g}" for figure in figures))
+        for row in content["variants"]
+    ]
+    Console().print(console_table(("conditioning", "injection", *figures), rows, title, right=2))

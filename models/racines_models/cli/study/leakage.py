@@ -51,24 +51,24 @@ def _write_picture(path: Path, result: Any) -> None:
 
 def _show_leakage(content: dict[str, Any]) -> None:
     from rich.console import Console
-    from rich.table import Table
 
+    from racines_data.tables import console_table
     from racines_models.cli.output import ranged
 
-    table = Table("split by", title="nearest-pose retrieval", title_justify="left")
-    for split in content["splits"]:
-        table.add_column(split, justify="right")
     splits = content["splits"].values()
-    table.add_row("test frames", *(f"{each['ssim']['n']}" for each in splits))
-    table.add_row("frames to look up", *(f"{each['train']}" for each in splits))
-    table.add_row("SSIM", *(ranged(each["ssim"]) for each in splits))
-    table.add_row("PSNR, dB", *(ranged(each["psnr"]) for each in splits))
+    rows = [
+        ("test frames", *(f"{each['ssim']['n']}" for each in splits)),
+        ("frames to look up", *(f"{each['train']}" for each in splits)),
+        ("SSIM", *(ranged(each["ssim"]) for each in splits)),
+        ("PSNR, dB", *(ranged(each["psnr"]) for each in splits)),
+    ]
     shown = {"position_mm": "median mm", "rotation_deg": "median degrees", "seconds": "median s"}
     for key, title in shown.items():
-        table.add_row(f"{title} away", *(_number(each[key]) for each in splits))
-    table.add_row("of the same sweep", *(f"{each['same_trajectory']:.1%}" for each in splits))
+        rows.append((f"{title} away", *(_number(each[key]) for each in splits)))
+    rows.append(("of the same sweep", *(f"{each['same_trajectory']:.1%}" for each in splits)))
     console = Console()
-    console.print(table)
+    head = ("split by", *content["splits"])
+    console.print(console_table(head, rows, "nearest-pose retrieval"))
     gain = ", ".join(f"{k.upper()} {ranged(v)}" for k, v in content["gain"].items())
     console.print(f"what the split by frame adds: {gain}", soft_wrap=True, highlight=False)
 

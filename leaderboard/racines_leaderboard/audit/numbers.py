@@ -1,10 +1,10 @@
-"""Numbers that were made again against those of a record, each within what its tier allows.
+"""Recomputed numbers against those of a record, each within what its tier allows.
 
 bitwise     the same libraries, processor, threads, data and weights: every bit
-tolerance   elsewhere: the figures that rank within 0.0004; the others within 0.001 of their
+tolerance   elsewhere: the metrics that rank within 0.0004; the others within 0.001 of their
             size, or two items of n
 half        from half-precision weights: the same, or a quarter of the interval's half-width;
-            of a figure that does not rank, what is off by more but by less than the half-width
+            of a metric that does not rank, what is off by more but by less than the half-width
             cannot be told: other weights draw other images
 """
 
@@ -14,15 +14,15 @@ from collections.abc import Iterator
 from typing import Any
 
 from racines_leaderboard.audit.claims import differing
-from racines_leaderboard.audit.figures import TIMED
+from racines_leaderboard.audit.metrics import TIMED
 from racines_leaderboard.audit.roads import HALF
 from racines_leaderboard.audit.verdicts import Verdict, fails, holds, unknown
 from racines_leaderboard.board.collect import Record
-from racines_leaderboard.records.tracks import TRACKS
+from racines_leaderboard.records.tracks import TRACK
 
 BITWISE, TOLERANCE = "bitwise", "tolerance"
 PRIMARY = 4e-4
-"""Of the figures that rank, in their own unit: below half of 0.001."""
+"""Of the metrics that rank, in their own unit: below half of 0.001."""
 OTHERS, ITEMS = 1e-3, 2.0
 SHARE = 0.25
 """Of the half-width of an interval, for half-precision weights."""
@@ -35,7 +35,7 @@ def agreement(record: Record, made: dict[str, Any], road: str) -> str:
     """Return how near the numbers must come: `bitwise`, `tolerance` or `half precision`.
 
     The name of a processor does not tell all of it. Where the machines are the same by name and
-    not half of the continuous figures are equal, they are not the same.
+    not half of the continuous metrics are equal, they are not the same.
     """
     if road == HALF:
         return HALF
@@ -52,74 +52,73 @@ def agreement(record: Record, made: dict[str, Any], road: str) -> str:
     return BITWISE if same and 2 * equal >= len(pairs) else TOLERANCE
 
 
-def compare(record: Record, made: dict[str, Any], tier: str) -> list[Verdict]:
+def compare_numbers(record: Record, made: dict[str, Any], tier: str) -> list[Verdict]:
     """Return one verdict for each number of a record."""
     made = json.loads(json.dumps(made))
     verdicts = []
-    for subject, key, told, here in _pairs(record["scores"], made):
+    for subject, key, claimed, here in _pairs(record["scores"], made):
         if TIMED.fullmatch(key):
-            verdicts.append(unknown(subject, "a time: it depends on the machine", told["value"]))
+            verdicts.append(unknown(subject, "a time: it depends on the machine", claimed["value"]))
         elif here is None:
             reason = "its judge is not here, or its road does not draw again"
             if key == "success_grader" and not record["scores"].get("extractors"):
                 reason = "the record does not say which grader saw it"
-            verdicts.append(unknown(subject, reason, told["value"]))
+            verdicts.append(unknown(subject, reason, claimed["value"]))
         else:
-            verdicts.extend(_numbers(subject, key, told, here, tier, record["track"]))
-    for kind, told in record["scores"].get("extractors", {}).items():
+            verdicts.extend(_numbers(subject, key, claimed, here, tier, record["track"]))
+    for kind, claimed in record["scores"].get("extractors", {}).items():
         if kind in made.get("extractors", {}):
             here = made["extractors"][kind]
-            say = holds if told == here else fails
+            say = holds if claimed == here else fails
             verdicts.append(say(f"extractors.{kind}.settings", "those that it was scored with"))
     return verdicts
 
 
 def _pairs(
-    told: dict[str, Any], made: dict[str, Any]
+    claimed: dict[str, Any], made: dict[str, Any]
 ) -> Iterator[tuple[str, str, dict[str, Any], dict[str, Any] | None]]:
-    for key, metric in told["metrics"].items():
+    for key, metric in claimed["metrics"].items():
         yield f"metrics.{key}", key, metric, made["metrics"].get(key)
-    for seed, metrics in told.get("by_seed", {}).items():
+    for seed, metrics in claimed.get("by_seed", {}).items():
         here = made.get("by_seed", {}).get(seed, {})
         for key, metric in metrics.items():
             yield f"by_seed.{seed}.{key}", key, metric, here.get(key)
 
 
 def _numbers(
-    subject: str, key: str, told: dict[str, Any], here: dict[str, Any], tier: str, track: str
+    subject: str, key: str, claimed: dict[str, Any], here: dict[str, Any], tier: str, track: str
 ) -> Iterator[Verdict]:
-    allowed = _tolerance(key, told, tier, track)
-    doubtful = _doubtful(key, told, track) if tier == HALF else 0.0
+    allowed = _tolerance(key, claimed, tier, track)
+    doubtful = _doubtful(key, claimed, track) if tier == HALF else 0.0
     for number in NUMBERS:
-        claimed, found = told[number], here[number]
+        stated, value = claimed[number], here[number]
         reason = "equal to the last bit"
-        passes = claimed == found
+        passes = stated == value
         bound = 0.0 if number == "n" or tier == BITWISE else allowed
-        if not passes and None not in (claimed, found):
-            passes = abs(claimed - found) <= bound
-            reason = f"differs by {abs(claimed - found):.2g}"
+        if not passes and None not in (stated, value):
+            passes = abs(stated - value) <= bound
+            reason = f"differs by {abs(stated - value):.2g}"
         elif not passes:
             reason = "one of the two is missing"
         say = holds if passes else fails
-        near = None not in (claimed, found) and abs(claimed - found) <= doubtful
+        near = None not in (stated, value) and abs(stated - value) <= doubtful
         if not passes and near and number != "n":
             say, reason = unknown, f"{reason}: the full weights would tell"
-        verdict = say(f"{subject}.{number}", f"made again: {reason}", claimed, found)
+        verdict = say(f"{subject}.{number}", f"recomputed: {reason}", stated, value)
         yield dataclasses.replace(verdict, tolerance=bound)
 
 
-def _doubtful(key: str, told: dict[str, Any], track: str) -> float:
-    """Return what half-precision weights may move a figure by without a word against it."""
-    ranks = key in next(each for each in TRACKS if each.name == track).ranked_by
-    if ranks or None in (told["low"], told["high"]):
+def _doubtful(key: str, claimed: dict[str, Any], track: str) -> float:
+    """Return what half-precision weights may move a metric by without a word against it."""
+    if key in TRACK[track].ranked_by or None in (claimed["low"], claimed["high"]):
         return 0.0
-    return (told["high"] - told["low"]) / 2
+    return (claimed["high"] - claimed["low"]) / 2
 
 
-def _tolerance(key: str, told: dict[str, Any], tier: str, track: str) -> float:
-    ranking = next(each for each in TRACKS if each.name == track).ranked_by
-    size = max(1.0, abs(told["value"] or 0.0))
-    bound = PRIMARY if key in ranking else size * max(OTHERS, ITEMS / max(told["n"], 1))
-    if tier == HALF and None not in (told["low"], told["high"]):
-        return max(bound, SHARE * (told["high"] - told["low"]) / 2)
+def _tolerance(key: str, claimed: dict[str, Any], tier: str, track: str) -> float:
+    bound = PRIMARY
+    if key not in TRACK[track].ranked_by:
+        bound = max(1.0, abs(claimed["value"] or 0.0)) * max(OTHERS, ITEMS / max(claimed["n"], 1))
+    if tier == HALF and None not in (claimed["low"], claimed["high"]):
+        return max(bound, SHARE * (claimed["high"] - claimed["low"]) / 2)
     return bound

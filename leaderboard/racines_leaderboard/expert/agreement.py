@@ -1,4 +1,4 @@
-"""The figures of a study: how raters' views and grades agree with a reference, or with each other.
+"""The metrics of a study: how raters' views and grades agree with a reference, or with each other.
 
 The paper counts how often view and grade agree (369 and 350 of 400) and leaves open when two grades
 agree. Here they do when they differ by at most one, as in the scores of the grader; how often they
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from racines_leaderboard.expert.kappa import confusion, kappa_figure, nominal, quadratic
+from racines_leaderboard.expert.kappa import confusion, kappa_metric, nominal, quadratic
 from racines_models.judges.grader.report import CLOSE
 from racines_models.statistics import bootstrap_mean, wilson
 
@@ -37,7 +37,7 @@ class Answers:
         return Answers(self.views[None], self.grades[None])
 
 
-def compare(
+def agreement(
     given: Answers, reference: Answers, clusters: np.ndarray, labels: int, resamples: int = 1000
 ) -> dict[str, Any]:
     """Compare R raters' answers with a reference.
@@ -69,7 +69,7 @@ def compare(
             "the same view",
             resamples,
         ),
-        "view_kappa": kappa_figure(views, nominal(labels), "Cohen's kappa of the views", resamples),
+        "view_kappa": kappa_metric(views, nominal(labels), "Cohen's kappa of the views", resamples),
         "grade_agreement": _rate(
             _where_known(np.abs(difference) <= CLOSE, difference),
             cluster,
@@ -79,7 +79,7 @@ def compare(
         "grade_exact": _rate(
             _where_known(equal, difference), cluster, "grades are equal after rounding", resamples
         ),
-        "grade_kappa": kappa_figure(
+        "grade_kappa": kappa_metric(
             grades, quadratic(GRADES), "Cohen's kappa of the grades, quadratic weights", resamples
         ),
         "grade_difference": _average(

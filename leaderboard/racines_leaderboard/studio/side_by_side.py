@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.studio import inputs
+from racines_leaderboard.studio.html import text
 from racines_leaderboard.studio.parts import (
     load_grader,
     load_index,
@@ -18,7 +20,9 @@ from racines_leaderboard.studio.parts import (
     load_trained,
     trained_generators,
 )
+from racines_leaderboard.studio.pictures import element
 from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.scene import quick_png
 
 MOST = 12
 """Generators that draw at once, at most."""
@@ -76,9 +80,9 @@ def sliders(place: Place) -> tuple[Slider, ...]:
     else:
         columns = store.parameters.double().numpy()
         spans = list(zip(np.nanmin(columns, 0), np.nanmax(columns, 0), strict=True))
-    found: dict[str, Any] = dict(zip(PARAMETERS, spans, strict=True))
+    reach: dict[str, Any] = dict(zip(PARAMETERS, spans, strict=True))
     return tuple(
-        _slider(f"{group}_{axis}", unit, scale, step, *found[f"{group}_{axis}"])
+        _slider(f"{group}_{axis}", unit, scale, step, *reach[f"{group}_{axis}"])
         for group, unit, scale, step in GROUPS
         for axis in "xyz"
     )
@@ -189,14 +193,14 @@ def read_parameters(place: Place, values: Sequence[Any]) -> Any:
     all_sliders = sliders(place)
     if len(values) != len(all_sliders):
         raise RacinesError(f"{len(values)} parameters: give {len(all_sliders)}")
-    found = {
+    chosen = {
         slider.name: inputs.number(value, slider.low, slider.high, slider.name) / slider.scale
         for slider, value in zip(all_sliders, values, strict=True)
     }
-    return torch.tensor([[found[name] for name in PARAMETERS]], dtype=torch.float32)
+    return torch.tensor([[chosen[name] for name in PARAMETERS]], dtype=torch.float32)
 
 
-def compare(place: Place, values: Sequence[Any], seed: Any, ticked: Any) -> list[Card]:
+def draw_cards(place: Place, values: Sequence[Any], seed: Any, ticked: Any) -> list[Card]:
     """Return the phantom's image, the nearest frame, and an image of each ticked generator.
 
     Raises:
@@ -270,3 +274,27 @@ def _judgement(place: Place, phantom: Any, images: Any) -> list[str]:
     best, views = p.max(1)
     rows = zip(views.tolist(), best.tolist(), grades.tolist(), strict=True)
     return [f"judge: {grader.labels[v]} (p {b:.2f}), grade {g:.1f}" for v, b, g in rows]
+
+
+CSS = """
+.rg-cards { display: grid; gap: .6rem;
+  grid-template-columns: repeat(auto-fill, minmax(min(165px, 47%), 1fr)); }
+.rg-card { margin: 0; background: #000; border-radius: 6px; overflow: hidden; }
+.rg-card img { width: 100%; height: auto; display: block; }
+.rg-card figcaption { padding: .4rem .55rem .5rem; background: #1a2026; color: #e6e9ec;
+  font-size: .8rem; line-height: 1.4; font-variant-numeric: tabular-nums; min-height: 100%; }
+.rg-card b { display: block; font-size: .9rem; color: #fff; overflow-wrap: anywhere; }
+.rg-card span { display: block; color: #aab4bd; }
+"""
+
+
+def cards_page(cards: Sequence[Card]) -> str:
+    """Return all cards as one grid, as many side by side as there is room for."""
+    return f'<div class="rg-cards">{"".join(_card(card) for card in cards)}</div>'
+
+
+def _card(card: Card) -> str:
+    image = element(quick_png(Image.fromarray(card.image)), f"image by {card.title}", "")
+    notes = "".join(f"<span>{text(note)}</span>" for note in card.notes)
+    caption = f"<figcaption><b>{text(card.title)}</b>{notes}</figcaption>"
+    return f'<figure class="rg-card">{image}{caption}</figure>'

@@ -1,4 +1,4 @@
-"""Figures by themselves: n, intervals and means that cannot be what they say, without scoring."""
+"""Metrics by themselves: n, intervals and means that cannot be what they say, without scoring."""
 
 import re
 from typing import Any
@@ -11,16 +11,16 @@ from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, unk
 from racines_leaderboard.board.collect import Record
 
 OF_VIEW = re.compile(r"(grade_agreement|grade_error|pose_error_(mm|deg)_view)(_truth)?")
-"""Figures over the frames of a view alone."""
+"""Metrics over the frames of a view alone."""
 PRDC = re.compile(r"(precision|recall|density|coverage)(_grader)?")
 TIMED = re.compile(r"images_per_second_(?P<batch>\d+)|latency")
-"""Figures of the machine."""
+"""Metrics of the machine."""
 CLOSE = 1e-9
 """What the last bits of a sum may differ by, relative."""
 
 
-def check_figures(record: Record, bench: Bench) -> list[Verdict]:
-    """Check each figure's n, interval and parts against one another and the board's settings."""
+def check_metrics(record: Record, bench: Bench) -> list[Verdict]:
+    """Check each metric's n, interval and parts against one another and the board's settings."""
     scores, verdicts = record["scores"], []
     groups = {"metrics": scores["metrics"]}
     groups |= {f"by_seed.{seed}": each for seed, each in scores.get("by_seed", {}).items()}
@@ -48,7 +48,7 @@ def _interval(subject: str, metric: dict[str, Any]) -> Verdict:
 
 
 def _parts(subject: str, metric: dict[str, Any]) -> list[Verdict]:
-    """Check what follows from other numbers of a figure: means of parts, Wilson's interval."""
+    """Check what follows from other numbers of a metric: means of parts, Wilson's interval."""
     settings, verdicts = metric.get("settings", {}), []
     if (sets := settings.get("by_set")) and metric["value"] is not None:
         mean = float(np.mean(sets))
@@ -66,15 +66,15 @@ def _wilson(subject: str, metric: dict[str, Any]) -> Verdict:
     n = metric["n"]
     here = wilson(np.arange(n) < round(metric["value"] * n))
     keys = ("value", "low", "high")
-    told, found = ([each[key] for key in keys] for each in (metric, here))
-    say = holds if np.allclose(told, found, rtol=0, atol=CLOSE) else fails
-    return say(subject, f"a rate of {n} and Wilson's interval for n = {n}", told, found)
+    claimed, recomputed = ([one[key] for key in keys] for one in (metric, here))
+    say = holds if np.allclose(claimed, recomputed, rtol=0, atol=CLOSE) else fails
+    return say(subject, f"a rate of {n} and Wilson's interval for n = {n}", claimed, recomputed)
 
 
 def _counts(
     record: Record, bench: Bench, place: str, metrics: dict[str, Any]
 ) -> dict[str, tuple[int, str]]:
-    """Return the n that each figure must have, and why, as far as it is known."""
+    """Return the n that each metric must have, and why, as far as it is known."""
     if record["track"] == "agents":
         return _episodes(record, place, metrics)
     store = bench.data_for(record["scores"]["dataset"]["recipe_digest"])
@@ -103,11 +103,11 @@ def _counts(
 
 
 def _at_most(bench: Bench, metrics: dict[str, Any]) -> dict[str, tuple[int, str]]:
-    """Without the data: no figure rests on more frames than the settings score."""
+    """Without the data: no metric rests on more frames than the settings score."""
     most = bench.scores.samples
-    told = {key: metric["n"] for key, metric in metrics.items()}
+    counts = {key: metric["n"] for key, metric in metrics.items()}
     reason = f"at most {most:,} frames are scored; how many show a view, the data would tell"
-    return {key: (min(n, most), reason) for key, n in told.items()}
+    return {key: (min(n, most), reason) for key, n in counts.items()}
 
 
 def _episodes(record: Record, place: str, metrics: dict[str, Any]) -> dict[str, tuple[int, str]]:
@@ -139,13 +139,13 @@ def _methods(record: Record, bench: Bench) -> list[Verdict]:
         if store is not None:
             trajectories = len(np.unique(bench.sample.trajectory))
             wanted |= {"blocks": min(bench.scores.blocks, trajectories)}
-    told: dict[str, set[int]] = {key: set() for key in wanted}
+    stated: dict[str, set[int]] = {key: set() for key in wanted}
     for metric in record["scores"]["metrics"].values():
         method = metric.get("settings", {}).get("interval", "")
-        for key, found in told.items():
-            found |= {int(number) for number in re.findall(rf"(\d+) {key}", method)}
+        for key, numbers in stated.items():
+            numbers |= {int(number) for number in re.findall(rf"(\d+) {key}", method)}
     return [
-        equal(f"intervals.{key}", sorted(found), [wanted[key]], "the board's settings")
-        for key, found in told.items()
-        if found
+        equal(f"intervals.{key}", sorted(numbers), [wanted[key]], "the board's settings")
+        for key, numbers in stated.items()
+        if numbers
     ]
