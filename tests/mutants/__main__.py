@@ -1,0 +1,154 @@
+"""`make mutants`: run the tests on every mutant and report those that live.
+
+Results are kept as they come, so a run that was stopped goes on. A kill holds as long as the
+module's text does; a mutant that lived is tried again when its tests have changed.
+"""
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from tests.mutants.catalogue import ROOT, Group, Mutant, at_random, by_hand, groups
+from tests.mutants.process import Run, preload
+
+SLACK, LEAST = 10.0, 120.0
+"""A mutant has this many times as long as the module took without it, and these seconds at least."""
+DRAWN = 25
+"""Random mutants a group."""
+SEED = 15
+
+
+class Results:
+    """Outcomes on disk, by the key of the mutant, and seconds of the tests without any."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.rows: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
+
+    def of(self, mutant: Mutant) -> dict[str, Any] | None:
+        """Return the outcome, if it still holds."""
+        row = self.rows.get(mutant.key)
+        if row and row["verdict"] == "survived" and row["tests"] != digest(mutant.tests):
+            return None
+        return row
+
+    def put(self, key: str, **row: Any) -> None:
+        """Keep an outcome."""
+        self.rows[key] = row
+        part = self._path.with_suffix(".part")
+        part.write_text(json.dumps(self.rows, indent=1) + "\n")
+        part.replace(self._path)
+
+
+def digest(tests: Iterable[str]) -> str:
+    """Return a hash of the files of tests."""
+    texts = [(ROOT / test.split("::")[0]).read_bytes() for test in tests]
+    return hashlib.sha256(b"\0".join(texts)).hexdigest()[:16]
+
+
+def mutants(chosen: list[Group], kind: str) -> Iterator[Mutant]:
+    """Yield the mutants of groups: by hand first, since they are named."""
+    if kind != "random":
+        for group in chosen:
+            yield from by_hand(group)
+    if kind != "hand":
+        for group in chosen:
+            yield from at_random(group, DRAWN, SEED)
+
+
+def run(todo: list[Mutant], results: Results, jobs: int) -> None:
+    """Test mutants, some at once, and keep what comes out."""
+    limits = {tests: _limit(tests, results) for tests in dict.fromkeys(m.tests for m in todo)}
+    waiting, under_way = list(reversed(todo)), dict[Run, Mutant]()
+    done = 0
+    while waiting or under_way:
+        while waiting and len(under_way) < jobs:
+            mutant = waiting.pop()
+            under_way[Run(mutant.tests, limits[mutant.tests], mutant.file, mutant.source)] = mutant
+        time.sleep(0.05)
+        for each in list(under_way):
+            outcome = each.poll()
+            if outcome is None:
+                continue
+            mutant, done = under_way.pop(each), done + 1
+            row = {"name": mutant.name, "kind": mutant.kind, "group": mutant.group}
+            row |= {"verdict": outcome.verdict, "seconds": round(outcome.seconds, 1)}
+            results.put(mutant.key, **row, by=outcome.by, tests=digest(mutant.tests))
+            print(f"{done:>4}/{len(todo)} {outcome.verdict:9} {outcome.seconds:6.1f} s", end="  ")
+            print(f"{mutant.name}  {outcome.by}", flush=True)
+
+
+def _limit(tests: tuple[str, ...], results: Results) -> float:
+    """Return how long a mutant may take: the tests are run once without any."""
+    key = f"unmutated {digest(tests)} {' '.join(tests)}"
+    if key not in results.rows:
+        plain, outcome = Run(tests, 3600.0), None
+        while outcome is None:
+            time.sleep(0.05)
+            outcome = plain.poll()
+        if outcome.verdict != "survived":
+            sys.exit(f"{' '.join(tests)}: {outcome.verdict} without any mutant: {outcome.by}")
+        results.put(key, seconds=round(outcome.seconds, 1))
+        print(f"unmutated {outcome.seconds:6.1f} s  {' '.join(tests)}", flush=True)
+    return max(LEAST, SLACK * results.rows[key]["seconds"])
+
+
+def report(all_of: list[Mutant], results: Results) -> str:
+    """Return counts by group and kind, and the survivors with their reasons, as Markdown."""
+    rows = {mutant: results.of(mutant) for mutant in all_of}
+    lines = ["| mutants | in all | run | survive | % | s each |", "| --- " + "| ---: " * 5 + "|"]
+    keys = list(dict.fromkeys((m.kind, m.group) for m in all_of))
+    for kind, group in [*keys, *((kind, "all") for kind in dict.fromkeys(k for k, _ in keys))]:
+        within = [m for m in all_of if m.kind == kind and group in (m.group, "all")]
+        ran = [row for m in within if (row := rows[m])]
+        count = Counter(row["verdict"] for row in ran)
+        seconds = sum(row["seconds"] for row in ran) / max(len(ran), 1)
+        share = 100 * count["survived"] / max(len(ran), 1)
+        lines.append(
+            f"| {kind}, {group} | {len(within)} | {len(ran)} | {count['survived']} "
+            f"| {share:.1f} | {seconds:.1f} |"
+        )
+    for mutant, row in rows.items():
+        if row and row["verdict"] in ("survived", "error"):
+            lines.append(f"- {row['verdict']}: {mutant.name}: {mutant.change}")
+            lines.append(f"  ({mutant.reason or 'no reason given'})")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run what is asked for; without arguments everything."""
+    parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__)
+    parser.add_argument("--kind", choices=("hand", "random", "all"), default="all")
+    parser.add_argument("--group", action="append", help="only this group; may be repeated")
+    parser.add_argument("--name", action="append", help="only mutants with this in their names")
+    parser.add_argument("--jobs", type=int, default=2, help="mutants at once")
+    parser.add_argument("--results", type=Path, default=ROOT / ".mutants.json")
+    parser.add_argument("--fresh", action="store_true", help="forget earlier results")
+    parser.add_argument("--report", action="store_true", help="only report")
+    words = parser.parse_args()
+    os.nice(max(0, 19 - os.nice(0)))
+    if words.fresh:
+        words.results.unlink(missing_ok=True)
+    results = Results(words.results)
+    chosen = [group for group in groups() if not words.group or group.name in words.group]
+    all_of = [
+        mutant
+        for mutant in mutants(chosen, words.kind)
+        if not words.name or any(part in mutant.name for part in words.name)
+    ]
+    todo = [mutant for mutant in all_of if results.of(mutant) is None]
+    if todo and not words.report:
+        preload()
+        run(todo, results, words.jobs)
+    print(report(all_of, results))
+
+
+if __name__ == "__main__":
+    main()
