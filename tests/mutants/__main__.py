@@ -19,7 +19,7 @@ from tests.mutants.catalogue import ROOT, Group, Mutant, at_random, by_hand, gro
 from tests.mutants.process import Run, preload
 
 SLACK, LEAST = 10.0, 120.0
-"""A mutant has this many times as long as the module took without it, and these seconds at least."""
+"""A mutant may take so many times what its tests take without it, and at least so many seconds."""
 DRAWN = 25
 """Random mutants a group."""
 SEED = 15
@@ -65,13 +65,13 @@ def mutants(chosen: list[Group], kind: str) -> Iterator[Mutant]:
 
 def run(todo: list[Mutant], results: Results, jobs: int) -> None:
     """Test mutants, some at once, and keep what comes out."""
-    limits = {tests: _limit(tests, results) for tests in dict.fromkeys(m.tests for m in todo)}
     waiting, under_way = list(reversed(todo)), dict[Run, Mutant]()
     done = 0
     while waiting or under_way:
         while waiting and len(under_way) < jobs:
             mutant = waiting.pop()
-            under_way[Run(mutant.tests, limits[mutant.tests], mutant.file, mutant.source)] = mutant
+            limit = _limit(mutant.tests, results)
+            under_way[Run(mutant.tests, limit, mutant.file, mutant.source)] = mutant
         time.sleep(0.05)
         for each in list(under_way):
             outcome = each.poll()

@@ -106,9 +106,7 @@ def at_random(group: Group, count: int, seed: int) -> list[Mutant]:
             continue
         name = f"{file}:{line}:{column} {operator}"
         change = mutated.splitlines()[line - 1].strip()
-        drawn.append(
-            Mutant(name, group.name, "random", file, mutated, group.tests[file], change)
-        )
+        drawn.append(Mutant(name, group.name, "random", file, mutated, group.tests[file], change))
     return drawn
 
 

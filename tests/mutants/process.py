@@ -26,13 +26,15 @@ from typing import Any
 from tests.mutants.catalogue import ROOT
 
 PRELOAD = """
-    accelerate dvclive.live matplotlib.figure matplotlib.pyplot monai.networks.nets.resnet numpy
-    pandas PIL.Image polars pyarrow.parquet pytest rich.progress safetensors.torch scipy.linalg
-    scipy.ndimage scipy.optimize scipy.stats skimage.metrics tensordict.nn torch
-    torch.distributions torch.optim.swa_utils torchmetrics.functional.classification
+    accelerate datasets dvclive.live gymnasium huggingface_hub matplotlib.figure matplotlib.pyplot
+    monai.networks.nets.resnet numpy pandas PIL.Image polars pyarrow.parquet pytest pytest_timeout
+    rich.progress safetensors.torch scipy.linalg scipy.ndimage scipy.optimize scipy.stats
+    skimage.metrics tensordict.nn torch torch.distributions torch.optim.swa_utils
+    torchmetrics.functional.classification
     torchmetrics.functional.image torchmetrics.image.kid torchrl.collectors torchrl.data
-    torchrl.envs torchrl.modules torchrl.objectives.value typer.testing yaml
-""".split()
+    torchrl.envs torchrl.modules torchrl.objectives.value typer.testing xdist.plugin yaml
+"""
+"""What a child need not import any more."""
 OURS = ("racines_data", "racines_models", "racines_envs", "racines_leaderboard")
 PACKAGES = ("models", "envs", "leaderboard")
 
@@ -50,7 +52,7 @@ class Outcome:
 
 def preload() -> None:
     """Import the libraries; ours must not be among what they import."""
-    for name in PRELOAD:
+    for name in PRELOAD.split():
         importlib.import_module(name)
     early = sorted(name for name in sys.modules if name.split(".")[0] in OURS)
     if early:
@@ -66,12 +68,16 @@ def module_name(file: str) -> str:
 class Run:
     """A fork under way; `poll` it until it has an outcome."""
 
-    def __init__(self, tests: Sequence[str], limit: float, file: str = "", source: str = "") -> None:
+    def __init__(
+        self, tests: Sequence[str], limit: float, file: str = "", source: str = ""
+    ) -> None:
         self._aside = tempfile.TemporaryDirectory(prefix="mutant-")
         self._limit, self._began = limit, time.monotonic()
         context = multiprocessing.get_context("fork")
         where = Path(self._aside.name)
-        self.process: BaseProcess = context.Process(target=_child, args=(where, tests, file, source))
+        self.process: BaseProcess = context.Process(
+            target=_child, args=(where, tests, file, source)
+        )
         self.process.start()
 
     def poll(self) -> Outcome | None:
@@ -108,7 +114,10 @@ def _child(aside: Path, tests: Sequence[str], file: str, source: str) -> None:
         sys.meta_path.insert(0, _Finder(file, source))
     import pytest
 
-    words = ["-x", "-q", "-p", "no:cacheprovider", "-n", "0", f"--basetemp={aside / 'tmp'}"]
+    # Of the plug-ins only those that our tests use: the others' imports outlast most tests.
+    os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
+    plugins = ["-p", "no:cacheprovider", "-p", "xdist.plugin", "-p", "pytest_timeout"]
+    words = ["-x", "-q", "-n", "0", *plugins, f"--basetemp={aside / 'tmp'}"]
     code = pytest.main([*words, *tests], plugins=[_Recorder(aside / "failed")])
     sys.stdout.flush()
     os._exit(int(code))
