@@ -1,0 +1,110 @@
+"""Intervals against their definitions, and against scipy's where it has them."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from racines_models.statistics import (
+    bootstrap_mean,
+    bootstrap_median,
+    interquartile_mean,
+    jackknife,
+    jackknife_all,
+    mean,
+    median,
+    wilson,
+)
+
+SIZES = [3, 5, 1, 8, 2, 4, 6]
+CLUSTERS = np.repeat(np.arange(7), SIZES)
+VALUES = np.random.default_rng(0).exponential(size=len(CLUSTERS)) + CLUSTERS
+
+
+def test_the_mean_is_that_of_resampled_trajectories_long_and_short():
+    estimate = bootstrap_mean(VALUES, CLUSTERS, seed=2, resamples=200)
+    repeated = np.random.default_rng(2)
+    means = []
+    for draws in repeated.multinomial(7, np.full(7, 1 / 7), size=200):
+        frames = [np.repeat(VALUES[CLUSTERS == c], draws[c]) for c in range(7)]
+        means.append(np.concatenate(frames).mean())
+    assert [estimate.low, estimate.high] == pytest.approx(np.quantile(means, [0.025, 0.975]))
+    assert estimate.value == VALUES.mean() and estimate.method.endswith(", 200 resamples")
+    assert bootstrap_mean(VALUES, CLUSTERS, seed=3, resamples=200).low != estimate.low
+
+
+def test_names_of_trajectories_and_their_order_do_not_matter():
+    names = np.array([f"sweep-{9 - c}" for c in CLUSTERS])
+    for estimate in (bootstrap_mean, bootstrap_median):
+        plain = estimate(VALUES, 100 - CLUSTERS, resamples=50)
+        assert estimate(VALUES, names, resamples=50) == plain
+    one = bootstrap_median(VALUES[:3], CLUSTERS[:3])
+    assert (one.value, one.low, one.high, one.clusters) == (np.median(VALUES[:3]), None, None, 1)
+
+
+@pytest.mark.parametrize("blocks", [20, 7, 3])
+def test_the_jackknife_leaves_out_whole_trajectories_and_takes_students_t(blocks):
+    seen = []
+
+    def statistic(keep: np.ndarray) -> float:
+        seen.append(keep)
+        return float(VALUES[keep].mean())
+
+    estimate = jackknife(statistic, CLUSTERS, blocks)
+    count = min(blocks, 7)
+    assert seen[0].all() and len(seen) == 1 + count
+    for block, keep in enumerate(seen[1:]):
+        assert set(CLUSTERS[~keep]) == {c for c in range(7) if c % count == block}
+        assert not set(CLUSTERS[keep]) & set(CLUSTERS[~keep])
+    left = np.array([VALUES[keep].mean() for keep in seen[1:]])
+    error = np.sqrt((count - 1) / count * ((left - left.mean()) ** 2).sum())
+    half = stats.t.ppf(0.975, count - 1) * error
+    assert [estimate.low, estimate.high] == pytest.approx(
+        [VALUES.mean() - half, VALUES.mean() + half]
+    )
+    assert (estimate.n, estimate.clusters) == (29, 7)
+
+
+def test_the_jackknife_of_several_is_cut_where_no_value_can_be():
+    figures = jackknife_all(
+        lambda keep: {
+            "share": float((VALUES[keep] > 6).mean()),
+            "mean": float(VALUES[keep].mean()),
+        },
+        CLUSTERS,
+        minimum=0.0,
+    )
+    assert figures["share"].low == 0.0 < figures["share"].value < figures["share"].high
+    assert figures["mean"] == jackknife(lambda keep: float(VALUES[keep].mean()), CLUSTERS)
+    one = jackknife(lambda keep: float(keep.sum()), np.zeros(9))
+    assert (one.value, one.low, one.high, one.clusters) == (9.0, None, None, 1)
+
+
+@pytest.mark.parametrize("n", [1, 3, 10, 400])
+def test_the_rate_has_scipys_wilson_interval(n):
+    for hits in range(0, n + 1, max(n // 8, 1)):
+        figure = wilson(np.arange(n) < hits)
+        expected = stats.binomtest(hits, n).proportion_ci(0.95, "wilson")
+        assert (figure["value"], figure["n"]) == (hits / n, n)
+        assert [figure["low"], figure["high"]] == pytest.approx(list(expected), abs=1e-12)
+        assert 0.0 <= figure["low"] <= figure["value"] <= figure["high"] <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs"),
+    [
+        (mean, np.mean),
+        (median, np.median),
+        (interquartile_mean, lambda x, axis=-1: stats.trim_mean(x, 0.25, axis=axis)),
+    ],
+)
+def test_figures_over_episodes_are_those_of_resampled_episodes(ours, theirs):
+    values = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 512.0])
+    figure = ours(values, "steps", resamples=500)
+    drawn = values[np.random.default_rng(0).integers(0, 8, (500, 8))]
+    expected = np.quantile(theirs(drawn, axis=-1), [0.025, 0.975])
+    assert figure["value"] == pytest.approx(theirs(values)) and figure["n"] == 8
+    assert [figure["low"], figure["high"]] == pytest.approx(expected)
+    assert figure["unit"] == "steps" and "500 resamples" in figure["settings"]["interval"]
+    one = ours(np.array([3.0]))
+    assert (one["value"], one["low"], one["high"], one["n"]) == (3.0, None, None, 1)
+    assert "unit" not in one and ours(np.array([]))["value"] is None
