@@ -16,28 +16,28 @@ from racines_models.statistics import (
 )
 
 SIZES = [3, 5, 1, 8, 2, 4, 6]
-CLUSTERS = np.repeat(np.arange(7), SIZES)
-VALUES = np.random.default_rng(0).exponential(size=len(CLUSTERS)) + CLUSTERS
+SWEEP = np.repeat(np.arange(7), SIZES)
+VALUES = np.random.default_rng(0).exponential(size=len(SWEEP)) + SWEEP
 
 
 def test_the_mean_is_that_of_resampled_trajectories_long_and_short():
-    estimate = bootstrap_mean(VALUES, CLUSTERS, seed=2, resamples=200)
+    estimate = bootstrap_mean(VALUES, SWEEP, seed=2, resamples=200)
+    values, sweep, means = VALUES, SWEEP, []
     repeated = np.random.default_rng(2)
-    means = []
     for draws in repeated.multinomial(7, np.full(7, 1 / 7), size=200):
-        frames = [np.repeat(VALUES[CLUSTERS == c], draws[c]) for c in range(7)]
+        frames = [np.repeat(values[sweep == c], draws[c]) for c in range(7)]
         means.append(np.concatenate(frames).mean())
     assert [estimate.low, estimate.high] == pytest.approx(np.quantile(means, [0.025, 0.975]))
     assert estimate.value == VALUES.mean() and estimate.method.endswith(", 200 resamples")
-    assert bootstrap_mean(VALUES, CLUSTERS, seed=3, resamples=200).low != estimate.low
+    assert bootstrap_mean(VALUES, SWEEP, seed=3, resamples=200).low != estimate.low
 
 
 def test_names_of_trajectories_and_their_order_do_not_matter():
-    names = np.array([f"sweep-{9 - c}" for c in CLUSTERS])
+    names = np.array([f"sweep-{9 - c}" for c in SWEEP])
     for estimate in (bootstrap_mean, bootstrap_median):
-        plain = estimate(VALUES, 100 - CLUSTERS, resamples=50)
+        plain = estimate(VALUES, 100 - SWEEP, resamples=50)
         assert estimate(VALUES, names, resamples=50) == plain
-    one = bootstrap_median(VALUES[:3], CLUSTERS[:3])
+    one = bootstrap_median(VALUES[:3], SWEEP[:3])
     assert (one.value, one.low, one.high, one.clusters) == (np.median(VALUES[:3]), None, None, 1)
 
 
@@ -49,12 +49,12 @@ def test_the_jackknife_leaves_out_whole_trajectories_and_takes_students_t(blocks
         seen.append(keep)
         return float(VALUES[keep].mean())
 
-    estimate = jackknife(statistic, CLUSTERS, blocks)
+    estimate = jackknife(statistic, SWEEP, blocks)
     count = min(blocks, 7)
     assert seen[0].all() and len(seen) == 1 + count
     for block, keep in enumerate(seen[1:]):
-        assert set(CLUSTERS[~keep]) == {c for c in range(7) if c % count == block}
-        assert not set(CLUSTERS[keep]) & set(CLUSTERS[~keep])
+        assert set(SWEEP[~keep]) == {c for c in range(7) if c % count == block}
+        assert not set(SWEEP[keep]) & set(SWEEP[~keep])
     left = np.array([VALUES[keep].mean() for keep in seen[1:]])
     error = np.sqrt((count - 1) / count * ((left - left.mean()) ** 2).sum())
     half = stats.t.ppf(0.975, count - 1) * error
@@ -70,11 +70,11 @@ def test_the_jackknife_of_several_is_cut_where_no_value_can_be():
             "share": float((VALUES[keep] > 6).mean()),
             "mean": float(VALUES[keep].mean()),
         },
-        CLUSTERS,
+        SWEEP,
         minimum=0.0,
     )
     assert figures["share"].low == 0.0 < figures["share"].value < figures["share"].high
-    assert figures["mean"] == jackknife(lambda keep: float(VALUES[keep].mean()), CLUSTERS)
+    assert figures["mean"] == jackknife(lambda keep: float(VALUES[keep].mean()), SWEEP)
     one = jackknife(lambda keep: float(keep.sum()), np.zeros(9))
     assert (one.value, one.low, one.high, one.clusters) == (9.0, None, None, 1)
 
