@@ -41,7 +41,7 @@ CHANGES = {
     "phantom": lambda t: None,
     "images": lambda t: changed(t.images, 1),
     "parameters": lambda t: changed(t.parameters, 1e-3),
-    "timestamps": lambda t: t.timestamps + 1e-12,  # lost in single precision
+    "timestamps": lambda t: t.timestamps * (1 + 1e-12),  # lost in single precision
     "controls": lambda t: np.zeros((3, 6), np.float32),
     "views": lambda t: changed(t.views, 1),
     "grades": lambda t: changed(t.grades, 0.5),

@@ -8,7 +8,7 @@ import torch
 from torch.nn import functional
 
 from racines_models.judges.grader import training as grader_training
-from racines_models.judges.grader.calibration import Reliability
+from racines_models.judges.grader.calibration import Reliability, reliability
 from racines_models.judges.grader.loss import learning_rate
 from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork, StageConfig
 from racines_models.judges.grader.report import compare, confusion_counts
@@ -115,6 +115,14 @@ def test_rows_of_the_confusion_are_the_truth():
     assert counts == [[0, 2, 0], [1, 0, 0], [0, 0, 0]]
 
 
+def test_bins_are_closed_above():
+    sure = torch.tensor([0.5, 0.6, 1.0, 0.55], dtype=torch.float64)  # 7.5, 9, 15 and 8.25 bins
+    bins = reliability(torch.stack([sure, 1 - sure], 1), torch.tensor([0, 1, 0, -1]))
+    assert bins.frames.nonzero()[:, 0].tolist() == [7, 8, 14]
+    assert bins.confidence[[7, 8, 14]].tolist() == pytest.approx([0.5, 0.6, 1.0])
+    assert bins.accuracy[[7, 8, 14]].tolist() == [1.0, 0.0, 1.0]
+
+
 def test_the_calibration_error_weighs_bins_by_their_frames():
     bins = (torch.tensor(x, dtype=torch.float64) for x in ([1, 3], [0.9, 0.5], [0.5, 0.6]))
     assert Reliability(*bins).error == pytest.approx((1 * 0.4 + 3 * 0.1) / 4)
@@ -135,9 +143,8 @@ def test_a_frame_is_seen_once_an_epoch_in_variant_after_variant():
     epochs = [batches[i : i + 3] for i in range(0, 12, 3)]
     for epoch in epochs:
         assert sorted(torch.cat([places for places, _ in epoch]).tolist()) == list(range(12))
-    seen = [dict(zip(torch.cat([p for p, _ in e]).tolist(),
-                     torch.cat([w for _, w in e]).tolist(), strict=True)) for e in epochs]  # fmt: skip
-    assert [each[5] for each in seen] == [2, 0, 1, 2]
+    seen = [int(which[places == 5]) for places, which in batches if 5 in places]
+    assert seen == [2, 0, 1, 2]
     run.step = 4
     resumed = list(_Distillation._batches(run))  # pyright: ignore[reportArgumentType]
     assert all(torch.equal(a[0], b[0]) for a, b in zip(resumed, batches[4:], strict=True))
