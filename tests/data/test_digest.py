@@ -1,5 +1,6 @@
 """Digests: of all that a row says, of nothing else, and the same as ever."""
 
+import json
 import os
 from dataclasses import replace
 
@@ -119,3 +120,23 @@ def test_a_whole_file_is_read_once_until_it_changes(tmp_path, monkeypatch):
     os.utime(path, ns=(0, 0))
     check_files(tmp_path, files, "build it")
     assert len(read) == 2
+    (tmp_path / "b.bin").write_bytes(b"wrong")
+    with pytest.raises(RacinesError, match=r"b.bin: damaged"):
+        check_files(tmp_path, files | {"b.bin": files["a.bin"]}, "build it")
+
+
+def test_what_was_checked_is_remembered_in_the_users_cache_if_that_can_be(tmp_path, monkeypatch):
+    for name in ("a.bin", "b.bin"):
+        (tmp_path / name).write_bytes(b"whole")
+    record = {"bytes": 5, "sha256": sha256_file(tmp_path / "a.bin")}
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("a.bin", "b.bin"):
+        check_files(tmp_path, {name: record}, "build it")
+    memory = json.loads((tmp_path / ".cache/racines/verified.json").read_text())
+    assert set(memory) == {str(tmp_path / name) for name in ("a.bin", "b.bin")}
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    check_files(tmp_path, {"a.bin": record}, "build it")
+    assert (tmp_path / "cache/racines/verified.json").is_file()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "a.bin"))  # no folder
+    check_files(tmp_path, {"a.bin": record}, "build it")

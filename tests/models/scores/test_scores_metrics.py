@@ -92,6 +92,16 @@ def test_ms_ssim_equals_its_definition(sigma: int) -> None:
     assert ms_ssim(inverted, truth).tolist() == pytest.approx([0.0] * 3)
 
 
+def test_texture_that_is_inverted_at_one_scale_is_not_like():
+    truth, texture = images(2).int(), torch.full((128, 128), 30)
+    texture[::2, ::2] = texture[1::2, 1::2] = -30
+    pair = [(truth + sign * texture).clamp(0, 255).to(torch.uint8) for sign in (1, -1)]
+    assert [scales_by_hand(a.numpy(), b.numpy()) for a, b in zip(*pair, strict=True)] == [0.0] * 2
+    assert ms_ssim(*pair).tolist() == [0.0] * 2
+    coarse = [torch.nn.functional.avg_pool2d(x.float(), 2).to(torch.uint8) for x in pair]
+    assert float(ssim(*coarse).min()) > 0.5
+
+
 def test_identical_images_have_the_stated_limits() -> None:
     truth = images(3)
     assert torch.allclose(ms_ssim(truth, truth), torch.ones(3))
