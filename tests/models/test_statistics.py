@@ -89,6 +89,14 @@ def test_the_rate_has_scipys_wilson_interval(n):
         assert 0.0 <= figure["low"] <= figure["value"] <= figure["high"] <= 1.0
 
 
+def test_a_rate_of_none_or_all_is_an_end_of_its_interval():
+    """Not off by rounding, as the formula is for a third of all numbers of trials."""
+    for n in range(1, 101):
+        none, every = wilson(np.zeros(n, bool)), wilson(np.ones(n, bool))
+        assert (none["low"], every["high"]) == (0.0, 1.0)
+        assert none["high"] == pytest.approx(1.0 - every["low"]) and none["high"] > 0.0
+
+
 @pytest.mark.parametrize(
     ("ours", "theirs"),
     [

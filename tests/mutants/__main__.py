@@ -16,13 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from tests.mutants.catalogue import ROOT, Group, Mutant, at_random, by_hand, groups
-from tests.mutants.process import Run, preload
+from tests.mutants.process import Outcome, Run, preload
 
 SLACK, LEAST = 10.0, 120.0
 """A mutant may take so many times what its tests take without it, and at least so many seconds."""
 DRAWN = 25
 """Random mutants a group."""
 SEED = 15
+Tests = tuple[str, ...]
 
 
 class Results:
@@ -39,6 +40,10 @@ class Results:
             return None
         return row
 
+    def seconds(self, tests: Tests) -> float | None:
+        """Return how long tests took without a mutant, if that is known."""
+        return self.rows.get(plain(tests), {}).get("seconds")
+
     def put(self, key: str, **row: Any) -> None:
         """Keep an outcome."""
         self.rows[key] = row
@@ -53,6 +58,11 @@ def digest(tests: Iterable[str]) -> str:
     return hashlib.sha256(b"\0".join(texts)).hexdigest()[:16]
 
 
+def plain(tests: Tests) -> str:
+    """Return the key of tests without a mutant."""
+    return f"unmutated {digest(tests)} {' '.join(tests)}"
+
+
 def mutants(chosen: list[Group], kind: str) -> Iterator[Mutant]:
     """Yield the mutants of groups: by hand first, since they are named."""
     if kind != "random":
@@ -64,40 +74,52 @@ def mutants(chosen: list[Group], kind: str) -> Iterator[Mutant]:
 
 
 def run(todo: list[Mutant], results: Results, jobs: int) -> None:
-    """Test mutants, some at once, and keep what comes out."""
-    waiting, under_way = list(reversed(todo)), dict[Run, Mutant]()
-    done = 0
+    """Test mutants, some at once, and keep what comes out.
+
+    The tests of a module are run once without a mutant, to know that they pass and how long they
+    take; its mutants wait for that, others do not.
+    """
+    waiting: list[Mutant | Tests] = []
+    for mutant in todo:
+        if mutant.tests not in waiting and results.seconds(mutant.tests) is None:
+            waiting.append(mutant.tests)
+        waiting.append(mutant)
+    under_way: dict[Run, Mutant | Tests] = {}
     while waiting or under_way:
-        while waiting and len(under_way) < jobs:
-            mutant = waiting.pop()
-            limit = _limit(mutant.tests, results)
-            under_way[Run(mutant.tests, limit, mutant.file, mutant.source)] = mutant
+        while len(under_way) < jobs and (each := _next(waiting, results)):
+            waiting.remove(each)
+            under_way[_start(each, results)] = each
         time.sleep(0.05)
-        for each in list(under_way):
-            outcome = each.poll()
-            if outcome is None:
-                continue
-            mutant, done = under_way.pop(each), done + 1
-            row = {"name": mutant.name, "kind": mutant.kind, "group": mutant.group}
-            row |= {"verdict": outcome.verdict, "seconds": round(outcome.seconds, 1)}
-            results.put(mutant.key, **row, by=outcome.by, tests=digest(mutant.tests))
-            print(f"{done:>4}/{len(todo)} {outcome.verdict:9} {outcome.seconds:6.1f} s", end="  ")
-            print(f"{mutant.name}  {outcome.by}", flush=True)
+        for started in list(under_way):
+            if outcome := started.poll():
+                _keep(under_way.pop(started), outcome, results)
+                print(f"  {len(waiting) + len(under_way)} to go", flush=True)
 
 
-def _limit(tests: tuple[str, ...], results: Results) -> float:
-    """Return how long a mutant may take: the tests are run once without any."""
-    key = f"unmutated {digest(tests)} {' '.join(tests)}"
-    if key not in results.rows:
-        plain, outcome = Run(tests, 3600.0), None
-        while outcome is None:
-            time.sleep(0.05)
-            outcome = plain.poll()
+def _next(waiting: list[Mutant | Tests], results: Results) -> Mutant | Tests | None:
+    ready = (e for e in waiting if isinstance(e, tuple) or results.seconds(e.tests) is not None)
+    return next(ready, None)
+
+
+def _start(each: Mutant | Tests, results: Results) -> Run:
+    if isinstance(each, tuple):
+        return Run(each, 3600.0)
+    limit = max(LEAST, SLACK * (results.seconds(each.tests) or 0.0))
+    return Run(each.tests, limit, each.file, each.source)
+
+
+def _keep(each: Mutant | Tests, outcome: Outcome, results: Results) -> None:
+    seconds = round(outcome.seconds, 1)
+    if isinstance(each, tuple):
         if outcome.verdict != "survived":
-            sys.exit(f"{' '.join(tests)}: {outcome.verdict} without any mutant: {outcome.by}")
-        results.put(key, seconds=round(outcome.seconds, 1))
-        print(f"unmutated {outcome.seconds:6.1f} s  {' '.join(tests)}", flush=True)
-    return max(LEAST, SLACK * results.rows[key]["seconds"])
+            sys.exit(f"{' '.join(each)}: {outcome.verdict} without any mutant: {outcome.by}")
+        results.put(plain(each), seconds=seconds)
+        print(f"unmutated {seconds:6.1f} s  {' '.join(each)}", end="")
+        return
+    row = {"name": each.name, "kind": each.kind, "group": each.group}
+    row |= {"verdict": outcome.verdict, "seconds": seconds, "by": outcome.by}
+    results.put(each.key, **row, tests=digest(each.tests))
+    print(f"{outcome.verdict:9} {seconds:6.1f} s  {each.name}  {outcome.by}", end="")
 
 
 def report(all_of: list[Mutant], results: Results) -> str:
