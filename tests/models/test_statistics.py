@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from racines_models.statistics import (
+    Estimate,
     bootstrap_mean,
     bootstrap_median,
     interquartile_mean,
@@ -37,8 +38,17 @@ def test_names_of_trajectories_and_their_order_do_not_matter():
     for estimate in (bootstrap_mean, bootstrap_median):
         plain = estimate(VALUES, 100 - SWEEP, resamples=50)
         assert estimate(VALUES, names, resamples=50) == plain
-    one = bootstrap_median(VALUES[:3], SWEEP[:3])
-    assert (one.value, one.low, one.high, one.clusters) == (np.median(VALUES[:3]), None, None, 1)
+    for estimate, theirs in ((bootstrap_mean, np.mean), (bootstrap_median, np.median)):
+        one = estimate(VALUES[:3], SWEEP[:3])
+        assert (one.value, one.low, one.high, one.clusters) == (theirs(VALUES[:3]), None, None, 1)
+
+
+def test_an_estimate_is_written_with_its_interval_and_settings():
+    estimate = Estimate(2.0, 1.0, 3.0, 40, 4, "jackknife")
+    expected = {"value": 2.0, "low": 1.0, "high": 3.0, "n": 40}
+    settings = {"k": 5, "interval": "jackknife", "trajectories": 4}
+    assert estimate.to_json(k=5) == expected | {"settings": settings}
+    assert estimate.to_json("mm", k=5) == expected | {"unit": "mm", "settings": settings}
 
 
 @pytest.mark.parametrize("blocks", [20, 7, 3])
