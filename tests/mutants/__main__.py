@@ -20,6 +20,8 @@ from tests.mutants.process import Outcome, Run, preload
 
 SLACK, LEAST = 10.0, 120.0
 """A mutant may take so many times what its tests take without it, and at least so many seconds."""
+SHARE = 0.04
+"""Of the mutants by hand that may live."""
 DRAWN = 25
 """Random mutants a group."""
 SEED = 15
@@ -35,10 +37,10 @@ class Results:
 
     def of(self, mutant: Mutant) -> dict[str, Any] | None:
         """Return the outcome, if it still holds."""
-        row = self.rows.get(mutant.key)
-        if row and row["verdict"] == "survived" and row["tests"] != digest(mutant.tests):
-            return None
-        return row
+        row = self.rows.get(mutant.key, {"verdict": "error"})
+        lived = row["verdict"] == "survived"
+        stale = lived and row["tests"] != digest(mutant.tests)
+        return None if stale or row["verdict"] == "error" else row
 
     def seconds(self, tests: Tests) -> float | None:
         """Return how long tests took without a mutant, if that is known."""
@@ -138,10 +140,25 @@ def report(all_of: list[Mutant], results: Results) -> str:
             f"| {share:.1f} | {seconds:.1f} |"
         )
     for mutant, row in rows.items():
-        if row and row["verdict"] in ("survived", "error"):
-            lines.append(f"- {row['verdict']}: {mutant.name}: {mutant.change}")
-            lines.append(f"  ({mutant.reason or 'no reason given'})")
+        if row and row["verdict"] == "survived":
+            reason = f" ({mutant.reason})" if mutant.reason else ""
+            lines.append(f"- lives: {mutant.name}: {mutant.change}{reason}")
     return "\n".join(lines)
+
+
+def verdict(all_of: list[Mutant], results: Results) -> str:
+    """Return what is wrong with the mutants by hand; nothing if few live, each with a reason."""
+    hand = [mutant for mutant in all_of if mutant.kind == "hand"]
+    rows = [(mutant, results.of(mutant)) for mutant in hand]
+    failed = [mutant.name for mutant, row in rows if row is None]
+    living = [mutant for mutant, row in rows if row and row["verdict"] == "survived"]
+    silent = [mutant.name for mutant in living if not mutant.reason]
+    many = len(living) > SHARE * max(len(hand), 1) and len(hand) >= 1 / SHARE
+    return "\n".join(
+        ([f"not run: {', '.join(failed)}"] if failed else [])
+        + ([f"live without a reason: {', '.join(silent)}"] if silent else [])
+        + ([f"{len(living)} of {len(hand)} live, at most {SHARE:.0%} may"] if many else [])
+    )
 
 
 def main() -> None:
@@ -170,6 +187,7 @@ def main() -> None:
         preload()
         run(todo, results, words.jobs)
     print(report(all_of, results))
+    sys.exit(verdict(all_of, results) or 0)
 
 
 if __name__ == "__main__":

@@ -137,7 +137,7 @@ def _nodes(node: Any) -> Iterator[Any]:
 def _operators() -> Iterator[tuple[str, Any]]:
     from cosmic_ray.operators.provider import OperatorProvider
 
-    provider = OperatorProvider()
+    provider: Any = OperatorProvider()
     for name in sorted(provider):
         if name not in NEEDS_ARGUMENTS:
             yield name, provider[name]()
@@ -147,7 +147,8 @@ def _mutate(source: str, operator: str, occurrence: int) -> str | None:
     from cosmic_ray.mutating import mutate_code
     from cosmic_ray.operators.provider import OperatorProvider
 
-    return mutate_code(source, OperatorProvider()[operator](), occurrence)
+    provider: Any = OperatorProvider()
+    return mutate_code(source, provider[operator](), occurrence)
 
 
 def _behaviour(source: str) -> str | None:

@@ -1,11 +1,13 @@
 """The list of mutations keeps up with the sources; `make mutants` runs the tests on them."""
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from tests.mutants.catalogue import ROOT, Group, at_random, by_hand, groups
+from tests.mutants.__main__ import Results, digest, verdict
+from tests.mutants.catalogue import ROOT, Group, Mutant, at_random, by_hand, groups
 from tests.mutants.process import module_name
 
 EVERY = groups()
@@ -44,6 +46,23 @@ def test_random_mutants_are_programs_that_differ_and_the_seed_draws_them():
     for mutant in drawn:
         original = (ROOT / mutant.file).read_text()
         assert ast.dump(ast.parse(mutant.source)) != ast.dump(ast.parse(original))
+
+
+def test_a_kill_holds_and_a_survivor_is_tried_again_when_its_tests_change(tmp_path):
+    path = str(Path(__file__).relative_to(ROOT))
+    mutant = Mutant("a", "any", "hand", "Makefile", "text", (path,), "wrong")
+    results = Results(tmp_path / "results.json")
+    assert results.of(mutant) is None and verdict([mutant], results) == "not run: a"
+    results.put(mutant.key, verdict="survived", tests=digest(mutant.tests))
+    assert Results(tmp_path / "results.json").of(mutant) == results.of(mutant) is not None
+    assert verdict([mutant], results) == "live without a reason: a"
+    assert not verdict([replace(mutant, reason="equivalent")], results)
+    many = [replace(mutant, reason="not worth it")] * 25
+    assert verdict(many, results) == "25 of 25 live, at most 4% may"
+    results.put(mutant.key, verdict="survived", tests="those of before")
+    assert results.of(mutant) is None
+    results.put(mutant.key, verdict="killed", tests="those of before")
+    assert results.of(mutant) and results.of(replace(mutant, source="other")) is None
 
 
 def test_modules_are_named_as_they_are_imported():
