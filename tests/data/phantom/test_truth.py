@@ -69,6 +69,9 @@ def test_one_lost_structure_spoils_the_view():
     assert truth.membership.item() == pytest.approx(sigmoid((complete - 0.6) / 0.035), abs=1e-3)
     lost = judged(AHEAD, (0.0, 0.05, 0.08))
     assert lost.view.item() == 1 and lost.grade.item() == lost.view_grade.item() == 0.0
+    rows = Pose(torch.zeros(3, 3), torch.eye(3).expand(3, 3, 3))
+    many = oracle((0.0, 0.05, 0.08)).judge(rows, PROBE, torch.ones(3, PROBE.beams))
+    assert many.view.tolist() == [1, 1, 1], "Random comes after the views, however many poses"
 
 
 @pytest.mark.parametrize("coupling", [0.64, 0.49, 0.36])

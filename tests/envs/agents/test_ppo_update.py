@@ -137,3 +137,11 @@ def test_the_first_ratio_of_an_update_is_one(phantom, tmp_path):
         chances = run.actor(batch["params"]).log_softmax(-1)
         now = chances.gather(1, batch["action"][:, None])[:, 0]
         assert torch.allclose(now, batch["action_log_prob"], atol=1e-6)
+
+
+def test_the_defaults_are_those_that_agents_were_published_with():
+    config = PPOConfig()
+    assert (config.gamma, config.gae_lambda, config.clip) == (0.97, 0.95, 0.2)
+    assert (config.reward_scale, config.entropy, config.max_gradient) == (0.05, 0.01, 0.5)
+    assert (config.epochs, config.minibatch, config.update_every) == (10, 512, 2048)
+    assert config.anneal and config.actor_lr == config.critic_lr == 1e-3
