@@ -12,6 +12,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -170,6 +171,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, help="mutants at once")
     parser.add_argument("--results", type=Path, default=ROOT / ".mutants.json")
     parser.add_argument("--fresh", action="store_true", help="forget earlier results")
+    parser.add_argument("--quick", action="store_true", help="only the first tests of a module")
     parser.add_argument("--report", action="store_true", help="only report")
     words = parser.parse_args()
     os.nice(max(0, 19 - os.nice(0)))
@@ -182,6 +184,8 @@ def main() -> None:
         for mutant in mutants(chosen, words.kind)
         if not words.name or any(part in mutant.name for part in words.name)
     ]
+    if words.quick:
+        all_of = [replace(mutant, tests=mutant.tests[:1]) for mutant in all_of]
     todo = [mutant for mutant in all_of if results.of(mutant) is None]
     if todo and not words.report:
         preload()

@@ -1,5 +1,6 @@
 """What judges answer and learn, by hand and without training one."""
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,13 +8,16 @@ import pytest
 import torch
 from torch.nn import functional
 
+from racines_data.geometry import Pose, axis_angle_to_matrix, parameters_to_pose
 from racines_models.judges.grader import training as grader_training
 from racines_models.judges.grader.calibration import Reliability, reliability
 from racines_models.judges.grader.loss import learning_rate
 from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork, StageConfig
 from racines_models.judges.grader.report import compare, confusion_counts
-from racines_models.judges.pose.regressor import PoseAugmentation, PoseConfig
-from racines_models.judges.pose.training import PoseLearner
+from racines_models.judges.pose.regressor import PoseAugmentation, PoseConfig, PoseRegressor
+from racines_models.judges.pose.training import PoseLearner, pose_errors
+from racines_models.judges.pose.training import report as pose_report
+from racines_models.judges.student.labels import variants
 from racines_models.judges.student.model import Block, Student, StudentConfig, StudentNetwork
 from racines_models.judges.student.report import agreement
 from racines_models.judges.student.training import _Distillation, distillation_loss
@@ -148,6 +152,36 @@ def test_a_frame_is_seen_once_an_epoch_in_variant_after_variant():
     run.step = 4
     resumed = list(_Distillation._batches(run))  # pyright: ignore[reportArgumentType]
     assert all(torch.equal(a[0], b[0]) for a, b in zip(resumed, batches[4:], strict=True))
+
+
+def test_a_variant_is_the_frames_own_and_the_first_is_the_frame():
+    rows, which = torch.arange(9), torch.arange(9) % 3
+    x = torch.rand(9, 1, 32, 32) * 2 - 1
+    whole = variants(x, rows, which, 5, StudentConfig())
+    assert torch.equal(whole[which == 0], x[which == 0])
+    assert bool((whole - x)[which > 0].abs().amax((1, 2, 3)).gt(1e-4).all())
+    assert torch.equal(whole[3:5], variants(x[3:5], rows[3:5], which[3:5], 5, StudentConfig()))
+    for other in (variants(x, rows, which, 6, StudentConfig()),
+                  variants(x, rows + 9, which, 5, StudentConfig()),
+                  variants(x, rows, which * 2, 5, StudentConfig())):  # fmt: skip
+        assert not torch.equal(other[which > 0], whole[which > 0])
+
+
+def test_a_poses_error_is_in_millimetres_and_degrees():
+    parameters = random_parameters(6, 0)
+    pose = parameters_to_pose(parameters.double())
+    turn = axis_angle_to_matrix(torch.tensor([0.0, 0.0, 0.1], dtype=torch.float64))
+    moved = Pose(pose.position + torch.tensor([0.003, 0.004, 0.0]), pose.rotation @ turn)
+    millimetres, degrees = pose_errors(moved, parameters)
+    assert millimetres.tolist() == pytest.approx([5.0] * 6)
+    assert degrees.tolist() == pytest.approx([math.degrees(0.1)] * 6)
+
+
+def test_frames_of_a_view_are_told_apart_from_those_that_show_nothing(store):
+    config = PoseConfig(width=0.125)
+    metrics = pose_report(PoseRegressor(PoseLearner(config, 0, {}).network, config), store)
+    counts = {name: each["n"] for name, each in metrics["metrics"].items()}
+    assert counts["pose_error_mm"] == 18 and counts["pose_error_mm_view"] == 15
 
 
 def test_the_student_is_compared_on_what_the_teacher_calls_a_view(store):
