@@ -1,7 +1,6 @@
 """What judges answer and learn, by hand and without training one."""
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -20,7 +19,7 @@ from racines_models.judges.pose.training import report as pose_report
 from racines_models.judges.student.labels import variants
 from racines_models.judges.student.model import Block, Student, StudentConfig, StudentNetwork
 from racines_models.judges.student.report import agreement
-from racines_models.judges.student.training import _Distillation, distillation_loss
+from racines_models.judges.student.training import StudentLearner, distillation_loss
 from racines_models.protocol import Run
 from racines_models.training.objective import TrainBatch
 from tests.models.conftest import pictures, random_parameters
@@ -29,7 +28,7 @@ from tests.models.labelled import LabelledStore
 OFF = {"gain": 0.0, "tgc": 0.0, "gamma": 0.0, "blur": 0.0, "erase": 0.0, "noise": 0.0}
 CONFIG = GraderConfig(
     input_size=32, width=0.125, batch_size=16, bf16=False, weight_decay=0.0,
-    view_stage=StageConfig(epochs=2), grade_stage=StageConfig(epochs=0), checkpoint_seconds=1e9,
+    view_stage=StageConfig(epochs=2), grade_stage=StageConfig(epochs=1, grade_weight=0.5),
 )  # fmt: skip
 
 
@@ -70,19 +69,20 @@ def test_a_block_adds_its_input():
     assert torch.allclose(block(x), x + block.conv(x).div((1 + 1e-5) ** 0.5).relu(), atol=1e-5)
 
 
-def grader_training_of(store, folder, **changes) -> grader_training._Training:
+def learner_of(store, folder) -> grader_training.GraderLearner:
     run = Run(folder, seed=0, device="cpu", resume=None, progress=False)
-    return grader_training._Training(store, replace(CONFIG, **changes), run)
+    return grader_training.GraderLearner(store, CONFIG, run)
 
 
 def test_the_view_stage_leaves_the_grade_head_and_the_grade_stage_does_not(store, tmp_path):
-    for name, weight in (("views", 0.0), ("grades", 0.5)):
-        stage = StageConfig(epochs=1, grade_weight=weight)
-        training = grader_training_of(store, tmp_path / name, view_stage=stage)
-        before = training.network.grade_head[0].weight.clone()
-        training.run()
-        unchanged = torch.equal(training.network.grade_head[0].weight, before)
-        assert unchanged is (weight == 0.0)
+    learner = learner_of(store, tmp_path)
+    weight, moved = learner.network.grade_head[0].weight, {}
+    for batch in learner.batches(0, learner.steps * 16):
+        (update,) = learner.updates(learner.modules(), batch)
+        learner.network.zero_grad()
+        update.loss.backward()
+        moved.setdefault(update.optimizer, []).append(bool(weight.grad.any()))
+    assert moved == {"views": [False] * 4, "grades": [True] * 2}
 
 
 def test_each_step_augments_anew_and_by_the_seed(store, tmp_path, monkeypatch):
@@ -93,9 +93,10 @@ def test_each_step_augments_anew_and_by_the_seed(store, tmp_path, monkeypatch):
         return augment(x, seed, config)
 
     monkeypatch.setattr(grader_training, "augment", spied)
-    training = grader_training_of(store, tmp_path)
-    training.run()
-    assert len(torch.cat(seeds).unique()) == 4 * 16 == training.step * 16
+    learner = learner_of(store, tmp_path)
+    for batch in learner.batches(0, learner.steps * 16):
+        next(learner.updates(learner.modules(), batch))
+    assert len(torch.cat(seeds).unique()) == 6 * 16
 
 
 def test_rates_rise_over_a_tenth_and_reach_zero():
@@ -141,16 +142,15 @@ def test_distillation_is_the_divergence_times_the_squared_temperature():
 
 def test_a_frame_is_seen_once_an_epoch_in_variant_after_variant():
     config = StudentConfig(epochs=4, variants=3)
-    run = SimpleNamespace(step=0, per_epoch=3, seed=0, batch_size=4, config=config)
+    run = SimpleNamespace(per_epoch=3, seed=0, batch_size=4, config=config)
     run.rows = torch.arange(12)
-    batches = list(_Distillation._batches(run))  # pyright: ignore[reportArgumentType]
+    batches = list(StudentLearner.batches(run, 0, 48))  # pyright: ignore[reportArgumentType]
     epochs = [batches[i : i + 3] for i in range(0, 12, 3)]
     for epoch in epochs:
         assert sorted(torch.cat([places for places, _ in epoch]).tolist()) == list(range(12))
     seen = [int(which[places == 5]) for places, which in batches if 5 in places]
     assert seen == [2, 0, 1, 2]
-    run.step = 4
-    resumed = list(_Distillation._batches(run))  # pyright: ignore[reportArgumentType]
+    resumed = list(StudentLearner.batches(run, 16, 48))  # pyright: ignore[reportArgumentType]
     assert all(torch.equal(a[0], b[0]) for a, b in zip(resumed, batches[4:], strict=True))
 
 
