@@ -11,7 +11,7 @@ READY := $(VENV)/.ready
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 TESTS := OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs
 
-.PHONY: help repro studio test test-docs test-fast test-instruction-sets test-exports lint types bench docs clean
+.PHONY: help repro studio test test-docs test-fast test-instruction-sets test-exports mutants lint types bench docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -42,6 +42,9 @@ test-fast: $(READY) ## run the tests that take seconds
 
 test-exports: $(READY) .venv-lerobot/.ready .venv-minari/.ready ## open exports with the real libraries
 	OMP_NUM_THREADS=1 pytest -n 0 tests/export_envs
+
+mutants: $(READY) ## break what the numbers rest on and see whether the tests notice; goes on where it stopped
+	OMP_NUM_THREADS=1 python -m tests.mutants
 
 # The libraries that read our exports do not fit beside ours: each has an environment of its own.
 .venv-%/.ready: tests/export_envs/%.txt

@@ -3,7 +3,13 @@ from collections import Counter
 import pytest
 
 from racines_data import RacinesError
-from racines_data.build.splits import assign_splits, divide_shards, held_out_session, shard_bounds
+from racines_data.build.splits import (
+    assign_group_splits,
+    assign_splits,
+    divide_shards,
+    held_out_session,
+    shard_bounds,
+)
 from racines_data.sources.base import Unit
 from racines_data.views import LABELS
 
@@ -41,9 +47,34 @@ def test_few_trajectories(count: int, expected: dict[str, int]):
     assert Counter(splits.values()) == expected
 
 
+@pytest.mark.parametrize(
+    ("count", "validation", "test", "expected"),
+    [
+        (10, 0.3, 0.15, {"train": 5, "validation": 3, "test": 2}),  # rounded, a half upwards
+        (10, 0.0, 0.14, {"train": 9, "test": 1}),
+        (3, 0.05, 0.9, {"train": 1, "test": 2}),  # something is left to train on
+        (2, 0.4, 0.0, {"train": 2}),
+    ],
+)
+def test_each_split_has_its_own_share(count, validation, test, expected):
+    splits = assign_splits(units(count, ("Random",)), validation, test, seed=0)
+    assert Counter(splits.values()) == expected
+
+
 def test_rare_views_are_pooled():
     splits = assign_splits(units(6), 0.15, 0.15, seed=0)
     assert set(splits.values()) == {"train", "validation", "test"}
+    mixed = units(12, ("A4C", "A4C", "A4C", "SC", "A4C", "PL"))
+    assert set(assign_splits(mixed, 0.15, 0.15, seed=0)) == {unit.id for unit in mixed}
+
+
+def test_a_session_is_in_one_split():
+    trajectories = [Unit(f"t{i}", f"s{i % 8}", LABELS[i % 6], 10) for i in range(48)]
+    splits = assign_group_splits(trajectories, 0.2, 0.2, seed=0)
+    of_session = {unit.session: splits[unit.id] for unit in trajectories}
+    assert all(splits[unit.id] == of_session[unit.session] for unit in trajectories)
+    assert Counter(of_session.values()) == {"train": 4, "validation": 2, "test": 2}
+    assert assign_group_splits(trajectories, 0.2, 0.2, seed=1) != splits
 
 
 def test_shares_that_leave_nothing_are_refused():

@@ -1,10 +1,13 @@
 """The TorchRL environment."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
 from racines_envs import ScanEnv
+from racines_envs.task.tasks import get_task
 from racines_envs.worlds.making import make_core
 
 KEYS = {"image": {"image"}, "params": {"params"}, "multimodal": {"image", "params"}}
@@ -46,6 +49,14 @@ def test_ended_rows_start_again_and_others_go_on(phantom):
             assert not torch.equal(data["params"][row, t + 1], data["next", "params"][row, t])
     both = data["next", "terminated"] | data["next", "truncated"]
     assert torch.equal(both, data["next", "done"])
+
+
+def test_an_episode_that_is_cut_has_not_ended(phantom):
+    task = replace(get_task("SC"), max_steps=3)
+    env = ScanEnv(task, 2, phantom=phantom, observation="params", reward="oracle", seed=0)
+    last = env.rollout(3, break_when_any_done=False)["next"][:, -1]
+    assert bool(last["truncated"].all()) and bool(last["done"].all())
+    assert not bool(last["terminated"].any())
 
 
 def test_seeds_decide_the_episodes(phantom):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose, parameters_to_pose
+from racines_data.geometry import Pose, axis_angle_to_matrix, parameters_to_pose
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import RewardConfig
@@ -70,6 +70,27 @@ def test_the_next_episode_of_a_seed_differs_and_repeats(phantom):
     assert not torch.equal(first, second)
     core.reset(seed=1)
     assert torch.equal(core.reset()["params"], second)
+
+
+def test_noise_is_new_in_every_episode_and_at_every_step(phantom):
+    core, still = core_of(phantom, 2, "multimodal"), phantom.target("SC")
+    pose = Pose(still.position.expand(2, 3), still.rotation.expand(2, 3, 3))
+    seen = [core.reset(seed=1, pose=pose), core.reset(pose=pose), core.reset(pose=pose)]
+    seen += [core.step(torch.full((2,), IDLE)).observation for _ in range(2)]
+    assert all(torch.equal(each["params"], seen[0]["params"]) for each in seen)
+    images = torch.cat([each["image"] for each in seen]).flatten(1)
+    assert len(images.unique(dim=0)) == 10
+
+
+def test_an_agents_draws_are_new_in_every_episode_and_at_every_step(phantom):
+    core = core_of(phantom, 2)
+    core.reset(seed=1)
+    drawn = [core.decision_seeds()]
+    for _ in range(2):
+        core.step(torch.full((2,), IDLE))
+        drawn.append(core.decision_seeds())
+    core.reset()
+    assert len(torch.cat([*drawn, core.decision_seeds()]).unique()) == 8
 
 
 def test_only_masked_rows_start_again(phantom):
@@ -249,6 +270,16 @@ def test_success_needs_the_true_view_and_grade_is_told_apart(phantom):
     info = core.info()
     assert info["success"].item() and not info["success_graded"].item()
     assert info["position_error"].item() == pytest.approx(0.006, rel=1e-3)
+
+
+def test_the_distance_is_in_unit_steps_and_counts_the_rotation(phantom):
+    core, goal = core_of(phantom, reward="shaped"), phantom.target("SC")
+    metres, radians = 3 * core.task.step_translation, 2 * core.task.step_rotation
+    turn = axis_angle_to_matrix(torch.tensor([[0.0, 0.0, radians]]))
+    core.reset(seed=0, pose=Pose(goal.position + torch.tensor([metres, 0, 0]), goal.rotation))
+    assert core.score.distance.item() == pytest.approx(3.0, rel=1e-3)
+    core.reset(seed=0, pose=Pose(goal.position, goal.rotation @ turn))
+    assert core.score.distance.item() == pytest.approx(2.0, rel=1e-3)
 
 
 # -- bad input -------------------------------------------------------------------------------------

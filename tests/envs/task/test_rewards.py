@@ -41,6 +41,24 @@ def test_shaped_pays_the_potentials_change_and_the_prize_once():
     assert end.item() == pytest.approx(50.0 + 3.0 - 0.1, abs=1e-5)
 
 
+def test_every_constant_of_the_config_is_used_in_its_place():
+    config = RewardConfig(
+        probability=0.5, grade=3.0, hit=7.0, view=2.0, step=-0.5, distance=3.0, discount=0.9
+    )
+    good, bad, unsure = score(0.5, 3.0, 4.0), score(0.75, 2.0, 6.0), score(0.25, 9.0, 5.0)
+    on, ended = torch.tensor([False]), torch.tensor([True])
+    assert [bool(is_hit(each, config)) for each in (good, bad, unsure)] == [True, False, False]
+    paid = [get_reward("paper")(unsure, each, on, config).item() for each in (good, bad, unsure)]
+    assert paid == pytest.approx([7.0 + 0.25 - 6.0 - 0.5, 2.0 + 0.5 - 7.0 - 0.5, -0.5])
+    shaped = get_reward("shaped")
+    assert shaped(bad, good, on, config).item() == pytest.approx(3.0 * (6.0 - 0.9 * 4.0) - 0.5)
+    assert shaped(bad, good, ended, config).item() == pytest.approx(7.0 + 3.0 * 6.0 - 0.5)
+
+
+def test_the_constants_are_the_papers():
+    assert dataclasses.astuple(CONFIG) == (0.9, 5.0, 50.0, 20.0, -0.1, 1.0, 0.99)
+
+
 def test_no_cycle_of_moves_farms_the_shaped_reward():
     """Discounted, every closed walk pays what standing still pays: the potential telescopes."""
 

@@ -7,7 +7,6 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from racines_data.errors import RacinesError
 from racines_models.scores.metrics import (
     PSNR_CAP,
-    SCALES,
     KernelMatrices,
     fid,
     kid,
@@ -57,6 +56,10 @@ def test_ssim_and_psnr_equal_scikit_image_on_flat_and_on_noisy_images(sigma: int
     assert psnr(drawn, truth).tolist() == pytest.approx(expected, abs=1e-4)
 
 
+WANG = np.array([0.0448, 0.2856, 0.3001, 0.2363])
+"""Weights of the scales in Wang et al., 2003, table 1, without the coarsest."""
+
+
 def scales_by_hand(a: np.ndarray, b: np.ndarray) -> float:
     """MS-SSIM from its definition: float64, separable windows, whole ones only."""
     window = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
@@ -65,7 +68,7 @@ def scales_by_hand(a: np.ndarray, b: np.ndarray) -> float:
     def local(x: np.ndarray) -> np.ndarray:
         return correlate1d(correlate1d(x, window, 0), window, 1)[5:-5, 5:-5]
 
-    weights, value = np.array(SCALES) / sum(SCALES), 1.0
+    weights, value = WANG / WANG.sum(), 1.0
     c1, c2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
     a, b = a.astype(float), b.astype(float)
     for scale, weight in enumerate(weights):
@@ -89,11 +92,21 @@ def test_ms_ssim_equals_its_definition(sigma: int) -> None:
     assert ms_ssim(inverted, truth).tolist() == pytest.approx([0.0] * 3)
 
 
+def test_texture_that_is_inverted_at_one_scale_is_not_like():
+    truth, texture = images(2).int(), torch.full((128, 128), 30)
+    texture[::2, ::2] = texture[1::2, 1::2] = -30
+    pair = [(truth + sign * texture).clamp(0, 255).to(torch.uint8) for sign in (1, -1)]
+    assert [scales_by_hand(a.numpy(), b.numpy()) for a, b in zip(*pair, strict=True)] == [0.0] * 2
+    assert ms_ssim(*pair).tolist() == [0.0] * 2
+    coarse = [torch.nn.functional.avg_pool2d(x.float(), 2).to(torch.uint8) for x in pair]
+    assert float(ssim(*coarse).min()) > 0.5
+
+
 def test_identical_images_have_the_stated_limits() -> None:
     truth = images(3)
     assert torch.allclose(ms_ssim(truth, truth), torch.ones(3))
     assert torch.allclose(ssim(truth, truth), torch.ones(3))
-    assert psnr(truth, truth).tolist() == [PSNR_CAP] * 3
+    assert psnr(truth, truth).tolist() == [PSNR_CAP] * 3 == [100.0] * 3
 
 
 def test_pairs_must_match() -> None:
@@ -137,6 +150,16 @@ def test_kid_subsets_are_seeded_and_near_the_full_estimate() -> None:
     y = torch.randn(400, 16, generator=generator) + 0.5
     assert kid(x, y, 100, 50, seed=1) == kid(x, y, 100, 50, seed=1)
     assert kid(x, y, 100, 50, seed=1) == pytest.approx(kid(x, y), rel=0.1)
+
+
+def test_kid_of_many_samples_is_the_mean_over_independent_subsets():
+    x, y = (torch.randn(90, 8, generator=torch.Generator().manual_seed(s)) for s in (1, 2))
+    generator, estimates = torch.Generator().manual_seed(3), []
+    for _ in range(5):
+        i, j = (torch.randperm(90, generator=generator)[:20] for _ in range(2))
+        estimates.append(kid(y[j], x[i]))
+    assert kid(y, x, 20, 5, seed=3) == pytest.approx(np.mean(estimates), rel=1e-9)
+    assert kid(y, x, 90, 5) == kid(y, x)
 
 
 def test_fid_orders_noise_levels() -> None:

@@ -1,0 +1,1 @@
+"""Mutation tests of what the numbers rest on; see README.md beside this file."""
