@@ -9,8 +9,9 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 READY := $(VENV)/.ready
 export PATH := $(abspath $(VENV))/bin:$(PATH)
+TESTS := OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs
 
-.PHONY: help repro studio test test-fast test-exports lint types bench docs clean
+.PHONY: help repro studio test test-docs test-fast test-instruction-sets test-exports lint types bench docs clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -27,11 +28,17 @@ ifneq ($(PROFILE),)
 endif
 	dvc repro
 
-test: $(READY) ## run all tests
-	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs
+test: $(READY) ## run the tests of the code
+	$(TESTS) -m "not docs and not instruction_sets"
+
+test-docs: $(READY) ## run the documentation, the walk-throughs, and what goes on after a kill
+	$(TESTS) -m docs
+
+test-instruction-sets: $(READY) ## run the contracts of rows on each instruction set that the CPU has
+	$(TESTS) -m instruction_sets
 
 test-fast: $(READY) ## run the tests that take seconds
-	OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs -m "not slow"
+	$(TESTS) -m "not docs and not instruction_sets and not slow"
 
 test-exports: $(READY) .venv-lerobot/.ready .venv-minari/.ready ## open exports with the real libraries
 	OMP_NUM_THREADS=1 pytest -n 0 tests/export_envs

@@ -1,11 +1,18 @@
-"""Configuration: documented dataclasses, filled from a section of a profile or a params file."""
+"""Configuration: documented dataclasses, filled from a section of a profile or a params file.
+
+A value is checked against its field's annotation as JSON is: an integer does for a float and a list
+for a tuple; nothing else is converted.
+"""
 
 import dataclasses
+import json
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Required, TypeVar, get_type_hints
 
 import yaml
+from typing_extensions import TypedDict
 
 from racines_data.errors import RacinesError
 
@@ -13,11 +20,38 @@ PROFILES = ("smoke", "default", "reference", "paper", "abdomen")
 T = TypeVar("T")
 
 
-def read_params(params: Path | None = None, profile: str | None = None) -> dict[str, Any]:
+@dataclasses.dataclass(frozen=True)
+class _Top:
+    """What stands beside the sections."""
+
+    seed: int = 0
+    board: str | None = None
+
+
+class Settings(dict[str, Any]):
+    """Settings of a file; a section of them, and what `|` makes of them, still know its name."""
+
+    def __init__(self, values: Mapping[str, Any], file: str) -> None:
+        super().__init__(values)
+        self.file = file
+
+    def __or__(self, other: Any) -> "Settings":
+        return Settings({**self, **other}, self.file)
+
+    def __ror__(self, other: Any) -> "Settings":
+        return Settings({**other, **self}, self.file)
+
+    def of(self, *names: str) -> "Settings":
+        """Return those of these names that are there."""
+        return Settings({name: self[name] for name in names if name in self}, self.file)
+
+
+def read_params(params: Path | None = None, profile: str | None = None) -> Settings:
     """Read a params file, or a packaged profile (`default` when neither is named).
 
     Raises:
-        RacinesError: unknown profile, missing file, or YAML that is not a mapping.
+        RacinesError: unknown profile, missing file, YAML that is not a mapping, or a `seed` or
+            `board` of the wrong type.
     """
     if params is not None and profile is not None:
         raise RacinesError("give --params or --profile, not both")
@@ -36,66 +70,103 @@ def read_params(params: Path | None = None, profile: str | None = None) -> dict[
         raise RacinesError(f"{name}: not valid YAML: {error}") from error
     if not isinstance(content, dict):
         raise RacinesError(f"{name}: expected a mapping of sections")
+    content = Settings(content, name if params else f"profile {name}")
+    fill(_Top, content.of("seed", "board"), "")
     return content
 
 
-def section(params: dict[str, Any], path: str) -> dict[str, Any]:
-    """Return the section at a dotted path; an absent or empty one is an empty mapping."""
-    node: Any = params
-    for key in path.split("."):
-        node = (node or {}).get(key)
-    return dict(node or {})
+def section(params: Mapping[str, Any], path: str | tuple[str, ...]) -> Settings:
+    """Return the section at a dotted path, or at the names of one; what is absent is empty.
+
+    Raises:
+        RacinesError: what stands there is no mapping.
+    """
+    names = path.split(".") if isinstance(path, str) else path
+    node, file = params, getattr(params, "file", "")
+    for count, name in enumerate(names, start=1):
+        node = node.get(name) or {}
+        if not isinstance(node, Mapping):
+            where = ".".join(names[:count])
+            raise RacinesError(
+                f"{_prefix(file)}{where}: {node!r} is no mapping: give keys and values"
+            )
+    return Settings(node, file)
 
 
-def fill(config: type[T], values: dict[str, Any], where: str = "params") -> T:
+def fill(config: type[T], values: Mapping[str, Any], where: str = "params") -> T:
     """Build a config dataclass from a mapping, nested dataclasses included.
 
     What a nested mapping leaves out keeps the default that the outer dataclass gives it.
 
     Raises:
-        RacinesError: an unknown key or a value of the wrong type, by its full name.
+        RacinesError: every unknown, missing or wrong key, by its full name, with what is allowed.
     """
-    return config(**_filled(config, values, where))
+    from pydantic import TypeAdapter, ValidationError
+
+    text = json.dumps(values, default=str)
+    try:
+        checked = TypeAdapter(_shape(config)).validate_json(text, strict=True)
+    except ValidationError as error:
+        faults = "; ".join(_fault(config, dict(each), where) for each in error.errors())
+        raise RacinesError(_prefix(getattr(values, "file", "")) + faults) from None
+    return config(**_filled(config, checked))
 
 
-def _filled(config: Any, values: dict[str, Any], where: str) -> dict[str, Any]:
-    fields = {f.name: f for f in dataclasses.fields(config)}
-    filled: dict[str, Any] = {}
-    for key, value in values.items():
-        if key not in fields:
-            known = ", ".join(fields) or "none"
-            raise RacinesError(f"{where}.{key}: unknown key; known: {known}")
-        default = _default(config, fields[key])
-        if (
-            dataclasses.is_dataclass(default)
-            and not isinstance(default, type)
-            and isinstance(value, dict)
-        ):
-            filled[key] = dataclasses.replace(default, **_filled(default, value, f"{where}.{key}"))
+def _prefix(file: str) -> str:
+    return f"{file}: " if file else ""
+
+
+def _shape(config: Any) -> Any:
+    """Return the type of the mappings that fill a config, by the annotations of its fields."""
+    hints = get_type_hints(
+        config if isinstance(config, type) else type(config), include_extras=True
+    )
+    shapes = {}
+    for field in dataclasses.fields(config):
+        default = _default(config, field)
+        if default is dataclasses.MISSING:
+            shapes[field.name] = Required[hints[field.name]]
         else:
-            filled[key] = _coerce(value, default, f"{where}.{key}")
+            shapes[field.name] = _shape(default) if _is_config(default) else hints[field.name]
+    shape = TypedDict("shape", shapes, total=False)  # pyright: ignore[reportArgumentType]
+    settings = {"extra": "forbid", "arbitrary_types_allowed": True}
+    setattr(shape, "__pydantic_config__", settings)  # noqa: B010
+    return shape
+
+
+def _filled(config: Any, values: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields that are given, nested ones in the place of those of the default."""
+    filled = dict(values)
+    for field in dataclasses.fields(config):
+        default = _default(config, field)
+        if field.name in values and _is_config(default):
+            own = _filled(default, values[field.name])
+            filled[field.name] = dataclasses.replace(default, **own)
     return filled
 
 
+def _fault(config: Any, error: dict[str, Any], where: str) -> str:
+    path = [str(part) for part in error["loc"]]
+    place = ".".join([where, *path] if where else path)
+    if error["type"] == "extra_forbidden":
+        for name in path[:-1]:
+            config = _default(config, next(f for f in dataclasses.fields(config) if f.name == name))
+        known = ", ".join(field.name for field in dataclasses.fields(config)) or "none"
+        return f"{place}: unknown key; known: {known}"
+    if error["type"] == "missing":
+        return f"{place}: needed, and left out"
+    value, allowed = error["input"], error["msg"].removeprefix("Input should be ")
+    return f"{place}: {value!r} is {type(value).__name__}, expected {allowed}"
+
+
+def _is_config(default: Any) -> bool:
+    return dataclasses.is_dataclass(default) and not isinstance(default, type)
+
+
 def _default(config: Any, field: dataclasses.Field[Any]) -> Any:
+    """Return what an instance holds, or the default of a class; `MISSING` where it has none."""
     if not isinstance(config, type):
         return getattr(config, field.name)
-    if field.default is not dataclasses.MISSING:
-        return field.default
     if field.default_factory is not dataclasses.MISSING:
         return field.default_factory()
-    return None
-
-
-def _coerce(value: Any, default: Any, where: str) -> Any:
-    if default is None or value is None:
-        return value
-    if isinstance(default, tuple) and isinstance(value, list):
-        return tuple(value)
-    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if type(value) is not type(default):
-        raise RacinesError(
-            f"{where}: {value!r} is {type(value).__name__}, expected {type(default).__name__}"
-        )
-    return value
+    return field.default

@@ -6,11 +6,15 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from filelock import FileLock, Timeout
 from PIL import Image
+
+from racines_data.errors import RacinesError
 
 
 def write_atomic(path: Path, content: str | bytes) -> None:
@@ -53,6 +57,36 @@ def recover_folder(out: Path) -> None:
     old = _aside(out)
     if old.exists() and not out.exists():
         os.replace(old, out)
+
+
+@contextmanager
+def working_folder(out: Path, kind: str, key: str, busy: str) -> Iterator[Path]:
+    """Open the folder of unfinished work on `out`, beside it; removed when the work is done.
+
+    What a killed process left is gone on with by the same key, and removed by work of another,
+    which will never go on from it.
+
+    Args:
+        out: What is being made.
+        kind: Of the work, in the folder's name.
+        key: All that decides what the work makes.
+        busy: What the error says of `out`.
+
+    Raises:
+        RacinesError: another process is at the same work.
+    """
+    folder = out.parent / f".{out.name}.{kind}-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        lock = FileLock(folder / "lock", blocking=False).acquire()
+    except Timeout as error:
+        raise RacinesError(f"{out}: {busy}") from error
+    with lock:
+        for other in set(out.parent.glob(f".{out.name}.{kind}-*")) - {folder}:
+            with suppress(Timeout), FileLock(other / "lock", blocking=False):
+                shutil.rmtree(other)
+        yield folder
+        shutil.rmtree(folder)
 
 
 def _aside(out: Path) -> Path:

@@ -19,7 +19,9 @@ class ImageSource(Protocol):
         """Return (B, 128, 128) uint8 images of (B, 12) float32 parameters.
 
         The columns are those of `schema.PARAMETERS`, in SI units. `seed` is one integer for the
-        batch or (B,) int64, one a sample; a sample's image depends on its own seed alone.
+        batch or (B,) int64, one a sample. A sample's image depends on its own parameters and seed
+        alone: not on its place, on its neighbours or on the size of the batch, to the last bit, on
+        one machine.
         """
         ...
 

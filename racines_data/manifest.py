@@ -83,13 +83,6 @@ def store_name(config: str) -> str:
 
 STORE = store_name("frames")
 """The store of the default config."""
-ORIGINS = {
-    "phantom": "simulated ultrasound of the RACINES phantom; no frame comes from a scanner",
-    "release": "the published RACINES recordings, imported",
-    "cactus": "the published CACTUS images, imported; labels and grades without poses",
-    "tracked": "tracked freehand ultrasound, imported; poses of the tracked probe, no forces",
-}
-OTHER_ORIGIN = "a source of another package"
 
 
 def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:
@@ -99,7 +92,9 @@ def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:
     the content of the files: without it a rebuilt dataset would be served stale. So it does the
     grader's hash, where one has annotated the frames.
     """
-    origin = ORIGINS.get(manifest["source"], OTHER_ORIGIN)
+    from racines_data.sources.card import manifest_card
+
+    origin = manifest_card(manifest).origin
     annotation = manifest.get("annotation") if config in ("frames", "sessions") else None
     return (
         f"source {manifest['source']} ({origin}); version {manifest['version']}; "

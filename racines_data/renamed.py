@@ -12,15 +12,16 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 MOVED = {
+    "racines_data": "card_style=plotting",
     "racines_data.build": "canonical shards splits staging writer",
     "racines_data.card": (
         "card_frames=frames card_paths=paths card_pictures=pictures card_plots=plots "
         "card_realism=realism card_rewrite=rewrite card_samples=samples "
-        "card_sections=sections card_statistics=statistics card_style=style "
+        "card_sections=sections card_statistics=statistics "
         "card_tables=tables croissant croissant_rai datasheet"
     ),
     "racines_data.cli": (
-        "cli_card=card cli_export=export cli_hub=hub cli_import=importing cli_phantom=phantom"
+        "cli_card=card cli_export=export cli_hub=hub cli_import=importing cli_phantom=sheet"
     ),
     "racines_data.export.lerobot": "export.lerobot_statistics=statistics",
     "racines_data.hub": "push",
@@ -38,7 +39,7 @@ MOVED = {
         "validate_oracle=oracle validate_report=report validate_rows=rows "
         "validate_splits=splits validate_statistics=statistics validate_survey=survey"
     ),
-    "racines_envs.agents": "rollout trace=trace_file",
+    "racines_envs.agents": "agents.trace=trace_agent rollout trace=trace_file",
     "racines_envs.agents.onnx": (
         "agents.onnx_policy=policy agents.onnx_policy_export=export "
         "agents.onnx_policy_format=format"
@@ -46,29 +47,31 @@ MOVED = {
     "racines_envs.agents.training": "agents.training_config=config agents.training_run=run",
     "racines_envs.apis": "gym_env gym_vector rendering torchrl_env",
     "racines_envs.cli": (
-        "cli_drive=drive cli_encoder=encoder cli_eval=evaluate cli_explain=explain "
-        "cli_export=export cli_forces=forces cli_speed=speed settings"
+        "cli_drive=drive cli_encoder=train.encoder cli_eval=study.transfer cli_explain=explain "
+        "cli_export=export cli_forces=study.forces cli_speed=study.speed settings"
     ),
     "racines_envs.driving": "keyboard terminal",
     "racines_envs.evaluation": (
-        "entries latency measures pictures runs=agent_specs trace_recording=tracing"
+        "entries latency measures pictures runs=agent_specs trace_recording"
     ),
     "racines_envs.explain": (
         "explain_figure=figure explain_maps=maps explain_scores=scores explain_truth=truth"
     ),
-    "racines_envs.recordings": "recorder replay",
+    "racines_envs.recordings": "recorder=episode_writer replay=rerun",
     "racines_envs.studies": "curves forces_report=forces step_profile task_table",
-    "racines_envs.studies.rewards": "reward_pages=pages reward_report=report reward_trace=settle",
+    "racines_envs.studies.rewards": (
+        "reward_pages=pages reward_report=report reward_trace=settlement"
+    ),
     "racines_envs.studies.transfer": "rank_correlation transfer=run transfer_pages=pages",
     "racines_envs.task": "actions core names rewards sensing starts state tasks view_error",
     "racines_envs.worlds": (
-        "backends backends_replay=replay data_versions exploration forces making pose_index "
-        "recorded"
+        "backends backends_replay=replay_images data_versions exploration forces making "
+        "pose_index recorded=recorded_world"
     ),
     "racines_leaderboard.audit": "audit.compare=numbers audit.figures=metrics",
     "racines_leaderboard.board": "chart collect groups pages rank recompute table",
     "racines_leaderboard.cli": (
-        "cli_audit=audit cli_determinism=determinism cli_studio=studio cli_submit=submit "
+        "cli_audit=audit cli_determinism=study.determinism cli_studio=studio cli_submit=submit "
         "commands=board expert.cli=expert"
     ),
     "racines_leaderboard.expert": "expert.figures=agreement expert.instructions=kit",
@@ -88,9 +91,10 @@ MOVED = {
     ),
     "racines_models": "bootstrap=statistics publish=weights racines_envs.intervals=statistics",
     "racines_models.cli": (
-        "cli_conditioning=conditioning cli_data=data cli_export=export cli_floor=floor "
-        "cli_gallery=gallery cli_generators=generators cli_grader=grader cli_output=output "
-        "cli_pose=pose cli_publish=publish cli_realism=realism cli_scores=scores"
+        "cli_conditioning=study.conditioning cli_data=study.leakage cli_floor=study.floor "
+        "cli_export=export.predictions cli_gallery=study.gallery cli_generators=train.generator "
+        "cli_grader=evaluate.grader cli_output=output cli_pose=train.pose "
+        "cli_publish=export.weights cli_realism=study.realism cli_scores=evaluate.generator"
     ),
     "racines_models.exchange": "naming",
     "racines_models.exchange.onnx": (

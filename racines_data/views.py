@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from racines_data.errors import RacinesError
+from racines_data.plugins import Plugins
 
 VIEWS = ("A4C", "SC", "PL", "PSAV", "PSMV")
 """The five target views; the index of a view here is its label."""
@@ -25,8 +26,15 @@ VIEW_TITLES = {
 
 HEART = "heart"
 """Name of the anatomy that everything takes where none is named."""
-ORGANS = {HEART: VIEWS, "abdomen": ("KLX", "KSX", "GB")}
-"""Views of the anatomies that come with the package, known without building one."""
+ANATOMIES = Plugins("anatomy", "racines.anatomies", or_give="module:function")
+"""Functions `(seed: int) -> Anatomy`. The extras of an entry point name its views in label order,
+so that they are known without importing it: `abdomen = "module:function [KLX,KSX,GB]"`."""
+
+
+def organs() -> dict[str, tuple[str, ...]]:
+    """Return the views of the registered anatomies, the heart first; nothing is imported."""
+    named = {name: tuple(point.extras) for name, point in ANATOMIES.points().items()}
+    return {HEART: VIEWS} | {name: views for name, views in named.items() if views}
 
 
 def labels_of(views: Sequence[str]) -> tuple[str, ...]:

@@ -37,6 +37,14 @@ TINY = {
 """Settings with which every command ends within seconds; its figures mean nothing."""
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the contracts' tests of rows, also the inherited ones, by their name."""
+    for item in items:
+        if "ignores_its_batch" in item.name:
+            item.add_marker("contract")
+
+
 def command(
     folder: Path, *words: str, code: int = 0, fresh: bool = False
 ) -> subprocess.CompletedProcess[str]:

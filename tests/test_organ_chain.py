@@ -26,7 +26,7 @@ def test_the_whole_chain_runs_on_the_abdomen(tmp_path):
     command(tmp_path, "racines", "train", "agent", "ppo")
     for agent in AGENTS:
         command(tmp_path, "racines", "eval", "agent", agent)
-    command(tmp_path, "racines", "eval", "realism", "--optional")
+    command(tmp_path, "racines", "study", "realism", "--optional")
     command(
         tmp_path, "racines", "leaderboard", "--board", "tiny", "--collect", "models/runs/scores",
         "--collect", "envs/runs/scores", "--markdown", "LEADERBOARD.md",

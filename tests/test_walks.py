@@ -12,7 +12,7 @@ import pytest
 from tests.conftest import ROOT, command
 from tests.documents import run_page
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.docs]
 WALKS = {page.stem for page in (ROOT / "docs").glob("walk-*.md")}
 
 

@@ -1,7 +1,7 @@
 """Environments and agents: the scanning tasks in Gymnasium and TorchRL, and their baselines.
 
 Importing registers `racines/<VIEW>-v0` for the heart and `racines/<organ>-<VIEW>-v0` for the other
-organs with Gymnasium and does nothing else; torch is loaded when an environment is made.
+installed organs with Gymnasium and does nothing else; torch is loaded when an environment is made.
 """
 
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
-from racines_data.views import HEART, ORGANS
+from racines_data.views import HEART, organs
 from racines_envs.task.names import task_id
 
 if TYPE_CHECKING:
@@ -18,15 +18,19 @@ if TYPE_CHECKING:
 __all__ = ["ScanEnv", "register_tasks"]
 
 
-def register_tasks(anatomy: str, views: Sequence[str]) -> list[str]:
+def register_tasks(anatomy: str, views: Sequence[str] | None = None) -> list[str]:
     """Register the tasks of an anatomy with Gymnasium and return their ids.
 
-    For an organ of another package: call it where that package is imported.
+    Importing this package does it for every organ whose entry point names its views.
 
     Args:
-        anatomy: Its name in the entry points `racines.anatomies`.
-        views: The names of its views.
+        anatomy: Its name in the entry points `racines.anatomies`, or `module:function`.
+        views: The names of its views; without them the anatomy is built and asked.
     """
+    if views is None:
+        from racines_data.phantom.anatomy import anatomy_views
+
+        views = anatomy_views(anatomy)
     for view in views:
         gymnasium.register(
             id=task_id(view, anatomy),
@@ -37,7 +41,7 @@ def register_tasks(anatomy: str, views: Sequence[str]) -> list[str]:
     return [task_id(view, anatomy) for view in views]
 
 
-for _anatomy, _views in ORGANS.items():
+for _anatomy, _views in organs().items():
     register_tasks(_anatomy, _views)
 
 

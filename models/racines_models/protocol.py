@@ -1,11 +1,18 @@
-"""What a generator is: images of poses, fitted on a store, saved to a folder."""
+# pyright: strict
+"""What a generator is: images of poses, fitted on a store; and what judges images."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkable
 
+from torch import Tensor
+
+from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
-from racines_data.store.frames import FrameStore
+
+if TYPE_CHECKING:
+    from racines_data.store.frames import FrameStore
 
 
 @dataclass(frozen=True)
@@ -41,7 +48,7 @@ class Card:
     """Source, version and digest of the training data."""
     config: dict[str, Any]
     seed: int
-    limits: tuple[str, ...] = field(default=())
+    limits: tuple[str, ...] = ()
     """Known weaknesses, one sentence each."""
 
 
@@ -50,8 +57,8 @@ class Generator(ImageSource, Protocol):
     """Makes images of poses after it has seen the training frames.
 
     `generate` (see `ImageSource`) is deterministic: the same parameters and seed give the same
-    bytes, whatever batch a sample stands in. A pose with NaN is refused with `RacinesError`; an
-    absent force is not.
+    bytes to the last bit, whatever batch a sample stands in. A pose with NaN is refused with
+    `RacinesError`; an absent force is not.
     """
 
     name: ClassVar[str]
@@ -67,7 +74,7 @@ class Generator(ImageSource, Protocol):
         """Describe the fitted generator."""
         ...
 
-    def fit(self, store: FrameStore, run: Run) -> dict[str, Any]:
+    def fit(self, store: "FrameStore", run: Run) -> dict[str, Any]:
         """Learn from the train split, save into `run.folder`, and return the metrics."""
         ...
 
@@ -83,3 +90,37 @@ class Generator(ImageSource, Protocol):
             RacinesError: no model there, or one of another generator.
         """
         ...
+
+
+@runtime_checkable
+class Judge(Protocol):
+    """Says of an image which view it shows and how well; a trained grader, or a class of your own.
+
+    What inherits it gives `probabilities_and_grade`, and may leave the rest as it is.
+    """
+
+    labels: tuple[str, ...] = ()
+    """Names of the labels in the order of the probabilities, `Random` last; empty if untold."""
+    sha256: str | None = None
+    """Hash of the weights, if there are any."""
+
+    def probabilities_and_grade(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (B, labels) probabilities and (B,) grades 0-10 of (B, 128, 128) uint8 images."""
+        ...
+
+    @property
+    def settings(self) -> dict[str, Any] | None:
+        """What its answers depend on, as a scores file names it; None if untold."""
+        return None
+
+    def check_labels(self, labels: Sequence[str], what: str) -> None:
+        """Check that it knows these labels, those of `what`, in this order, if it tells which.
+
+        Raises:
+            RacinesError: it was trained for other views.
+        """
+        if self.labels and self.labels != tuple(labels):
+            raise RacinesError(
+                f"the grader knows {', '.join(self.labels)}, {what} has {', '.join(labels)}: train "
+                "a grader on a dataset of that anatomy: racines train grader"
+            )

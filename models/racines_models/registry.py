@@ -1,43 +1,32 @@
 """Generators by entry point of the group `racines.generators`, `module:Class`, or file."""
 
-import importlib
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.imaging import ImageSource
+from racines_data.plugins import Plugins
 from racines_data.store.frames import FrameStore
 from racines_models.protocol import Generator
 from racines_models.provenance import weights_sha256
 from racines_models.training.repeats import repeat_folders
 
-GROUP = "racines.generators"
-MEMBERS = ("name", "Config", "card", "fit", "generate", "save", "load")
-"""What a class needs to be a generator."""
+GENERATORS = Plugins(
+    "generator",
+    "racines.generators",
+    ("name", "Config", "card", "fit", "generate", "save", "load"),
+    "module:Class, FILE.onnx or FILE.parquet",
+)
 RUNS = Path("models/runs")
 """Where trained generators lie, each in a folder of its name."""
 FILES = (".onnx", ".parquet")
 """Endings of the files that are generators."""
 
 
-def _points() -> dict[str, EntryPoint]:
-    found: dict[str, EntryPoint] = {}
-    for point in entry_points(group=GROUP):
-        # The same package listed twice (a wheel beside an editable install) is no conflict.
-        if point.name in found and found[point.name].value != point.value:
-            raise RacinesError(
-                f"generator {point.name!r} is registered twice, as {found[point.name].value} and "
-                f"{point.value}: rename one entry point of {GROUP}"
-            )
-        found[point.name] = point
-    return found
-
-
 def generator_names() -> list[str]:
     """Return the names that installed packages register, sorted."""
-    return sorted(_points())
+    return list(GENERATORS.names())
 
 
 def generator_class(spec: str) -> type[Generator]:
@@ -46,31 +35,7 @@ def generator_class(spec: str) -> type[Generator]:
     Raises:
         RacinesError: unknown name (the known ones are listed), or a class that is no generator.
     """
-    points = _points()
-    if spec in points:
-        target = points[spec].value
-    elif ":" in spec:
-        target = spec
-    else:
-        raise RacinesError(
-            f"unknown generator {spec!r}: choose one of {', '.join(sorted(points))}, "
-            "or give module:Class, FILE.onnx or FILE.parquet"
-        )
-    cls = _import(target)
-    missing = [member for member in MEMBERS if not hasattr(cls, member)]
-    if missing:
-        raise RacinesError(f"{target} is not a generator: it lacks {', '.join(missing)}")
-    return cls
-
-
-def _import(target: str) -> type[Generator]:
-    module, _, attribute = target.partition(":")
-    try:
-        return getattr(importlib.import_module(module), attribute.strip())
-    except ImportError as error:
-        raise RacinesError(f"generator {target}: cannot import {module}: {error}") from error
-    except AttributeError as error:
-        raise RacinesError(f"generator {target}: {module} has no {attribute!r}") from error
+    return GENERATORS.load(spec)
 
 
 def load_generator(spec: str, run_dir: Path | str, device: str = "cpu") -> Generator:

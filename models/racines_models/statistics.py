@@ -55,54 +55,55 @@ def bootstrap_mean(
     Raises:
         ValueError: no value is present.
     """
-    present = np.isfinite(values)
-    values, clusters = np.asarray(values, np.float64)[present], clusters[present]
-    if not len(values):
-        raise ValueError("no values to average")
-    _, cluster = np.unique(clusters, return_inverse=True)
-    count = np.bincount(cluster)
-    total = np.bincount(cluster, weights=values)
-    low = high = None
-    if len(count) > 1:
-        draws = np.random.default_rng(seed).multinomial(
-            len(count), np.full(len(count), 1 / len(count)), size=resamples
-        )
-        means = (draws @ total) / (draws @ count)
-        low, high = (float(q) for q in np.quantile(means, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]))
-    method = f"percentile bootstrap by trajectory, {resamples} resamples"
-    return Estimate(float(values.mean()), low, high, len(values), len(count), method)
+
+    def means(values: np.ndarray, cluster: np.ndarray, draws: np.ndarray) -> np.ndarray:
+        return (draws @ np.bincount(cluster, weights=values)) / (draws @ np.bincount(cluster))
+
+    return _clustered(values, clusters, seed, resamples, np.mean, means, "")
 
 
 def bootstrap_median(
     values: np.ndarray, clusters: np.ndarray, seed: int = 0, resamples: int = 1000
 ) -> Estimate:
-    """Estimate the median of (N,) values, resampling their (N,) clusters with replacement.
+    """Estimate the median of (N,) values, as `bootstrap_mean` does the mean."""
 
-    NaN values are absent measurements and are left out.
+    def medians(values: np.ndarray, cluster: np.ndarray, draws: np.ndarray) -> np.ndarray:
+        order = np.argsort(values, kind="stable")
+        found = []
+        for draw in draws:
+            reached = np.cumsum(draw[cluster[order]])
+            # The lower and the upper median, which differ where the middle falls between values.
+            middle = [np.searchsorted(reached, reached[-1] / 2, side) for side in SIDES]
+            found.append(values[order[middle]].mean())
+        return np.array(found)
 
-    Raises:
-        ValueError: no value is present.
-    """
+    return _clustered(values, clusters, seed, resamples, np.median, medians, "median, ")
+
+
+def _clustered(
+    values: np.ndarray,
+    clusters: np.ndarray,
+    seed: int,
+    resamples: int,
+    statistic: Callable[[np.ndarray], Any],
+    resampled: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+    what: str,
+) -> Estimate:
+    """Bootstrap by cluster; `resampled` turns values, clusters and (R, K) draws into (R,)."""
     present = np.isfinite(values)
-    values, clusters = np.asarray(values, np.float64)[present], clusters[present]
+    values = np.asarray(values, np.float64)[present]
     if not len(values):
-        raise ValueError("no values to take the median of")
-    _, cluster = np.unique(clusters, return_inverse=True)
-    count = int(cluster.max()) + 1
-    order = np.argsort(values, kind="stable")
+        raise ValueError("no values to estimate from")
+    unique, cluster = np.unique(clusters[present], return_inverse=True)
+    count = len(unique)
     low = high = None
     if count > 1:
         generator = np.random.default_rng(seed)
-        medians = []
-        for _ in range(resamples):
-            draws = generator.multinomial(count, np.full(count, 1 / count))
-            reached = np.cumsum(draws[cluster[order]])
-            # The lower and the upper median, which differ where the middle falls between values.
-            middle = [np.searchsorted(reached, reached[-1] / 2, side) for side in SIDES]
-            medians.append(values[order[middle]].mean())
-        low, high = (float(q) for q in np.quantile(medians, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]))
-    method = f"median, percentile bootstrap by trajectory, {resamples} resamples"
-    return Estimate(float(np.median(values)), low, high, len(values), count, method)
+        draws = generator.multinomial(count, np.full(count, 1 / count), size=resamples)
+        found = resampled(values, cluster, draws)
+        low, high = (float(q) for q in np.quantile(found, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]))
+    method = f"{what}percentile bootstrap by trajectory, {resamples} resamples"
+    return Estimate(float(statistic(values)), low, high, len(values), count, method)
 
 
 def jackknife(

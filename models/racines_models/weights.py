@@ -1,13 +1,14 @@
-"""Weights to hand out: a run's model in half precision, with its hashes and how it was trained."""
+"""Weights as files that hold no code: saved, loaded, and handed out in half precision."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
-from torch import Tensor
+from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic, write_json
@@ -65,19 +66,55 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
     return content
 
 
-def load_weights(path: Path, device: str = "cpu") -> dict[str, Tensor]:
-    """Read the tensors of a model file, half-precision ones as float32.
+def save_weights(path: Path, tensors: Mapping[str, Tensor]) -> str:
+    """Write tensors as a safetensors file, whole or not at all; return its sha256."""
+    data = save({key: each.detach().cpu().contiguous() for key, each in tensors.items()})
+    write_atomic(path, data)
+    return sha256_bytes(data)
+
+
+def load_weights(
+    path: Path, device: str = "cpu", remedy: str = "get it again"
+) -> dict[str, Tensor]:
+    """Read the tensors of a safetensors file, half-precision ones as float32.
 
     Raises:
-        RacinesError: the file is damaged, or not the one that `config.json` beside it names.
+        RacinesError: the file is absent, damaged, a pickle, or not the one that `config.json`
+            beside it names; with the remedy.
     """
+    if not path.is_file():
+        raise RacinesError(f"{path}: no such file; {remedy}")
     _check_digest(path)
     try:
         tensors = load_file(path, device=device)
     except (SafetensorError, OSError) as error:
-        raise RacinesError(f"{path}: cannot be read: {error}") from error
+        raise RacinesError(f"{path}: cannot be read as safetensors: {error}; {remedy}") from error
     half = (torch.float16, torch.bfloat16)
     return {key: each.float() if each.dtype in half else each for key, each in tensors.items()}
+
+
+def load_network(path: Path, network: nn.Module, remedy: str) -> None:
+    """Read a network's state; raises as `load_weights`, and where shapes or names differ."""
+    try:
+        network.load_state_dict(load_weights(path, remedy=remedy))
+    except RuntimeError as error:
+        named = path.parent / "config.json"
+        raise RacinesError(f"{path}: does not fit {named}: {error}; {remedy}") from error
+
+
+def read_described(folder: Path, absent: str) -> dict[str, Any]:
+    """Return what the `config.json` beside the weights says.
+
+    Raises:
+        RacinesError: there is none, told with `absent`; or it is no JSON.
+    """
+    path = Path(folder) / "config.json"
+    if not path.is_file():
+        raise RacinesError(f"{folder}: {absent}")
+    try:
+        return json.loads(path.read_text())
+    except json.JSONDecodeError as error:
+        raise RacinesError(f"{path}: not valid JSON: {error}; get it again") from error
 
 
 def _halved(tensors: dict[str, Tensor], file: Path) -> dict[str, Tensor]:

@@ -20,7 +20,7 @@ from racines_data.build.shards import Part
 from racines_data.build.splits import assign_group_splits, assign_splits, held_out_session
 from racines_data.build.staging import stage_units, staging_folder
 from racines_data.build.writer import write_dataset
-from racines_data.config import fill
+from racines_data.config import Settings, fill, section
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.files import recover_folder, swap_folder
@@ -55,7 +55,7 @@ class DataConfig:
     """Largest share of frames that may be refused."""
 
 
-def read_data_section(values: Mapping[str, Any]) -> tuple[DataConfig, dict[str, dict[str, Any]]]:
+def read_data_section(values: Mapping[str, Any]) -> tuple[DataConfig, dict[str, Settings]]:
     """Split the `data` section of a params file into the builder's part and the sources' parts.
 
     Beside the sources, `multi_phantom` has a section of its own.
@@ -64,13 +64,15 @@ def read_data_section(values: Mapping[str, Any]) -> tuple[DataConfig, dict[str, 
         RacinesError: an unknown key, or a value of the wrong type.
     """
     names = (*source_names(), MULTI_PHANTOM)
-    sections = {key: dict(value or {}) for key, value in values.items() if key in names}
-    rest = {key: value for key, value in values.items() if key not in names}
+    sections = {name: section(values, name) for name in names if name in values}
+    rest = Settings(values, getattr(values, "file", ""))
+    for name in sections:
+        del rest[name]
     return fill(DataConfig, rest, "data"), sections
 
 
 def make_source(
-    config: DataConfig, section: Mapping[str, Any] | None = None, inputs: Sequence[Path] = ()
+    config: DataConfig, section: dict[str, Any] | None = None, inputs: Sequence[Path] = ()
 ) -> Source:
     """Make the source that a config names; it gets `frames` and `seed` if it has such settings.
 
@@ -81,11 +83,11 @@ def make_source(
     known = {field.name for field in dataclasses.fields(kind.Config)}
     shared = {"frames": config.frames, "seed": config.seed}
     given = {key: value for key, value in shared.items() if key in known}
-    return kind.from_config({**given, **(section or {})}, inputs)
+    return kind.from_config(given | (section or {}), inputs)
 
 
 def make_multi_phantom(
-    source: Source, config: DataConfig, section: Mapping[str, Any] | None = None
+    source: Source, config: DataConfig, section: dict[str, Any] | None = None
 ) -> Source | None:
     """Make the source of many hearts that goes with the phantom; none if no hearts are asked for.
 
@@ -99,7 +101,7 @@ def make_multi_phantom(
 
     if not isinstance(source, PhantomSource):
         return None
-    settings = {"seed": config.seed, **(section or {})}
+    settings = {"seed": config.seed} | (section or {})
     many = MultiPhantomSource.from_config(settings, acquisition=source.config)
     return many if many.config.hearts else None
 

@@ -6,26 +6,24 @@ A staged file is complete or absent (written aside, then renamed), so that a bui
 goes on where it stopped. What a unit's file holds does not depend on the worker that made it.
 """
 
-import fcntl
 import hashlib
 import inspect
 import multiprocessing
 import multiprocessing.connection
 import os
-import shutil
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import IO
 
 import pyarrow as pa
 import torch
 
 from racines_data.digest import trajectory_digest
 from racines_data.errors import RacinesError
+from racines_data.files import working_folder
 from racines_data.progress import progress_bar
 from racines_data.records import check_trajectory, pixels_array, trajectory_to_table
 from racines_data.sources.base import Source, Unit, has_poses, labels_of_source
@@ -34,8 +32,7 @@ _DIGEST = b"racines.digest"
 _source: Source | None = None  # a worker's own copy, set by its initialiser
 
 
-@contextmanager
-def staging_folder(out: Path, source: Source, recipe_digest: str) -> Iterator[Path]:
+def staging_folder(out: Path, source: Source, recipe_digest: str) -> AbstractContextManager[Path]:
     """Open the staging folder of a build, beside its output; removed when the build succeeds.
 
     Its name tells the recipe and the code apart, so that units of another are never taken up.
@@ -43,31 +40,8 @@ def staging_folder(out: Path, source: Source, recipe_digest: str) -> Iterator[Pa
     Raises:
         RacinesError: another build of the same dataset is running.
     """
-    key = hashlib.sha256(f"{recipe_digest}/{_code_digest(source)}".encode()).hexdigest()
-    folder = out.parent / f".{out.name}.staging-{key[:16]}"
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        if not _lock(lock):
-            raise RacinesError(f"{out}: another build of it is running; wait for it")
-        for other in set(out.parent.glob(f".{out.name}.staging-*")) - {folder}:
-            _remove_abandoned(other)
-        yield folder
-        shutil.rmtree(folder)
-
-
-def _lock(file: IO[str]) -> bool:
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
-
-
-def _remove_abandoned(folder: Path) -> None:
-    # Left by a build of another recipe that was killed: nothing will ever go on from it.
-    with (folder / "lock").open("a") as lock:
-        if _lock(lock):
-            shutil.rmtree(folder)
+    key = f"{recipe_digest}/{_code_digest(source)}"
+    return working_folder(out, "staging", key, "another build of it is running; wait for it")
 
 
 def _code_digest(source: Source) -> str:

@@ -30,6 +30,7 @@ from racines_data.manifest import CARD, MANIFEST, MULTI_PHANTOM, store_name
 from racines_data.progress import progress_bar
 from racines_data.schema import SPLITS
 from racines_data.sources.base import Finding, has_poses, labels_of_source
+from racines_data.sources.card import own_card
 from racines_data.store.writer import write_store
 
 REPORT = "import_report.parquet"
@@ -68,6 +69,7 @@ def write_dataset(
         "recipe": recipe,
         "labels": list(labels_of_source(source)),
         "poses": has_poses(source),
+        **({"card": dataclasses.asdict(card)} if (card := own_card(source)) else {}),
         "held_out_session": main.held_out,
         "counts": _counts(rows),
         "report": _report_counts(source.report),

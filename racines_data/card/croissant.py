@@ -16,11 +16,11 @@ from typing import Any
 from datasets import ClassLabel, Features, Image
 
 from racines_data.card.croissant_rai import rai_fields
-from racines_data.card.markdown import LICENSES
 from racines_data.files import sha256_file, write_atomic
 from racines_data.manifest import describe, manifest_labels
 from racines_data.records import features_of
 from racines_data.schema import CONTROLS, PARAMETERS, SPLITS, trajectory_features
+from racines_data.sources.card import manifest_card
 
 CROISSANT = "croissant.json"
 _PARQUET = "application/x-parquet"
@@ -72,7 +72,7 @@ def write_croissant(manifest: Mapping[str, Any], folder: Path) -> str:
         folder: The dataset.
     """
     source, version = manifest["source"], manifest["version"]
-    license_ = LICENSES.get(source, "other")
+    license_ = manifest_card(manifest).license
     document: dict[str, Any] = {
         "@context": _context(),
         "@type": "sc:Dataset",

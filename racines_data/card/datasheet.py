@@ -8,6 +8,7 @@ from typing import Any
 
 from racines_data.card.croissant_rai import rai_fields
 from racines_data.manifest import MULTI_PHANTOM
+from racines_data.sources.card import manifest_card
 
 _MOTIVATION = (
     (
@@ -32,12 +33,6 @@ _SPLITS = (
     "Yes, `train`, `validation` and `test`, by whole trajectories and stratified by target view. "
     "Do not split by frame: the near-copies would leak."
 )
-_LICENCE = {
-    "phantom": "CC BY 4.0.",
-    "cactus": "CC BY 4.0, as the originals (DOI 10.20383/103.01484); cite their authors.",
-    "release": "As the published recordings; see their publisher. This import adds no rights.",
-    "tracked": "As the recordings imported. This import adds no rights.",
-}
 _SOFTWARE = (
     "`racines data build` (sources `phantom`, `tracked`) and `racines data import` (`release`, "
     "`cactus`); version, settings, seed and inputs are the recipe in `manifest.json`."
@@ -138,9 +133,8 @@ def _uses(rai: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
 
 
 def _distribution(manifest: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
-    licence = _LICENCE.get(manifest["source"], "As its source says.")
     return (
-        ("Under what licence?", licence),
+        ("Under what licence?", manifest_card(manifest).rights),
         (
             "How is it distributed?",
             "As a folder of Parquet files that `datasets` reads, built from its recipe by one "

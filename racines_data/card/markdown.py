@@ -10,13 +10,12 @@ from racines_data.card import sections
 from racines_data.card.croissant_rai import rai_fields
 from racines_data.card.datasheet import datasheet
 from racines_data.card.realism import realism_section
-from racines_data.manifest import ORIGINS, OTHER_ORIGIN, describe, manifest_labels
+from racines_data.manifest import describe, manifest_labels
 from racines_data.records import features_of
 from racines_data.schema import trajectory_features
+from racines_data.sources.card import SourceCard, manifest_card
 from racines_data.views import LABELS
 
-LICENSES = {"phantom": "cc-by-4.0", "cactus": "cc-by-4.0"}
-TAGS = {"phantom": ["simulation", "synthetic"]}
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"))
 
 
@@ -27,9 +26,9 @@ def write_card(manifest: Mapping[str, Any]) -> str:
     without them their sections are left out.
     """
     head = yaml.safe_dump(_front_matter(manifest), sort_keys=False, allow_unicode=True, width=1000)
-    origin, rai = ORIGINS.get(manifest["source"], OTHER_ORIGIN), rai_fields(manifest)
+    card, rai = manifest_card(manifest), rai_fields(manifest)
     parts = [
-        sections.summary(manifest, origin),
+        sections.summary(manifest, card.origin),
         sections.rows(manifest),
         sections.configs(manifest),
         sections.loading(manifest),
@@ -38,7 +37,7 @@ def write_card(manifest: Mapping[str, Any]) -> str:
         sections.statistics(manifest),
         sections.shares(manifest),
         realism_section(manifest),
-        sections.limits(manifest, rai["rai:dataUseCases"][0]),
+        sections.limits(manifest, rai["rai:dataUseCases"][0], card.limits),
         "## Datasheet",
         datasheet(manifest),
     ]
@@ -62,28 +61,28 @@ def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:
             else features_of(manifest["source"], manifest_labels(manifest))
         )
         infos.append({"config_name": name, "features": features._to_yaml_list()})
-    source = manifest["source"]
+    source, card = manifest["source"], manifest_card(manifest)
     return {
         "pretty_name": f"RACINES ({source} {manifest['version']})",
-        "license": LICENSES.get(source, "other"),
+        "license": card.license,
         "language": ["zxx"],  # ISO 639-2: no linguistic content
-        "annotations_creators": ["machine-generated" if source == "phantom" else "other"],
-        "task_categories": _tasks(manifest),
+        "annotations_creators": ["machine-generated" if card.simulated else "other"],
+        "task_categories": _tasks(manifest, card),
         "size_categories": [_size(manifest["counts"]["frames"])],
-        "tags": _tags(manifest),
+        "tags": _tags(manifest, card),
         "configs": configs,
         "dataset_info": infos,
     }
 
 
-def _tags(manifest: Mapping[str, Any]) -> list[str]:
-    source, heart = manifest["source"], manifest_labels(manifest) == LABELS
-    organ = ["echocardiography"] if heart and source != "tracked" else []
-    return ["ultrasound", *organ, "robotics", "medical", source, *TAGS.get(source, [])]
+def _tags(manifest: Mapping[str, Any], card: SourceCard) -> list[str]:
+    heart = card.labelled and manifest_labels(manifest) == LABELS
+    organ = ["echocardiography"] if heart else []
+    return ["ultrasound", *organ, "robotics", "medical", manifest["source"], *card.tags]
 
 
-def _tasks(manifest: Mapping[str, Any]) -> list[str]:
-    poses, labels = manifest.get("poses", True), manifest["source"] != "tracked"
+def _tasks(manifest: Mapping[str, Any], card: SourceCard) -> list[str]:
+    poses, labels = manifest.get("poses", True), card.labelled
     return ["image-classification"] * labels + ["reinforcement-learning", "robotics"] * poses
 
 

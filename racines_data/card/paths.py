@@ -10,7 +10,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from racines_data.card.frames import Frames
-from racines_data.card.style import MUTED, evenly, view_colours
+from racines_data.plotting import MUTED, evenly, view_colours
 
 PATHS = 60
 """Trajectories drawn, at most."""

@@ -7,8 +7,8 @@ from matplotlib.figure import Figure
 
 from racines_data.card.frames import read_frames
 from racines_data.card.statistics import CACTUS_COUNTS, card_statistics, has_paper
-from racines_data.card.style import card_style, encode
 from racines_data.manifest import MULTI_PHANTOM, store_name
+from racines_data.plotting import card_style, encode
 
 FOLDER = "card"
 

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from racines_data.card.frames import Frames
 from racines_data.card.statistics import CACTUS_COUNTS, GRADE_EDGES, unit_of
-from racines_data.card.style import MUTED, OURS, PAPER, SPLIT_COLOURS, view_colours
+from racines_data.plotting import MUTED, OURS, PAPER, SPLIT_COLOURS, view_colours
 from racines_data.schema import PARAMETERS
 from racines_data.views import PAPER_STATISTICS
 

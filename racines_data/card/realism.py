@@ -1,7 +1,7 @@
 """The section of a card on how near the simulated frames are to real ones.
 
-It is written after the build, from reports of `racines eval realism`; the manifest keeps them under
-`realism`, and under `realism_pictures` the pictures shown with them.
+It is written after the build, from reports of `racines study realism`; the manifest keeps them
+under `realism`, and under `realism_pictures` the pictures shown with them.
 """
 
 from collections.abc import Iterator, Mapping
@@ -45,13 +45,13 @@ def check_realism(content: Mapping[str, Any], manifest: Mapping[str, Any], name:
     if content.get("schema") != SCHEMA:
         raise RacinesError(f"{name}: schema is {content.get('schema')!r}, expected {SCHEMA!r}")
     if not content.get("compared", True) or "kid" not in content.get("figures", {}):
-        raise RacinesError(f"{name}: holds no comparison; run: racines eval realism --real FILE")
+        raise RacinesError(f"{name}: holds no comparison; run: racines study realism --real FILE")
     many = manifest.get(MULTI_PHANTOM) or {}
     digest = content.get("dataset", {}).get("digest")
     if digest not in (None, manifest["digest"], many.get("digest")):
         raise RacinesError(
             f"{name}: measures another dataset (content {digest[:16]}, here "
-            f"{manifest['digest'][:16]}); run racines eval realism on this one"
+            f"{manifest['digest'][:16]}); run racines study realism on this one"
         )
 
 

@@ -38,7 +38,7 @@ def rewrite_card(
 
     Args:
         root: Folder of the dataset.
-        realism: Reports of `racines eval realism` on it; they replace earlier ones.
+        realism: Reports of `racines study realism` on it; they replace earlier ones.
         pictures: PNG files shown with them, copied to `card/`; they replace earlier ones.
         draw: Draw the other pictures again, and count again.
 
@@ -82,7 +82,7 @@ def _read_report(path: Path, manifest: dict[str, Any]) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise RacinesError(f"{path}: no readable JSON ({error})") from error
     if not isinstance(content, dict):
-        raise RacinesError(f"{path}: not a realism report; make one: racines eval realism")
+        raise RacinesError(f"{path}: not a realism report; make one: racines study realism")
     check_realism(content, manifest, str(path))
     return content
 

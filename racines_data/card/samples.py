@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from racines_data.card.frames import Frames
-from racines_data.card.style import MUTED, evenly
+from racines_data.plotting import MUTED, evenly
 from racines_data.views import VIEW_TITLES
 
 COLUMNS = 6

@@ -6,29 +6,8 @@ from typing import Any
 from racines_data.card import tables as card_tables
 from racines_data.card.statistics import has_paper
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels
+from racines_data.sources.card import manifest_card
 from racines_data.tables import Markdown, code, markdown_table
-
-_LIMITS = {
-    "phantom": (
-        "The images are simulated. They are never to be mixed with, or presented as, recordings "
-        "of the real block. Neighbouring frames are near-copies: keep trajectories whole. Views "
-        "and grades come from geometry (an oracle), not from an expert."
-    ),
-    "release": (
-        "A manufactured phantom, not a patient. Neighbouring frames are near-copies: keep "
-        "trajectories whole. There are no grades until a grader has annotated them."
-    ),
-    "cactus": (
-        "A manufactured phantom, not a patient. There are no poses, forces or times; runs of files "
-        "stand as trajectories, and frames on both sides of a cut may be neighbours."
-    ),
-    "tracked": (
-        "A recording is one sweep. It is cut into contiguous segments, which stand as trajectories "
-        "so that splits exist; frames on both sides of a cut are neighbours in time, so scores on "
-        "such splits are optimistic. Poses are those of the tracked probe marker in the tracker's "
-        "frame, not of the image plane; there are no forces, views or grades."
-    ),
-}
 
 
 def summary(manifest: Mapping[str, Any], origin: str) -> str:
@@ -185,9 +164,9 @@ def shares(manifest: Mapping[str, Any]) -> str:
     return "\n\n".join([*parts, picture(manifest, "shares")])
 
 
-def limits(manifest: Mapping[str, Any], uses: str) -> str:
+def limits(manifest: Mapping[str, Any], uses: str, limits_of_source: str) -> str:
     """Return intended use and limits."""
-    lines = [uses, _LIMITS.get(manifest["source"], "See the source.")]
+    lines = [uses, limits_of_source]
     report = manifest["report"]
     if report["refused_frames"] or report["flagged"]:
         lines.append(
@@ -216,7 +195,7 @@ def _captions(manifest: Mapping[str, Any]) -> dict[str, str]:
     values += ["position (mm)", "rotation (degrees)"] * ("position_x" in measured)
     values += ["force (N)"] * ("force_x" in measured)
     order = "from the best grade to the worst" if graded else "from bright to dark"
-    over = " over the block" if manifest["source"] == "phantom" else ""
+    over = " over the block" if manifest_card(manifest).simulated else ""
     sweeps = "; the grade along one sweep of each view (shaded: the view is attained)"
     return {
         "samples": f"Frames of each view, {order}, with {', '.join(values) or 'nothing measured'}",

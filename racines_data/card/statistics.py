@@ -8,6 +8,7 @@ import numpy as np
 from racines_data.card.frames import Frames
 from racines_data.manifest import manifest_labels
 from racines_data.schema import PARAMETERS
+from racines_data.sources.card import manifest_card
 from racines_data.views import LABELS
 
 CACTUS_COUNTS = {"A4C": 7422, "SC": 6345, "PL": 6102, "PSAV": 5832, "PSMV": 6014, "Random": 6021}
@@ -19,7 +20,7 @@ GRADE_EDGES = np.array([0.0, *np.arange(0.5, 10.0), 10.001])
 
 def has_paper(manifest: Mapping[str, Any]) -> bool:
     """Return whether the paper's statistics are the measure of this dataset: a heart with poses."""
-    return manifest["source"] in ("phantom", "release") and manifest_labels(manifest) == LABELS
+    return manifest_card(manifest).like_paper and manifest_labels(manifest) == LABELS
 
 
 def unit_of(parameter: str) -> str:

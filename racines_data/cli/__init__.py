@@ -1,5 +1,4 @@
-"""The commands `racines data …` and `racines phantom …`."""
+"""The commands on datasets, one a module, and the options and settings that all commands share.
 
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+`racines_leaderboard.cli.command` puts the `racines` command together.
+"""

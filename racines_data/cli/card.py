@@ -6,21 +6,20 @@ from typing import Annotated
 
 import typer
 
-from racines_data.cli.data import AsJson, data
+from racines_data.cli import options as opt
 
 
-@data.command()
 def card(
-    root: Annotated[Path | None, typer.Argument(help="Folder of the dataset.")] = None,
+    root: opt.Root = None,
     realism: Annotated[
         list[Path] | None,
-        typer.Option(help="Report of racines eval realism on it; repeat for several."),
+        typer.Option(help="Report of racines study realism on it; repeat for several."),
     ] = None,
     picture: Annotated[
         list[Path] | None, typer.Option(help="PNG shown with the report; repeat for several.")
     ] = None,
     draw: Annotated[bool, typer.Option("--draw", help="Draw the other pictures again.")] = False,
-    as_json: AsJson = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Write a dataset's card anew, with realism figures where given; the content stays."""
     from racines_data.card.rewrite import rewrite_card

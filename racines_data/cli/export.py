@@ -6,23 +6,18 @@ from typing import Annotated, Any
 
 import typer
 
-from racines_data.cli.data import data
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print the figures as JSON on stdout.")]
+from racines_data.cli import options as opt
 
 
-@data.command()
 def export(
     root: Annotated[Path, typer.Argument(help="Folder of the dataset.")],
     format: Annotated[str, typer.Option("--format", help="release, lerobot or minari.")],
-    out: Annotated[Path, typer.Option(help="New folder to write.")],
-    split: Annotated[
-        str | None, typer.Option(help="train, validation or test; default all.")
-    ] = None,
+    out: opt.Out,
+    split: opt.OneSplit = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Frames to write, the first.")] = None,
-    as_json: AsJson = False,
+    as_json: opt.AsJson = False,
 ) -> None:
-    """Write a dataset in another format; images are never compressed with loss."""
+    """Write a dataset, or one split, in another format; images are never compressed with loss."""
     from racines_data.export.registry import load_exporter
 
     made = load_exporter(format)(root, out, split=split, limit=limit, progress=not as_json)

@@ -6,16 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from racines_data.cli.data import data
+from racines_data.cli import options as opt
 
 if TYPE_CHECKING:
     from racines_data.hub.push import Push
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print the figures as JSON on stdout.")]
 Repository = Annotated[str, typer.Argument(metavar="REPO_ID", help="OWNER/NAME on the Hub.")]
 
 
-@data.command()
 def push(
     repo_id: Repository,
     root: Annotated[Path | None, typer.Option(help="Folder of the dataset.")] = None,
@@ -26,7 +24,7 @@ def push(
         bool, typer.Option(help="Send the training stores too; `pull` can make them again.")
     ] = False,
     dry_run: Annotated[bool, typer.Option(help="Say what would go, without network.")] = False,
-    as_json: AsJson = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Upload a dataset to the Hub and tag it; the token is that of the environment (HF_TOKEN)."""
     from racines_data.hub.push import plan_push
@@ -69,15 +67,14 @@ def _size(count: float) -> str:
     return f"{count:.2f} GB"
 
 
-@data.command()
 def pull(
     repo_id: Repository,
     version: Annotated[str | None, typer.Option(help="x.y.z or a tag; default the newest.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder; default the Hub's cache.")] = None,
+    out: opt.OwnOut = None,
     store: Annotated[bool, typer.Option(help="Make the training stores from the shards.")] = True,
-    as_json: AsJson = False,
+    as_json: opt.AsJson = False,
 ) -> None:
-    """Fetch a dataset from the Hub, check every digest, and make its training store."""
+    """Fetch a dataset into the Hub's cache or --out, check digests, and make its training store."""
     from racines_data.hub.fetch import download
     from racines_data.manifest import read_manifest
 

@@ -6,47 +6,47 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from racines_data.cli.data import AsJson, Params, Profile, data
+from racines_data.cli import options as opt
+from racines_data.cli.settings import given, overrides, read_settings
 from racines_data.errors import RacinesError
 
 if TYPE_CHECKING:
-    from racines_data.build.dataset import DataConfig
     from racines_data.sources.base import Source
 
 _SHOWN = 20
 
 
-@data.command("import")
 def import_(
     inputs: Annotated[list[Path], typer.Argument(help="Folder or files to import.")],
     source: Annotated[
         str, typer.Option(help="release, cactus, tracked, or another's name.")
     ] = "release",
-    out: Annotated[Path, typer.Option(help="Folder of the dataset.")] = Path("data/imported"),
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", help="Setting of the source: unit=mm. Repeat it.")
-    ] = None,
-    strict: Annotated[bool, typer.Option(help="Stop at the first refused input.")] = False,
+    out: opt.Out = Path("data/imported"),
+    settings: opt.Set = None,
+    strict: opt.Strict = False,
     max_refused: Annotated[
         float | None, typer.Option(min=0, max=1, help="Largest share of frames to refuse.")
     ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Worker processes.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the splits.")] = None,
-    params: Params = None,
-    profile: Profile = None,
-    as_json: AsJson = False,
+    workers: opt.Workers = None,
+    seed: opt.Seed = None,
+    params: opt.Params = None,
+    profile: opt.Profile = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Import recordings as a dataset, and say by kind what could not be used.
 
-    What is refused or flagged stands, file by file, in import_report.parquet of the dataset.
+    A source has settings of its own, such as --set unit=mm. What is refused or flagged stands, file
+    by file, in import_report.parquet of the dataset.
     """
-    from racines_data.build.dataset import build, make_source
+    from racines_data.build.dataset import build, make_source, read_data_section
+    from racines_data.config import section
 
-    given = {"source": source, "workers": workers, "seed": seed, "max_refused": max_refused}
-    if strict:
-        given["strict"] = True
-    config, section = _read(given, params, profile)
-    made = make_source(config, section | _settings(settings or []), inputs)
+    values = section(read_settings(params, profile), "data") | given(
+        source=source, workers=workers, seed=seed, max_refused=max_refused, strict=strict or None
+    )
+    config, sections = read_data_section(values)
+    own = sections.get(config.source, {}) | overrides(settings)
+    made = make_source(config, own, inputs)
     if hasattr(made, "progress"):
         setattr(made, "progress", not as_json)  # noqa: B010
     try:
@@ -60,33 +60,6 @@ def import_(
         typer.echo(json.dumps({"out": str(out), **summary, **_report(made)}))
     else:
         _print_import(made, out, manifest)
-
-
-def _read(
-    given: dict[str, Any], params: Path | None, profile: str | None
-) -> tuple["DataConfig", dict[str, Any]]:
-    """Return the builder's settings and those of the source, the command line's over the file's."""
-    from racines_data.build.dataset import read_data_section
-    from racines_data.config import read_params, section
-
-    if params is None and profile is None and Path("params.yaml").is_file():
-        params = Path("params.yaml")
-    values = section(read_params(params, profile), "data")
-    values |= {key: value for key, value in given.items() if value is not None}
-    config, sections = read_data_section(values)
-    return config, sections.get(config.source, {})
-
-
-def _settings(pairs: list[str]) -> dict[str, Any]:
-    import yaml
-
-    values = {}
-    for pair in pairs:
-        name, equals, value = pair.partition("=")
-        if not equals:
-            raise typer.BadParameter(f"{pair!r}: write NAME=VALUE", param_hint="--set")
-        values[name] = yaml.safe_load(value)
-    return values
 
 
 def _report(source: "Source") -> dict[str, Any]:

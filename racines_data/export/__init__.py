@@ -1,6 +1,6 @@
 """Other people's formats: the RACINES release, LeRobot, Minari.
 
-A format is one module with one function `export`, and one line in `registry`.
+A format is one module with one function `export`, and one entry point of `racines.exporters`.
 """
 
 import lazy_loader

@@ -50,12 +50,7 @@ def export(
 ) -> dict[str, Any]:
     """Write a dataset for Minari; set `MINARI_DATASETS_PATH` to `out` to load it.
 
-    Args:
-        root: Folder of the dataset.
-        out: New folder to write, a root of Minari datasets.
-        split: One split only; default all, each a Minari dataset.
-        limit: Frames to write, the first in the dataset's order.
-        progress: Show a progress bar on stderr.
+    Arguments as of `registry.Exporter`; each split is a Minari dataset.
 
     Returns:
         `out`, the `datasets` by id with their episodes and steps, counts, and notes.

@@ -1,6 +1,6 @@
 """Other people's formats: the registry of exporters.
 
-An exporter is one file with one function, and one line in `_EXPORTERS`:
+An exporter is one file with one function, and one entry point of the group `racines.exporters`:
 
     export(root, out, split=None, limit=None, progress=False) -> dict[str, Any]
 
@@ -9,17 +9,12 @@ the new path `out`, aside first and then renamed, and returns what it wrote as J
 `out` that exists.
 """
 
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol
 
-from racines_data.errors import RacinesError
+from racines_data.plugins import Plugins
 
-_EXPORTERS = {
-    "release": "racines_data.export.release",
-    "lerobot": "racines_data.export.lerobot.writer",
-    "minari": "racines_data.export.minari",
-}
+EXPORTERS = Plugins("format", "racines.exporters", or_give="module:function")
 
 
 class Exporter(Protocol):
@@ -33,13 +28,21 @@ class Exporter(Protocol):
         limit: int | None = None,
         progress: bool = False,
     ) -> dict[str, Any]:
-        """Export; see the module."""
+        """Export.
+
+        Args:
+            root: Folder of the dataset.
+            out: New folder to write.
+            split: One split only; default all, in the order train, validation, test.
+            limit: Frames to write, the first of that order.
+            progress: Show a progress bar on stderr.
+        """
         ...
 
 
 def exporter_names() -> tuple[str, ...]:
-    """Return the names of the formats."""
-    return tuple(_EXPORTERS)
+    """Return the names of the formats, sorted."""
+    return EXPORTERS.names()
 
 
 def load_exporter(name: str) -> Exporter:
@@ -48,11 +51,4 @@ def load_exporter(name: str) -> Exporter:
     Raises:
         RacinesError: no such format, or a package that it needs is not installed.
     """
-    if name not in _EXPORTERS:
-        raise RacinesError(f"unknown format {name!r}: choose one of {', '.join(_EXPORTERS)}")
-    try:
-        return import_module(_EXPORTERS[name]).export
-    except ModuleNotFoundError as error:
-        raise RacinesError(
-            f"format {name!r} needs the package {error.name}: pip install {error.name}"
-        ) from error
+    return EXPORTERS.load(name)

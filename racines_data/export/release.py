@@ -57,12 +57,7 @@ def export(
 ) -> dict[str, Any]:
     """Write a dataset in the published layout; an export that was killed goes on where it stopped.
 
-    Args:
-        root: Folder of the dataset.
-        out: New folder to write.
-        split: One split only; default all, in the order train, validation, test.
-        limit: Frames to write, the first of that order.
-        progress: Show a progress bar on stderr.
+    Arguments as of `registry.Exporter`.
 
     Returns:
         `out`, counts of frames and trajectories, and which session became which folder.

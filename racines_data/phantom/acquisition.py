@@ -50,7 +50,7 @@ class AcquisitionConfig:
     phantom: PhantomConfig = field(default_factory=PhantomConfig)
 
 
-class Sweep(NamedTuple):
+class PlannedSweep(NamedTuple):
     """One trajectory of T poses."""
 
     pose: Pose
@@ -103,7 +103,7 @@ def make_sweep(
     session: int,
     length: int,
     seed: Tensor,
-) -> Sweep:
+) -> PlannedSweep:
     """Draw one sweep of `length` frames from a (1,) seed."""
     draw = _Draw(seed)
     if target == RANDOM:
@@ -115,7 +115,7 @@ def make_sweep(
     shaky = smooth + _tremor(length, config, draw) * (0.8 + 0.25 * (session % 3))
     shaky = _limit(shaky, phantom)
     times = torch.arange(length, dtype=torch.float64) / config.rate
-    return Sweep(_pose(shaky), _velocity(shaky, config), _velocity(smooth, config), times)
+    return PlannedSweep(_pose(shaky), _velocity(shaky, config), _velocity(smooth, config), times)
 
 
 class _Draw:
@@ -231,7 +231,9 @@ def _velocity(path: Tensor, config: AcquisitionConfig) -> Tensor:
     return torch.cat([rate[:, :3], spin], -1)
 
 
-def record(phantom: Phantom, config: AcquisitionConfig, sweep: Sweep, seed: Tensor) -> Tensor:
+def record(
+    phantom: Phantom, config: AcquisitionConfig, sweep: PlannedSweep, seed: Tensor
+) -> Tensor:
     """Return (T, 12) measured parameters: the true ones with the sensors' noise."""
     noise = normal(derive(seed, 7), len(sweep.times) * 12, 0).view(-1, 12).to(sweep.control)
     wrench = phantom.wrench(sweep.pose, sweep.velocity)

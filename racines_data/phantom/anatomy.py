@@ -1,25 +1,17 @@
 """What an anatomy is: tissues painted in space, named structures, and the views that show them.
 
-A new organ is one file with one function `(seed: int) -> Anatomy`, and one entry point in the
-group `racines.anatomies` (in this package: one line of `_ANATOMIES`). See docs/organs.md.
+A new organ is one file with one function `(seed: int) -> Anatomy`, and one entry point of the group
+`racines.anatomies`, which names its views. See docs/organs.md.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from importlib import import_module
-from importlib.metadata import entry_points
 
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.views import ORGANS
-
-ENTRY_POINTS = "racines.anatomies"
-_ANATOMIES = {
-    "heart": "racines_data.phantom.heart:heart",
-    "abdomen": "racines_data.phantom.abdomen:abdomen",
-}
+from racines_data.views import ANATOMIES, organs
 
 
 @dataclass(frozen=True)
@@ -107,18 +99,16 @@ def load_anatomy(name: str, seed: int) -> Anatomy:
     """Build an anatomy by its name, or by `module:function`.
 
     Raises:
-        RacinesError: no such anatomy, or it cannot be imported.
+        RacinesError: no such anatomy, it cannot be imported, or its entry point names other views.
     """
-    found = _ANATOMIES | {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
-    path = found.get(name, name if ":" in name else "")
-    if not path:
-        raise RacinesError(f"unknown anatomy {name!r}: known are {', '.join(sorted(found))}")
-    module, _, function = path.partition(":")
-    try:
-        make = getattr(import_module(module), function)
-    except (ImportError, AttributeError) as error:
-        raise RacinesError(f"anatomy {name!r} cannot be imported from {path}: {error}") from error
-    return make(seed)
+    anatomy: Anatomy = ANATOMIES.load(name)(seed)
+    views, named = tuple(view.name for view in anatomy.views), organs().get(name)
+    if named and views != named:
+        raise RacinesError(
+            f"anatomy {name!r} has the views {', '.join(views)}, and its entry point names "
+            f"{', '.join(named)}: write [{','.join(views)}] there"
+        )
+    return anatomy
 
 
 @cache
@@ -128,4 +118,4 @@ def anatomy_views(name: str) -> tuple[str, ...]:
     Raises:
         RacinesError: no such anatomy.
     """
-    return ORGANS.get(name) or tuple(view.name for view in load_anatomy(name, 0).views)
+    return organs().get(name) or tuple(view.name for view in load_anatomy(name, 0).views)

@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import torch
@@ -15,10 +15,11 @@ from racines_data.phantom import acoustics, contact
 from racines_data.phantom.anatomy import load_anatomy
 from racines_data.phantom.config import BlockConfig, PhantomConfig, ProbeConfig, WorkspaceConfig
 from racines_data.phantom.scan import log_compress, scan_converter
-from racines_data.phantom.truth import Truth, make_oracle
+from racines_data.phantom.truth import make_oracle
 from racines_data.phantom.volume import bake
 from racines_data.randomness import derive, sample_seeds
 from racines_data.views import labels_of
+from racines_data.world import Truth, Workspace, World
 
 CHUNK = 64
 """Frames rendered at once: bounds the memory of the polar grids (about 1 MB a frame)."""
@@ -30,30 +31,12 @@ VECTORS = 32
 """Rows that fill whole vectors of a CPU, whatever their columns."""
 
 
-@dataclass(frozen=True)
-class Workspace:
-    """Where the tip may be and how far the probe may lean and turn."""
-
-    position_min: Tensor
-    """(3,) m."""
-    position_max: Tensor
-    tilt_max: float
-    yaw_max: float
-
-    def contains(self, pose: Pose) -> Tensor:
-        """Return (B,) bool."""
-        inside = (pose.position >= self.position_min) & (pose.position <= self.position_max)
-        upright = -pose.rotation[:, 2, 2] >= torch.cos(torch.tensor(self.tilt_max)).item()
-        yaw = torch.atan2(pose.rotation[:, 1, 0], pose.rotation[:, 0, 0]).abs() <= self.yaw_max
-        return inside.all(-1) & upright & yaw
-
-
-class Phantom:
+class Phantom(World):
     """A simulated block with an organ in it, a probe and a robot's contact; an `ImageSource`."""
 
     def __init__(self, config: PhantomConfig | None = None, device: torch.device | str = "cpu"):
         """Bake the block (seconds; share one instance through `shared_phantom`)."""
-        self.config = config or PhantomConfig()
+        self._config = config or PhantomConfig()
         self.device = torch.device(device)
         anatomy = load_anatomy(self.config.anatomy, self.config.anatomy_seed)
         volume = bake(anatomy, self.config.block)
@@ -62,7 +45,6 @@ class Phantom:
         )
         self._gel_attenuation = anatomy.tissues[0].attenuation
         self._set_probe()
-        self.surface_height = self.config.block.maximum[2]
         self._oracle = make_oracle(anatomy, self.surface_height, self.device)
         self.views = tuple(view.name for view in anatomy.views)
         self.labels = labels_of(self.views)
@@ -70,6 +52,16 @@ class Phantom:
         self.home, self.wander = anatomy.home, anatomy.wander
         self.structures = tuple(structure.name for structure in anatomy.structures)
         self.workspace = _workspace(self.config.workspace, self.config.block, self.device)
+
+    @property
+    def config(self) -> PhantomConfig:
+        """Its settings."""
+        return self._config
+
+    @property
+    def surface_height(self) -> float:
+        """Height of the block's top, m."""
+        return self.config.block.maximum[2]
 
     def _set_probe(self) -> None:
         probe = self.config.probe
@@ -79,7 +71,7 @@ class Phantom:
     def with_probe(self, probe: ProbeConfig) -> "Phantom":
         """Return this phantom under another probe or other settings; the baked block is shared."""
         other = copy.copy(self)
-        other.config = replace(self.config, probe=probe)
+        other._config = replace(self.config, probe=probe)
         other._set_probe()
         return other
 

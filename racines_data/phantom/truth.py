@@ -11,6 +11,7 @@ from torch import Tensor
 from racines_data.geometry import Pose, rotate
 from racines_data.phantom.anatomy import Anatomy, ViewSpec
 from racines_data.phantom.config import ProbeConfig
+from racines_data.world import Truth
 
 MEMBERSHIP_CENTRE = 0.60
 MEMBERSHIP_WIDTH = 0.035
@@ -20,23 +21,6 @@ ROLL_FREE, ROLL_LOST = 0.26, 0.70
 
 WINDOW_FREE, WINDOW_LOST = 0.015, 0.035
 """Distance along the surface from the view's acoustic window, m: free, and lost."""
-
-
-class Truth(NamedTuple):
-    """What the oracle says of (B,) poses."""
-
-    view: Tensor
-    """(B,) int64 label; Random where no view is attained."""
-    grade: Tensor
-    """(B,) float32, 1-10 for a view, 0 for Random."""
-    membership: Tensor
-    """(B, V) float32 in 0-1, how far each view is attained; above 0.5 it is."""
-    view_grade: Tensor
-    """(B, V) float32 0-10, the grade as each view."""
-    clarity: Tensor
-    """(B,) float32 in 0-1: coupling over the sector."""
-    visibility: Tensor
-    """(B, structures) float32 in 0-1."""
 
 
 class Oracle(NamedTuple):

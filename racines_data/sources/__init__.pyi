@@ -1,4 +1,4 @@
-from .base import ENTRY_POINTS as ENTRY_POINTS
+from .base import SOURCES as SOURCES
 from .base import Finding as Finding
 from .base import Source as Source
 from .base import Unit as Unit
@@ -6,11 +6,13 @@ from .base import has_poses as has_poses
 from .base import labels_of_source as labels_of_source
 from .base import source_class as source_class
 from .base import source_names as source_names
+from .card import SourceCard as SourceCard
 
 __all__ = [
-    "ENTRY_POINTS",
+    "SOURCES",
     "Finding",
     "Source",
+    "SourceCard",
     "Unit",
     "has_poses",
     "labels_of_source",

@@ -1,7 +1,7 @@
 """Where trajectories come from: the protocol of a source, and the registry of their names.
 
-A source is one file with one class, and one line in `_SOURCES` (or an entry point of the group
-`racines.sources` in another package). The builder asks little of it:
+A source is one file with one class, and one entry point of the group `racines.sources`. The builder
+asks little of it:
 
     source = Class.from_config(config, inputs)    # settings and input files, checked
     units = source.plan()                         # cheap: what there is to make, in order
@@ -15,24 +15,20 @@ The source object is pickled to each worker process once: keep it small and buil
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkable
 
-from racines_data.errors import RacinesError
+from racines_data.plugins import Plugins
 from racines_data.views import LABELS
 
 if TYPE_CHECKING:
     from racines_data.schema import Trajectory
 
-ENTRY_POINTS = "racines.sources"
-_SOURCES = {
-    "phantom": "racines_data.sources.phantom:PhantomSource",
-    "release": "racines_data.sources.release.source:ReleaseSource",
-    "cactus": "racines_data.sources.cactus.source:CactusSource",
-    "tracked": "racines_data.sources.tracked.source:TrackedSource",
-}
+SOURCES = Plugins(
+    "source",
+    "racines.sources",
+    ("name", "version", "Config", "from_config", "recipe", "plan", "produce"),
+)
 
 
 @dataclass(frozen=True)
@@ -75,7 +71,8 @@ class Source(Protocol):
     Config: ClassVar[type]
     """Dataclass of settings. Fields `frames` and `seed`, if any, are set from the data section."""
     # A source of other views than the five also has `labels: tuple[str, ...]`, `Random` last. One
-    # of single images, without poses and times, has `poses = False`; both are then NaN.
+    # of single images, without poses and times, has `poses = False`; both are then NaN. What there
+    # is to say of its data is its `card`, a `racines_data.sources.card.SourceCard`.
 
     @classmethod
     def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> Self:
@@ -113,9 +110,8 @@ def has_poses(source: Source) -> bool:
 
 
 def source_names() -> tuple[str, ...]:
-    """Return the names of the sources, ours first, then those of other packages."""
-    others = sorted({point.name for point in entry_points(group=ENTRY_POINTS)} - set(_SOURCES))
-    return (*_SOURCES, *others)
+    """Return the names of the sources that installed packages register, sorted."""
+    return SOURCES.names()
 
 
 def source_class(name: str) -> type[Source]:
@@ -124,13 +120,4 @@ def source_class(name: str) -> type[Source]:
     Raises:
         RacinesError: no such source, or it cannot be imported.
     """
-    path = _SOURCES.get(name, name if ":" in name else "")
-    for point in entry_points(group=ENTRY_POINTS):
-        path = path or (point.value if point.name == name else "")
-    if not path:
-        raise RacinesError(f"unknown source {name!r}: choose one of {', '.join(source_names())}")
-    module, _, attribute = path.partition(":")
-    try:
-        return getattr(import_module(module), attribute)
-    except (ImportError, AttributeError) as error:
-        raise RacinesError(f"source {name!r} cannot be imported from {path}: {error}") from error
+    return SOURCES.load(name)

@@ -24,7 +24,47 @@ from racines_data.phantom.model import Phantom, shared_phantom
 from racines_data.randomness import derive, sample_seeds
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Finding, Unit
+from racines_data.sources.card import SourceCard
 from racines_data.views import labels_of
+
+CARD = SourceCard(
+    origin=("simulated ultrasound of the RACINES phantom; no frame comes from a scanner"),
+    license="cc-by-4.0",
+    rights="CC BY 4.0.",
+    tags=("simulation", "synthetic"),
+    simulated=True,
+    like_paper=True,
+    collection=(
+        "Simulated: a seeded acquisition by a simulated robot arm that moves a phased-array "
+        "probe over a simulated cardiac block in joystick-like sweeps (approach, overshoot, "
+        "correction, dwell, leave) and random scans. Images, forces and torques come from "
+        "models of acoustics and contact. No frame comes from a scanner, and no person took "
+        "part."
+    ),
+    collection_type="Software Collection",
+    annotation=(
+        "View and grade (0-10) are computed from the true pose and the anatomy: which of the "
+        "view's structures lie in the plane and the sector, and how clearly. This oracle "
+        "stands in for an expert and is not one."
+    ),
+    biases=(
+        "One simulated block at nominal size is the `frames` config: anatomy, pathology, body "
+        "habitus and breathing do not vary. `multi_phantom`, where present, varies size, wall "
+        "and orientation within adult ranges, not disease. One probe and one robot. Sweeps "
+        "imitate one style of operator."
+    ),
+    limitations=(
+        "Simulated images differ from real echo; docs/phantom.md gives the measured distance. "
+        "Neighbouring frames of a sweep are near-copies: split by trajectory only. Never to "
+        "be mixed with, or presented as, recordings of the real block."
+    ),
+    personal="None: simulated; there is no subject.",
+    limits=(
+        "The images are simulated. They are never to be mixed with, or presented as, "
+        "recordings of the real block. Neighbouring frames are near-copies: keep trajectories "
+        "whole. Views and grades come from geometry (an oracle), not from an expert."
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -40,6 +80,7 @@ class PhantomSource:
     name = "phantom"
     version = "1.0.0"
     Config = AcquisitionConfig
+    card = CARD
 
     def __init__(self, config: AcquisitionConfig):
         self.config = config

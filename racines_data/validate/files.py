@@ -12,8 +12,8 @@ from racines_data.files import sha256_file
 from racines_data.manifest import CARD, describe
 
 
-def check_files(root: Path, manifest: dict[str, Any], workers: int = 1) -> str:
-    """Check every file's sha256.
+def rehash_files(root: Path, manifest: dict[str, Any], workers: int = 1) -> str:
+    """Hash every file again, whatever an earlier check found.
 
     Raises:
         RacinesError: a file is missing or damaged, or a config names one that is not listed.

@@ -9,7 +9,7 @@ import torch
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_data.manifest import MULTI_PHANTOM
+from racines_data.phantom.recorded import phantom_settings
 from racines_data.validate.survey import Survey
 
 SAMPLE = 2048
@@ -32,14 +32,6 @@ class Rejudged:
     grade_error: float | None
     """Median absolute difference over frames judged to be of the same view; None if there are
     none."""
-
-
-def phantom_settings(manifest: Mapping[str, Any], config: str) -> dict[str, Any] | None:
-    """Return the phantom's settings and version as the recipe names them; None for others."""
-    recipe = manifest.get("recipe") or {}
-    part = recipe.get(MULTI_PHANTOM if config == MULTI_PHANTOM else "settings") or {}
-    settings = (part.get("acquisition") or {}).get("phantom")
-    return settings and {"version": part.get("phantom"), "phantom": settings}
 
 
 def rejudge(survey: Survey, manifest: Mapping[str, Any]) -> Rejudged | str:

@@ -44,7 +44,7 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class CheckedSweep:
     """What the checks need of one trajectory of T frames."""
 
     split: str
@@ -83,7 +83,7 @@ def run_edges(values: np.ndarray) -> list[int]:
 
 def read_piece(
     root: Path, labels: Sequence[str], store: FrameStore | None, piece: Piece
-) -> tuple[list[Sweep], list[str]]:
+) -> tuple[list[CheckedSweep], list[str]]:
     """Read and check the trajectories of a piece.
 
     Returns:
@@ -120,7 +120,7 @@ def _sweep(
     labels: Sequence[str],
     store: FrameStore | None,
     place: slice,
-) -> Sweep:
+) -> CheckedSweep:
     faults = []
     try:
         _check_rows(rows, trajectory, labels, piece.poses)
@@ -131,7 +131,7 @@ def _sweep(
         faults.append(("store", reason))
     images = trajectory.images
     predicted = [rows[name].cast(pa.float32()) for name in ("view_predicted", "grade_predicted")]
-    return Sweep(
+    return CheckedSweep(
         split=piece.split,
         id=trajectory.id,
         session=trajectory.session,

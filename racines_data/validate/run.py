@@ -17,7 +17,7 @@ from racines_data.build.canonical import same_version
 from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
 from racines_data.validate.duplicates import check_exact, check_near, find_duplicates
-from racines_data.validate.files import check_card, check_files, check_recipe
+from racines_data.validate.files import check_card, check_recipe, rehash_files
 from racines_data.validate.labels import check_annotation, check_labels, check_views, view_shares
 from racines_data.validate.oracle import check_rejudged, rejudge
 from racines_data.validate.splits import (
@@ -98,7 +98,7 @@ def validate(
     """
     manifest = read_manifest(root)
     result = Validation(manifest)
-    result.add("files", lambda: check_files(root, manifest, workers))
+    result.add("files", lambda: rehash_files(root, manifest, workers))
     result.add("card", lambda: check_card(root, manifest))
     result.add("recipe", lambda: check_recipe(manifest))
     for config in ("frames", MULTI_PHANTOM):

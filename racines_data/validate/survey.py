@@ -25,7 +25,7 @@ from racines_data.manifest import manifest_labels
 from racines_data.progress import progress_bar
 from racines_data.records import features_of
 from racines_data.store.frames import FrameStore
-from racines_data.validate.rows import Piece, Sweep, read_piece, run_edges
+from racines_data.validate.rows import CheckedSweep, Piece, read_piece, run_edges
 
 WORTH_WORKERS = 8192
 """Frames from which starting worker processes costs less than they save."""
@@ -37,7 +37,7 @@ class Survey:
     """All trajectories of a config, in order, and what is wrong with single ones."""
 
     config: str
-    sweeps: list[Sweep] = field(default_factory=list)
+    sweeps: list[CheckedSweep] = field(default_factory=list)
     faults: dict[str, list[str]] = field(default_factory=dict)
     """Reasons by check: `rows`, `store`."""
 
@@ -45,7 +45,7 @@ class Survey:
         return sum(len(sweep) for sweep in self.sweeps)
 
     def column(self, name: str) -> np.ndarray:
-        """Return an array of `Sweep` of all frames, in order."""
+        """Return an array of `CheckedSweep` of all frames, in order."""
         return np.concatenate([getattr(sweep, name) for sweep in self.sweeps])
 
     def each(self, name: str) -> np.ndarray:
@@ -152,7 +152,7 @@ def survey(
 
 def _read(
     pieces: Sequence[Piece], given: tuple[Path, str, Sequence[str], bool], workers: int
-) -> Iterator[tuple[list[Sweep], list[str]]]:
+) -> Iterator[tuple[list[CheckedSweep], list[str]]]:
     if workers == 1 or sum(piece.frames for piece in pieces) < WORTH_WORKERS:
         root, labels, store = _open(*given)
         for piece in pieces:
@@ -183,6 +183,6 @@ def _start_worker(root: Path, config: str, labels: Sequence[str], stored: bool) 
     _state = _open(root, config, labels, stored)
 
 
-def _work(piece: Piece) -> tuple[list[Sweep], list[str]]:
+def _work(piece: Piece) -> tuple[list[CheckedSweep], list[str]]:
     assert _state is not None
     return read_piece(*_state, piece)

@@ -1,4 +1,4 @@
-"""A source for tests: small, deterministic, picklable; can be slow and can be wrong."""
+"""A source for tests: small, deterministic, picklable; can stand still and can be wrong."""
 
 import os
 import time
@@ -11,6 +11,7 @@ import numpy as np
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Finding, Unit
 from racines_data.views import LABELS, RANDOM_LABEL, VIEWS
+from tests.waiting import halt
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,8 @@ class FakeConfig:
     trajectories: int = 20
     sessions: int = 2
     views: tuple[str, ...] = VIEWS
-    delay: float = 0.0
+    halts_at: int | None = None
+    """Number of the unit from which on none is finished."""
     journal: str = ""
     """Folder in which every unit made leaves a mark, with its process and session."""
 
@@ -49,7 +51,8 @@ class FakeSource:
         ]
 
     def produce(self, unit: Unit) -> Trajectory:
-        time.sleep(self.config.delay)
+        if self.config.halts_at is not None and int(unit.id[1:]) >= self.config.halts_at:
+            halt()
         if self.config.journal:
             mark = Path(self.config.journal) / f"{unit.id}-{time.monotonic_ns()}"
             mark.write_text(f"{os.getpid()} {unit.session}")

@@ -1,8 +1,11 @@
 """Phantoms shared by the tests of environments and agents."""
 
+from dataclasses import replace
+
 import pytest
 
 from racines_data.phantom import Phantom, shared_phantom
+from racines_envs.task.tasks import TASKS
 from tests.envs.fakes import FakeGrader, FakePhantom
 
 
@@ -14,6 +17,12 @@ def phantom() -> FakePhantom:
 @pytest.fixture
 def grader() -> FakeGrader:
     return FakeGrader()
+
+
+@pytest.fixture
+def short_episodes(monkeypatch) -> None:
+    """Episodes of SC end after thirty steps: for what does not ask how long they are."""
+    monkeypatch.setitem(TASKS, "SC", replace(TASKS["SC"], max_steps=30))
 
 
 @pytest.fixture(scope="session")

@@ -7,9 +7,10 @@ import torch
 from torch import Tensor
 
 from racines_data.geometry import Pose, euler_to_matrix, geodesic, parameters_to_pose
-from racines_data.phantom import Truth
 from racines_data.randomness import sample_seeds, uniform
-from racines_data.views import RANDOM_LABEL, VIEWS, view_index
+from racines_data.views import LABELS, RANDOM_LABEL, VIEWS, view_index
+from racines_data.world import Truth, World
+from racines_models.protocol import Judge
 
 ANGLES = torch.tensor(
     [[3.0, 0.1, 0.2], [-2.9, 0.2, -0.3], [3.1, 0.0, 0.5], [2.9, 0.0, 1.0], [3.0, 0.2, 0.9]]
@@ -29,10 +30,11 @@ class FakeWorkspace:
         return inside.all(-1) & (-pose.rotation[:, 2, 2] >= 0.54)
 
 
-class FakePhantom:
+class FakePhantom(World):
     """A view is attained within about 1 cm and 0.4 rad (times `reach`) of its nominal pose."""
 
     surface_height = 0.065
+    views, labels = VIEWS, LABELS
 
     def __init__(self, reach: float = 1.0) -> None:
         self.reach = reach
@@ -70,9 +72,6 @@ class FakePhantom:
             torch.ones_like(membership),
         )
 
-    def truth(self, parameters: Tensor) -> Truth:
-        return self.judge(parameters_to_pose(parameters))
-
     def render(self, pose: Pose, seeds: Tensor) -> Tensor:
         self.rendered += len(seeds)
         base = (pose.position * 1e4).sum(-1) % 128 + 20
@@ -83,7 +82,7 @@ class FakePhantom:
         return self.render(parameters_to_pose(parameters), sample_seeds(seed, len(parameters)))
 
 
-class FakeGrader:
+class FakeGrader(Judge):
     """Reads p and g off the image's mean gray level, so that it depends on the image alone."""
 
     settings: ClassVar[dict[str, Any]] = {"id": "mean-level", "sha256": "ab" * 32}

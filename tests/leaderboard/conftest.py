@@ -112,10 +112,11 @@ def ground(workplace, monkeypatch):
     from racines_models.scores import scoring
     from tests.conftest import TINY
     from tests.models.scores.test_scores import Coarse
+    from tests.waiting import PATIENCE
 
     monkeypatch.chdir(workplace)
     monkeypatch.setattr(scoring, "InceptionFeatures", Coarse)
-    limits = Limits(memory=2**30, call_seconds=30)
+    limits = Limits(memory=2**30, open_seconds=int(PATIENCE), call_seconds=int(PATIENCE))
     return Ground("tiny", TINY, workplace / "data/racines", grader=None, limits=limits)
 
 

@@ -9,6 +9,7 @@ import torch
 from racines_data.errors import RacinesError
 from racines_models.protocol import Run
 from racines_models.registry import generator_class, generator_names, load_generator
+from tests.plugins.packages import install
 
 THIRD_PARTY = '''
     from dataclasses import asdict, dataclass
@@ -50,11 +51,7 @@ THIRD_PARTY = '''
 def third_party(tmp_path, monkeypatch):
     """An installed package of somebody else, with an entry point."""
     (tmp_path / "their_generators.py").write_text(textwrap.dedent(THIRD_PARTY))
-    info = tmp_path / "their_generators-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-generators\nVersion: 1.0\n")
-    entry = "[racines.generators]\nflat = their_generators:Flat\n"
-    (info / "entry_points.txt").write_text(entry)
+    install(tmp_path, "their_generators", {"racines.generators": {"flat": "their_generators:Flat"}})
     monkeypatch.syspath_prepend(str(tmp_path))
     yield tmp_path
     sys.modules.pop("their_generators", None)
@@ -78,19 +75,6 @@ def test_another_package_plugs_in(third_party, store, tmp_path, spec):
     loaded = load_generator(spec, tmp_path / "run")
     assert torch.equal(loaded.generate(store.parameters[:2], 0).unique(), torch.tensor([9]).byte())
     assert ("flat" in generator_names()) and "flat" in _message(lambda: generator_class("nope"))
-
-
-def test_entry_point_goes_when_the_package_goes(third_party, monkeypatch):
-    assert "flat" in generator_names()
-    monkeypatch.setattr(sys, "path", [path for path in sys.path if path != str(third_party)])
-    assert "flat" not in generator_names()
-
-
-def test_two_packages_with_one_name_are_refused(third_party):
-    entry = "[racines.generators]\nvae-gan = their_generators:Flat\n"
-    (third_party / "their_generators-1.0.dist-info" / "entry_points.txt").write_text(entry)
-    with pytest.raises(RacinesError, match="'vae-gan' is registered twice"):
-        generator_class("vae-gan")
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,14 @@ The labels are unit steps by hindsight (see `demonstrations`). No environment is
 reward, grader nor oracle; only the recorded images, poses, views and grades.
 """
 
-import time
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
+from torch.optim import AdamW, Optimizer
 
 from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore, open_store
@@ -20,9 +21,15 @@ from racines_envs.agents.identity import settings_identity
 from racines_envs.agents.policy import PolicyAgent, make_actor
 from racines_envs.agents.training.run import copy_state
 from racines_envs.task.actions import ACTIONS, IDLE
-from racines_envs.worlds.making import find_task, make_phantom
+from racines_envs.worlds.making import WorldLike, find_task, make_phantom
+from racines_models import statistics
+from racines_models.devices import on_device
+from racines_models.protocol import Run
 from racines_models.provenance import dataset_card
-from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
+from racines_models.training.checkpoint import discard_checkpoint
+from racines_models.training.course import Course
+from racines_models.training.objective import Training, Update
+from racines_models.training.trainer import train
 
 READ = 256
 """Images encoded at once."""
@@ -57,6 +64,10 @@ class BehaviourCloningConfig:
     weight_decay: float = 0.01
     hidden: tuple[int, ...] = (128, 128)
     """Widths of the dense layers."""
+    precision: str = "fp32"
+    """As the trainer's: `fp32`, mixed `bf16` or `fp16`, or `auto`."""
+    ema: float = 0.0
+    """Decay of the averaged weights that are judged and kept; 0: none."""
     temperature: float = 2.0
     """Actions are drawn from softmax(logits / temperature), from the decision's seed; 0: the most
     probable one always, which gets stuck where no demonstration has been."""
@@ -79,7 +90,7 @@ class BehaviourCloningAgent(PolicyAgent):
         *,
         data: FrameStore | Path | str | None = None,
         seed: int = 0,
-        phantom: Any = None,
+        phantom: WorldLike = None,
         resume: bool | None = None,
         progress: bool = True,
         **where: Any,
@@ -93,14 +104,24 @@ class BehaviourCloningAgent(PolicyAgent):
             seed: Of weights and order.
             phantom: A phantom or its configuration, for the workspace that `params` are scaled by.
             resume: As `PPOAgent.train`.
-            progress: Print a line an epoch.
+            progress: Draw a progress bar.
             where: Taken for the protocol's sake; nothing more is known.
 
         Raises:
             RacinesError: no dataset, no demonstrations in it, or a checkpoint of another run.
         """
         store = open_store(data) if data is None or isinstance(data, (str, Path)) else data
-        return _Imitation(config, Path(run_dir), store, seed, phantom, progress).run(resume)
+        config, before = on_device(config), torch.get_num_threads()
+        run = Run(Path(run_dir), seed, config.device, resume, progress)
+        torch.set_num_threads(config.threads or before)
+        try:
+            with torch.random.fork_rng(enabled=True):
+                torch.manual_seed(seed)
+                learner = CloningLearner(config, store, seed, phantom)
+                figures = train(learner, store, learner.training, run, learner)
+                return learner.keep(run.folder, figures)
+        finally:
+            torch.set_num_threads(before)
 
 
 class _Examples:
@@ -130,22 +151,21 @@ class _Examples:
         return [values[key].to(device) for key in self.keys]
 
 
-class _Imitation:
-    """One run."""
+class CloningLearner(Course):
+    """What the trainer needs of an actor that imitates; the best epoch's weights are kept."""
+
+    name = BehaviourCloningAgent.name
 
     def __init__(
         self,
         config: BehaviourCloningConfig,
-        folder: Path,
         store: FrameStore,
         seed: int,
-        phantom: Any,
-        progress: bool,
+        phantom: WorldLike,
     ) -> None:
         if config.epochs < 1 or config.batch_size < 2:
             raise RacinesError("agents.behaviour-cloning: epochs >= 1 and batch_size >= 2, please")
-        self.config, self.folder, self.store = config, folder, store
-        self.seed, self.progress = seed, progress
+        self.config, self.store, self.seed = config, store, seed
         self.device = torch.device(config.device)
         self.task = find_task(config.view, phantom)
         looks = config.observation != "params"
@@ -153,36 +173,20 @@ class _Imitation:
         self.space = None
         if config.observation != "image":
             self.space = make_phantom(phantom, "cpu", self.task.anatomy).workspace
-        self.epoch, self.seconds, self.best, self.history = 0, 0.0, float("inf"), []
-        identity = settings_identity(BehaviourCloningAgent.name, config, seed, self.encoder)
-        identity |= {"data": store.digest}
-        self.checkpoint = Checkpoint(folder, identity)
-
-    def run(self, resume: bool | None) -> BehaviourCloningAgent:
-        """Label, learn, keep the best."""
-        threads = torch.get_num_threads()
-        torch.set_num_threads(self.config.threads or threads)
-        try:
-            with torch.random.fork_rng(enabled=True):
-                torch.manual_seed(self.seed)
-                self._build()
-                self._restore(self.checkpoint.read(resume))
-                self._loop()
-                return self._finish()
-        finally:
-            torch.set_num_threads(threads)
-
-    def _build(self) -> None:
-        config = self.config
+        self.identity = settings_identity(self.name, config, seed, self.encoder)
+        self.identity |= {"data": store.digest}
         self.actor = make_actor(config, self.encoder).to(self.device)
-        self.agent = BehaviourCloningAgent(config, self.actor, self.encoder)
-        self.optimiser = torch.optim.AdamW(
-            self.actor.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
-        )
-        self.best_state = copy_state(self.actor)
+        self.best, self.best_state, self.history = float("inf"), copy_state(self.actor), []
         self.weight = torch.ones(len(ACTIONS), device=self.device)
         self.weight[IDLE] = config.idle_weight
         self.train, self.held = (self._examples(split) for split in ("train", "validation"))
+        # A last batch of one has no variance to normalise by.
+        count, rest = divmod(len(self.train.shown.action), config.batch_size)
+        self.per_epoch = count + (rest > 1)
+        self._forget()
+
+    def _forget(self) -> None:
+        self._loss, self._right, self._seen = torch.zeros(()), torch.zeros(()), 0
 
     def _examples(self, split: str) -> _Examples:
         config = self.config
@@ -197,93 +201,91 @@ class _Imitation:
         )
         return _Examples(self.store, shown, self.actor.keys, self.encoder, self.space)
 
-    def _loop(self) -> None:
-        if self.epoch >= self.config.epochs:
-            return
-        from dvclive.live import Live
+    @property
+    def training(self) -> Training:
+        """The trainer's settings: all epochs; a look and a checkpoint an epoch."""
+        config, epoch = self.config, self.per_epoch * self.config.batch_size
+        return Training(
+            images=config.epochs * epoch,
+            batch_size=config.batch_size,
+            precision=config.precision,
+            ema=config.ema,
+            log_every=epoch,
+            sample_every=epoch,
+            checkpoint_every=epoch,
+        )
 
-        began, before = time.perf_counter(), self.seconds
-        place = str(self.folder / "dvclive")
-        with Live(place, resume=self.epoch > 0, save_dvc_exp=False, dvcyaml=None) as live:
-            while self.epoch < self.config.epochs:
-                row = self._pass() | self._judge()
-                self.epoch += 1
-                self.seconds = before + time.perf_counter() - began
-                if row["held_out/loss"] <= self.best:
-                    self.best, self.best_state = row["held_out/loss"], copy_state(self.actor)
-                self.history.append({"epoch": self.epoch, **row})
-                self._log(live, row)
-                self.checkpoint.write(self._state())
+    def modules(self) -> dict[str, nn.Module]:
+        """Return the actor."""
+        return {"actor": self.actor}
 
-    def _pass(self) -> dict[str, float]:
-        """Learn every demonstration once."""
-        config, labels = self.config, self.train.shown.action
-        self.actor.train()
-        # An epoch's order depends on seed and epoch alone, so a resumed run is the undisturbed one.
-        order = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
-        rows = torch.randperm(len(labels), generator=order)
-        # A last batch of one has no variance to normalise by.
-        batches = [batch for batch in rows.split(config.batch_size) if len(batch) > 1]
-        total, right, seen = 0.0, 0, 0
-        for number, batch in enumerate(batches):
-            done = (self.epoch + number / len(batches)) / config.epochs
-            rate = config.learning_rate * 0.5 * (1.0 + float(torch.tensor(done * torch.pi).cos()))
-            self.optimiser.param_groups[0]["lr"] = rate
-            wanted = labels[batch].to(self.device)
-            logits = self.actor(*self.train.seen(batch, self.device))
-            loss = nn.functional.cross_entropy(logits, wanted, self.weight)
-            self.optimiser.zero_grad()
-            loss.backward()
-            self.optimiser.step()
-            total = total + loss.detach() * len(batch)
-            right = right + (logits.detach().argmax(-1) == wanted).sum()
-            seen += len(batch)
-        self.actor.eval()
-        return {"train/loss": float(total) / seen, "train/action_accuracy": float(right) / seen}
+    def averaged(self) -> tuple[str, ...]:
+        """Name it: its weights are averaged."""
+        return ("actor",)
+
+    def optimizers(self) -> dict[str, Optimizer]:
+        """Return its AdamW; `rate` is the whole rate."""
+        decay = self.config.weight_decay
+        return {"actor": AdamW(self.actor.parameters(), lr=1.0, weight_decay=decay)}
+
+    def rate(self, step: int) -> float:
+        """Return the learning rate, which falls to zero along a cosine."""
+        epoch, number = divmod(step, self.per_epoch)
+        done = (epoch + number / self.per_epoch) / self.config.epochs
+        return self.config.learning_rate * 0.5 * (1.0 + float(torch.tensor(done * torch.pi).cos()))
+
+    def batches(self, start: int, stop: int) -> Iterator[Tensor]:
+        """Yield demonstrations, all of them once an epoch; a resumed run begins with an epoch."""
+        size = self.config.batch_size
+        for epoch in range(start // size // self.per_epoch, self.config.epochs):
+            # An epoch's order depends on seed and epoch alone: a resumed run is the undisturbed.
+            order = torch.Generator().manual_seed(self.seed * 1_000_003 + epoch)
+            rows = torch.randperm(len(self.train.shown.action), generator=order)
+            yield from rows.split(size)[: self.per_epoch]
+
+    def updates(self, nets: Mapping[str, nn.Module], batch: Tensor) -> Iterator[Update]:
+        """Yield the one step: cross-entropy of the actions that the demonstrations took."""
+        wanted = self.train.shown.action[batch].to(self.device)
+        logits = nets["actor"](*self.train.seen(batch, self.device))
+        loss = nn.functional.cross_entropy(logits, wanted, self.weight)
+        yield Update("actor", loss, {})
+        self._loss = self._loss + loss.detach() * len(batch)
+        self._right = self._right + (logits.detach().argmax(-1) == wanted).sum()
+        self._seen += len(batch)
+
+    def look(self, seen: int, folder: Path) -> dict[str, float]:
+        """Judge on the trajectories held out; keep the weights if none were better."""
+        logits, action = self._held_logits(), self.held.shown.action
+        right, helps = _verdicts(logits, self.held.shown)
+        row = {
+            "train/loss": float(self._loss) / self._seen,
+            "train/action_accuracy": float(self._right) / self._seen,
+            "held_out/loss": float(nn.functional.cross_entropy(logits, action)),
+            "held_out/action_accuracy": float(right.float().mean()),
+            "held_out/helps": float(helps.float().mean()),
+        }
+        if row["held_out/loss"] <= self.best:
+            self.best, self.best_state = row["held_out/loss"], copy_state(self.actor)
+        self.history.append({"epoch": len(self.history) + 1, **row})
+        self._forget()
+        return row
 
     @torch.no_grad()
     def _held_logits(self) -> Tensor:
         rows = torch.arange(len(self.held.shown.action)).split(READ)
         return torch.cat([self.actor(*self.held.seen(b, self.device)).cpu() for b in rows])
 
-    def _judge(self) -> dict[str, float]:
-        """Return loss and accuracies on the trajectories held out."""
-        logits, action = self._held_logits(), self.held.shown.action
-        right, helps = _verdicts(logits, self.held.shown)
-        return {
-            "held_out/loss": float(nn.functional.cross_entropy(logits, action)),
-            "held_out/action_accuracy": float(right.float().mean()),
-            "held_out/helps": float(helps.float().mean()),
-        }
+    def state(self) -> dict[str, Any]:
+        """Return the best weights so far, and the epochs."""
+        return {"best": self.best, "best_state": self.best_state, "history": self.history}
 
-    def _log(self, live: Any, row: dict[str, float]) -> None:
-        live.step = self.epoch
-        for name, value in row.items():
-            live.log_metric(name, value)
-        live.sync()
-        if self.progress:
-            print(
-                f"epoch {self.epoch:>3}  loss {row['train/loss']:.3f}  held out: loss "
-                f"{row['held_out/loss']:.3f}  right {row['held_out/action_accuracy']:.3f}  "
-                f"helps {row['held_out/helps']:.3f}",
-                flush=True,
-            )
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue after an epoch."""
+        self.best, self.best_state = state["best"], state["best_state"]
+        self.history = state["history"]
 
-    def _state(self) -> dict[str, Any]:
-        names = ("epoch", "seconds", "best", "best_state", "history")
-        state = {name: getattr(self, name) for name in names}
-        return state | {"actor": self.actor.state_dict(), "optimiser": self.optimiser.state_dict()}
-
-    def _restore(self, state: dict[str, Any] | None) -> None:
-        for name, value in (state or {}).items():
-            if name in ("actor", "optimiser"):
-                getattr(self, name).load_state_dict(value)
-            else:
-                setattr(self, name, value)
-
-    def _finish(self) -> BehaviourCloningAgent:
-        from racines_models import statistics
-
+    def keep(self, folder: Path, figures: dict[str, Any]) -> BehaviourCloningAgent:
+        """Save the best weights, with the trainer's figures among the metrics."""
         self.actor.load_state_dict(self.best_state)
         self.actor.eval()
         right, helps = _verdicts(self._held_logits(), self.held.shown)
@@ -293,8 +295,9 @@ class _Imitation:
             return statistics.mean(_by_group(hits, groups).numpy(), "mean over trajectories")
 
         metrics = {
-            "epochs": self.epoch,
-            "seconds": round(self.seconds, 1),
+            "epochs": len(self.history),
+            "seconds": round(figures["seconds"], 1),
+            "training": figures,
             "data": dataset_card(self.store),
             "demonstrations": {
                 name: {"frames": len(part.shown.rows), "trajectories": part.shown.trajectories}
@@ -304,9 +307,10 @@ class _Imitation:
             "held_out_helps": figure(helps),
             "history": self.history,
         }
-        self.agent.save(self.folder, metrics, self.seed)
-        discard_checkpoint(self.folder)
-        return self.agent
+        agent = BehaviourCloningAgent(self.config, self.actor, self.encoder)
+        agent.save(folder, metrics, self.seed)
+        discard_checkpoint(folder)
+        return agent
 
 
 def _verdicts(logits: Tensor, shown: Demonstrations) -> tuple[Tensor, Tensor]:

@@ -13,6 +13,8 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.policy import PolicyAgent, make_actor
 from racines_envs.agents.training.config import TrainingConfig
 from racines_envs.agents.training.run import TrainingRun
+from racines_envs.worlds.backends import JudgeLike
+from racines_envs.worlds.making import WorldLike
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,8 @@ class DQNAgent(PolicyAgent):
         run_dir: Path,
         *,
         seed: int = 0,
-        phantom: Any = None,
-        grader: Any = None,
+        phantom: WorldLike = None,
+        grader: JudgeLike = None,
         data: Path | str | None = None,
         resume: bool | None = None,
         progress: bool = True,

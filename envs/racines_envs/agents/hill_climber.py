@@ -9,7 +9,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import torch
 from torch import Tensor
@@ -22,6 +22,8 @@ from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import RewardConfig
 from racines_envs.worlds.backends import GRADER_FOLDER, make_grader
 from racines_envs.worlds.making import check_grader
+from racines_models.devices import resolve_device
+from racines_models.protocol import Judge
 
 MOVES = len(ACTIONS) - 1
 """All actions but idle; action 2i goes one way and 2i + 1 back."""
@@ -80,10 +82,12 @@ class HillClimberAgent(Untrained):
     observation: str = "image"
     sees: ClassVar[str] = "grade"
 
-    def __init__(self, config: HillClimberConfig | None = None, grader: Any = None) -> None:
+    def __init__(
+        self, config: HillClimberConfig | None = None, grader: Judge | None = None
+    ) -> None:
         """Take settings, and a grader instead of the folder in them."""
         self.config = config or HillClimberConfig()
-        self.guide: Any = grader
+        self.guide = grader
         """The grader whose opinion is climbed; None before the agent has met its task."""
         self._memory: _Memory | None = None
         self._target, self._goal = 0, RewardConfig()
@@ -96,7 +100,7 @@ class HillClimberAgent(Untrained):
             RacinesError: no grader there, or one of other views.
         """
         if self.guide is None:
-            self.guide = make_grader(self._folder(), self.config.device)
+            self.guide = make_grader(self._folder(), resolve_device(self.config.device))
         check_grader(self.guide, core.task)
         self._target, self._goal, self._memory = core.task.target, core.rewards, None
         self._ended = lambda: core.state.done
@@ -135,7 +139,7 @@ class HillClimberAgent(Untrained):
         p = torch.zeros(len(ended), device=ended.device)
         g = torch.zeros_like(p)
         rows = (~ended).nonzero().squeeze(1)
-        if len(rows):
+        if len(rows) and self.guide is not None:
             judged, grades = self.guide.probabilities_and_grade(images[rows.to(images.device)])
             p[rows] = judged[:, self._target].float().to(p.device)
             g[rows] = grades.float().to(g.device)

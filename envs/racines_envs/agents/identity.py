@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from racines_envs.agents.encoders import PoseEncoder
-from racines_envs.worlds.backends import GRADER_FOLDER, make_grader, source_weights
-from racines_envs.worlds.making import phantom_recipe
+from racines_envs.task.rewards import get_reward
+from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike, make_grader, source_weights
+from racines_envs.worlds.making import WorldLike, phantom_recipe
 
 PLACES = ("encoder", "grader", "generator")
 """Settings that name a place."""
@@ -34,7 +35,7 @@ def settings_identity(
 
 
 def environment_identity(
-    config: Any, phantom: Any, grader: Any = None, data: Path | str | None = None
+    config: Any, phantom: WorldLike, grader: JudgeLike = None, data: Path | str | None = None
 ) -> dict[str, Any]:
     """Return what an environment is made of, by content; None for what it does without.
 
@@ -48,9 +49,9 @@ def environment_identity(
         RacinesError: grader, generator or dataset are not there.
     """
     made: dict[str, Any] = {"grader": None, "generator": None, "data": None}
-    if config.reward == "paper":
+    if get_reward(config.reward).needs_judge:
         judge = make_grader(grader or config.grader or GRADER_FOLDER, "cpu")
-        made["grader"] = getattr(judge, "sha256", None)
+        made["grader"] = judge.sha256
     if config.backend == "generator" and config.generator:
         made["generator"] = source_weights(config.generator)
     if config.backend == "replay":

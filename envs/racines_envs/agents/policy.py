@@ -1,6 +1,5 @@
 """Policies that were learned: acting greedily, and the files of a run."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -8,12 +7,17 @@ from typing import Any, ClassVar, Self
 import torch
 from torch import Tensor
 
+from racines_data.config import fill
 from racines_data.errors import RacinesError
+from racines_data.files import write_json
 from racines_data.randomness import uniform
 from racines_envs.agents.encoders import PoseEncoder, open_encoder
 from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
+from racines_models.devices import resolve_device
+from racines_models.networks.batching import in_fixed_batches
+from racines_models.weights import load_network, read_described, save_weights
 
 POLICY = "policy.safetensors"
 _DRAWS = 23
@@ -60,7 +64,11 @@ class PolicyAgent:
         """Return the most probable action of each row, or drawn ones at a `temperature`."""
         was_training = self.actor.training
         self.actor.eval()
-        action = choose(self.logits(observation), seeds, getattr(self.config, "temperature", 0.0))
+        keys, columns = zip(*observation.items(), strict=True)
+        logits = in_fixed_batches(
+            lambda *seen: self.logits(dict(zip(keys, seen, strict=True))), *columns
+        )
+        action = choose(logits, seeds, getattr(self.config, "temperature", 0.0))
         self.actor.train(was_training)
         return action
 
@@ -79,12 +87,7 @@ class PolicyAgent:
 
     def save(self, run_dir: Path, metrics: dict[str, Any], seed: int) -> None:
         """Write policy.safetensors, config.json and metrics.json."""
-        from safetensors.torch import save
-
-        from racines_data.files import write_atomic, write_json
-
-        state = {k: v.detach().cpu().contiguous() for k, v in self.actor.state_dict().items()}
-        write_atomic(run_dir / POLICY, save(state))
+        save_weights(run_dir / POLICY, self.actor.state_dict())
         config = {"agent": self.name, "config": asdict(self.config), "seed": seed}
         if self.encoder is not None:
             config["encoder_sha256"] = self.encoder.sha256
@@ -98,25 +101,16 @@ class PolicyAgent:
         Raises:
             RacinesError: no policy in the folder, or one of another agent or shape.
         """
-        from safetensors import SafetensorError
-        from safetensors.torch import load_file
-
-        from racines_data.config import fill
-
+        device, remedy = resolve_device(device), f"run `racines train agent {cls.name}`"
         policy, described = Path(run_dir) / POLICY, Path(run_dir) / "config.json"
-        if not policy.is_file() or not described.is_file():
-            raise RacinesError(
-                f"{run_dir}: no trained policy: run `racines train agent {cls.name}`"
-            )
-        content = json.loads(described.read_text())
+        if not policy.is_file():
+            raise RacinesError(f"{run_dir}: no trained policy: {remedy}")
+        content = read_described(Path(run_dir), f"no trained policy: {remedy}")
         if content.get("agent") != cls.name:
             raise RacinesError(f"{described}: a policy of {content.get('agent')!r}, not {cls.name}")
         config = fill(cls.Config, content["config"], str(described))
         spec, sha256 = getattr(config, "encoder", ""), str(content.get("encoder_sha256"))
-        encoder = open_encoder(spec, str(device), Path(run_dir), sha256)
+        encoder = open_encoder(spec, device, Path(run_dir), sha256)
         actor = make_actor(config, encoder)
-        try:
-            actor.load_state_dict(load_file(policy))
-        except (RuntimeError, SafetensorError) as error:
-            raise RacinesError(f"{policy}: does not fit {described}: {error}") from error
+        load_network(policy, actor, remedy)
         return cls(config, actor.to(device).eval(), encoder)

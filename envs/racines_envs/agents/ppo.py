@@ -13,6 +13,8 @@ from racines_envs.agents.networks import ObservationNetwork
 from racines_envs.agents.policy import PolicyAgent, make_actor
 from racines_envs.agents.training.config import TrainingConfig
 from racines_envs.agents.training.run import TrainingRun
+from racines_envs.worlds.backends import JudgeLike
+from racines_envs.worlds.making import WorldLike
 
 
 @dataclass(frozen=True)
@@ -51,8 +53,8 @@ class PPOAgent(PolicyAgent):
         run_dir: Path,
         *,
         seed: int = 0,
-        phantom: Any = None,
-        grader: Any = None,
+        phantom: WorldLike = None,
+        grader: JudgeLike = None,
         data: Path | str | None = None,
         resume: bool | None = None,
         progress: bool = True,

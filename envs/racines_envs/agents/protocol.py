@@ -30,7 +30,9 @@ class Agent(Protocol):
         """Return (N,) int64 actions 0-12.
 
         `observation` holds `image` (N, 128, 128) uint8 and/or `params` (N, 9) float32. An agent
-        that draws its actions draws them from the (N,) seeds, so a row's action ignores its batch.
+        that draws its actions draws them from the (N,) seeds, so that a row's action depends on
+        what that row sees and on its seed alone: not on its place, on its neighbours or on the size
+        of the batch, on one machine.
         """
         ...
 

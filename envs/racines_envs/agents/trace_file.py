@@ -52,11 +52,11 @@ class Trace:
     """(E,) int64."""
 
 
-def describe(core: ScanCore, backend: str) -> dict[str, Any]:
+def circumstances(core: ScanCore, backend: str) -> dict[str, Any]:
     """Return what decides where the same actions lead, as JSON gives it back."""
     told = {
         "backend": backend,
-        "reward": core.reward_name,
+        "reward": core.reward.name,
         "task": asdict(core.task),
         "phantom": phantom_recipe(core.phantom),
     }
@@ -75,7 +75,7 @@ def write_trace(path: Path, told: dict[str, Any], actions: list[list[int]]) -> i
 
     Args:
         path: The file.
-        told: Agent, observation, start_set and what `describe` says.
+        told: Agent, observation, start_set and what `circumstances` says.
         actions: Of each episode.
     """
     starts = told["start_set"]["starts"]
@@ -125,7 +125,7 @@ def check_same(trace: Trace, core: ScanCore, path: Path) -> None:
     Raises:
         RacinesError: another task, reward or phantom.
     """
-    here = describe(core, trace.told["backend"])
+    here = circumstances(core, trace.told["backend"])
     for key, value in here.items():
         if canonical_json(trace.told[key]) != canonical_json(value):
             raise RacinesError(

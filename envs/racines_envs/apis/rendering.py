@@ -21,6 +21,7 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
+from racines_data.phantom.config import ProbeConfig
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 
@@ -145,11 +146,7 @@ def _font(size: int) -> Any:
 
 def view_names(core: ScanCore) -> tuple[str, ...]:
     """Return the names of the labels of a core's anatomy; the last is `Random`."""
-    from racines_data.phantom.anatomy import anatomy_views
-    from racines_data.views import labels_of
-
-    known = getattr(core.phantom, "labels", None)
-    return known or labels_of(anatomy_views(core.task.anatomy))
+    return core.phantom.labels
 
 
 def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
@@ -186,12 +183,13 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
 
 def _bounds(core: ScanCore) -> tuple[np.ndarray, np.ndarray]:
     """Return the block's least and greatest corner, m; from the workspace where no block is."""
-    block = getattr(getattr(core.phantom, "config", None), "block", None)
-    if block is not None:
+    if core.phantom.config is not None:
+        block = core.phantom.config.block
         return np.array(block.minimum), np.array(block.maximum)
     workspace = core.phantom.workspace
     low, high = workspace.position_min.cpu().numpy(), workspace.position_max.cpu().numpy()
-    top = float(getattr(core.phantom, "surface_height", low[2]))
+    height = core.phantom.surface_height
+    top = float(low[2] if height is None else height)
     return np.append(low[:2] - _MARGIN, top - _DEEP), np.append(high[:2] + _MARGIN, top)
 
 
@@ -249,10 +247,15 @@ def _corners(to_pixels: Any, low: np.ndarray, high: np.ndarray) -> tuple[float, 
     return min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)
 
 
+def _probe(core: ScanCore) -> ProbeConfig:
+    """Return the probe, the usual one where none is known."""
+    return ProbeConfig() if core.phantom.config is None else core.phantom.config.probe
+
+
 def _fan(core: ScanCore, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Return the outline of the image plane's sector, (n, 3) m."""
-    probe = getattr(getattr(core.phantom, "config", None), "probe", None)
-    half, depth = (probe.half_angle, probe.depth) if probe else (0.68, 0.155)
+    probe = _probe(core)
+    half, depth = probe.half_angle, probe.depth
     angle = np.linspace(-half, half, 9)
     rim = np.stack([np.sin(angle), np.zeros(9), np.cos(angle)], 1) * depth
     return np.concatenate([np.zeros((1, 3)), rim]) @ rotation.T + position
@@ -268,8 +271,7 @@ def _draw_probe(
     width: int = 1,
 ) -> None:
     """Draw the probe's body behind its face, and a mark at the image's right side."""
-    probe = getattr(getattr(core.phantom, "config", None), "probe", None)
-    x, y = (probe.aperture / 2, probe.thickness / 2) if probe else (0.010, 0.006)
+    x, y = _probe(core).aperture / 2, _probe(core).thickness / 2
     face = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
     body = np.array([[-x, 0, 0], [-x, 0, -_BODY], [x, 0, -_BODY], [x, 0, 0]])
     for outline in (body, face):
@@ -293,7 +295,6 @@ def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None
     def at(step: float, share: float) -> tuple[float, float]:
         return left + (right - left) * step / count, bottom - (bottom - top) * share
 
-    source = "grader" if core.reward_name == "paper" else "oracle"
     curves = (
         ("p", steps.probabilities, core.rewards.probability, 1.0, _PROBE),
         ("grade", steps.grades, core.rewards.grade, 10.0, _PATH),
@@ -312,7 +313,7 @@ def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None
         end, anchor = (left - 6, "rm") if name == "p" else (right + 6, "lm")
         for share in (0.0, 0.5, 1.0):
             draw.text((end, at(0, share)[1]), f"{share * full:g}", colour, _font(12), anchor=anchor)
-    title = f"as {core.task.view} by the {source}:"
+    title = f"as {core.task.view} by the {core.reward.judged_by}:"
     draw.text((left, top - 20), title, _TEXT, _font(13))
     offset = left + _font(13).getlength(title) + 10
     draw.text((offset, top - 20), "p (left)", _PROBE, _font(13))

@@ -12,6 +12,7 @@ from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import PARAMS_SIZE
 from racines_envs.task.tasks import Task
 from racines_envs.worlds.making import make_core
+from racines_models.devices import resolve_device
 
 _INFO = {"success": torch.bool, "steps": torch.int64, "return": torch.float32}
 
@@ -35,6 +36,7 @@ class ScanEnv(EnvBase):
         **settings: Any,
     ) -> None:
         """Build N rows of a task; settings as for `racines_envs.worlds.making.make_core`."""
+        device = resolve_device(device)
         super().__init__(device=torch.device(device), batch_size=torch.Size([num_envs]))
         self.core = make_core(view, num_envs, device=device, **settings)
         self._make_specs(num_envs)

@@ -1,5 +1,1 @@
-"""The commands `racines train agent`, `racines eval agent` and what stands around them."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The commands on agents and environments: one module a command, one folder a group."""

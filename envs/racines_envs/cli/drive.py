@@ -1,26 +1,23 @@
-"""Commands: `racines drive`, the probe by hand, and `racines replay`, a recording run again."""
+"""The command `racines drive`: the probe by hand. Heavy imports stand inside."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-
-def register(app: typer.Typer) -> None:
-    """Add the commands to the root."""
-    app.command("drive")(drive)
-    app.command("replay")(replay)
+from racines_data.cli import options as opt
+from racines_data.cli.settings import given
 
 
 def drive(
-    view: Annotated[str, typer.Option(help="Target view.")] = "SC",
+    view: opt.View = "SC",
     anatomy: Annotated[str | None, typer.Option(help="Whose view; the heart's.")] = None,
-    backend: Annotated[str, typer.Option(help="phantom, generator or replay.")] = "phantom",
-    generator: Annotated[str | None, typer.Option(help="Generator: name or run folder.")] = None,
-    data: Annotated[Path | None, typer.Option(help="Dataset folder, to replay.")] = None,
-    reward: Annotated[str, typer.Option(help="paper, oracle or shaped.")] = "oracle",
-    grader: Annotated[str | None, typer.Option(help="Grader: run folder.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the starts.")] = 0,
+    backend: opt.Backend = "phantom",
+    generator: opt.Generator = None,
+    data: opt.OtherData = None,
+    reward: opt.Reward = "oracle",
+    grader: opt.Grader = None,
+    seed: opt.DrawSeed = 0,
     png: Annotated[
         Path | None, typer.Option(help="Renew this file with the picture after every key.")
     ] = None,
@@ -30,7 +27,7 @@ def drive(
     keys: Annotated[
         str | None, typer.Option(help="Press these keys and stop; needs no terminal.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the last state as JSON.")] = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Drive the probe from the keyboard; the keys stand under the picture."""
     import json
@@ -40,10 +37,11 @@ def drive(
     from racines_envs.worlds.making import make_core
 
     terminal = Terminal() if keys is None else None  # refused before anything is made
-    settings: dict[str, Any] = {
-        "generator": generator, "data": data, "grader": grader, "anatomy": anatomy
-    }  # fmt: skip
-    core = make_core(view, observation="image", backend=backend, reward=reward, **settings)
+    settings = given(
+        view=view, backend=backend, generator=generator, data=data, reward=reward,
+        grader=grader, anatomy=anatomy,
+    )  # fmt: skip
+    core = make_core(**settings, observation="image")
     session = Drive(core, seed, png, record)
     if terminal is None:
         run(session, keys or "")
@@ -55,23 +53,3 @@ def drive(
         typer.echo(json.dumps(info, indent=2))
     else:
         typer.echo("\n".join(session.words()[:-3]))
-
-
-def replay(
-    recording: Annotated[Path, typer.Argument(help="An episode's JSONL file.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")] = False,
-) -> None:
-    """Run a recorded episode again; exit 1 if its poses do not repeat."""
-    import json
-    from dataclasses import asdict
-
-    from racines_envs.recordings.replay import replay as run_again
-
-    done = run_again(recording)
-    if as_json:
-        typer.echo(json.dumps(asdict(done), indent=2))
-    else:
-        typer.echo(
-            f"{recording}: {done.steps} steps repeat within {done.position_error:.1e} m and "
-            f"{done.rotation_error:.1e} rad"
-        )

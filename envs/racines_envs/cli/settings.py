@@ -1,21 +1,14 @@
-"""What the commands read their settings from: the params file or a packaged profile."""
+"""What the commands on agents share."""
 
-from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import typer
 
-def read_settings(params: Path | None, profile: str | None) -> dict[str, Any]:
-    """Return the settings of a file or a profile; ./params.yaml, if it is there, for neither."""
-    from racines_data.config import read_params
-
-    if params is None and profile is None and Path("params.yaml").is_file():
-        params = Path("params.yaml")
-    return read_params(params, profile)
-
-
-def given(**options: Any) -> dict[str, Any]:
-    """Return the options that were given on the command line."""
-    return {name: value for name, value in options.items() if value is not None}
+Agent = Annotated[
+    str, typer.Argument(help="Registered agent, module:Class, or a run of the section agents.")
+]
+Name = Annotated[str | None, typer.Option(help="What to call the run; as the agent, or its entry.")]
+Agents = "Names or run folders, comma-separated or given again; LABEL=RUN names one."
 
 
 def phantom_config(settings: dict[str, Any]) -> Any:

@@ -9,7 +9,7 @@ from PIL import Image
 
 from racines_data.files import image_bytes, write_atomic
 from racines_envs.apis.rendering import IMAGE, History, compose, describe
-from racines_envs.recordings.recorder import CoreRecorder
+from racines_envs.recordings.episode_writer import CoreRecorder
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 

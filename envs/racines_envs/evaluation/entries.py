@@ -63,16 +63,14 @@ def find_entry(settings: dict[str, Any], spec: str, name: str | None = None) -> 
     """
     entries = section(settings, "agents")
     own = spec if spec in entries else agent_class(spec).name
-    values = entries.get(own) or {}
-    if not isinstance(values, dict):
-        raise RacinesError(f"agents.{own}: {values!r} is no mapping: give the run's settings")
+    values = section(settings, ("agents", own))
     agent = values.get("agent", own)
     if not isinstance(agent, str):
         raise RacinesError(f"agents.{own}.agent: {agent!r}: give the name of an agent")
     if spec not in entries:  # an entry of that name may be another agent's
-        values, agent = values if agent == own else {}, spec
+        values, agent = values if agent == own else section({}, "agents"), spec
     known = {field.name for field in fields(agent_class(agent).Config)}
     # What learns for a view has it among its settings; for others it is the evaluation's alone.
     apart = {"agent"} if "view" in known else {"agent", "view"}
-    chosen = {key: value for key, value in values.items() if key not in apart}
+    chosen = values.of(*(values.keys() - apart))
     return Entry(name or own, agent, chosen, values.get("view"))

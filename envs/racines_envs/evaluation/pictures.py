@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from racines_envs.task.core import ScanCore
+
 MARGIN = 6.0
 """Shown around the paths, mm."""
 
@@ -34,10 +36,9 @@ def draw_trajectories(evaluation: Any, path: Path) -> None:
     axes.scatter(*target, marker="*", s=150, color="black", label="nominal pose")
     _frame(axes, np.concatenate([target[None], *(path_ for path_, _ in paths)]), core)
     _draw_plan(figure.add_axes((0.7, 0.12, 0.27, 0.27)), core, paths, target)
-    source = "grader" if core.reward_name == "paper" else "oracle"
     scale = ScalarMappable(Normalize(0.0, 1.0), "viridis")
     bar = figure.add_axes((0.82, 0.5, 0.02, 0.36))
-    figure.colorbar(scale, cax=bar, label=f"p of {core.task.view}, by the {source}")
+    figure.colorbar(scale, cax=bar, label=f"p of {core.task.view}, by the {core.reward.judged_by}")
     milliseconds = scores["metrics"].get("latency", {}).get("value")
     lines = [_line(episodes, row, milliseconds) for row in range(count)]
     figure.text(0.03, 0.03, "\n".join(lines), fontsize=8.5, va="bottom", family="monospace")
@@ -98,7 +99,7 @@ def _draw_path(axes: Any, path: np.ndarray, probability: np.ndarray, number: int
     axes.text(*path[0], f"  {number + 1}", fontsize=10, weight="bold")
 
 
-def _frame(axes: Any, points: np.ndarray, core: Any) -> None:
+def _frame(axes: Any, points: np.ndarray, core: ScanCore) -> None:
     """Show the space around the paths, and the part of the block's top that lies in it."""
     low, high = points.min(0) - MARGIN, points.max(0) + MARGIN
     top = _corners(core)[1][2]
@@ -112,7 +113,7 @@ def _frame(axes: Any, points: np.ndarray, core: Any) -> None:
     axes.view_init(elev=28.0, azim=-60.0)
 
 
-def _draw_plan(axes: Any, core: Any, paths: list[Any], target: np.ndarray) -> None:
+def _draw_plan(axes: Any, core: ScanCore, paths: list[Any], target: np.ndarray) -> None:
     """Draw the paths from above on the block's outline (a stand-in's workspace)."""
     from matplotlib.patches import Rectangle
 
@@ -128,10 +129,10 @@ def _draw_plan(axes: Any, core: Any, paths: list[Any], target: np.ndarray) -> No
     axes.tick_params(labelsize=7)
 
 
-def _corners(core: Any) -> tuple[np.ndarray, np.ndarray]:
+def _corners(core: ScanCore) -> tuple[np.ndarray, np.ndarray]:
     """Return the block's least and greatest x, y, z, mm."""
-    block = getattr(getattr(core.phantom, "config", None), "block", None)
-    if block is not None:
+    if core.phantom.config is not None:
+        block = core.phantom.config.block
         return np.array(block.minimum) * 1e3, np.array(block.maximum) * 1e3
     space = core.phantom.workspace
-    return tuple(x.cpu().numpy() * 1e3 for x in (space.position_min, space.position_max))
+    return space.position_min.cpu().numpy() * 1e3, space.position_max.cpu().numpy() * 1e3

@@ -11,18 +11,22 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.imaging import ImageSource
+from racines_data.world import World
 from racines_envs.agents import load_agent, sees
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import Episodes, rollout
-from racines_envs.agents.trace import TraceAgent
+from racines_envs.agents.trace_agent import TraceAgent
 from racines_envs.evaluation.latency import decision_times, latency_figure
 from racines_envs.evaluation.measures import Figures, measure, measure_by_seed
 from racines_envs.task.core import ScanCore
+from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.backends import make_grader
 from racines_envs.worlds.making import (
+    WorldLike,
     check_grader,
     find_task,
     make_core,
@@ -30,6 +34,8 @@ from racines_envs.worlds.making import (
     phantom_recipe,
 )
 from racines_models import statistics
+from racines_models.devices import on_device
+from racines_models.protocol import Judge
 
 SCHEMA = "racines.agent-scores/1"
 
@@ -88,15 +94,15 @@ class Prepared:
     core: ScanCore
     seeds: Tensor
     """(n,) of the starts, set after set."""
-    grader: Any
+    grader: Judge | None
 
 
 def evaluate(
     name: str,
     run_dir: Path,
     config: EvaluationConfig,
-    phantom: Any = None,
-    grader: Any = None,
+    phantom: WorldLike = None,
+    grader: Judge | None = None,
     agent: Agent | None = None,
     run: str | None = None,
     board: str | None = None,
@@ -118,6 +124,7 @@ def evaluate(
             a trace that was recorded elsewhere.
     """
     began = time.perf_counter()
+    config = on_device(config)
     ready = prepare(name, run_dir, config, phantom, grader, agent)
     agent, core, seeds, grader = ready.agent, ready.core, ready.seeds, ready.grader
     episodes = rollout(core, agent, seeds.to(core.device))
@@ -144,20 +151,21 @@ def prepare(
     name: str,
     run_dir: Path,
     config: EvaluationConfig,
-    phantom: Any = None,
-    grader: Any = None,
+    phantom: WorldLike = None,
+    grader: Judge | None = None,
     agent: Agent | None = None,
 ) -> Prepared:
     """Return an agent and the environment that it is judged in; arguments as of `evaluate`."""
+    config = on_device(config)
     task = find_task(config.view, phantom)  # an unknown view is refused before anything is loaded
     seeds = start_seeds(config.starts, config.sets)
     agent = agent or load_agent(name, run_dir, config.device)
     check_view(agent, config.view, name, run_dir)
-    phantom = make_phantom(phantom, config.device, task.anatomy)
+    world = make_phantom(phantom, config.device, task.anatomy)
     if grader is None and config.grader:
         grader = make_grader(config.grader, config.device)
     check_grader(grader, task)
-    return Prepared(agent, _core(config, agent, phantom, grader, len(seeds)), seeds, grader)
+    return Prepared(agent, _core(config, agent, world, grader, len(seeds)), seeds, grader)
 
 
 def start_seeds(starts: int, sets: Sequence[int]) -> Tensor:
@@ -189,7 +197,12 @@ def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
 
 
 def _core(
-    config: EvaluationConfig, agent: Agent, phantom: Any, grader: Any, rows: int, images: Any = None
+    config: EvaluationConfig,
+    agent: Agent,
+    phantom: World,
+    grader: Judge | None,
+    rows: int,
+    images: ImageSource | None = None,
 ) -> ScanCore:
     """Return the environment; with `images`, what draws them is not loaded again."""
     return make_core(
@@ -200,14 +213,14 @@ def _core(
         observation=agent.observation,
         reward=config.reward,
         phantom=phantom,
-        grader=grader if config.reward == "paper" else None,
+        grader=grader if get_reward(config.reward).needs_judge else None,
         device=config.device,
         encoder=getattr(agent, "encoder", None),
         data=config.data or None,
     )
 
 
-def reference_steps(view: str, seeds: Tensor, phantom: Any, device: str) -> np.ndarray:
+def reference_steps(view: str, seeds: Tensor, phantom: World, device: str) -> np.ndarray:
     """Return the planner's (n,) steps from the same starts, the l of SPL."""
     core = make_core(
         view, len(seeds), observation="params", reward="oracle", phantom=phantom, device=device
@@ -215,20 +228,20 @@ def reference_steps(view: str, seeds: Tensor, phantom: Any, device: str) -> np.n
     return rollout(core, PlannerAgent(), seeds.to(core.device)).final["steps"]
 
 
-def _graded(core: ScanCore, grader: Any) -> Figures:
+def _graded(core: ScanCore, grader: Judge) -> Figures:
     """Ask the grader about the last image of each episode."""
     p, g = grader.probabilities_and_grade(core.picture())
     hit = (p[:, core.task.target] >= core.rewards.probability) & (g >= core.rewards.grade)
     return {"success_grader": statistics.wilson(hit.cpu().numpy())}
 
 
-def _extractors(agent: Agent, grader: Any) -> dict[str, dict[str, Any]]:
+def _extractors(agent: Agent, grader: Judge | None) -> dict[str, dict[str, Any]]:
     """Return the settings of the graders that had a say, with their hashes.
 
     `grader` judged the last images; `guide` is the one whose opinion the agent went by.
     """
     graders = {"grader": grader, "guide": getattr(agent, "guide", None)}
-    told = {kind: getattr(each, "settings", None) for kind, each in graders.items()}
+    told = {kind: each.settings for kind, each in graders.items() if each is not None}
     return {kind: settings for kind, settings in told.items() if settings is not None}
 
 

@@ -1,5 +1,5 @@
 from .explanation import Explanation as Explanation
-from .explanation import Frames as Frames
+from .explanation import Shown as Shown
 from .run import SCHEMA as SCHEMA
 from .run import ExplainConfig as ExplainConfig
 from .run import collect as collect
@@ -9,7 +9,7 @@ from .run import write_explanation as write_explanation
 __all__ = [
     "ExplainConfig",
     "Explanation",
-    "Frames",
+    "Shown",
     "SCHEMA",
     "collect",
     "explain",

@@ -9,7 +9,7 @@ from racines_data.geometry import Pose
 
 
 @dataclass(frozen=True)
-class Frames:
+class Shown:
     """The images of an agent's episodes that are explained, n in all."""
 
     images: Tensor
@@ -30,7 +30,7 @@ class Explanation:
     """Attributions and their scores."""
 
     scores: dict[str, Any]
-    frames: Frames
+    frames: Shown
     maps: dict[str, Tensor]
     """(n, 128, 128) attributions of the chosen action (`policy`) and the target view (`grader`)."""
     regions: dict[str, Tensor]

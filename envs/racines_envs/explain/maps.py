@@ -10,15 +10,17 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_models.judges.grader.model import Grader
+from racines_models.protocol import Judge
 
-Judge = Callable[[Tensor, Tensor], Tensor]
+Explained = Callable[[Tensor, Tensor], Tensor]
 """(B, 128, 128) float images, gray levels 0-255, and (B, 9) parameters -> (B, outputs)."""
 
 BATCH = 256
 """Images at once in a backward pass."""
 
 
-def policy_logits(agent: Any) -> Judge:
+def policy_logits(agent: Any) -> Explained:
     """Return an agent's scores of the 13 actions as a function of its image.
 
     Raises:
@@ -46,13 +48,13 @@ def policy_logits(agent: Any) -> Judge:
     return judge
 
 
-def grader_probabilities(grader: Any) -> Judge:
+def grader_probabilities(grader: Judge) -> Explained:
     """Return a grader's probabilities of the views as a function of the image.
 
     Raises:
         RacinesError: it has no network to differentiate.
     """
-    if not hasattr(grader, "network"):
+    if not isinstance(grader, Grader):
         raise RacinesError(f"grader {grader!r} has no network to differentiate: give a run folder")
     network = grader.network
 
@@ -64,7 +66,7 @@ def grader_probabilities(grader: Any) -> Judge:
 
 
 def integrated_gradients(
-    judge: Judge, images: Tensor, params: Tensor, targets: Tensor, steps: int = 50
+    judge: Explained, images: Tensor, params: Tensor, targets: Tensor, steps: int = 50
 ) -> tuple[Tensor, Tensor]:
     """Attribute one output an image to its pixels, from a black image.
 
@@ -101,7 +103,7 @@ def integrated_gradients(
 
 
 @torch.no_grad()
-def outputs(judge: Judge, images: Tensor, params: Tensor) -> Tensor:
+def outputs(judge: Explained, images: Tensor, params: Tensor) -> Tensor:
     """Return (N, outputs) of (N, 128, 128) images of any type."""
     parts = [
         judge(images[i : i + BATCH].float(), params[i : i + BATCH])

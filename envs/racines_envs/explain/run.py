@@ -11,10 +11,10 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
 from racines_envs.agents import load_agent
-from racines_envs.explain.explanation import Explanation, Frames
+from racines_envs.explain.explanation import Explanation, Shown
 from racines_envs.explain.figure import draw_episode
 from racines_envs.explain.maps import (
-    Judge,
+    Explained,
     grader_probabilities,
     integrated_gradients,
     outputs,
@@ -23,9 +23,12 @@ from racines_envs.explain.maps import (
 from racines_envs.explain.scores import SMOOTH, areas, overlap, random_maps
 from racines_envs.explain.truth import sector_of, true_regions
 from racines_envs.task.core import ScanCore
+from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
-from racines_envs.worlds.making import find_task, make_core, phantom_recipe
+from racines_envs.worlds.making import WorldLike, find_task, make_core, phantom_recipe
 from racines_models import statistics
+from racines_models.devices import on_device
+from racines_models.protocol import Judge
 
 SCHEMA = "racines.explanation/1"
 
@@ -64,7 +67,11 @@ class ExplainConfig:
 
 
 def explain(
-    name: str, run_dir: Path, config: ExplainConfig, phantom: Any = None, grader: Any = None
+    name: str,
+    run_dir: Path,
+    config: ExplainConfig,
+    phantom: WorldLike = None,
+    grader: Judge | None = None,
 ) -> Explanation:
     """Explain the agent that lies in `run_dir`.
 
@@ -83,6 +90,7 @@ def explain(
     from racines_envs.worlds.backends import make_grader
 
     _check(config)
+    config = on_device(config)
     task = find_task(config.view, phantom)
     agent = load_agent(name, run_dir, config.device)
     check_view(agent, config.view, name, run_dir)
@@ -98,7 +106,7 @@ def explain(
         reward=config.reward,
         phantom=phantom,
         data=config.data or None,
-        grader=grader if config.reward == "paper" else None,
+        grader=grader if get_reward(config.reward).needs_judge else None,
         device=config.device,
     )
     frames = collect(core, agent, evaluation_seeds(config.starts, config.seed), config)
@@ -128,7 +136,7 @@ def _check(config: ExplainConfig) -> None:
 
 
 @torch.no_grad()
-def collect(core: ScanCore, agent: Any, seeds: Tensor, config: ExplainConfig) -> Frames:
+def collect(core: ScanCore, agent: Any, seeds: Tensor, config: ExplainConfig) -> Shown:
     """Let the agent act from (n,) seeds, and keep every so many steps what it saw and did."""
     agent.attach(core)
     observation = core.reset(seeds.to(core.device))
@@ -148,11 +156,11 @@ def collect(core: ScanCore, agent: Any, seeds: Tensor, config: ExplainConfig) ->
     images, params, position, rotation, actions, row, step = (
         torch.cat(column) for column in zip(*kept, strict=True)
     )
-    return Frames(images, params, Pose(position, rotation), actions, row, step)
+    return Shown(images, params, Pose(position, rotation), actions, row, step)
 
 
 def _attribute(
-    judge: Judge, frames: Frames, targets: Tensor, logits: bool, config: ExplainConfig
+    judge: Explained, frames: Shown, targets: Tensor, logits: bool, config: ExplainConfig
 ) -> tuple[Tensor, Tensor, dict[str, Any]]:
     """Return attributions, the probability of each target, and the completeness error."""
     maps, error = integrated_gradients(judge, frames.images, frames.params, targets, config.steps)
@@ -167,7 +175,7 @@ def _attribute(
 
 
 def _score(
-    judge: Judge, frames: Frames, targets: Tensor, logits: bool, maps: Tensor, core: ScanCore,
+    judge: Explained, frames: Shown, targets: Tensor, logits: bool, maps: Tensor, core: ScanCore,
     config: ExplainConfig,
 ) -> dict[str, Any]:  # fmt: skip
     """Return deletion and insertion of the maps, of random ones, and the differences."""
@@ -194,7 +202,11 @@ def _score(
 
 
 def _overlaps(
-    maps: Tensor, frames: Frames, regions: dict[str, Tensor], core: ScanCore, config: ExplainConfig
+    maps: Tensor,
+    frames: Shown,
+    regions: dict[str, Tensor],
+    core: ScanCore,
+    config: ExplainConfig,
 ) -> dict[str, Any]:
     """Return where the top tenth of the pixels by magnitude lies, and what chance would give."""
     figures: dict[str, Any] = {}
@@ -206,7 +218,7 @@ def _overlaps(
     return figures
 
 
-def _mean(values: np.ndarray, frames: Frames, config: ExplainConfig) -> dict[str, Any]:
+def _mean(values: np.ndarray, frames: Shown, config: ExplainConfig) -> dict[str, Any]:
     """Return the mean over episodes of their mean images: images of one episode are alike."""
     row = frames.row.cpu().numpy()
     episodes = np.array([values[row == r].mean() for r in np.unique(row)])
@@ -214,7 +226,7 @@ def _mean(values: np.ndarray, frames: Frames, config: ExplainConfig) -> dict[str
 
 
 def _document(
-    name: str, run_dir: Path, config: ExplainConfig, core: ScanCore, frames: Frames,
+    name: str, run_dir: Path, config: ExplainConfig, core: ScanCore, frames: Shown,
     metrics: dict[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
     from racines_envs.agents import agent_class

@@ -6,7 +6,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from racines_data.randomness import normal, sample_seeds
-from racines_envs.explain.maps import Judge, outputs
+from racines_envs.explain.maps import Explained, outputs
 
 POINTS = 24
 """Images of a curve, the first and the last included."""
@@ -53,7 +53,7 @@ def ranks(maps: Tensor, sector: Tensor) -> Tensor:
 
 
 def areas(
-    judge: Judge, images: Tensor, params: Tensor, targets: Tensor, maps: Tensor, sector: Tensor,
+    judge: Explained, images: Tensor, params: Tensor, targets: Tensor, maps: Tensor, sector: Tensor,
     insert: bool, logits: bool,
 ) -> np.ndarray:  # fmt: skip
     """Return the (N,) areas under the deletion or insertion curves.

@@ -1,39 +1,38 @@
 """What truly lies in an image: the phantom's tissues and landmarks on the image plane."""
 
-from typing import Any
-
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from racines_data.geometry import Pose, rotate
 from racines_data.imaging import IMAGE_SIZE
+from racines_data.phantom.config import ProbeConfig
+from racines_data.world import World
 
 WALL = 2
 """Pixels on each side of a change of tissue that count as its border."""
 
 
-def sector_of(phantom: Any) -> Tensor:
+def sector_of(world: World) -> Tensor:
     """Return the (128, 128) bool mask of the sector; everything where the probe is unknown."""
     from racines_data.phantom.scan import sector_mask
 
-    probe = getattr(getattr(phantom, "config", None), "probe", None)
-    if probe is None:
+    if world.config is None:
         return torch.ones(IMAGE_SIZE, IMAGE_SIZE, dtype=torch.bool)
-    return sector_mask(probe)
+    return sector_mask(world.config.probe)
 
 
-def plane_points(phantom: Any, pose: Pose) -> Tensor:
+def plane_points(probe: ProbeConfig, pose: Pose) -> Tensor:
     """Return the (N, 128, 128, 3) points of the block under the pixels, base frame, m."""
     from racines_data.phantom.scan import pixel_grid
 
-    lateral, axial = (x.float() for x in pixel_grid(phantom.config.probe))
+    lateral, axial = (x.float() for x in pixel_grid(probe))
     local = torch.stack([lateral, torch.zeros_like(lateral), axial], -1)
     turned = rotate(pose.rotation.cpu()[:, None, None], local)
     return turned + pose.position.cpu()[:, None, None]
 
 
-def true_regions(phantom: Any, pose: Pose, view: str) -> dict[str, Tensor]:
+def true_regions(world: World, pose: Pose, view: str) -> dict[str, Tensor]:
     """Return named (N, 128, 128) bool regions of the images at (N,) poses.
 
     `organ`: not the gel around it. `borders`: within two pixels of a change of tissue. `landmarks`:
@@ -42,12 +41,12 @@ def true_regions(phantom: Any, pose: Pose, view: str) -> dict[str, Tensor]:
     """
     from racines_data.phantom.anatomy import load_anatomy
 
-    config: Any = getattr(phantom, "config", None)
-    if not hasattr(config, "anatomy"):
+    config = world.config
+    if config is None:
         return {}
     anatomy = load_anatomy(config.anatomy, config.anatomy_seed)
     axes, origin = torch.tensor(anatomy.axes), torch.tensor(anatomy.origin)
-    points = (plane_points(phantom, pose) - origin) @ axes.T
+    points = (plane_points(config.probe, pose) - origin) @ axes.T
     tissue = torch.stack([anatomy.paint(p.reshape(-1, 3)) for p in points])
     tissue = tissue.view(points.shape[:-1])
     wanted = {name for name, _ in next(v for v in anatomy.views if v.name == view).structures}

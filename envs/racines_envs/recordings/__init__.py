@@ -1,4 +1,4 @@
-"""Episodes on disk: `recorder` writes them, `replay` runs them again and checks the poses."""
+"""Episodes on disk: `episode_writer` writes them, `rerun` runs them again and checks the poses."""
 
 import lazy_loader
 

@@ -1,15 +1,17 @@
-from .recorder import CoreRecorder as CoreRecorder
-from .recorder import EpisodeRecorder as EpisodeRecorder
-from .recorder import record_rollout as record_rollout
-from .replay import Recording as Recording
-from .replay import Replay as Replay
-from .replay import read_recording as read_recording
+from .episode_writer import CoreRecorder as CoreRecorder
+from .episode_writer import EpisodeRecorder as EpisodeRecorder
+from .episode_writer import record_rollout as record_rollout
+from .rerun import RecordedEpisode as RecordedEpisode
+from .rerun import Rerun as Rerun
+from .rerun import read_recording as read_recording
+from .rerun import rerun as rerun
 
 __all__ = [
     "CoreRecorder",
     "EpisodeRecorder",
-    "Recording",
-    "Replay",
+    "RecordedEpisode",
+    "Rerun",
     "read_recording",
     "record_rollout",
+    "rerun",
 ]

@@ -11,6 +11,7 @@ from racines_data.errors import RacinesError
 from racines_envs.evaluation.agent_specs import read_json, split_label
 from racines_envs.evaluation.pictures import save
 from racines_envs.studies.rewards.report import PAPER
+from racines_envs.task.rewards import follows_paper
 
 SCHEMA = "racines.agent-curves/1"
 PANELS = {
@@ -157,7 +158,7 @@ def _draw_paper(axes: Any, panel: str, runs: list[dict[str, Any]]) -> None:
         return
     fit = [run for run in runs if run["view"] == "SC"]
     if figure == "return":
-        fit = [run for run in fit if run["reward"] in ("paper", "oracle")]
+        fit = [run for run in fit if follows_paper(run["reward"])]
     levels: dict[float, list[str]] = {}
     for seen in dict.fromkeys(run["observation"] for run in fit):
         levels.setdefault(PAPER[figure][seen], []).append(seen)

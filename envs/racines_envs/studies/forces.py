@@ -9,7 +9,7 @@ from racines_data.schema import PARAMETERS
 from racines_data.store.frames import FrameStore
 from racines_data.tables import markdown_table
 from racines_envs.worlds.forces import ForceConfig, fit_forces, measured
-from racines_envs.worlds.replay import source_phantom
+from racines_envs.worlds.replay_images import source_phantom
 
 SCHEMA = "racines.forces/1"
 AXES = PARAMETERS[:6]
@@ -64,7 +64,7 @@ def _errors(error: Tensor) -> dict[str, dict[str, Any]]:
     }
 
 
-def force_markdown(report: dict[str, Any]) -> str:
+def forces_markdown(report: dict[str, Any]) -> str:
     """Return the report as a table: one row an axis, RMSE and MAE of each prediction."""
     errors = report["errors"]
     head = ["axis", *(f"{name} {kind.upper()}" for name in errors for kind in KINDS)]

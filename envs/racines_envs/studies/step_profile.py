@@ -18,6 +18,8 @@ from racines_data.errors import RacinesError
 from racines_envs.apis.gym_vector import VectorScanEnv
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
+from racines_envs.worlds.making import WorldLike
+from racines_models.devices import on_device
 
 SCHEMA = "racines.speed/1"
 PHASES = ("render", "grade", "truth", "contact", "reward", "rest")
@@ -111,7 +113,7 @@ def attach(core: ScanCore, watch: Stopwatch) -> None:
     core._reward = watch.timed("reward", core._reward)
 
 
-def step_speed(config: SpeedConfig, phantom: Any = None) -> dict[str, Any]:
+def step_speed(config: SpeedConfig, phantom: WorldLike = None) -> dict[str, Any]:
     """Time random agents in the Gymnasium vector environment, at each batch size.
 
     Args:
@@ -119,13 +121,14 @@ def step_speed(config: SpeedConfig, phantom: Any = None) -> dict[str, Any]:
         phantom: A phantom or its configuration; the shared one by default.
 
     Returns:
-        What `racines eval speed --json` prints: a run a batch size with `steps_per_second` (median
+        What `racines study speed --json` prints: a run a batch size with `steps_per_second` (median
         of the rounds, all rows counted), its least and greatest round, `shares` of the time by
         phase, and the longest `operations` with their shares.
 
     Raises:
         RacinesError: a setting that no environment can be made of.
     """
+    config = on_device(config)
     settings: dict[str, Any] = {
         name: getattr(config, name)
         for name in ("observation", "reward", "backend", "generator", "grader", "device")

@@ -6,8 +6,9 @@ from typing import Any
 import torch
 
 from racines_data.geometry import Pose, matrix_to_euler
+from racines_data.phantom.model import Phantom
 from racines_data.tables import code, markdown_table
-from racines_data.views import ORGANS, VIEW_TITLES
+from racines_data.views import VIEW_TITLES, organs
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.tasks import TASKS, Task
 
@@ -18,7 +19,7 @@ _ENDS = {
 }
 
 
-def task_table(task: Task, phantom: Any) -> str:
+def task_table(task: Task, phantom: Phantom) -> str:
     """Return the Markdown table of a task on a phantom: lengths in mm, angles in rad."""
     space = phantom.workspace
     low, high = (_list(1e3 * edge, 0) for edge in (space.position_min, space.position_max))
@@ -42,7 +43,7 @@ def task_table(task: Task, phantom: Any) -> str:
     return markdown_table((code(task.id), ""), rows)
 
 
-def task_tables(anatomy: str, phantom: Any) -> str:
+def task_tables(anatomy: str, phantom: Phantom) -> str:
     """Return the tables of all tasks of an anatomy."""
     tasks = [task for task in TASKS.values() if task.anatomy == anatomy]
     return "\n\n".join(task_table(task, phantom) for task in tasks)
@@ -67,7 +68,7 @@ def main() -> None:
     """Print the tables of all organs."""
     from racines_data.phantom import PhantomConfig, shared_phantom
 
-    for anatomy in ORGANS:
+    for anatomy in organs():
         print(task_tables(anatomy, shared_phantom(PhantomConfig(anatomy=anatomy))), end="\n\n")
 
 

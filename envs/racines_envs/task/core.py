@@ -10,8 +10,6 @@ A row's result depends on its own seed and actions alone, never on the rows besi
 has ended stays as it is until it is reset (`reset`, or `step` with `autoreset`).
 """
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
@@ -19,12 +17,13 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, geodesic, pose_to_parameters, rotation_6d
 from racines_data.imaging import ImageSource
 from racines_data.randomness import derive
+from racines_data.world import World
 from racines_envs.task.actions import ActionTable, check_actions
-from racines_envs.task.rewards import RewardConfig, Score, get_reward, is_hit
+from racines_envs.task.rewards import Reward, RewardConfig, Score, get_reward, is_hit
 from racines_envs.task.sensing import (
     Encoder,
     ForceSource,
-    GraderLike,
+    KnowsSupport,
     check_drawn,
     check_finite,
     check_judged,
@@ -33,6 +32,8 @@ from racines_envs.task.starts import check_starts, draw_starts
 from racines_envs.task.state import State, Transition
 from racines_envs.task.tasks import Task
 from racines_envs.task.view_error import nearest_showing
+from racines_models.networks.batching import in_fixed_batches
+from racines_models.protocol import Judge
 
 OBSERVATIONS = ("image", "params", "multimodal")
 PARAMS_SIZE = 9
@@ -45,11 +46,11 @@ class ScanCore:
     def __init__(
         self,
         task: Task,
-        phantom: Any,
+        phantom: World,
         images: ImageSource,
-        grader: GraderLike | None = None,
+        grader: Judge | None = None,
         observation: str = "params",
-        reward: str = "oracle",
+        reward: str | Reward = "oracle",
         rewards: RewardConfig | None = None,
         num_envs: int = 1,
         device: torch.device | str = "cpu",
@@ -63,32 +64,34 @@ class ScanCore:
         the phantom's contact.
 
         Raises:
-            RacinesError: an unknown observation or reward, or reward `paper` without a grader.
+            RacinesError: an unknown observation or reward, or a reward that needs a grader
+                without one.
         """
         if observation not in OBSERVATIONS:
             raise RacinesError(
                 f"unknown observation {observation!r}: choose one of {', '.join(OBSERVATIONS)}"
             )
-        if reward == "paper" and grader is None:
+        self.reward = get_reward(reward)
+        if self.reward.needs_judge and grader is None:
             raise RacinesError(
-                "reward 'paper' needs a trained grader: run `racines train grader`, or use "
-                "reward='oracle'"
+                f"reward {self.reward.name!r} needs a trained grader: run `racines train grader`, "
+                "or use reward='oracle'"
             )
         if num_envs < 1:
             raise RacinesError(f"num_envs is {num_envs}: give at least 1")
         self.task, self.phantom, self.images, self.grader = task, phantom, images, grader
-        self.observation, self.reward_name = observation, reward
-        self.rewards, self._reward = rewards or RewardConfig(), get_reward(reward)
+        self.observation = observation
+        self.rewards, self._reward = rewards or RewardConfig(), self.reward.pay
         self.num_envs, self.device = num_envs, torch.device(device)
         self.encoder = encoder if observation != "params" else None
-        own = images if hasattr(images, "wrench") else phantom
-        self.forces: Any = own if forces is None else forces
+        own = images if isinstance(images, ForceSource) else phantom
+        self.forces: ForceSource = own if forces is None else forces
         self.table = ActionTable.make(task.step_translation, task.step_rotation, self.device)
         self.target = phantom.target(task.view).to(self.device)
         workspace = phantom.workspace
         self._centre = ((workspace.position_max + workspace.position_min) / 2).to(self.device)
         self._half = ((workspace.position_max - workspace.position_min) / 2).to(self.device)
-        self.renders = observation != "params" or reward == "paper"
+        self.renders = observation != "params" or self.reward.needs_judge
         self._env_seed = torch.arange(num_envs, dtype=torch.int64, device=self.device)
         self._episode = torch.full_like(self._env_seed, -1)
         self._sensed: dict[str, Tensor] = {}
@@ -247,7 +250,7 @@ class ScanCore:
             pose = Pose(pose.position[rows], pose.rotation[rows])
             wrench, seeds = wrench[rows], seeds[rows]
         parameters = pose_to_parameters(pose, wrench)
-        truth = self._truth(pose)
+        truth = self.phantom.judge_alike(pose)
         sensed = {
             "parameters": parameters,
             "view": truth.view,
@@ -259,20 +262,15 @@ class ScanCore:
             drawn = self.images.generate(parameters, seeds)
             sensed["image"] = check_drawn(drawn, len(seeds), self.images)
         if self.encoder is not None:
-            sensed["features"] = self.encoder(sensed["image"])
-        if self.reward_name == "paper" and self.grader is not None:
+            sensed["features"] = in_fixed_batches(self.encoder, sensed["image"])
+        if self.reward.needs_judge and self.grader is not None:
             p, g = self.grader.probabilities_and_grade(sensed["image"])
             check_judged(p, g, len(seeds), truth.membership.shape[1] + 1, self.grader)
             sensed |= {"grader_p": p[:, self.task.target].float(), "grader_g": g.float()}
         if rows is not None:
             sensed = {k: self._sensed[k].index_copy(0, rows, v) for k, v in sensed.items()}
         self._sensed = sensed
-        self.score = self.scored_by("grader" if self.reward_name == "paper" else "oracle")
-
-    def _truth(self, pose: Pose) -> Any:
-        """Return the truth of (B,) poses, each as if it were alone where the phantom can tell."""
-        judge = getattr(self.phantom, "judge_alike", None) or self.phantom.judge
-        return judge(pose)
+        self.score = self.scored_by(self.reward.judged_by)
 
     def scored_by(self, source: str) -> Score:
         """Return the scores of all rows by the `oracle` or, where one looks, the `grader`."""
@@ -281,7 +279,7 @@ class ScanCore:
 
     def _distance(self) -> Tensor:
         """Return (N,) unit steps to the nominal pose, or zeros where the reward has no use."""
-        if self.reward_name != "shaped":
+        if not self.reward.needs_distance:
             return torch.zeros_like(self.state.total)
         metres, radians = self.pose_error()
         return metres / self.task.step_translation + radians / self.task.step_rotation
@@ -357,9 +355,8 @@ class ScanCore:
         if view_error:
             near = self.view_error()
             further |= {"view_position_error": near[0], "view_rotation_error": near[1]}
-        supported = getattr(self.images, "out_of_support", None)
-        if supported is not None:
-            further["out_of_support"] = supported(self.parameters)
+        if isinstance(self.images, KnowsSupport):
+            further["out_of_support"] = self.images.out_of_support(self.parameters)
         return further | {
             "view": sensed["view"],
             "grade": sensed["grade"],

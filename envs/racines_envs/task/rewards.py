@@ -1,4 +1,6 @@
-"""Rewards: functions of one signature, on scores that a grader or the oracle gave.
+"""Rewards, as data: a formula on scores that a grader or the oracle gave, and what it needs.
+
+A new reward is one `Reward` in one file, and one entry point of the group `racines.rewards`.
 
 `paper` and `oracle` are one formula (equations 2-5 of the paper) on two sources of p and g. It pays
 for lingering (20 a step for the right view drawn badly), so `shaped` stands beside it: a sparse
@@ -13,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from racines_data.errors import RacinesError
+from racines_data.plugins import Plugins
 
 
 class Score(NamedTuple):
@@ -24,7 +26,7 @@ class Score(NamedTuple):
     grade: Tensor
     """(N,) g, 0-10, as the target view."""
     distance: Tensor
-    """(N,) unit steps from the nominal pose, by the oracle; only `shaped` looks at it."""
+    """(N,) unit steps from the nominal pose, by the oracle; zeros where no reward needs it."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,30 @@ class RewardConfig:
     """The discount that `shaped` is built for."""
 
 
-Reward = Callable[[Score, Score, Tensor, RewardConfig], Tensor]
-"""(before, after, ended (N,) bool, config) -> (N,) float32."""
+@dataclass(frozen=True)
+class Reward:
+    """A reward: what a step pays, and what has to be known to say so."""
+
+    name: str
+    formula: str
+    """What a step pays, for people: of p, g and d before and (with a prime) after the step."""
+    pay: Callable[[Score, Score, Tensor, RewardConfig], Tensor]
+    """(before, after, ended (N,) bool, config) -> (N,) float32; a row by itself alone."""
+    needs_judge: bool = False
+    """p and g are a trained grader's, which looks at the image of every step; else the oracle's."""
+    needs_distance: bool = False
+    """`Score.distance` is worked out."""
+    rest: str = "beside_the_step_cost"
+    """What the report calls that which is paid beside `step`."""
+
+    @property
+    def judged_by(self) -> str:
+        """Whose p and g it goes by: `grader` or `oracle`."""
+        return "grader" if self.needs_judge else "oracle"
+
+    def __call__(self, before: Score, after: Score, ended: Tensor, config: RewardConfig) -> Tensor:
+        """Return what a step pays each row, (N,) float32."""
+        return self.pay(before, after, ended, config)
 
 
 def is_hit(score: Score, config: RewardConfig) -> Tensor:
@@ -74,16 +98,33 @@ def shaped(before: Score, after: Score, ended: Tensor, config: RewardConfig) -> 
     return torch.where(ended, config.hit, 0.0) + config.step + change
 
 
-REWARDS: dict[str, Reward] = {"paper": paper, "oracle": paper, "shaped": shaped}
-"""By name; `paper` is scored by the grader, the others by the oracle."""
+_PAPER = "50 (g' >= 5) or 20 where p' >= 0.9; + p' - p; + g' - g where p' >= 0.9; - 0.1"
+PAPER = Reward("paper", _PAPER, paper, needs_judge=True)
+ORACLE = Reward("oracle", _PAPER, paper)
+SHAPED = Reward(
+    "shaped",
+    "50 where hits end the episode; + d - 0.99 d' (d' = 0 at the end); - 0.1",
+    shaped,
+    needs_distance=True,
+    rest="prize_and_potential",
+)
+REWARDS = Plugins(
+    "reward",
+    "racines.rewards",
+    ("name", "formula", "pay", "needs_judge", "needs_distance"),
+    "module:REWARD",
+)
 
 
-def get_reward(name: str) -> Reward:
-    """Return a reward by name.
+def get_reward(reward: str | Reward) -> Reward:
+    """Return a reward by name, by `module:REWARD`, or as it is given.
 
     Raises:
         RacinesError: no such reward.
     """
-    if name not in REWARDS:
-        raise RacinesError(f"unknown reward {name!r}: choose one of {', '.join(REWARDS)}")
-    return REWARDS[name]
+    return REWARDS.load(reward) if isinstance(reward, str) else reward
+
+
+def follows_paper(reward: str) -> bool:
+    """Return whether a reward is known and pays by the paper's formula, whoever scores it."""
+    return reward in REWARDS.names() and get_reward(reward).pay is paper

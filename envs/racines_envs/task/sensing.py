@@ -4,21 +4,14 @@ Shapes and types are looked at every step: that costs nothing. Numbers are looke
 CPU; on an accelerator they are asserted there, so that no step waits for the device.
 """
 
-from typing import Any, Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.geometry import Pose
 from racines_data.imaging import IMAGE_SIZE
-
-
-class GraderLike(Protocol):
-    """Judges images by their pixels."""
-
-    def probabilities_and_grade(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (B, 6) view probabilities and (B,) grades of (B, 128, 128) uint8 images."""
-        ...
 
 
 class Encoder(Protocol):
@@ -32,15 +25,25 @@ class Encoder(Protocol):
         ...
 
 
+@runtime_checkable
 class ForceSource(Protocol):
     """Says what the wrist sensor feels at a pose."""
 
-    def wrench(self, pose: Any) -> Tensor:
+    def wrench(self, pose: Pose) -> Tensor:
         """Return (B, 6) force, N, and torque, N·m, in the probe's axes, of a probe at rest."""
         ...
 
 
-def check_drawn(images: Any, count: int, source: Any) -> Tensor:
+@runtime_checkable
+class KnowsSupport(Protocol):
+    """A source of images that knows where it has something to show."""
+
+    def out_of_support(self, parameters: Tensor) -> Tensor:
+        """Return (B,) bool: what is shown at (B, 12) parameters was made far from there."""
+        ...
+
+
+def check_drawn(images: object, count: int, source: object) -> Tensor:
     """Return the images if they are (count, 128, 128) uint8.
 
     Raises:
@@ -63,7 +66,7 @@ def check_drawn(images: Any, count: int, source: Any) -> Tensor:
     return images
 
 
-def check_judged(p: Tensor, grade: Tensor, count: int, labels: int, grader: Any) -> None:
+def check_judged(p: Tensor, grade: Tensor, count: int, labels: int, grader: object) -> None:
     """Check that a grader gave (count, labels) probabilities and (count,) grades, all finite.
 
     Raises:

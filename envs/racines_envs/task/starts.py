@@ -1,7 +1,6 @@
 """Where episodes start: poses around a task's nominal pose, drawn from one seed each."""
 
 import math
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -9,6 +8,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3
 from racines_data.randomness import derive, uniform
+from racines_data.world import Workspace, World
 from racines_envs.task.tasks import Task
 
 TRIES = 8
@@ -27,7 +27,7 @@ def validation_seeds(count: int, seed: int = 0) -> Tensor:
     return derive(torch.full((count,), _VALIDATION), seed, torch.arange(count))
 
 
-def draw_starts(task: Task, phantom: Any, target: Pose, seeds: Tensor) -> Pose:
+def draw_starts(task: Task, world: World, target: Pose, seeds: Tensor) -> Pose:
     """Draw one start a seed, (N,), inside the workspace and outside the target view.
 
     The offset along the block's top has a uniform distance and direction, and is mirrored along
@@ -35,19 +35,19 @@ def draw_starts(task: Task, phantom: Any, target: Pose, seeds: Tensor) -> Pose:
     uniform angle about a uniform axis. The first of eight such draws that lies in the workspace and
     does not show the view is taken; else the first in the workspace; else the nominal pose.
 
-    Recordings, which know where they can start, draw with a `draw_starts` of their own.
+    A world that knows where it can start, as recordings do, draws the starts itself.
     """
-    own = getattr(phantom, "draw_starts", None)
+    own = world.own_starts(task.target, target, seeds, task.start_distance, task.start_angle)
     if own is not None:
-        return own(task, target, seeds)
-    count, workspace = seeds.shape[0], phantom.workspace
+        return own
+    count, workspace = seeds.shape[0], world.workspace
     shift, turn = _offsets(task, uniform(seeds, TRIES * 6, _STREAM).view(count * TRIES, 6))
     place = target.position + shift
     beyond = (place < workspace.position_min) | (place > workspace.position_max)
     place = torch.where(beyond, target.position - shift, place)
     drawn = Pose(place, matmul3(target.rotation, turn))
     inside = workspace.contains(drawn)
-    unseen = phantom.judge(drawn).membership[:, task.target] < 0.5
+    unseen = world.judge(drawn).membership[:, task.target] < 0.5
     worth = (2 * inside + (inside & unseen)).view(count, TRIES)
     best, first = worth.max(1).values, _first_max(worth)
     row = torch.arange(count, device=seeds.device) * TRIES + first
@@ -57,7 +57,7 @@ def draw_starts(task: Task, phantom: Any, target: Pose, seeds: Tensor) -> Pose:
     )
 
 
-def check_starts(pose: Pose, count: int, workspace: Any, device: torch.device | str) -> Pose:
+def check_starts(pose: Pose, count: int, workspace: Workspace, device: torch.device | str) -> Pose:
     """Return (count,) given start poses on the device, if all lie in the workspace.
 
     Raises:

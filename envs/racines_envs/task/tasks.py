@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from racines_data.errors import RacinesError
 from racines_data.phantom.anatomy import anatomy_views
-from racines_data.views import HEART, ORGANS
+from racines_data.views import HEART, organs
 from racines_envs.task.names import task_id, task_name
 
 TERMINATIONS = ("first_hit", "k_hits", "timeout")
@@ -68,10 +68,10 @@ class Task:
 
 TASKS = {
     task_name(view, anatomy): Task(view, anatomy=anatomy)
-    for anatomy, views in ORGANS.items()
+    for anatomy, views in organs().items()
     for view in views
 }
-"""The tasks of the organs that come with the package: `SC`, …, and `<organ>-<VIEW>`."""
+"""The tasks of the registered organs: `SC`, …, and `<organ>-<VIEW>`."""
 
 
 def get_task(name: str, anatomy: str = HEART) -> Task:

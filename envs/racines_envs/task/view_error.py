@@ -7,12 +7,11 @@ What is found shows the view, so its distance is an upper bound: a pose that no 
 be nearer. docs/environments.md says how much nearer.
 """
 
-from typing import Any
-
 import torch
 from torch import Tensor
 
 from racines_data.geometry import Pose, geodesic, orthonormalise
+from racines_data.world import World
 
 COARSE, FINE = 8, 4
 """Shares judged of the shift and of the turn: 9 × 9, then 5 × 5 within a step of the first grid, so
@@ -22,20 +21,20 @@ ROWS = 64
 
 
 def nearest_showing(
-    world: Any, pose: Pose, target: Pose, label: int, units: tuple[float, float]
+    world: World, pose: Pose, target: Pose, label: int, units: tuple[float, float]
 ) -> Pose:
     """Return (N,) poses that show a view, each near to one of (N,) poses; see the module.
 
     Args:
-        world: A phantom; or one that knows better, by a `nearest_showing(pose, label, units)`.
+        world: What judges the poses; or knows better, by its `own_nearest`.
         pose: Where the probes are.
         target: The nominal pose, a batch of one. It is the answer where nothing else is found.
         label: The label of the view.
         units: What counts as one step of shift, m, and of turn, rad.
     """
-    own = getattr(world, "nearest_showing", None)
+    own = world.own_nearest(pose, label, units)
     if own is not None:
-        return own(pose, label, units)
+        return own
     starts = range(0, len(pose.position), ROWS)
     parts = [
         _search(world, Pose(*(x[i : i + ROWS] for x in pose)), target, label, units) for i in starts
@@ -43,7 +42,7 @@ def nearest_showing(
     return Pose(*(torch.cat(column) for column in zip(*parts, strict=True)))
 
 
-def _search(world: Any, pose: Pose, target: Pose, label: int, units: tuple[float, float]) -> Pose:
+def _search(world: World, pose: Pose, target: Pose, label: int, units: tuple[float, float]) -> Pose:
     device = pose.position.device
     shares = _grid(COARSE, device).expand(len(pose.position), -1, -1)
     best = _best(world, pose, target, label, units, shares)
@@ -59,7 +58,7 @@ def _grid(steps: int, device: torch.device) -> Tensor:
 
 
 def _best(
-    world: Any,
+    world: World,
     pose: Pose,
     target: Pose,
     label: int,

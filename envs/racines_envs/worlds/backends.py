@@ -6,7 +6,6 @@ instead of the phantom's contact, and `out_of_support(parameters)`, which the in
 
 import json
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,15 +14,19 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
 from racines_data.imaging import ImageSource
 from racines_data.randomness import sample_seeds
+from racines_data.world import World
+from racines_models.protocol import Judge
 
 GRADER_FOLDER = Path("models/runs/grader")
+JudgeLike = Judge | Path | str | None
+"""What names a grader: itself, its run folder, or None for the default."""
 BACKENDS = ("phantom", "generator", "replay")
 
 
 class PhantomImages:
-    """The phantom without its check of the parameters, which would wait for the device."""
+    """A world's own images: no check of the parameters, which would wait for the device."""
 
-    def __init__(self, phantom: Any) -> None:
+    def __init__(self, phantom: World) -> None:
         self.phantom = phantom
 
     def generate(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
@@ -84,8 +87,8 @@ def _whose(folder: Path) -> str:
 
 def make_backend(
     backend: str | ImageSource,
-    phantom: Any,
-    generator: Any,
+    phantom: World,
+    generator: ImageSource | str | Path | None,
     device: torch.device | str,
 ) -> ImageSource:
     """Return the source of images; an object that satisfies `ImageSource` is taken as it is.
@@ -115,14 +118,16 @@ def make_backend(
     return generator if isinstance(generator, ImageSource) else open_source(generator, device)
 
 
-def make_grader(grader: Any, device: torch.device | str) -> Any:
+def make_grader(grader: Judge | Path | str, device: torch.device | str) -> Judge:
     """Load the grader from its run folder, or take an object.
 
     Raises:
-        RacinesError: no grader has been trained there.
+        RacinesError: no grader has been trained there, or an object that is no `Judge`.
     """
-    if hasattr(grader, "probabilities_and_grade"):
-        return grader
+    if not isinstance(grader, (str, Path)):
+        if isinstance(grader, Judge):
+            return grader
+        raise RacinesError(f"grader {grader!r}: inherit from racines_models.protocol.Judge")
     folder = Path(grader)
     if not (folder / "grader.safetensors").is_file():
         raise RacinesError(

@@ -30,10 +30,11 @@ from racines_data.randomness import derive, normal, uniform
 from racines_data.store.frames import Batch, FrameStore
 from racines_data.store.memory import BatchMemory
 from racines_data.views import HEART, labels_of
+from racines_data.world import World
 from racines_envs.task.starts import draw_starts
-from racines_envs.task.tasks import get_task
+from racines_envs.task.tasks import Task, get_task
 from racines_envs.worlds.backends import open_source, source_weights
-from racines_envs.worlds.making import make_phantom, phantom_recipe
+from racines_envs.worlds.making import WorldLike, make_phantom, phantom_recipe
 from racines_models.judges.pose.regressor import PoseConfig, PoseTraining
 from racines_models.judges.pose.training import train_pose
 from racines_models.protocol import Run
@@ -92,7 +93,7 @@ class ExploredFrames(FrameStore):
         return Batch(images, parameters, self.views[index], self.grades[index], index)
 
 
-def explore(config: ExplorationConfig, phantom: Any, seed: int) -> ExploredFrames:
+def explore(config: ExplorationConfig, phantom: World, seed: int) -> ExploredFrames:
     """Draw frames of poses between the starts and the targets of all tasks of an anatomy.
 
     Args:
@@ -124,7 +125,7 @@ def explore(config: ExplorationConfig, phantom: Any, seed: int) -> ExploredFrame
     return ExploredFrames(torch.cat(parameters)[order], torch.cat(images)[order], labels, manifest)
 
 
-def _between(task: Any, phantom: Any, seeds: Tensor) -> Pose:
+def _between(task: Task, phantom: World, seeds: Tensor) -> Pose:
     """Return a pose a seed on the straight way from a start of the task to its nominal pose."""
     target = phantom.target(task.view)
     start = draw_starts(task, phantom, target, seeds)
@@ -146,13 +147,13 @@ def _rotation_vector(rotation: Tensor) -> Tensor:
     return axis / axis.norm(dim=-1, keepdim=True).clamp_min(1e-9) * angle.unsqueeze(-1)
 
 
-def train_encoder(config: ExplorationConfig, run: Run, phantom: Any = None) -> dict[str, Any]:
+def train_encoder(config: ExplorationConfig, run: Run, phantom: WorldLike = None) -> dict[str, Any]:
     """Explore, train, save into `run.folder`; return the metrics on the held-out frames.
 
     A killed run draws the same frames again and goes on from its checkpoint.
     """
-    phantom = make_phantom(phantom, "cpu", config.anatomy)
-    store = explore(config, phantom, run.seed)
+    world = make_phantom(phantom, "cpu", config.anatomy)
+    store = explore(config, world, run.seed)
     metrics = train_pose(store, config.pose, run)
     metrics |= {"exploration": asdict(config) | {"kept": len(store.parameters)}}
     write_json(run.folder / "metrics.json", metrics)

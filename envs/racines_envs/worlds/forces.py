@@ -7,13 +7,16 @@ the third degree. It is told the pose alone: what comes of motion (friction) it 
 
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
+from racines_data.imaging import ImageSource
+from racines_data.world import World
+from racines_envs.task.sensing import ForceSource
 
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
@@ -116,8 +119,12 @@ def measured(store: "FrameStore", split: str) -> Tensor:
 
 
 def make_forces(
-    forces: Any, images: Any, world: Any, store: "FrameStore | None", device: torch.device | str
-) -> Any:
+    forces: ForceSource | str,
+    images: ImageSource,
+    world: World,
+    store: "FrameStore | None",
+    device: torch.device | str,
+) -> ForceSource | None:
     """Return the source of forces that a setting names; None lets the environment choose.
 
     Args:
@@ -132,7 +139,7 @@ def make_forces(
         RacinesError: an unknown name, or one that this backend or dataset cannot serve.
     """
     if not isinstance(forces, str):
-        if not hasattr(forces, "wrench"):
+        if not isinstance(forces, ForceSource):
             raise RacinesError(f"forces {forces!r} has no wrench(pose)")
         return forces
     if forces not in SOURCES:
@@ -143,11 +150,13 @@ def make_forces(
         if store is None:
             raise RacinesError("forces='fitted' needs the dataset to fit on: give data=<folder>")
         return fit_forces(store).to(device)
-    if forces == "recorded" and not hasattr(images, "wrench"):
+    if forces == "recorded":
+        if isinstance(images, ForceSource):
+            return images
         raise RacinesError("forces='recorded' needs the backend 'replay': others record none")
-    if forces == "contact" and not hasattr(world, "surface_height"):
+    if world.surface_height is None:
         raise RacinesError(
             "forces='contact' needs a phantom, and these are recordings: use forces='recorded' or "
             "'fitted'"
         )
-    return images if forces == "recorded" else world
+    return world

@@ -2,25 +2,34 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import torch
 
+from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
 from racines_data.phantom.anatomy import anatomy_views
+from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
+from racines_data.phantom.model import shared_phantom
 from racines_data.views import HEART, labels_of
+from racines_data.world import World
 from racines_envs.task.core import ScanCore
-from racines_envs.task.rewards import RewardConfig
-from racines_envs.task.sensing import Encoder
+from racines_envs.task.rewards import Reward, RewardConfig, get_reward
+from racines_envs.task.sensing import Encoder, ForceSource
 from racines_envs.task.tasks import Task, get_task
-from racines_envs.worlds.backends import GRADER_FOLDER, make_backend, make_grader
+from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike, make_backend, make_grader
 from racines_envs.worlds.data_versions import ANY, check_datasets, trained_on
 from racines_envs.worlds.forces import make_forces
+from racines_models.devices import resolve_device
+from racines_models.protocol import Judge
 
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
+    from racines_envs.worlds.replay_images import Replay
 
+WorldLike = World | PhantomConfig | str | None
+"""What names a world: itself, a phantom's settings, `recorded`, or None for the default."""
 RECORDED = "recorded"
 """The `phantom` that stands for the recordings themselves."""
 
@@ -31,17 +40,17 @@ def make_core(
     *,
     backend: str | ImageSource = "phantom",
     observation: str = "image",
-    reward: str = "paper",
-    phantom: Any = None,
+    reward: str | Reward = "paper",
+    phantom: WorldLike = None,
     anatomy: str | None = None,
-    generator: Any = None,
-    grader: Any = None,
+    generator: ImageSource | str | Path | None = None,
+    grader: JudgeLike = None,
     termination: str | None = None,
     rewards: RewardConfig | None = None,
     device: torch.device | str = "cpu",
     encoder: Encoder | None = None,
     data: Path | str | None = None,
-    forces: Any = "auto",
+    forces: ForceSource | str = "auto",
     data_version: str | None = None,
 ) -> ScanCore:
     """Build the batched core of a task.
@@ -51,14 +60,15 @@ def make_core(
         num_envs: Rows.
         backend: `phantom`, `generator`, `replay`, or an object that makes images of parameters.
         observation: `image`, `params` or `multimodal`.
-        reward: `paper` (by the grader), `oracle` (the same by the phantom's truth) or `shaped`.
+        reward: `paper` (by the grader), `oracle` (the same by the phantom's truth), `shaped`, the
+            name of another's, `module:REWARD`, or a `Reward`.
         phantom: A phantom or its configuration; the shared one of the anatomy by default, and for
             `replay` that of the dataset. `recorded` for the recordings in its place, which stand
             there anyway where they are no phantom's.
         anatomy: Whose view it is; the phantom's anatomy by default, or else the heart.
         generator: For the backend `generator`: a name, run folder, `module:Class`, `FILE.onnx` or
             object; see `racines_envs.worlds.backends.open_source`.
-        grader: Run folder or object; models/runs/grader for reward `paper`.
+        grader: Run folder or object; models/runs/grader for a reward that needs one.
         termination: Instead of the task's: `first_hit`, `k_hits` or `timeout`.
         rewards: The numbers of the reward.
         device: Where the tensors live.
@@ -72,11 +82,12 @@ def make_core(
     Raises:
         RacinesError: any name that is unknown or any artefact that is not there.
     """
+    device = resolve_device(device)
     task = find_task(view, None if phantom == RECORDED else phantom, anatomy)
     if termination is not None:
         task = dataclasses.replace(task, termination=termination)
     parts: dict[str, Any] = {}
-    if reward == "paper" and grader is None:
+    if get_reward(reward).needs_judge and grader is None:
         grader = GRADER_FOLDER
     if grader is not None:
         known = grader if isinstance(grader, (str, Path)) else None
@@ -103,7 +114,7 @@ def make_core(
 
 
 def _open_data(
-    backend: str | ImageSource, forces: Any, data: Path | str | None, task: Task
+    backend: str | ImageSource, forces: ForceSource | str, data: Path | str | None, task: Task
 ) -> "FrameStore | None":
     """Open the dataset if the backend or the forces need it, and check whose views it has."""
     opened = backend if _is_replay(backend) else None
@@ -111,7 +122,7 @@ def _open_data(
         return None
     from racines_data.store.frames import open_store
 
-    store = getattr(opened, "store", None) or open_store(data)
+    store = opened.store if opened else open_store(data)
     labels = labels_of(anatomy_views(task.anatomy))
     if store.labels != labels:
         raise RacinesError(
@@ -121,11 +132,11 @@ def _open_data(
     return store
 
 
-def _is_replay(backend: Any) -> bool:
+def _is_replay(backend: str | ImageSource) -> "TypeGuard[Replay]":
     """Return whether a backend is recordings that are open already."""
     if isinstance(backend, str):
         return False
-    from racines_envs.worlds.replay import Replay
+    from racines_envs.worlds.replay_images import Replay
 
     return isinstance(backend, Replay)
 
@@ -133,10 +144,10 @@ def _is_replay(backend: Any) -> bool:
 def _recordings(
     store: "FrameStore",
     backend: str | ImageSource,
-    phantom: Any,
+    phantom: WorldLike,
     device: torch.device | str,
     data_version: str | None,
-) -> tuple[ImageSource, Any]:
+) -> tuple[ImageSource, WorldLike]:
     """Return the replay of a dataset, and the phantom it is of or the recordings in its place.
 
     A phantom beside recordings of none is not asked.
@@ -144,8 +155,8 @@ def _recordings(
     Raises:
         RacinesError: another phantom than the dataset's, unless any dataset may pass.
     """
-    from racines_envs.worlds.recorded import RecordedWorld
-    from racines_envs.worlds.replay import Replay, source_phantom
+    from racines_envs.worlds.recorded_world import RecordedWorld
+    from racines_envs.worlds.replay_images import Replay, source_phantom
 
     replay, own = backend if isinstance(backend, Replay) else None, source_phantom(store)
     replay = replay or Replay(store, device)
@@ -153,8 +164,7 @@ def _recordings(
         return replay, phantom
     if phantom == RECORDED or own is None:
         return replay, RecordedWorld(replay, device)
-    given = getattr(phantom, "config", phantom)
-    if isinstance(given, type(own)) and given != own and data_version != ANY:
+    if config_of(phantom) not in (None, own) and data_version != ANY:
         raise RacinesError(
             f"{store.root}: was acquired from another phantom than the one given: leave phantom "
             f"out, give the dataset of that phantom, or let it pass: data_version={ANY!r}"
@@ -162,14 +172,14 @@ def _recordings(
     return replay, own if phantom is None else phantom
 
 
-def find_task(view: str | Task, phantom: Any = None, anatomy: str | None = None) -> Task:
+def find_task(view: str | Task, phantom: WorldLike = None, anatomy: str | None = None) -> Task:
     """Return the task of a view: of an anatomy, or else of that of a phantom or its configuration.
 
     Raises:
         RacinesError: no such view, or a task of another anatomy than the phantom's.
     """
-    config = getattr(phantom, "config", phantom)
-    held = getattr(config, "anatomy", None)
+    config = config_of(phantom)
+    held = config and config.anatomy
     task = view if isinstance(view, Task) else get_task(view, anatomy or held or HEART)
     if held not in (None, task.anatomy):
         raise RacinesError(
@@ -179,33 +189,45 @@ def find_task(view: str | Task, phantom: Any = None, anatomy: str | None = None)
     return task
 
 
-def check_grader(grader: Any, task: Task) -> None:
-    """Check that a grader knows the views of a task's anatomy, if it says which it knows.
+def check_grader(grader: Judge | None, task: Task) -> None:
+    """Check that a grader, if there is one, knows the views of a task's anatomy.
 
     Raises:
         RacinesError: it was trained for other views.
     """
-    if hasattr(grader, "check_labels"):
+    if grader is not None:
         grader.check_labels(labels_of(anatomy_views(task.anatomy)), f"the {task.anatomy}")
 
 
-def make_phantom(phantom: Any, device: torch.device | str = "cpu", anatomy: str = HEART) -> Any:
-    """Return a phantom: the one given, or the shared one of a configuration (baked once)."""
-    from racines_data.phantom import PhantomConfig, shared_phantom
+def make_phantom(
+    phantom: WorldLike, device: torch.device | str = "cpu", anatomy: str = HEART
+) -> World:
+    """Return a world: the one given, or the shared phantom of a configuration (baked once).
 
+    Raises:
+        RacinesError: neither.
+    """
     if phantom is None or isinstance(phantom, PhantomConfig):
         return shared_phantom(phantom or PhantomConfig(anatomy=anatomy), str(device))
-    if isinstance(phantom, (str, Path)) or not hasattr(phantom, "truth"):
-        raise RacinesError(f"phantom {phantom!r} is neither a Phantom nor a PhantomConfig")
+    if not isinstance(phantom, World):
+        raise RacinesError(
+            f"phantom {phantom!r} is neither a Phantom nor a PhantomConfig; a class of your own "
+            "inherits from racines_data.world.World"
+        )
     return phantom
 
 
-def phantom_recipe(phantom: Any) -> dict[str, Any] | None:
-    """Return the version and configuration digest of a phantom; None for a stand-in."""
-    from racines_data.digest import recipe_digest
-    from racines_data.phantom import PHANTOM_VERSION
+def config_of(phantom: WorldLike) -> PhantomConfig | None:
+    """Return the configuration of a phantom, or the one given; None of all else."""
+    if isinstance(phantom, World):
+        return phantom.config
+    return phantom if isinstance(phantom, PhantomConfig) else None
 
-    if not hasattr(phantom, "config"):
+
+def phantom_recipe(phantom: WorldLike) -> dict[str, Any] | None:
+    """Return the version and configuration digest of a phantom; None for a stand-in."""
+    config = config_of(phantom)
+    if config is None:
         return None
-    recipe = {"version": PHANTOM_VERSION, "config": dataclasses.asdict(phantom.config)}
+    recipe = {"version": PHANTOM_VERSION, "config": dataclasses.asdict(config)}
     return {"version": PHANTOM_VERSION, "recipe_digest": recipe_digest(recipe)}

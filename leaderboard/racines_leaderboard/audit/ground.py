@@ -125,7 +125,7 @@ def task(record: Record, bench: Bench) -> list[Verdict]:
     config = fill(EvaluationConfig, section(bench.settings, "evaluation"), "evaluation")
     phantom = phantom_config(bench.settings)
     verdicts = []
-    here = phantom_recipe(SimpleNamespace(config=phantom)) or {}
+    here = phantom_recipe(phantom) or {}
     for key, value in (scores.get("phantom") or {}).items():
         reason = "the phantom of the board's settings"
         verdicts.append(equal(f"phantom.{key}", value, here.get(key), reason))

@@ -14,7 +14,7 @@ from rich.table import Table as RichTable
 from racines_data.tables import console_table, escape, markdown_table
 from racines_leaderboard.board.groups import by_task, rankings
 from racines_leaderboard.board.rank import Ranked, Record, metric_of, rank, tied
-from racines_leaderboard.records.tracks import TRACKS, Column, Track
+from racines_leaderboard.records.tracks import TRACKS, Column, Track, board_tracks
 
 REPORTED = "reported in the paper, on other data"
 
@@ -41,7 +41,7 @@ def board_tables(
     With `details`, each table is followed by one of the further metrics, in the same order.
     """
     tables = []
-    for track in TRACKS:
+    for track in board_tracks():
         for task, records in by_task(content[track.name]).items():
             title = " · ".join(part for part in (board, track.name, task) if part)
             ranking = rank(track, records)
@@ -105,7 +105,7 @@ def published() -> dict[str, Any]:
 
 def cell(record: Record, column: Column, usual_n: int) -> str:
     """Return a metric with its 95 % interval; with its n where that is not the row's."""
-    metric = metric_of(record, column.key)
+    metric = shown_metric(record, column)
     if metric is None:
         return "–"
     text = _number(metric["value"], column)
@@ -132,9 +132,14 @@ def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     return Table(title, head, tuple(rows), tuple(filter(None, notes)))
 
 
+def shown_metric(record: Record, column: Column) -> dict[str, Any] | None:
+    """Return what a column shows of a result, or None where there is nothing."""
+    return metric_of(record, column.key) if column.value is None else column.value(record)
+
+
 def shown_columns(columns: Sequence[Column], ranking: Sequence[Ranked]) -> list[Column]:
     """Return the columns that any of the results fills."""
-    return [c for c in columns if any(metric_of(r.record, c.key) for r in ranking)]
+    return [c for c in columns if any(shown_metric(r.record, c) for r in ranking)]
 
 
 def _methods(ranking: list[Ranked]) -> str:
@@ -169,7 +174,7 @@ def _sees(track: Track, record: Record) -> tuple[str, ...]:
 
 
 def _usual_n(record: Record, columns: list[Column]) -> int:
-    counts = [m["n"] for c in columns if (m := metric_of(record, c.key))]
+    counts = [m["n"] for c in columns if (m := shown_metric(record, c))]
     return max(counts, key=counts.count) if counts else 0
 
 

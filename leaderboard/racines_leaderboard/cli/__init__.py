@@ -1,4 +1,4 @@
-"""The `racines` command, put together from the commands of the four packages."""
+"""The commands on the boards, and the `racines` command put together from all four packages."""
 
 import lazy_loader
 

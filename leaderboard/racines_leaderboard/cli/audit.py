@@ -6,17 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from racines_data.cli import options as opt
+
 if TYPE_CHECKING:
     from racines_leaderboard.audit.bench import Places
     from racines_leaderboard.audit.verdicts import Report
-
-RESULTS = Path("leaderboard/results")
-SUBMISSIONS = Path("leaderboard/submissions")
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command to the root."""
-    app.command("audit")(audit)
 
 
 def audit(
@@ -24,7 +18,7 @@ def audit(
         list[str] | None, typer.Argument(help="Results, NAME or TRACK/NAME.", metavar="NAME...")
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="All results.")] = False,
-    board: Annotated[str | None, typer.Option(help="Only of this board.")] = None,
+    board: opt.Board = None,
     quick: Annotated[bool, typer.Option("--quick", help="Make no number again.")] = False,
     retrain: Annotated[
         bool,
@@ -33,33 +27,30 @@ def audit(
     retrain_into: Annotated[
         Path, typer.Option(help="With --retrain: folder of the runs; a killed one goes on.")
     ] = Path("models/runs/retrained"),
-    data: Annotated[Path, typer.Option(help="The dataset.")] = Path("data/racines"),
-    grader: Annotated[
-        Path | None, typer.Option(help="Folder of the grader; models/runs or models/weights.")
-    ] = None,
-    pose: Annotated[
-        Path | None, typer.Option(help="Folder of the pose regressor; likewise.")
-    ] = None,
-    params: Annotated[Path, typer.Option(help="Settings of its board.")] = Path("params.yaml"),
-    results: Annotated[Path, typer.Option(help="Folder of the boards.")] = RESULTS,
-    submissions: Annotated[Path, typer.Option(help="Folder of the submissions.")] = SUBMISSIONS,
-    details: Annotated[bool, typer.Option("--details", help="Show what holds as well.")] = False,
+    data: opt.Data = opt.DATA,
+    grader: opt.Grader = None,
+    pose: opt.Pose = None,
+    params: opt.Params = None,
+    results: opt.Results = opt.RESULTS,
+    submissions: opt.Submissions = opt.SUBMISSIONS,
+    details: opt.Details = False,
     seal: Annotated[
         bool, typer.Option("--seal", help="Seal records that have no seal and do not fail.")
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Write the report: .json, or Markdown.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    out: opt.OwnOutFile = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Check results number by number: holds, does not hold, cannot be checked and why.
 
-    Exits 1 if anything does not hold.
+    Judges are those of models/runs, or else of models/weights. The report goes to --out: .json, or
+    Markdown. Exits 1 if anything does not hold.
     """
     from racines_leaderboard.audit.bench import Places
     from racines_leaderboard.audit.pages import show
 
     judges = {"grader": grader, "pose": pose}
     given = {kind: folder for kind, folder in judges.items() if folder is not None}
-    places = Places(results, submissions, data, params, judges=given)
+    places = Places(results, submissions, data, params or Path("params.yaml"), judges=given)
     if bool(names) == every:
         raise typer.BadParameter("give names, or --all")
     if quick and retrain:

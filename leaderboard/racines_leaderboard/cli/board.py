@@ -6,17 +6,10 @@ from typing import Annotated
 
 import typer
 
-RESULTS = Path("leaderboard/results")
-SUBMISSIONS = Path("leaderboard/submissions")
-DATA = Path("data/racines")
-GRADER, POSE = Path("models/runs/grader"), Path("models/runs/pose")
+from racines_data.cli import options as opt
+
 CACHE = Path("models/runs/scores/reference")
 """What is computed of the reference alone, shared with `racines eval generator`."""
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command to the root."""
-    app.command("leaderboard")(leaderboard)
 
 
 def leaderboard(
@@ -31,25 +24,24 @@ def leaderboard(
         list[str] | None,
         typer.Option(help="Score this submission again first, NAME or TRACK/NAME; repeatable."),
     ] = None,
-    data: Annotated[Path, typer.Option(help="With --recompute: the dataset.")] = DATA,
-    no_grader: Annotated[
-        bool, typer.Option("--no-grader", help="With --recompute: leave out what needs a grader.")
-    ] = False,
-    results: Annotated[Path, typer.Option(help="Folder of the boards.")] = RESULTS,
-    submissions: Annotated[Path, typer.Option(help="Folder of the submissions.")] = SUBMISSIONS,
-    params: Annotated[
-        Path | None, typer.Option(help="Name the board by `board` of this file.")
-    ] = None,
+    data: opt.Data = opt.DATA,
+    no_grader: opt.NoGrader = False,
+    results: opt.Results = opt.RESULTS,
+    submissions: opt.Submissions = opt.SUBMISSIONS,
+    params: opt.Params = None,
     markdown: Annotated[
         Path | None, typer.Option(help="Write all boards to this file, charts beside the results.")
     ] = None,
     readme: Annotated[
         Path | None, typer.Option(help="Renew the tables between the marks of this file.")
     ] = None,
-    details: Annotated[bool, typer.Option("--details", help="Show the further figures.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
+    details: opt.Details = False,
+    as_json: opt.AsJson = False,
 ) -> None:
-    """Collect scores into a board, or make them again, rank it, and show it."""
+    """Collect scores into a board, or make them again, rank it, and show it.
+
+    With --params, `board` of that file names the board.
+    """
     from racines_data.errors import RacinesError
     from racines_data.files import write_atomic
     from racines_leaderboard.board import collect as results_of
@@ -82,10 +74,10 @@ def _recompute(
     names: list[str],
     params: Path | None,
     board: str | None,
-    data: Path,
-    no_grader: bool,
-    results: Path,
-    submissions: Path,
+    data: opt.Data,
+    no_grader: opt.NoGrader,
+    results: opt.Results,
+    submissions: opt.Submissions,
 ) -> str:
     """Score submissions again with the settings of a params file; return its board."""
     from racines_data.config import read_params
@@ -98,8 +90,8 @@ def _recompute(
         board,
         read_params(params),
         data,
-        grader=None if no_grader else GRADER,
-        pose=POSE if POSE.is_dir() else None,
+        grader=None if no_grader else opt.GRADER,
+        pose=opt.POSE if opt.POSE.is_dir() else None,
         cache=CACHE,
     )
     for folder in folders:

@@ -3,56 +3,95 @@
 import os
 import sys
 from importlib.metadata import version
+from pkgutil import resolve_name
 from typing import Annotated
 
 import typer
 
-import racines_data.cli.card
-import racines_data.cli.data
-import racines_data.cli.export
-import racines_data.cli.hub
-import racines_data.cli.importing
-import racines_data.cli.phantom
-import racines_envs.cli.agents
-import racines_envs.cli.drive
-import racines_envs.cli.explain
-import racines_envs.cli.export
-import racines_models.cli.commands
-import racines_models.cli.export
 from racines_data.errors import RacinesError
-from racines_leaderboard.cli import audit as cli_audit
-from racines_leaderboard.cli import board as commands
-from racines_leaderboard.cli import determinism as cli_determinism
-from racines_leaderboard.cli import studio as cli_studio
-from racines_leaderboard.cli import submit as cli_submit
-from racines_leaderboard.cli.expert import expert
+from racines_leaderboard.cli.plugins import register
+from racines_leaderboard.cli.renamed import RenamingGroup
+
+GROUPS = {
+    "data": "Build, check and exchange datasets.",
+    "train": "Train a judge, a generator or an agent.",
+    "eval": "Score a generator, a grader or an agent.",
+    "study": "Questions that a table or a picture answers.",
+    "export": "Hand a generator, an agent, or what they answer to a program outside.",
+    "expert": "A blinded study: experts say which view an image shows, and how good it is.",
+}
+COMMANDS = {
+    "data build": "racines_data.cli.build:build",
+    "data import": "racines_data.cli.importing:import_",
+    "data validate": "racines_data.cli.validate:validate",
+    "data annotate": "racines_models.cli.annotate:annotate",
+    "data card": "racines_data.cli.card:card",
+    "data export": "racines_data.cli.export:export",
+    "data push": "racines_data.cli.hub:push",
+    "data pull": "racines_data.cli.hub:pull",
+    "train grader": "racines_models.cli.train.grader:train_grader",
+    "train student": "racines_models.cli.train.student:train_student",
+    "train pose": "racines_models.cli.train.pose:train_pose",
+    "train encoder": "racines_envs.cli.train.encoder:train_encoder",
+    "train generator": "racines_models.cli.train.generator:train_generator",
+    "train agent": "racines_envs.cli.train.agent:train_agent",
+    "eval generator": "racines_models.cli.evaluate.generator:eval_generator",
+    "eval grader": "racines_models.cli.evaluate.grader:eval_grader",
+    "eval agent": "racines_envs.cli.evaluate:evaluate_agent",
+    "study sheet": "racines_data.cli.sheet:sheet",
+    "study gallery": "racines_models.cli.study.gallery:gallery",
+    "study realism": "racines_models.cli.study.realism:realism",
+    "study ablation": "racines_models.cli.study.ablation:ablation",
+    "study floor": "racines_models.cli.study.floor:floor",
+    "study leakage": "racines_models.cli.study.leakage:leakage",
+    "study conditioning": "racines_models.cli.study.conditioning:conditioning",
+    "study transfer": "racines_envs.cli.study.transfer:transfer",
+    "study rewards": "racines_envs.cli.study.rewards:reward_audit",
+    "study curves": "racines_envs.cli.study.curves:curves",
+    "study forces": "racines_envs.cli.study.forces:forces",
+    "study speed": "racines_envs.cli.study.speed:speed",
+    "study determinism": "racines_leaderboard.cli.study.determinism:determinism",
+    "export generator": "racines_models.cli.export.predictions:export_generator",
+    "export agent": "racines_envs.cli.export:export_agent",
+    "export weights": "racines_models.cli.export.weights:export_weights",
+    "export poses": "racines_models.cli.export.predictions:export_poses",
+    "export predictions": "racines_models.cli.export.predictions:export_predictions",
+    "export trace": "racines_envs.cli.export:export_trace",
+    "expert sample": "racines_leaderboard.cli.expert:sample",
+    "expert rate": "racines_leaderboard.cli.expert:rate",
+    "expert score": "racines_leaderboard.cli.expert:score",
+    "drive": "racines_envs.cli.drive:drive",
+    "replay": "racines_envs.cli.replay:replay",
+    "explain": "racines_envs.cli.explain:explain",
+    "submit": "racines_leaderboard.cli.submit:submit",
+    "leaderboard": "racines_leaderboard.cli.board:leaderboard",
+    "audit": "racines_leaderboard.cli.audit:audit",
+    "studio": "racines_leaderboard.cli.studio:studio",
+}
+"""Where the function of each command stands; heavy imports stand inside it, for a quick --help."""
 
 app = typer.Typer(
     help="RACINES, the open benchmark for robotic cardiac ultrasound. Not a medical device.",
+    cls=RenamingGroup,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
     rich_markup_mode=None,
 )
-train = typer.Typer(help="Train a grader, a generator or an agent.", no_args_is_help=True)
-evaluate = typer.Typer(help="Score a generator or an agent.", no_args_is_help=True)
 
-app.add_typer(racines_data.cli.data, name="data")
-app.add_typer(racines_data.cli.phantom.phantom, name="phantom")
-app.add_typer(train, name="train")
-app.add_typer(evaluate, name="eval")
-app.add_typer(racines_models.cli.export.export, name="export")
-racines_models.cli.commands.register(train, evaluate)
-racines_envs.cli.agents.register(train, evaluate)
-racines_envs.cli.drive.register(app)
-racines_envs.cli.explain.register(app)
-racines_envs.cli.export.register(racines_models.cli.export.export)
-commands.register(app)
-app.add_typer(expert, name="expert")
-cli_submit.register(app)
-cli_audit.register(app)
-cli_determinism.register(app)
-cli_studio.register(app)
+
+def _assemble() -> None:
+    groups = {"": app}
+    for name, told in GROUPS.items():
+        groups[name] = typer.Typer(help=told, no_args_is_help=True)
+        app.add_typer(groups[name], name=name)
+    for words, function in COMMANDS.items():
+        group, _, name = words.rpartition(" ")
+        groups[group].command(name)(resolve_name(function))
+    register(app)
+
+
+_assemble()
 
 
 @app.callback(invoke_without_command=True)

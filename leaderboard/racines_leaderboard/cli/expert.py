@@ -2,33 +2,25 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+
+from racines_data.cli import options as opt
+from racines_models.cli.device import Device
 
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
     from racines_leaderboard.expert.sample import System
-    from racines_leaderboard.expert.session import Session
 
-expert = typer.Typer(
-    help="A blinded study: experts say which view an image shows, and how good it is.",
-    no_args_is_help=True,
-)
-GRADER = Path("models/runs/grader")
 KitFolder = Annotated[Path, typer.Argument(help="Folder of the kit.")]
 Key = Annotated[
     Path | None, typer.Option(help="The key, where it was moved.  [default: KIT/key.json]")
 ]
-Into = Annotated[
-    Path | None, typer.Option(help="Folder of the ratings.  [default: KIT-ratings, beside KIT]")
-]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the report as JSON.")]
 
 
-@expert.command()
 def sample(
-    out: Annotated[Path, typer.Option(help="Folder of the kit; must not exist.")],
+    out: opt.Out,
     generator: Annotated[
         list[str] | None,
         typer.Option(
@@ -37,28 +29,27 @@ def sample(
         ),
     ] = None,
     truth: Annotated[bool, typer.Option("--truth", help="Show true frames as well.")] = False,
-    data: Annotated[Path, typer.Option(help="Folder of the dataset.")] = Path("data/racines"),
+    data: opt.Data = opt.DATA,
     images: Annotated[int, typer.Option(min=1, help="Different images.")] = 400,
     repeats: Annotated[int, typer.Option(min=0, help="Images that are shown twice.")] = 40,
-    seed: Annotated[int, typer.Option(min=0, help="Of the sample; no rater's business.")] = 0,
-    split: Annotated[str, typer.Option(help="Split of the poses.")] = "test",
-    grader: Annotated[
-        Path | None,
-        typer.Option(help=f"Grader whose opinion the key holds.  [default: {GRADER}, if there]"),
-    ] = None,
-    no_grader: Annotated[bool, typer.Option("--no-grader", help="Leave it out.")] = False,
-    device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
+    seed: opt.DrawSeed = 0,
+    split: opt.Split = "test",
+    grader: opt.Grader = None,
+    no_grader: opt.NoGrader = False,
+    device: Device = "auto",
 ) -> None:
-    """Draw images of stratified poses into a blinded kit."""
+    """Draw images of stratified poses into a blinded kit, a folder that must not exist.
+
+    The key holds the opinion of a grader: that of models/runs/grader, if it is there.
+    """
     from racines_data.progress import image_counter
     from racines_data.store.frames import open_store
     from racines_leaderboard.expert.sample import Study, System, make_kit
     from racines_leaderboard.records.names import TRUE_FRAMES
-    from racines_models.cli.scores import pick_device
     from racines_models.judges.grader.model import Grader
 
-    store, device = open_store(data), pick_device(device)
-    grader = None if no_grader else grader or (GRADER if GRADER.is_dir() else None)
+    store = open_store(data)
+    grader = None if no_grader else grader or (opt.GRADER if opt.GRADER.is_dir() else None)
     judge = None if grader is None else Grader.load(grader, device)
     systems = [_system(spec, store, split, device) for spec in generator or []]
     systems += [System(TRUE_FRAMES, None)] if truth else []
@@ -69,56 +60,54 @@ def sample(
     typer.echo(f"Give raters {out}/kit.json and {out}/images; keep {out}/key.json from them.")
 
 
-@expert.command()
-def simulate(
+def rate(
     kit: KitFolder,
-    error_view: Annotated[float, typer.Option(help="Share of wrong views.")] = 0.1,
-    grade_sd: Annotated[float, typer.Option(help="Standard deviation of grades' errors.")] = 1.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of the errors.")] = 0,
-    rater: Annotated[str | None, typer.Option(help="Name.  [default: simulated-SEED]")] = None,
-    out: Into = None,
+    by: Annotated[
+        Literal["simulated", "oracle", "grader"],
+        typer.Option(help="Who answers: a rater of known error, the phantom's oracle, the grader."),
+    ] = "oracle",
+    error_view: Annotated[float, typer.Option(help="Simulated: share of wrong views.")] = 0.1,
+    grade_sd: Annotated[
+        float, typer.Option(help="Simulated: standard deviation of the grades' errors.")
+    ] = 1.0,
+    seed: opt.DrawSeed = 0,
+    rater: Annotated[
+        str | None, typer.Option(help="Simulated: name.  [default: simulated-SEED]")
+    ] = None,
+    out: opt.OwnOut = None,
     key: Key = None,
 ) -> None:
-    """Let a simulated rater of known error answer a kit."""
+    """Let a program answer a kit, into KIT-ratings or --out: a worked example, no expert's."""
     from racines_leaderboard.expert import raters
     from racines_leaderboard.expert.kit import Kit
 
     opened = Kit.open(kit)
-    known = raters.Simulated(error_view, grade_sd, seed)
-    _told(raters.simulate(opened, opened.read_key(key), known, _folder(kit, out), rater))
+    folder, truth = out or kit.parent / f"{kit.name}-ratings", opened.read_key(key)
+    if by == "simulated":
+        known = raters.Simulated(error_view, grade_sd, seed)
+        session = raters.simulate(opened, truth, known, folder, rater)
+    else:
+        session = (raters.grader if by == "grader" else raters.oracle)(opened, truth, folder)
+    done = session.progress()
+    typer.echo(f"{session.path}: {done.done} of {done.total} images, rater {session.rater}.")
+    typer.echo(f"{session.kind}: not an expert's ratings ({session.about}).")
 
 
-@expert.command()
-def oracle(
-    kit: KitFolder,
-    grader: Annotated[bool, typer.Option("--grader", help="Let the grader answer.")] = False,
-    out: Into = None,
-    key: Key = None,
-) -> None:
-    """Let the phantom's oracle, or the grader, answer a kit: a worked example, no expert's."""
-    from racines_leaderboard.expert import raters
-    from racines_leaderboard.expert.kit import Kit
-
-    opened = Kit.open(kit)
-    answer = raters.grader if grader else raters.oracle
-    _told(answer(opened, opened.read_key(key), _folder(kit, out)))
-
-
-@expert.command()
 def score(
     kit: KitFolder,
     ratings: Annotated[list[Path], typer.Argument(help="Files of the ratings, one a rater.")],
     key: Key = None,
     partial: Annotated[bool, typer.Option("--partial", help="Take unfinished ratings.")] = False,
     resamples: Annotated[int, typer.Option(min=2, help="Of the bootstrap.")] = 1000,
-    out: Annotated[Path | None, typer.Option(help="Folder of report.json, report.png.")] = None,
+    out: opt.OwnOut = None,
     board: Annotated[str | None, typer.Option(help="Put experts' agreement on this board.")] = None,
-    results: Annotated[Path, typer.Option(help="Folder of the boards.")] = Path(
-        "leaderboard/results"
-    ),
-    as_json: AsJson = False,
+    results: opt.Results = opt.RESULTS,
+    as_json: opt.AsJson = False,
 ) -> None:
-    """Compare ratings with the key, and raters with each other."""
+    """Compare ratings with the key, and raters with each other.
+
+    With --out, report.json and report.png are written.
+    """
     from rich.console import Console
 
     from racines_leaderboard.expert import score as scoring
@@ -161,13 +150,3 @@ def _system(spec: str, store: "FrameStore", split: str, device: str) -> "System"
     run = Path(folder) if folder else None
     source: Any = open_generator(name, run, device, store=store, split=split)
     return System(source.name, source, weights_of(name, run) or None)
-
-
-def _folder(kit: Path, out: Path | None) -> Path:
-    return out or kit.parent / f"{kit.name}-ratings"
-
-
-def _told(session: "Session") -> None:
-    done = session.progress()
-    typer.echo(f"{session.path}: {done.done} of {done.total} images, rater {session.rater}.")
-    typer.echo(f"{session.kind}: not an expert's ratings ({session.about}).")

@@ -6,10 +6,8 @@ from typing import Annotated
 
 import typer
 
-
-def register(app: typer.Typer) -> None:
-    """Add the command to the root."""
-    app.command("studio")(studio)
+from racines_data.cli import options as opt
+from racines_models.cli.device import Device
 
 
 def studio(
@@ -21,20 +19,16 @@ def studio(
         list[str] | None,
         typer.Option(help="Show this tab; repeatable.  [default: all]"),
     ] = None,
-    data: Annotated[Path, typer.Option(help="Folder of the dataset.")] = Path("data/racines"),
-    results: Annotated[Path, typer.Option(help="Folder of the boards.")] = Path(
-        "leaderboard/results"
-    ),
-    submissions: Annotated[Path, typer.Option(help="Folder of the submissions.")] = Path(
-        "leaderboard/submissions"
-    ),
+    data: opt.Data = opt.DATA,
+    results: opt.Results = opt.RESULTS,
+    submissions: opt.Submissions = opt.SUBMISSIONS,
     weights: Annotated[Path, typer.Option(help="Published weights.")] = Path("models/weights"),
-    runs: Annotated[Path, typer.Option(help="Trained generators.")] = Path("models/runs"),
+    runs: opt.Runs = Path("models/runs"),
     agents: Annotated[Path, typer.Option(help="Trained agents.")] = Path("envs/runs"),
     policies: Annotated[Path, typer.Option(help="Published agents.")] = Path("envs/weights"),
     kits: Annotated[Path, typer.Option(help="Folder of expert kits.")] = Path("study"),
-    seed: Annotated[int, typer.Option(min=0, help="Seed of whatever is drawn by chance.")] = 0,
-    device: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "cpu",
+    seed: opt.DrawSeed = 0,
+    device: Device = "cpu",
     max_sessions: Annotated[
         int, typer.Option(min=1, max=10_000, help="Visitors whose state is kept.")
     ] = 200,
@@ -46,10 +40,9 @@ def studio(
     if find_spec("gradio") is None:
         raise RacinesError('the Studio needs Gradio: pip install "racines[studio]"')
     from racines_leaderboard.studio.app import serve
-    from racines_models.cli.scores import pick_device
 
     place = Place(
-        data, results, submissions, weights, runs, agents, kits, seed, pick_device(device),
+        data, results, submissions, weights, runs, agents, kits, seed, device,
         max_sessions, policies,
     )  # fmt: skip
     typer.echo(f"RACINES Studio: http://{host}:{port} (Ctrl-C stops it)")

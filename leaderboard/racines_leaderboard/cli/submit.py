@@ -6,23 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from racines_data.cli import options as opt
+
 if TYPE_CHECKING:
     from racines_leaderboard.submissions.intake import Taken
-
-SUBMISSIONS = Path("leaderboard/submissions")
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command to the root."""
-    app.command("submit")(submit)
 
 
 def submit(
     source: Annotated[Path, typer.Argument(help="The submission.yaml, or the folder with it.")],
-    out: Annotated[Path, typer.Option(help="Folder of the submissions.")] = SUBMISSIONS,
-    replace: Annotated[
-        bool, typer.Option("--replace", help="Take the place of your own of that name.")
-    ] = False,
+    out: opt.Out = opt.SUBMISSIONS,
+    force: opt.Force = False,
     fetch: Annotated[
         bool, typer.Option("--fetch", help="Fetch the artefacts that are at a URL.")
     ] = False,
@@ -33,7 +26,7 @@ def submit(
         bool, typer.Option("--new", help="Write a submission.yaml to fill in, and stop.")
     ] = False,
     track: Annotated[str, typer.Option(help="With --new: generators or agents.")] = "generators",
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was taken in.")] = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Check a submission and put it in its place; nothing of it is run, nothing half-written."""
     if new:
@@ -41,11 +34,11 @@ def submit(
 
         typer.echo(f"written: {write_template(source, track)}: fill it in, then: racines submit")
         return
-    if check and (replace or fetch):
-        raise typer.BadParameter("--check copies nothing: leave out --replace and --fetch")
+    if check and (force or fetch):
+        raise typer.BadParameter("--check copies nothing: leave out --force and --fetch")
     from racines_leaderboard.submissions.intake import look_at, take_in
 
-    taken = look_at(source) if check else take_in(source, out, replace=replace, fetching=fetch)
+    taken = look_at(source) if check else take_in(source, out, replace=force, fetching=fetch)
     if as_json:
         typer.echo(json.dumps(_plain(taken), indent=2, ensure_ascii=False))
         return

@@ -151,9 +151,8 @@ def rollouts(work: Work, setup: Setup) -> Arrays:
 
 def ppo(work: Work, setup: Setup) -> Arrays:
     """Train PPO on the pose for two updates."""
-    from safetensors.torch import load_file
-
     from racines_envs.agents.ppo import PPOAgent, PPOConfig
+    from racines_models.weights import load_weights
 
     config = PPOConfig(
         frames=4096,
@@ -164,7 +163,7 @@ def ppo(work: Work, setup: Setup) -> Arrays:
     )
     out = work.new()
     PPOAgent.train(config, out, progress=False)
-    return {key: each.cpu() for key, each in load_file(out / "policy.safetensors").items()}
+    return {key: each.cpu() for key, each in load_weights(out / "policy.safetensors").items()}
 
 
 def _state(network: torch.nn.Module) -> Arrays:

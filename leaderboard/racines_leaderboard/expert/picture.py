@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from racines_data.card.style import INK, MUTED, OURS, PAPER, card_style
 from racines_data.files import write_atomic
+from racines_data.plotting import INK, MUTED, OURS, PAPER, card_style
 from racines_leaderboard.records.names import OVERALL
 
 TITLES = {"oracle": "the oracle", "labels": "the dataset's labels", "grader": "the grader"}

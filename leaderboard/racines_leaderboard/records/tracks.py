@@ -1,6 +1,15 @@
-"""The two tracks: which metrics they show, in which direction they are good, how they rank."""
+"""The two tracks: which metrics they show, in which direction they are good, how they rank.
 
+Installed packages add columns: each metric of the group `racines.metrics` is one, and so is each
+`Column` of the group `racines.columns`. They are shown where a result fills them, and never rank.
+"""
+
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
+
+from racines_data.plugins import Plugins
 
 
 @dataclass(frozen=True)
@@ -14,6 +23,10 @@ class Column:
     digits: int = 3
     scale: float = 1.0
     unit: str = ""
+    track: str = "generators"
+    """Of a column of another package: the track whose tables it stands in."""
+    value: Callable[[dict[str, Any]], dict[str, Any] | None] | None = None
+    """Instead of the metric `key`: what a column makes of a record, as `racines:metric`."""
 
     @property
     def title(self) -> str:
@@ -111,3 +124,25 @@ AGENTS = Track(
 TRACKS = (GENERATORS, AGENTS)
 TRACK = {track.name: track for track in TRACKS}
 TIERS = ("self-reported", "recomputed", "reproduced")
+COLUMNS = Plugins("board column", "racines.columns", ("key", "title", "track"), "module:COLUMN")
+
+
+def board_tracks() -> tuple[Track, ...]:
+    """Return the tracks with the columns of installed packages after their own.
+
+    Raises:
+        RacinesError: a column or a metric that cannot be imported, by its entry point.
+    """
+    from racines_models.scores.plugin import installed_metrics
+
+    columns: list[Column] = [
+        Column(each.name, each.label, each.better, each.digits, each.scale, each.unit)
+        for each in installed_metrics()
+    ]
+    columns += [COLUMNS.load(name) for name in COLUMNS.names()]
+    return tuple(
+        dataclasses.replace(
+            track, columns=(*track.columns, *(c for c in columns if c.track == track.name))
+        )
+        for track in TRACKS
+    )

@@ -16,7 +16,7 @@ from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.groups import SHOWN, by_task
 from racines_leaderboard.board.rank import Ranked, Record, rank
 from racines_leaderboard.board.table import Table, ranked_table, reported_table, shown_columns
-from racines_leaderboard.records.tracks import TIERS, TRACK, Column, Track
+from racines_leaderboard.records.tracks import TIERS, TRACK, Column, Track, board_tracks
 from racines_leaderboard.studio import html
 from racines_leaderboard.studio.inputs import choice, choices
 from racines_leaderboard.studio.pictures import drawn, element
@@ -109,7 +109,7 @@ def _fits(task: str, wanted: Selection) -> bool:
 
 def track_of(wanted: Selection) -> Track:
     """Return the track of a selection."""
-    return TRACK[wanted.track]
+    return next(track for track in board_tracks() if track.name == wanted.track)
 
 
 def _content(results: Path, board: str) -> dict[str, list[Record]]:
@@ -165,7 +165,8 @@ def charts_html(results: Path, wanted: Selection) -> str:
     track = track_of(wanted)
     ranking = _once(ranked_groups(results, wanted))
     columns = (*track.columns, *(track.details if wanted.details else ()))
-    shown = [column for column in columns if shown_columns((column,), ranking)]
+    metrics = [column for column in columns if column.value is None]  # what a metric is behind
+    shown = [column for column in metrics if shown_columns((column,), ranking)]
     charts = [element(_chart(column, _Frozen(ranking)), column.title) for column in shown]
     return f'<div class="rc-grid">{"".join(charts)}</div>'
 

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
-from racines_data.card.style import card_style
+from racines_data.plotting import card_style
 from racines_leaderboard.studio.html import text
 
 DPI = 180

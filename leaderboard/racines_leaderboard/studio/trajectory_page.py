@@ -17,8 +17,8 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from racines_data.card.paths import block_top, rectangle
-from racines_data.card.style import MUTED, evenly, view_colours
 from racines_data.geometry import parameters_to_pose
+from racines_data.plotting import MUTED, evenly, view_colours
 from racines_data.schema import PARAMETERS
 from racines_leaderboard.studio.browsing import Trajectory
 from racines_leaderboard.studio.html import table, text

@@ -97,7 +97,7 @@ def _check_free(target: Path, document: dict[str, Any], replace: bool, path: Pat
     if not replace:
         raise RacinesError(
             f"{path}: name: {document['name']!r} is taken ({target}): choose another, or "
-            "--replace your own"
+            "--force to replace your own"
         )
     before = read_document(target / YAML)["authors"]
     if not set(before) & set(document["authors"]):

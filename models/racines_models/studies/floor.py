@@ -126,7 +126,7 @@ def draw_floor(content: dict[str, Any]) -> bytes:
     """Return a PNG of FID and KID against n, one row an extractor, with the range as a band."""
     from matplotlib.figure import Figure
 
-    from racines_data.card.style import OURS, card_style, encode
+    from racines_data.plotting import OURS, card_style, encode
 
     with card_style():
         extractors = content["rows"]

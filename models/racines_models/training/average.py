@@ -2,9 +2,11 @@
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
 
 
 class Average:
@@ -14,58 +16,51 @@ class Average:
     """
 
     def __init__(self, nets: Sequence[nn.Module], decay: float):
-        self._nets = nets
-        self._decay = decay
-        self._steps = 0
-        self._shadow = [tensor.detach().clone() for tensor in self._live()]
+        self._nets, self._decay = nn.ModuleList(nets), decay
+        self._model: AveragedModel | None = None
+        if decay:
+            self._model = AveragedModel(self._nets, multi_avg_fn=self._move, use_buffers=True)
+            # The random start is the average of no step, not absent: the first step does not
+            # replace it, but moves it.
+            self._model.n_averaged.fill_(1)
 
-    def _live(self) -> list[Tensor]:
-        return [tensor for net in self._nets for tensor in net.state_dict().values()]
+    def _move(self, averaged: Any, live: Any, _: Any) -> None:
+        """Move lists of tensors of one type, as `AveragedModel` asks."""
+        assert self._model is not None
+        steps = int(self._model.n_averaged)  # lies on the CPU: no wait for the device
+        decay = min(self._decay, (1 + steps) / (10 + steps))
+        if averaged[0].is_floating_point():
+            torch._foreach_lerp_(averaged, live, 1.0 - decay)  # pyright: ignore
+        else:  # batch norm's counters
+            torch._foreach_copy_(averaged, live)  # pyright: ignore
 
-    @torch.no_grad()
     def update(self) -> None:
         """Move the average towards the weights after a step."""
-        if not self._decay:
-            return
-        self._steps += 1
-        decay = min(self._decay, (1 + self._steps) / (10 + self._steps))
-        pairs = list(zip(self._shadow, self._live(), strict=True))
-        real = [(old, new) for old, new in pairs if old.is_floating_point()]
-        averaged, live = [old for old, _ in real], [new for _, new in real]
-        torch._foreach_lerp_(averaged, live, 1.0 - decay)  # pyright: ignore
-        for old, new in pairs:
-            if not old.is_floating_point():  # batch norm's counters
-                old.copy_(new)
+        if self._model is not None:
+            self._model.update_parameters(self._nets)
 
-    @torch.no_grad()
     def apply(self) -> None:
         """Put the average into the networks for good."""
-        if self._decay:
-            for live, shadow in zip(self._live(), self._shadow, strict=True):
-                live.copy_(shadow)
+        if self._model is not None:
+            self._nets.load_state_dict(self._model.module.state_dict())
 
     @contextmanager
     def applied(self) -> Iterator[None]:
         """Put the average into the networks, in evaluation mode, for the length of a block."""
-        kept = [tensor.detach().clone() for tensor in self._live()]
+        kept = {key: value.detach().clone() for key, value in self._nets.state_dict().items()}
         self.apply()
-        for net in self._nets:
-            net.eval()
+        self._nets.eval()
         try:
             yield
         finally:
-            with torch.no_grad():
-                for live, old in zip(self._live(), kept, strict=True):
-                    live.copy_(old)
-            for net in self._nets:
-                net.train()
+            self._nets.load_state_dict(kept)
+            self._nets.train()
 
-    def state(self) -> tuple[int, list[Tensor]]:
+    def state(self) -> dict[str, Tensor]:
         """Return what `restore` needs."""
-        return self._steps, self._shadow
+        return {} if self._model is None else dict(self._model.state_dict())
 
-    def restore(self, state: tuple[int, list[Tensor]]) -> None:
+    def restore(self, state: dict[str, Tensor]) -> None:
         """Continue from a saved state."""
-        self._steps = state[0]
-        for old, new in zip(self._shadow, state[1], strict=True):
-            old.copy_(new)
+        if self._model is not None:
+            self._model.load_state_dict(state)

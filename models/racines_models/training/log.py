@@ -67,13 +67,13 @@ class TrainingLog:
         losses = "  ".join(f"{name} {value:.4f}" for name, value in self.last.items())
         self._progress.update(self._task, completed=seen, losses=losses)
 
-    def metrics(self, seen: int, values: Mapping[str, float], group: str = "") -> None:
+    def metrics(self, seen: int, values: Mapping[str, float]) -> None:
         """Write values at an image count."""
-        if self._live is None:
+        if self._live is None or not values:
             return
         self._live.step = seen
         for name, value in values.items():
-            self._live.log_metric(f"{group}{name}", value)
+            self._live.log_metric(name, value)
         self._live.sync()
 
     def state(self) -> dict[str, Any]:

@@ -1,20 +1,18 @@
-"""What the trainer asks of a generator: networks, optimizers, and losses in order."""
+"""What the trainer asks of a learner: networks, optimizers, and losses in order."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from racines_data.errors import RacinesError
-from racines_data.imaging import ImageSource
-from racines_models.protocol import Card
 
 
 @dataclass(frozen=True)
 class Training:
-    """The loop's settings, the same for every trained generator."""
+    """The loop's settings, the same for all that is trained."""
 
     images: int = 24_000
     """Budget: training images seen, counted with repetition."""
@@ -59,6 +57,11 @@ class Training:
         if not 0.0 <= self.ema < 1.0:
             raise RacinesError("training.ema: a decay lies in [0, 1)")
 
+    @property
+    def stop(self) -> int:
+        """The budget in whole batches."""
+        return -(-self.images // self.batch_size) * self.batch_size
+
 
 class TrainBatch(NamedTuple):
     """One training step's data, on the device."""
@@ -84,8 +87,13 @@ class Learner(Protocol):
     """Whatever the trainer can train."""
 
     @property
-    def card(self) -> Card:
-        """Describe what is trained; name, config, seed and data identify a run."""
+    def name(self) -> str:
+        """What the curves and messages call it."""
+        ...
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """Say what is trained on what; only an equal run is continued."""
         ...
 
     def modules(self) -> dict[str, nn.Module]:
@@ -93,22 +101,18 @@ class Learner(Protocol):
         ...
 
     def averaged(self) -> tuple[str, ...]:
-        """Name the networks that draw: the ones whose weights are averaged (EMA)."""
+        """Name the networks that are used afterwards: their weights are averaged (EMA)."""
         ...
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return fresh optimizers by name."""
         ...
 
-    def updates(self, nets: Mapping[str, nn.Module], batch: TrainBatch) -> Iterator[Update]:
+    def updates(self, nets: Mapping[str, nn.Module], batch: Any) -> Iterator[Update]:
         """Yield the optimizer steps of one batch, in order.
 
         `nets` are the networks of `modules`, as the accelerator wraps them. The trainer makes each
         step before it asks for the next, so a later loss sees the stepped weights; gradients are
-        cleared in between.
+        cleared in between. `batch` is a `TrainBatch`, or what the learner's own course feeds.
         """
         ...
-
-
-class Trainable(ImageSource, Learner, Protocol):
-    """A generator that the trainer can train, and draw with to show how far it has come."""

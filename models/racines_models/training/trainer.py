@@ -1,33 +1,47 @@
-"""One training loop for every learned generator, and the pose regressor; it knows no method."""
+"""One training loop for generators, judges and cloned agents; it knows no method."""
 
 import time
+import warnings
 from typing import Any
 
 import torch
 from accelerate import Accelerator
 from accelerate.state import AcceleratorState
 from torch import Tensor
+from torch.optim.lr_scheduler import LambdaLR
 
 from racines_data.errors import RacinesError
-from racines_data.imaging import ImageSource
 from racines_data.store.frames import FrameStore
 from racines_models.protocol import Run
 from racines_models.training.average import Average
 from racines_models.training.checkpoint import Checkpoint
-from racines_models.training.feed import Feed
+from racines_models.training.course import Course, FrameCourse
 from racines_models.training.guard import Guard
 from racines_models.training.log import TrainingLog
-from racines_models.training.objective import Learner, TrainBatch, Training
+from racines_models.training.objective import Learner, Training
 from racines_models.training.processes import Processes
-from racines_models.training.schedule import Schedule
-from racines_models.training.validation import Validation
 
 
-def train(generator: Learner, store: FrameStore, config: Training, run: Run) -> dict[str, Any]:
+def train(
+    learner: Learner,
+    store: FrameStore,
+    config: Training,
+    run: Run,
+    course: Course | None = None,
+    checkpoint_seconds: float = 0.0,
+) -> dict[str, Any]:
     """Train until the budget is spent; leave the averaged weights in the networks.
 
     On the CPU, a run that was killed and resumed ends in the same bits as an undisturbed one.
     Several processes (see `Processes`) share each batch and train as one; the first writes.
+
+    Args:
+        learner: What is trained.
+        store: The frames.
+        config: Budget, precision, averaging, intervals.
+        run: Where; its device is there (see `resolve_device`).
+        course: What is fed, and how fast is learned; the train split by the config by default.
+        checkpoint_seconds: Least time between two checkpoints.
 
     Returns:
         Metrics: `images` and `steps` trained, `seconds` (of all attempts up to their last
@@ -38,18 +52,23 @@ def train(generator: Learner, store: FrameStore, config: Training, run: Run) -> 
         RacinesError: `run.resume` is True and there is no checkpoint of this very run; a loss is
             not finite; the batch cannot be shared by the processes.
     """
-    trainer = _Trainer(generator, store, config, run)
-    began = time.perf_counter() - trainer.seconds
-    device, share = trainer.accelerator.device, trainer.processes.share
-    feed = Feed(store, config.batch_size, run.seed, device, share)
-    with trainer.log:
-        for batch in feed.batches(trainer.seen, trainer.stop):
+    trainer = _Trainer(learner, store, config, run, course)
+    batches = trainer.course.batches(trainer.seen, config.stop)
+    began = saved = time.perf_counter()
+    began -= trainer.seconds
+    tasks = (trainer.write_row, trainer.look, trainer.write_checkpoint)
+    with trainer.log, warnings.catch_warnings():
+        # The optimizer of a later stage has its rate moved before its first step.
+        warnings.filterwarnings("ignore", "Detected call of")
+        for batch in batches:
             trainer.step(batch)
-            trainer.seconds = time.perf_counter() - began
+            now = time.perf_counter()
+            trainer.seconds = now - began
             due = [trainer.due(each) for each in _intervals(config)]
+            due[-1] = due[-1] and now - saved >= checkpoint_seconds
+            saved = now if due[-1] else saved
             if trainer.guard.every_step or any(due):
                 trainer.guard.check(trainer.seen)
-            tasks = (trainer.write_row, trainer.sample, trainer.write_checkpoint)
             for task, is_due in zip(tasks, due, strict=True):
                 if is_due:
                     task()
@@ -63,45 +82,51 @@ def _intervals(config: Training) -> tuple[int, int, int]:
 class _Trainer:
     """The state of one run: networks, optimizers, average, curves, and how far it has come."""
 
-    def __init__(self, generator: Learner, store: FrameStore, config: Training, run: Run):
-        self.generator, self.config, self.folder = generator, config, run.folder
+    def __init__(
+        self,
+        learner: Learner,
+        store: FrameStore,
+        config: Training,
+        run: Run,
+        course: Course | None,
+    ):
+        self.learner, self.config, self.folder = learner, config, run.folder
         self.accelerator = accelerator = _accelerator(config, run)
         self.processes = Processes(accelerator, config.batch_size)
-        self.modules, optimizers = generator.modules(), generator.optimizers()
+        if course is not None and self.processes.count > 1:
+            raise RacinesError(f"{learner.name} trains in one process: start one")
+        device, share = accelerator.device, self.processes.share
+        self.course = course or FrameCourse(learner, store, config, run, device, share)
+        self.modules, optimizers = learner.modules(), learner.optimizers()
         # evaluation_mode: autocast without DistributedDataParallel; `Processes` says why.
         self.nets = {
             key: accelerator.prepare_model(net.train(), evaluation_mode=True)
             for key, net in self.modules.items()
         }
         self.optimizers = {name: accelerator.prepare(each) for name, each in optimizers.items()}
-        self.average = Average([self.modules[key] for key in generator.averaged()], config.ema)
-        self.validation = Validation(store, run.seed)
-        self.stop = -(-config.images // config.batch_size) * config.batch_size
-        self.schedule = Schedule(self.optimizers, config, self.stop)
-        card = generator.card
-        identity = {"name": card.name, "config": card.config, "seed": card.seed, "data": card.data}
-        self.checkpoint = Checkpoint(run.folder, identity)
+        self.schedules = [LambdaLR(each, self.course.rate) for each in optimizers.values()]
+        self.average = Average([self.modules[key] for key in learner.averaged()], config.ema)
+        self.checkpoint = Checkpoint(run.folder, learner.identity)
         state = self.checkpoint.read(run.resume)
         self.seen: int = state["seen"] if state else 0
         self.seconds: float = state["seconds"] if state else 0.0
-        self.guard = Guard(card.name, accelerator.device, self.seen)
-        writes = self.processes.main
-        self.log = TrainingLog(run.folder, card.name, self.seen, self.stop, run.progress, writes)
-        if state:
+        name, main = learner.name, self.processes.main
+        self.guard = Guard(name, device, self.seen)
+        self.log = TrainingLog(run.folder, name, self.seen, config.stop, run.progress, main)
+        if state and self.seen:
             self._restore(state)
         self.processes.start_alike(self.modules.values(), self.seen)
 
     def due(self, every: int) -> bool:
         """Return whether the last step passed a multiple of `every` images, or was the last."""
         before = self.seen - self.config.batch_size
-        return self.seen == self.stop or self.seen // every > before // every
+        return self.seen == self.config.stop or self.seen // every > before // every
 
-    def step(self, batch: TrainBatch) -> None:
+    def step(self, batch: Any) -> None:
         """Make one batch's optimizer steps."""
         logged: dict[str, Tensor] = {}
         losses: dict[str, Tensor] = {}
-        self.schedule.apply(self.seen)
-        for update in self.generator.updates(self.nets, batch):
+        for update in self.learner.updates(self.nets, batch):
             optimizer = self.optimizers[update.optimizer]
             self.accelerator.backward(update.loss)
             weights = [each for group in optimizer.param_groups for each in group["params"]]
@@ -119,21 +144,21 @@ class _Trainer:
         self.guard.add(self.processes.average_scalars(losses))
         self.log.add(self.processes.average_scalars(logged))
         self.average.update()
+        for schedule in self.schedules:
+            schedule.step()
         self.seen += self.config.batch_size
 
     def write_row(self) -> None:
         """Write a row of the curves."""
         self.log.row(self.seen)
 
-    def sample(self) -> None:
-        """Draw the validation frames with the averaged weights, if it is images that it makes."""
-        if not self.processes.main or not isinstance(self.generator, ImageSource):
+    def look(self) -> None:
+        """Let the course look at the averaged networks."""
+        if not self.processes.main:
             return
         with self.average.applied():
-            drawn = self.validation.draw(self.generator)
-        figures = self.validation.figures(drawn)
-        self.log.metrics(self.seen, {key: figures[key] for key in ("mae", "psnr")}, "validation/")
-        self.validation.grid(drawn, self.folder / "samples" / f"{self.seen:09d}.png")
+            figures = self.course.look(self.seen, self.folder)
+        self.log.metrics(self.seen, figures)
 
     def write_checkpoint(self) -> None:
         """Write everything that a resumed run needs; with several processes, it is alike in all."""
@@ -147,6 +172,7 @@ class _Trainer:
             "scaler": self.accelerator.scaler.state_dict() if self.accelerator.scaler else {},
             "average": self.average.state(),
             "log": self.log.state(),
+            "course": self.course.state(),
         }
         self.checkpoint.write(state)
 
@@ -158,10 +184,13 @@ class _Trainer:
         if self.accelerator.scaler:
             self.accelerator.scaler.load_state_dict(state["scaler"])
         self.average.restore(state["average"])
+        for schedule in self.schedules:
+            schedule.last_epoch = self.seen // self.config.batch_size
         self.log.restore(state["log"], self.accelerator.device)
+        self.course.restore(state["course"])
 
     def finish(self) -> dict[str, Any]:
-        """Leave the averaged, unwrapped networks with the generator and return the metrics."""
+        """Leave the averaged, unwrapped networks with the learner and return the metrics."""
         for net in self.nets.values():
             self.accelerator.unwrap_model(net, keep_fp32_wrapper=False)
         self.average.apply()
@@ -195,5 +224,10 @@ def _accelerator(config: Training, run: Run) -> Accelerator:
     # Accelerate keeps one state a process and refuses a second run with another precision.
     AcceleratorState._reset_state(reset_partial_state=True)
     precision = resolve_precision(config.precision, run.device)
+    if run.device.startswith("cuda:"):
+        torch.cuda.set_device(run.device)  # accelerate takes the current one
     mixed = "no" if precision == "fp32" else precision
-    return Accelerator(cpu=run.device == "cpu", mixed_precision=mixed)
+    try:
+        return Accelerator(cpu=run.device == "cpu", mixed_precision=mixed)
+    except ValueError as error:  # a device without bfloat16
+        raise RacinesError(f"{mixed}: {error}; train in fp32 (bf16: false)") from error

@@ -61,14 +61,9 @@ def export(
     limit: int | None = None,
     progress: bool = False,
 ) -> dict[str, Any]:
-    """Write a dataset in the LeRobot format.
+    """Write a dataset in the LeRobot format: `LeRobotDataset(NAME, root=out)` opens it.
 
-    Args:
-        root: Folder of the dataset.
-        out: New folder to write: `LeRobotDataset(NAME, root=out)` opens it.
-        split: One split only; default all, as ranges of episodes in `meta/info.json`.
-        limit: Frames to write, the first in the dataset's order.
-        progress: Show a progress bar on stderr.
+    Arguments as of `registry.Exporter`; splits are ranges of episodes in `meta/info.json`.
 
     Returns:
         `out`, counts, `fps`, `splits` as ranges of episodes, and notes.

@@ -5,34 +5,50 @@ sweep. Images of one folder in order of their names are cut into contiguous runs
 trajectories: neighbours stay in one split but for those on both sides of a cut.
 """
 
-import dataclasses
 import hashlib
 import re
 from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.progress import progress_bar
 from racines_data.schema import CONTROLS, PARAMETERS, Trajectory
-from racines_data.sources.base import Finding, Unit
+from racines_data.sources.base import Unit
 from racines_data.sources.cactus.files import Kind, Picture, find_pictures, runs
+from racines_data.sources.card import SourceCard
 from racines_data.sources.crop import Box, sector_box
+from racines_data.sources.folder import FolderSource
 from racines_data.sources.images import DamagedImage, check_jpeg, read_gray, square
 from racines_data.sources.release.kinds import flagged, refused
 from racines_data.views import LABELS
 
-READER = 1
-"""Version of what this reader makes of the files; part of the recipe."""
 _THREADS = 4
 _SAMPLE = 96
 Size = tuple[int, int]
+
+CARD = SourceCard(
+    origin="the published CACTUS images, imported; labels and grades without poses",
+    license="cc-by-4.0",
+    rights=("CC BY 4.0, as the originals (DOI 10.20383/103.01484); cite their authors."),
+    collection=(
+        "The published CACTUS images, imported: frames of a cardiac phantom with view and "
+        "grade, without poses."
+    ),
+    collection_type="Direct measurement",
+    annotation=("View and grade as published with the images; see the CACTUS publication."),
+    biases=("A manufactured heart; classes and grades in the shares its authors chose."),
+    limitations="A phantom is not a patient. There are no poses or forces.",
+    personal="None: images of a manufactured phantom.",
+    limits=(
+        "A manufactured phantom, not a patient. There are no poses, forces or times; runs of "
+        "files stand as trajectories, and frames on both sides of a cut may be neighbours."
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -57,50 +73,23 @@ class CactusUnit(Unit):
 
 
 @dataclass
-class CactusSource:
+class CactusSource(FolderSource):
     """Reads the folder of CACTUS."""
 
     config: CactusConfig
-    root: Path
-    report: list[Finding] = field(default_factory=list)
-    progress: bool = False
-    """Show a progress bar on stderr while the files are checked."""
     name = "cactus"
     version = "1.0.0"
     poses = False
     Config = CactusConfig
-
-    def __post_init__(self) -> None:
-        """Remember nothing yet."""
-        self._inputs = ""
+    card = CARD
 
     @classmethod
-    def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> "CactusSource":
-        """Make the source; the one input is the folder that holds `Images Dataset`.
-
-        Raises:
-            RacinesError: no input or several, no such folder, or a wrong setting.
-        """
-        settings = fill(CactusConfig, config, "data.cactus")
+    def check_settings(cls, settings: CactusConfig) -> None:
+        """Refuse a crop that is none, and runs of nothing."""
         if settings.crop not in ("auto", "none"):
             _fixed_box(settings.crop)
         if settings.run < 1:
             raise RacinesError("data.cactus.run: give one or more")
-        if len(inputs) != 1:
-            raise RacinesError("source cactus: name one folder: --input FOLDER")
-        if not inputs[0].is_dir():
-            raise RacinesError(f"{inputs[0]}: no such folder")
-        return cls(settings, inputs[0].resolve())
-
-    def recipe(self) -> dict[str, Any]:
-        """Return the reader's version, the settings, and the sha256 over all files and grades."""
-        if not self._inputs:
-            self.plan()
-        return {
-            "reader": READER,
-            "config": dataclasses.asdict(self.config),
-            "inputs": self._inputs,
-        }
 
     def plan(self) -> list[CactusUnit]:
         """Check every file, join the grades, find the crop, and cut the folders into runs.

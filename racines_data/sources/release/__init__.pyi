@@ -1,6 +1,5 @@
-from .source import READER as READER
 from .source import ReleaseConfig as ReleaseConfig
 from .source import ReleaseSource as ReleaseSource
 from .source import ReleaseUnit as ReleaseUnit
 
-__all__ = ["READER", "ReleaseConfig", "ReleaseSource", "ReleaseUnit"]
+__all__ = ["ReleaseConfig", "ReleaseSource", "ReleaseUnit"]

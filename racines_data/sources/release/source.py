@@ -7,34 +7,53 @@ frame shows is not in the files, nor is a grade, so `view` and `grade` stay null
 each file that cannot be used. `produce` decodes the images of one trajectory.
 """
 
-import dataclasses
 import hashlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
-from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, pose_to_parameters
 from racines_data.progress import progress_bar
 from racines_data.schema import Trajectory
-from racines_data.sources.base import Finding, Unit
+from racines_data.sources.base import Unit
+from racines_data.sources.card import SourceCard
+from racines_data.sources.folder import FolderSource
 from racines_data.sources.images import read_gray, square
 from racines_data.sources.release.checks import UNIT_KINDS, UNITS
 from racines_data.sources.release.kinds import Kind, flagged
 from racines_data.sources.release.log import CONTROL, POSE, TIME, WRENCH, parse_log
-from racines_data.sources.release.survey import Survey, Surveyor
-from racines_data.sources.release.tree import Pair, Recording, find_recordings
+from racines_data.sources.release.survey import FolderSurvey, Surveyor
+from racines_data.sources.release.tree import Pair, SweepFolder, find_recordings
 from racines_data.views import RANDOM, VIEWS
 
-READER = 1
-"""Version of what this reader makes of the files; part of the recipe."""
 _THREADS = 4
+
+CARD = SourceCard(
+    origin="the published RACINES recordings, imported",
+    rights=("As the published recordings; see their publisher. This import adds no rights."),
+    like_paper=True,
+    collection=(
+        "The published RACINES recordings, imported: an operator moved a UR5e arm that holds "
+        "a phased-array probe over a CAE Blue Phantom cardiac block."
+    ),
+    collection_type="Direct measurement",
+    annotation="The recordings name a target view a folder and have no grades.",
+    biases="One manufactured block and one arm; anatomy and pathology do not vary.",
+    limitations=(
+        "A phantom is not a patient. Neighbouring frames of a sweep are near-copies: split by "
+        "trajectory only. There are no grades."
+    ),
+    personal="None: images of a manufactured phantom.",
+    limits=(
+        "A manufactured phantom, not a patient. Neighbouring frames are near-copies: keep "
+        "trajectories whole. There are no grades until a grader has annotated them."
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -69,48 +88,25 @@ class ReleaseUnit(Unit):
 
 
 @dataclass
-class ReleaseSource:
+class ReleaseSource(FolderSource):
     """Reads a folder of published recordings."""
 
     config: ReleaseConfig
-    root: Path
-    report: list[Finding] = field(default_factory=list)
-    progress: bool = False
-    """Show a progress bar on stderr while the files are checked."""
     name = "release"
     version = "1.0.0"
     Config = ReleaseConfig
+    card = CARD
 
     def __post_init__(self) -> None:
-        """Name the labels, and remember nothing yet."""
+        """Name the labels."""
+        super().__post_init__()
         self.labels = (*self.config.views, RANDOM)
-        self._inputs = ""
 
     @classmethod
-    def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> "ReleaseSource":
-        """Make the source; the one input is the folder that holds `Folder 1`, `Folder 2` ….
-
-        Raises:
-            RacinesError: no input or several, no such folder, or a wrong setting.
-        """
-        settings = fill(ReleaseConfig, config, "data.release")
+    def check_settings(cls, settings: ReleaseConfig) -> None:
+        """Refuse an unknown unit."""
         if settings.unit not in UNITS:
             raise RacinesError(f"data.release.unit {settings.unit!r}: choose m or mm")
-        if len(inputs) != 1:
-            raise RacinesError("source release: name one folder: --input FOLDER")
-        if not inputs[0].is_dir():
-            raise RacinesError(f"{inputs[0]}: no such folder")
-        return cls(settings, inputs[0].resolve())
-
-    def recipe(self) -> dict[str, Any]:
-        """Return the reader's version, the settings, and the sha256 over all files."""
-        if not self._inputs:
-            self.plan()
-        return {
-            "reader": READER,
-            "config": dataclasses.asdict(self.config),
-            "inputs": self._inputs,
-        }
 
     def plan(self) -> list[ReleaseUnit]:
         """Check every file, report what cannot be used, and return the trajectories in order.
@@ -120,7 +116,7 @@ class ReleaseSource:
         """
         self.report = []
         recordings = find_recordings(self.root, self.config.views, self.report)
-        surveys: list[Survey] = []
+        surveys: list[FolderSurvey] = []
         with ThreadPoolExecutor(_THREADS) as pool, progress_bar(self.progress) as bar:
             surveyor = Surveyor(self.root, self.config, self.report, pool)
             for recording in bar.track(recordings, description="checking folders"):
@@ -160,7 +156,7 @@ class ReleaseSource:
                     f"{wrong[0].reason}"
                 )
 
-    def _flag_sizes(self, found: Sequence[tuple[Recording, Survey]]) -> None:
+    def _flag_sizes(self, found: Sequence[tuple[SweepFolder, FolderSurvey]]) -> None:
         usual = found[0][1].size if found else (0, 0)
         for recording, (pairs, size, _) in found:
             if size != usual:
@@ -169,7 +165,7 @@ class ReleaseSource:
                 self.report.append(flagged(Kind.MIXED_SIZES, recording.where, detail, "", count))
 
 
-def _unit(recording: Recording, survey: Survey) -> ReleaseUnit:
+def _unit(recording: SweepFolder, survey: FolderSurvey) -> ReleaseUnit:
     return ReleaseUnit(
         id=recording.id,
         session=recording.session,

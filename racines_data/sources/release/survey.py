@@ -15,12 +15,12 @@ from racines_data.sources.images import DamagedImage, check_png
 from racines_data.sources.release.checks import UNIT_KINDS, Fault, Limits, backward, check_numbers
 from racines_data.sources.release.kinds import Kind, flagged, refused
 from racines_data.sources.release.log import TIME, WIDTH, DamagedLog, parse_log
-from racines_data.sources.release.tree import Pair, Recording, pair_files
+from racines_data.sources.release.tree import Pair, SweepFolder, pair_files
 
 _CHUNK = 64
 
 
-class Survey(NamedTuple):
+class FolderSurvey(NamedTuple):
     """What one image folder holds."""
 
     pairs: list[Pair]
@@ -49,7 +49,7 @@ class Surveyor:
     report: list[Finding]
     pool: ThreadPoolExecutor
 
-    def survey(self, recording: Recording) -> Survey:
+    def survey(self, recording: SweepFolder) -> FolderSurvey:
         """Read every file of a recording once."""
         pairs = pair_files(self.root, recording, self.report)
         chunks = [pairs[start : start + _CHUNK] for start in range(0, len(pairs), _CHUNK)]
@@ -64,9 +64,9 @@ class Surveyor:
         rows = np.array([readings[index].numbers for index in kept], float).reshape(-1, WIDTH)
         kept, rows = self._sound(recording, pairs, kept, rows)
         kept = self._in_time(recording, pairs, kept, rows[:, TIME])
-        return Survey([pairs[index] for index in kept], size, digest.digest())
+        return FolderSurvey([pairs[index] for index in kept], size, digest.digest())
 
-    def _read(self, recording: Recording, pair: Pair) -> _Reading:
+    def _read(self, recording: SweepFolder, pair: Pair) -> _Reading:
         size, content = (0, 0), [b"", b""]
         image, log = f"{recording.where}/{pair.image}", self._log(recording, pair)
         try:
@@ -89,7 +89,7 @@ class Surveyor:
 
     def _one_size(
         self,
-        recording: Recording,
+        recording: SweepFolder,
         pairs: Sequence[Pair],
         readings: Sequence[_Reading],
         kept: Sequence[int],
@@ -106,7 +106,7 @@ class Surveyor:
         return [index for index in kept if readings[index].size == usual], usual
 
     def _sound(
-        self, recording: Recording, pairs: Sequence[Pair], kept: Sequence[int], rows: np.ndarray
+        self, recording: SweepFolder, pairs: Sequence[Pair], kept: Sequence[int], rows: np.ndarray
     ) -> tuple[list[int], np.ndarray]:
         """Keep the frames whose numbers are sound."""
         faults = check_numbers(rows, self.limits)
@@ -125,7 +125,7 @@ class Surveyor:
         return [kept[place] for place in good], rows[good]
 
     def _in_time(
-        self, recording: Recording, pairs: Sequence[Pair], kept: Sequence[int], times: np.ndarray
+        self, recording: SweepFolder, pairs: Sequence[Pair], kept: Sequence[int], times: np.ndarray
     ) -> list[int]:
         """Keep the frames in whose order the clock runs on; flag where it may stand still."""
         lost = backward(times.tolist(), self.limits.allow_repeats)
@@ -139,7 +139,7 @@ class Surveyor:
             self.report.append(flagged(Kind.CLOCK, recording.where, detail, "Time", stopped))
         return [index for place, index in enumerate(kept) if place not in set(lost)]
 
-    def _log(self, recording: Recording, pair: Pair) -> str:
+    def _log(self, recording: SweepFolder, pair: Pair) -> str:
         return (recording.logs / pair.log).relative_to(self.root).as_posix()
 
 

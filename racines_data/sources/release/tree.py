@@ -31,7 +31,7 @@ _JUNK = re.compile(
 
 
 @dataclass(frozen=True)
-class Recording:
+class SweepFolder:
     """One image folder and its logs."""
 
     id: str
@@ -64,7 +64,7 @@ def entries(folder: Path) -> list[Path]:
     return sorted(found, key=lambda path: natural(path.name))
 
 
-def find_recordings(root: Path, views: Sequence[str], report: list[Finding]) -> list[Recording]:
+def find_recordings(root: Path, views: Sequence[str], report: list[Finding]) -> list[SweepFolder]:
     """Return the image folders of a release in order; add what is odd about folders to `report`.
 
     Raises:
@@ -74,7 +74,7 @@ def find_recordings(root: Path, views: Sequence[str], report: list[Finding]) -> 
     sessions = {path: _SESSION.fullmatch(path.name) for path in entries(root)}
     if not any(sessions.values()):
         raise RacinesError(f"{root}: holds no `Folder 1`, `Folder 2` …{_nearby(root)}")
-    recordings: list[Recording] = []
+    recordings: list[SweepFolder] = []
     _flag_unknown(root, root, [path for path, match in sessions.items() if not match], report)
     for folder, match in sessions.items():
         if match is None or not folder.is_dir():
@@ -99,7 +99,7 @@ def _nearby(root: Path) -> str:
     return "; give the folder that holds them"
 
 
-def _check_names(recordings: Sequence[Recording]) -> None:
+def _check_names(recordings: Sequence[SweepFolder]) -> None:
     seen: dict[str, str] = {}
     for recording in recordings:
         if seen.setdefault(recording.id, recording.where) != recording.where:
@@ -111,7 +111,7 @@ def _check_names(recordings: Sequence[Recording]) -> None:
 
 def _view_recordings(
     root: Path, folder: Path, names: tuple[str, str, str], report: list[Finding]
-) -> Iterator[Recording]:
+) -> Iterator[SweepFolder]:
     """Yield the recordings of a view's folder: `images`, `images_2` …, then `1/images` …."""
     name, session, view = names
     sides: dict[tuple[str, str], Path] = {}
@@ -134,7 +134,7 @@ def _view_recordings(
         if images is None or logs is None:
             report += _one_sided(root, images, logs)
         else:
-            yield Recording(f"{name}{suffix}", session, view, images, logs, _place(root, images))
+            yield SweepFolder(f"{name}{suffix}", session, view, images, logs, _place(root, images))
     for part in parts:
         inner = f"{name}-part{int(part.name)}"
         yield from _view_recordings(root, part, (inner, session, view), report)
@@ -154,7 +154,7 @@ def _one_sided(root: Path, images: Path | None, logs: Path | None) -> list[Findi
     return [refused(kind, _place(root, folder), detail, frames=count)]
 
 
-def pair_files(root: Path, recording: Recording, report: list[Finding]) -> list[Pair]:
+def pair_files(root: Path, recording: SweepFolder, report: list[Finding]) -> list[Pair]:
     """Return the frames of a recording in order of their numbers; add the others to `report`.
 
     Two files of one number and equal bytes count as one; if they differ, neither is used. Numbers
@@ -218,7 +218,7 @@ def _single(
     return paths[0] if equal else None
 
 
-def _gaps(recording: Recording, numbers: Sequence[int]) -> list[Finding]:
+def _gaps(recording: SweepFolder, numbers: Sequence[int]) -> list[Finding]:
     """Flag each run of numbers that is skipped between the first and the last."""
     jumps = [(one, two) for one, two in pairwise(numbers) if two - one > 1]
     if len(jumps) > _MOST_GAPS:

@@ -20,6 +20,7 @@ from racines_data.files import sha256_file
 from racines_data.geometry import Pose, pose_to_parameters
 from racines_data.schema import CONTROLS, Trajectory
 from racines_data.sources.base import Finding, Unit
+from racines_data.sources.card import SourceCard
 from racines_data.sources.images import square
 from racines_data.sources.tracked.mha import Recording, read_frames, read_header, upright
 from racines_data.views import RANDOM
@@ -31,6 +32,35 @@ FARTHEST = 10.0
 """No tracker sees a probe from farther away, m."""
 NEAREST = 0.01
 """No tracker has a whole sweep nearer to its origin, m."""
+
+CARD = SourceCard(
+    origin=("tracked freehand ultrasound, imported; poses of the tracked probe, no forces"),
+    rights="As the recordings imported. This import adds no rights.",
+    labelled=False,
+    collection=(
+        "Freehand sweeps with a tracked probe, imported; poses are those of the probe marker."
+    ),
+    collection_type="Direct measurement",
+    annotation="None: there are no views and no grades.",
+    biases="As the recordings; a few sweeps of one subject are the rule.",
+    limitations=(
+        "Segments of one sweep stand as trajectories, so scores on the splits are optimistic. "
+        "There are no forces, views or grades, and the marker's pose is not the image "
+        "plane's."
+    ),
+    personal=(
+        "Depends on the recordings: whoever imports sweeps of persons is answerable for "
+        "consent and de-identification. Only pixels, poses and times are kept; other header "
+        "fields are not."
+    ),
+    limits=(
+        "A recording is one sweep. It is cut into contiguous segments, which stand as "
+        "trajectories so that splits exist; frames on both sides of a cut are neighbours in "
+        "time, so scores on such splits are optimistic. Poses are those of the tracked probe "
+        "marker in the tracker's frame, not of the image plane; there are no forces, views or "
+        "grades."
+    ),
+)
 
 
 @dataclass(frozen=True)
@@ -68,6 +98,7 @@ class TrackedSource:
     name = "tracked"
     version = "0.1.0"
     Config = TrackedConfig
+    card = CARD
 
     @classmethod
     def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> "TrackedSource":

@@ -170,7 +170,9 @@ def test_refused_frames_are_limited(tmp_path: Path):
 
 
 def test_unknown_source_is_refused_by_name():
-    with pytest.raises(RacinesError, match="unknown source 'phantm': choose one of phantom"):
+    with pytest.raises(
+        RacinesError, match="unknown source 'phantm': did you mean 'phantom'. choose"
+    ):
         source_class("phantm")
 
 

@@ -4,8 +4,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,7 +15,9 @@ from racines_data.load import load
 from racines_data.manifest import read_manifest
 from tests.data.build.test_build import files, staged
 from tests.data.fake_source import FakeConfig, FakeSource
+from tests.waiting import descendants, until, until_ended
 
+pytestmark = [pytest.mark.slow, pytest.mark.docs]
 MAIN = {"frames": 100, "trajectories": 20}
 MANY = {"frames": 72, "trajectories": 24, "sessions": 6, "seed": 5}
 PROGRAM = """
@@ -76,12 +77,16 @@ class Work:
         self.folder, self.out, self.journal = folder, folder / "racines", folder / "journal"
         self.journal.mkdir()
 
-    def sections(self, delay: float = 0.0) -> tuple[dict, dict]:
-        more = {"journal": str(self.journal), "delay": delay}
-        return {**MAIN, **more}, {**MANY, **more}
+    def sections(self, halts: dict[str, int]) -> tuple[dict, dict]:
+        main, many = (
+            {**section, "journal": str(self.journal), "halts_at": halts.get(config)}
+            for config, section in (("frames", MAIN), ("multi_phantom", MANY))
+        )
+        return main, many
 
-    def start(self, fault: str = "", delay: float = 0.0, workers: int = 1) -> subprocess.Popen:
-        main, many = self.sections(delay)
+    def start(self, fault: str = "", workers: int = 1, **halts: int) -> subprocess.Popen:
+        """Start a build; `frames` or `multi_phantom` is the unit at which that config halts."""
+        main, many = self.sections(halts)
         fault = fault.replace("{out!r}", repr(str(self.out)))
         text = PROGRAM.format(fault=fault, main=main, many=many, out=str(self.out), workers=workers)
         environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
@@ -90,7 +95,7 @@ class Work:
         )
 
     def finish(self) -> dict:
-        main, many = (FakeSource(FakeConfig(**section)) for section in self.sections())
+        main, many = (FakeSource(FakeConfig(**section)) for section in self.sections({}))
         return build(main, self.out, DataConfig(workers=1), many=many)
 
     def made(self) -> int:
@@ -102,21 +107,16 @@ def work(tmp_path: Path) -> Iterator[Work]:
     yield Work(tmp_path)
 
 
-def wait_for(condition: Callable[[], bool], process: subprocess.Popen) -> None:
-    for _ in range(1200):
-        if condition():
-            return
-        assert process.poll() is None, "the build ended before it was killed"
-        time.sleep(0.05)
-    raise AssertionError("nothing was staged within a minute")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("config", "wanted"), [("frames", 4), ("multi_phantom", 5)])
-def test_a_build_killed_half_way_goes_on(undisturbed: Path, work: Work, config: str, wanted: int):
-    process = work.start(delay=0.2, workers=2)
+@pytest.mark.parametrize(
+    ("config", "wanted", "halts_at"), [("frames", 4, 12), ("multi_phantom", 5, 18)]
+)
+def test_a_build_killed_half_way_goes_on(
+    undisturbed: Path, work: Work, config: str, wanted: int, halts_at: int
+):
+    """It is killed somewhere between the unit that is waited for and the one at which it halts."""
+    process = work.start(workers=2, **{config: halts_at})
     folder = work.folder
-    wait_for(lambda: sum(p.parts[-3] == config for p in staged(folder)) >= wanted, process)
+    until(lambda: sum(p.parts[-3] == config for p in staged(folder)) >= wanted, process)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     assert not work.out.exists()
@@ -131,19 +131,16 @@ def test_a_build_killed_half_way_goes_on(undisturbed: Path, work: Work, config: 
     assert staged(folder) == []
 
 
-@pytest.mark.slow
 def test_workers_end_with_a_parent_that_was_killed(work: Work):
-    process = work.start(delay=0.2, workers=2)
-    wait_for(lambda: len(staged(work.folder)) >= 2, process)
+    process = work.start(workers=2, frames=4)
+    until(lambda: len(staged(work.folder)) >= 4, process)
+    workers = descendants(process)
+    assert len(workers) >= 2
     process.kill()
     process.wait()
-    time.sleep(1.0)
-    made = work.made()
-    time.sleep(1.0)
-    assert work.made() == made
+    until_ended(workers)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("place", FAULTS)
 def test_a_build_killed_while_packaging_goes_on(undisturbed: Path, work: Work, place: str):
     before = build(FakeSource(FakeConfig(frames=20, seed=9)), work.out, DataConfig(workers=1))

@@ -196,5 +196,5 @@ def test_the_command(moving: Path, tmp_path: Path):
     assert "exists; name a new folder" in again.stderr
     assert set(exporter_names()) >= {"release", "lerobot", "minari"}
     unknown = command(tmp_path, *words, "--format", "zarr", code=1)
-    assert "choose one of release, lerobot, minari" in unknown.stderr
+    assert "choose one of lerobot, minari, release" in unknown.stderr
     command(tmp_path, *words, code=2)

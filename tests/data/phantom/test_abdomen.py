@@ -18,7 +18,8 @@ from racines_data.randomness import sample_seeds
 from racines_data.sources.phantom import PhantomSource
 from racines_data.store.frames import open_store
 from racines_data.validate.run import validate
-from racines_data.views import LABELS, ORGANS
+from racines_data.views import LABELS, organs
+from tests.plugins.packages import install
 
 VIEWS = ("KLX", "KSX", "GB")
 SEEDS = range(8)
@@ -145,7 +146,7 @@ def test_a_stone_casts_a_shadow(phantom: Phantom) -> None:
 
 
 def test_the_views_known_without_building_are_the_anatomies_own() -> None:
-    for name, views in ORGANS.items():
+    for name, views in organs().items():
         anatomy = load_anatomy(name, 0)
         assert tuple(view.name for view in anatomy.views) == views == anatomy_views(name)
         named = {structure.name for structure in anatomy.structures}
@@ -157,7 +158,7 @@ def test_an_anatomy_may_be_named_by_module_and_function() -> None:
     assert anatomy_views("racines_data.phantom.abdomen:abdomen") == VIEWS
     with pytest.raises(RacinesError, match=r"unknown anatomy 'lung'.*abdomen, heart"):
         load_anatomy("lung", 0)
-    with pytest.raises(RacinesError, match="cannot be imported"):
+    with pytest.raises(RacinesError, match="has no 'lung'"):
         load_anatomy("racines_data.phantom.abdomen:lung", 0)
 
 
@@ -184,3 +185,12 @@ def test_a_dataset_carries_the_labels_of_its_anatomy(tmp_path) -> None:
     result = validate(tmp_path / "abdomen")
     broken = [c for c in result.checks if not c.ok and c.name in ("rows", "store", "card")]
     assert not broken
+
+
+def test_an_entry_point_that_names_other_views_is_refused(tmp_path, monkeypatch) -> None:
+    made = "racines_data.phantom.abdomen:abdomen [KLX,GB]"
+    install(tmp_path, "their_organs", {"racines.anatomies": {"belly": made}})
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert organs()["belly"] == ("KLX", "GB") and next(iter(organs())) == "heart"
+    with pytest.raises(RacinesError, match=r"'belly' has the views KLX, KSX, GB.*\[KLX,KSX,GB\]"):
+        load_anatomy("belly", 0)

@@ -86,7 +86,7 @@ def test_parameters_lie_near_the_papers_table() -> None:
     [
         ({"frmes": 3}, "data.phantom.frmes: unknown key"),
         ({"phantom": {"probe": {"depht": 1.0}}}, "data.phantom.phantom.probe.depht"),
-        ({"frames": "many"}, "data.phantom.frames: 'many' is str, expected int"),
+        ({"frames": "many"}, "data.phantom.frames: 'many' is str, expected a valid integer"),
         ({"frames": 1}, "at least 2"),
     ],
 )

@@ -13,13 +13,13 @@ from typer.testing import CliRunner
 from racines_data import RacinesError
 from racines_data.build.dataset import DataConfig, build
 from racines_data.card.markdown import write_card
-from racines_data.cli.data import data
 from racines_data.files import sha256_file
 from racines_data.manifest import read_manifest
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Unit
 from racines_data.validate import survey as validate_survey
 from racines_data.validate.run import Check, validate
+from racines_leaderboard.cli.command import app
 from tests.data.fake_source import FakeConfig, FakeSource
 
 
@@ -254,41 +254,41 @@ def test_the_same_version_on_another_processor(built: Path, copy: Path):
 
 def test_command(built: Path, copy: Path):
     run = CliRunner().invoke
-    done = run(data, ["validate", str(built)])
+    done = run(app, ["data", "validate", str(built)])
     assert done.exit_code == 0 and "BROKEN" not in done.output
     assert "position_x" in done.output and "0.4886" in done.output
-    report = json.loads(run(data, ["validate", str(built), "--json"]).output)
+    report = json.loads(run(app, ["data", "validate", str(built), "--json"]).output)
     assert report["ok"] and report["statistics"]["force_z"]["paper"]["mean"] == -9.4422
     (copy / "canonical" / "SC.png").unlink()
-    done = run(data, ["validate", str(copy)])
+    done = run(app, ["data", "validate", str(copy)])
     assert done.exit_code == 1 and "canonical/SC.png is missing" in done.output
-    assert isinstance(run(data, ["validate", str(copy / "none")]).exception, RacinesError)
+    assert isinstance(run(app, ["data", "validate", str(copy / "none")]).exception, RacinesError)
 
 
 def test_build_command_refuses_bad_requests(tmp_path: Path):
     params = tmp_path / "params.yaml"
     params.write_text("data: {frames: 10, workers: 1}\n")
-    options = ["build", "--params", str(params), "--out", str(tmp_path / "out")]
+    options = ["data", "build", "--params", str(params), "--out", str(tmp_path / "out")]
 
     def refusal(*words: str) -> str:
-        return str(CliRunner().invoke(data, [*options, *words]).exception)
+        return str(CliRunner().invoke(app, [*options, *words]).exception)
 
     assert "unknown source 'nothing'" in refusal("--source", "nothing")
     assert "name its files" in refusal("--source", "tracked")
     assert "--frames: source tracked has" in refusal("--source", "tracked", "--frames", "5")
     params.write_text("data: {framse: 10}\n")
     assert "data.framse: unknown key" in refusal()
-    assert CliRunner().invoke(data, ["build", "--no-such"]).exit_code == 2
+    assert CliRunner().invoke(app, ["data", "build", "--no-such"]).exit_code == 2
 
 
 def test_build_command(tmp_path: Path):
     params = tmp_path / "params.yaml"
     source = "tests.data.fake_source:FakeSource"
     params.write_text(f"data: {{source: '{source}', frames: 30, workers: 1, seed: 4}}\n")
-    options = ["build", "--params", str(params), "--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(data, [*options, "--json"])
+    options = ["data", "build", "--params", str(params), "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, [*options, "--json"])
     assert done.exit_code == 0, done.exception
     figures = json.loads(done.stdout)
     assert figures["counts"]["frames"] == 30 and len(figures["digest"]) == 64
-    again = CliRunner().invoke(data, options)
+    again = CliRunner().invoke(app, options)
     assert figures["digest"] in again.output

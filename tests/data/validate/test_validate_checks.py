@@ -20,7 +20,7 @@ from racines_data.validate.duplicates import (
 )
 from racines_data.validate.labels import check_views, view_shares
 from racines_data.validate.oracle import check_rejudged, rejudge
-from racines_data.validate.rows import Sweep, signatures
+from racines_data.validate.rows import CheckedSweep, signatures
 from racines_data.validate.splits import check_splits
 from racines_data.validate.statistics import (
     check_modes,
@@ -34,11 +34,11 @@ from racines_data.validate.survey import Survey
 from racines_data.views import LABELS, PAPER_STATISTICS, ParameterStatistics
 
 
-def sweep(name: str, split: str, signature: np.ndarray, **changes) -> Sweep:
+def sweep(name: str, split: str, signature: np.ndarray, **changes) -> CheckedSweep:
     count = len(signature)
     parameters = np.zeros((count, 12), np.float32)
     parameters[:, 6] = 0.0001 * np.arange(count)
-    made = Sweep(
+    made = CheckedSweep(
         split=split,
         id=name,
         session="s",

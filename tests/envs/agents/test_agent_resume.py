@@ -17,6 +17,7 @@ from racines_models.judges.pose.regressor import PoseConfig, PoseNetwork, PoseRe
 from racines_models.networks.grading import GraderNetwork
 from tests.envs.agents.test_behaviour_cloning import sweeps
 
+pytestmark = pytest.mark.usefixtures("short_episodes")
 PPO = PPOConfig(
     frames=512, envs=8, update_every=128, minibatch=64, epochs=1, hidden=(16, 16),
     validate_every=128, validation_starts=2,

@@ -131,34 +131,6 @@ def test_it_trains_saves_and_loads(phantom, tmp_path, observation):
     assert not (tmp_path / "checkpoint").exists()
 
 
-def test_a_killed_run_ends_as_an_undisturbed_one(phantom, tmp_path, monkeypatch):
-    from racines_envs.agents import behaviour_cloning
-
-    store = sweeps(phantom, 10)
-
-    def train(folder, **changes):
-        return BehaviourCloningAgent.train(
-            replace(TINY, **changes), folder, data=store, phantom=phantom, progress=False
-        )
-
-    whole = train(tmp_path / "whole")
-    real, calls = behaviour_cloning._Imitation._pass, []
-
-    def killed(self):
-        calls.append(self.epoch)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        return real(self)
-
-    monkeypatch.setattr(behaviour_cloning._Imitation, "_pass", killed)
-    with pytest.raises(KeyboardInterrupt):
-        train(tmp_path / "cut")
-    again = train(tmp_path / "cut")
-    assert calls == [0, 1, 1, 2]
-    a, b = whole.actor.state_dict(), again.actor.state_dict()
-    assert all(torch.equal(a[key], b[key]) for key in a)
-
-
 def test_an_encoder_looks_once_at_each_frame(phantom, tmp_path, monkeypatch):
     from racines_envs.agents import behaviour_cloning, policy
 
@@ -210,21 +182,16 @@ def test_actions_are_drawn_from_seeds_at_a_temperature():
 
 
 def test_the_command_learns_from_the_folder_it_is_given(phantom, tmp_path, monkeypatch):
-    import typer
     from typer.testing import CliRunner
 
     from racines_envs.agents import behaviour_cloning
-    from racines_envs.cli import agents as cli
+    from racines_leaderboard.cli.command import app
 
     opened = []
     monkeypatch.setattr(behaviour_cloning, "open_store", lambda root: opened.append(root) or store)
     monkeypatch.chdir(tmp_path)
     store = sweeps(phantom, 10)
     (tmp_path / "params.yaml").write_text("agents:\n  behaviour-cloning: {epochs: 1}\n")
-    app, train, evaluation = typer.Typer(), typer.Typer(), typer.Typer()
-    cli.register(train, evaluation)
-    train.command("other")(lambda: None)
-    app.add_typer(train, name="train")
     words = ["train", "agent", "behaviour-cloning", "--view", "SC", "--data", "frames", "--json"]
     done = CliRunner().invoke(app, words, catch_exceptions=False)
     assert done.exit_code == 0 and opened == [Path("frames")]

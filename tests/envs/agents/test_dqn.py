@@ -22,6 +22,7 @@ TINY = DQNConfig(
 )  # fmt: skip
 
 
+@pytest.mark.usefixtures("short_episodes")
 @pytest.mark.parametrize("observation", OBSERVATIONS)
 def test_it_trains_saves_and_loads(phantom, tmp_path, observation):
     config = replace(TINY, observation=observation, frames=256)

@@ -70,6 +70,7 @@ def test_torchrl_sees_features_instead_of_images(phantom, folder):
     assert seen["features"].shape == (3, 9) and "image" not in seen and "params" in seen
 
 
+@pytest.mark.usefixtures("short_episodes")
 @pytest.mark.parametrize("observation", ["image", "multimodal"])
 def test_ppo_acts_on_images_alone_after_training_on_features(
     phantom, folder, tmp_path, observation
@@ -86,6 +87,7 @@ def test_ppo_acts_on_images_alone_after_training_on_features(
     assert image.grad is not None and float(image.grad.abs().sum()) > 0
 
 
+@pytest.mark.usefixtures("short_episodes")
 def test_a_policy_finds_its_encoder_by_hash_and_refuses_another(phantom, folder, tmp_path):
     named = shutil.copytree(folder, tmp_path / "named")
     config = replace(TINY, encoder=str(named), frames=256)

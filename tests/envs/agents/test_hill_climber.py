@@ -13,6 +13,7 @@ from racines_envs.agents.rollout import rollout
 from racines_envs.task.actions import IDLE
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core
+from racines_models.protocol import Judge
 from tests.envs.fakes import FakePhantom
 
 
@@ -30,7 +31,7 @@ class GlowingPhantom(FakePhantom):
         return (level[:, None] + steps).clamp(0, 255).to(torch.uint8).view(-1, 128, 128)
 
 
-class GlowGrader:
+class GlowGrader(Judge):
     """Likes bright images."""
 
     def probabilities_and_grade(self, images):
@@ -39,7 +40,7 @@ class GlowGrader:
         return torch.stack([p] * 6, -1), 10.0 * level.clamp(0, 1)
 
 
-class BlindGrader:
+class BlindGrader(Judge):
     """Says the same of every image."""
 
     def probabilities_and_grade(self, images):

@@ -1,7 +1,5 @@
 """The picture of an episode."""
 
-import time
-
 import numpy as np
 import pytest
 import torch
@@ -72,12 +70,14 @@ def test_it_says_view_force_steps_and_errors(core):
     assert "true view Random" in words
 
 
-def test_it_keeps_up_with_ten_frames_a_second(core):
+@pytest.mark.parametrize(("observation", "drawn"), [("params", 2), ("image", 0)])
+def test_no_image_is_drawn_that_a_step_has_drawn(phantom, observation, drawn):
+    """What a picture costs beside lines and words; `make bench` times it."""
+    core = make_core("SC", 2, phantom=phantom, observation=observation, reward="oracle")
+    core.reset(seed=3)
+    before = phantom.rendered
     compose(core)
-    began = time.process_time()
-    for _ in range(5):
-        compose(core)
-    assert (time.process_time() - began) / 5 < 0.1
+    assert phantom.rendered - before == drawn
 
 
 def test_recordings_in_the_place_of_a_phantom_are_drawn_too(tiny_root):

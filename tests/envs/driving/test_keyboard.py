@@ -14,10 +14,11 @@ from PIL import Image
 from racines_data.errors import RacinesError
 from racines_envs.driving.keyboard import HELP, KEYS, Drive, half_blocks, run, screen
 from racines_envs.driving.terminal import Terminal
-from racines_envs.recordings.replay import read_recording
+from racines_envs.recordings.rerun import read_recording
 from racines_envs.task.actions import ACTIONS
 from racines_envs.worlds.making import make_core
 from tests.conftest import command
+from tests.waiting import PATIENCE
 
 
 @pytest.fixture
@@ -108,7 +109,7 @@ def test_a_person_at_a_terminal(core, monkeypatch):
         assert not termios.tcgetattr(side)[3] & (termios.ICANON | termios.ECHO)
         os.write(person, b"d\x1b[Cwq")
         run(drive, terminal.keys(), terminal.show)
-    watcher.join(10)
+    watcher.join(PATIENCE)
     assert not watcher.is_alive()
     assert termios.tcgetattr(side) == before
     assert drive.history[0].actions[1:] == [ACTIONS.index(a) for a in ("+x", "+x", "+y")]

@@ -4,12 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
-import typer
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
-from racines_envs.cli import agents as cli
 from racines_envs.evaluation.entries import find_entry
+from racines_leaderboard.cli.command import app
 
 PARAMS = """
 board: tiny
@@ -69,10 +68,6 @@ def test_entries_that_are_none_are_refused():
 def test_the_commands_train_and_score_runs_by_name(real_phantom, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "params.yaml").write_text(PARAMS)
-    app, train, evaluation = typer.Typer(), typer.Typer(), typer.Typer()
-    cli.register(train, evaluation)
-    for name, verb in (("train", train), ("eval", evaluation)):
-        app.add_typer(verb, name=name)
 
     def run(*words):
         done = CliRunner().invoke(app, words, catch_exceptions=False)

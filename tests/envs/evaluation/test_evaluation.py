@@ -186,17 +186,9 @@ def test_impossible_evaluations_are_refused(phantom, tmp_path):
 
 
 def test_the_commands_train_and_score(real_phantom, tmp_path, monkeypatch):
-    import typer
-
-    from racines_envs.cli import agents as cli
+    from racines_leaderboard.cli.command import app
 
     monkeypatch.chdir(tmp_path)
-    app, train, evaluation = typer.Typer(), typer.Typer(), typer.Typer()
-    cli.register(train, evaluation)
-    train.command("other")(lambda: None)
-    evaluation.command("other")(lambda: None)
-    app.add_typer(train, name="train")
-    app.add_typer(evaluation, name="eval")
     (tmp_path / "params.yaml").write_text(
         "seed: 3\nagents:\n  ppo: {frames: 512, envs: 16, update_every: 256, minibatch: 128, "
         "validation_starts: 4}\nevaluation: {starts: 5, resamples: 50}\n"

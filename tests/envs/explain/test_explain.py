@@ -213,7 +213,7 @@ def test_true_regions_lie_where_the_image_shows_them(real_phantom):
     assert float(image[borders].mean()) > 1.5 * float(image[sector & ~borders].mean())
     assert 0.2 < float(organ.sum() / sector.sum()) < 0.95
     assert 0.01 < float((regions["landmarks"][0] & sector).sum() / sector.sum()) < 0.6
-    points = plane_points(real_phantom, pose)
+    points = plane_points(real_phantom.config.probe, pose)
     apex = points[0, 0, 63:65].mean(0)
     assert float((apex - pose.position[0]).norm()) < 0.002
     shifted = Pose(pose.position + torch.tensor([0.02, 0.0, 0.0]), pose.rotation)
@@ -224,7 +224,17 @@ def test_true_regions_lie_where_the_image_shows_them(real_phantom):
 @pytest.mark.slow
 def test_the_command(tmp_path):
     run = agent(tmp_path / "envs/runs/ppo")
-    words = ["--starts", "1", "--frames", "1", "--steps", "4", "--random-maps", "1", "--json"]
+    words = [
+        "--starts",
+        "1",
+        "--set",
+        "frames=1",
+        "--set",
+        "steps=4",
+        "--random-maps",
+        "1",
+        "--json",
+    ]
     done = command(tmp_path, "racines", "explain", "ppo", "--view", "SC", *words)
     figures = json.loads(done.stdout)["metrics"]["policy"]
     assert 0 < figures["overlap_borders_by_chance"]["value"] < 1

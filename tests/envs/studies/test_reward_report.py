@@ -12,11 +12,12 @@ from racines_envs.agents.rollout import rollout
 from racines_envs.evaluation.agent_specs import find_runs
 from racines_envs.studies.rewards.pages import arithmetic, draw_returns, reward_markdown
 from racines_envs.studies.rewards.report import RewardReportConfig, reward_report
-from racines_envs.studies.rewards.settle import record, settle
+from racines_envs.studies.rewards.settlement import run_scored, settle
 from racines_envs.task.rewards import RewardConfig
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.task.tasks import TERMINATIONS, get_task
 from racines_envs.worlds.making import make_core
+from racines_models.protocol import Judge
 
 LOW = RewardConfig(probability=0.35, grade=3.6)
 """What the stand-in's grader reaches now and then."""
@@ -31,7 +32,7 @@ def test_the_account_is_the_environments_own(reward, agent, phantom, grader):
     source = "paper" if reward == "paper" else "shaped"
     where = {"observation": "params", "phantom": phantom, "grader": grader, "rewards": LOW}
     whole = make_core(task, 6, reward=source, termination="timeout", **where)
-    trace = record(whole, load_agent(agent, ""), seeds)
+    trace = run_scored(whole, load_agent(agent, ""), seeds)
     for rule in TERMINATIONS:
         core = make_core(task, 6, reward=reward, termination=rule, **where)
         final = rollout(core, load_agent(agent, ""), seeds).final
@@ -74,7 +75,7 @@ def test_a_high_return_without_the_view_is_counted(phantom):
     """A grader that likes everything is farmed by an agent that goes nowhere near the view."""
     import torch
 
-    class Flatterer:
+    class Flatterer(Judge):
         def probabilities_and_grade(self, images):
             return torch.ones(len(images), 6), torch.full((len(images),), 9.0)
 

@@ -12,6 +12,7 @@ from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import RewardConfig
 from racines_envs.task.tasks import get_task
 from racines_envs.worlds.making import make_core
+from racines_models.protocol import Judge
 
 STEPS = 60
 
@@ -227,7 +228,7 @@ def test_rewards_come_from_the_grader_or_from_the_truth(phantom, grader):
 
 
 def test_a_hit_by_the_grader_is_no_success_by_truth(phantom):
-    class Believer:
+    class Believer(Judge):
         def probabilities_and_grade(self, images):
             return torch.ones(len(images), 6), torch.full((len(images),), 9.0)
 

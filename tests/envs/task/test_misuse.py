@@ -8,6 +8,7 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import matrix_to_euler
 from racines_envs.task.actions import IDLE
 from racines_envs.worlds.making import make_core
+from racines_models.protocol import Judge
 
 
 def core_of(phantom, **settings):
@@ -44,7 +45,7 @@ def test_a_generator_that_draws_no_gray_images_is_named(phantom, drawn, word):
         unseen.picture()
 
 
-class Judge:
+class Guess(Judge):
     """Judges as it is told to."""
 
     def __init__(self, p, grade):
@@ -64,8 +65,8 @@ class Judge:
     ],
 )
 def test_a_grader_that_judges_otherwise_is_named(phantom, p, grade, word):
-    core = core_of(phantom, reward="paper", grader=Judge(p, grade))
-    with pytest.raises(RacinesError, match=rf"grader Judge: .*{word}"):
+    core = core_of(phantom, reward="paper", grader=Guess(p, grade))
+    with pytest.raises(RacinesError, match=rf"grader Guess: .*{word}"):
         core.reset(seed=0)
 
 
@@ -106,3 +107,28 @@ def test_a_gymnasium_environment_refuses_a_step_after_the_end_and_a_vector_start
     envs.reset(seed=0, options={"pose": pose})
     assert envs.step([IDLE, IDLE])[2].all()
     assert envs.step([IDLE, IDLE])[4]["steps"].tolist() == [0, 0]
+
+
+def test_what_stands_for_a_world_or_a_judge_inherits_its_protocol(phantom):
+    class Block:
+        """Has what a phantom has, but not what `World` adds."""
+
+        target, judge, wrench = phantom.target, phantom.judge, phantom.wrench
+        render, truth, workspace = phantom.render, phantom.truth, phantom.workspace
+
+    with pytest.raises(RacinesError, match=r"racines_data\.world\.World"):
+        core_of(Block())
+
+    class Mute:
+        probabilities_and_grade = None
+
+    with pytest.raises(RacinesError, match=r"racines_models\.protocol\.Judge"):
+        core_of(phantom, reward="paper", grader=Mute())
+
+
+def test_a_judge_that_tells_its_labels_is_held_to_them(phantom):
+    judge = Guess(torch.zeros(2, 6), torch.zeros(2))
+    core_of(phantom, reward="paper", grader=judge)  # tells none: it may know any
+    judge.labels = ("KLX", "Random")
+    with pytest.raises(RacinesError, match="the grader knows KLX, Random, the heart has A4C"):
+        core_of(phantom, reward="paper", grader=judge)

@@ -7,7 +7,8 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_envs.agents.planner import PlannerAgent
-from racines_envs.task.rewards import REWARDS, RewardConfig, Score, get_reward, is_hit
+from racines_envs.task.core import ScanCore
+from racines_envs.task.rewards import REWARDS, Reward, RewardConfig, Score, get_reward, is_hit
 from racines_envs.task.tasks import get_task
 from racines_envs.worlds.making import make_core
 
@@ -96,6 +97,27 @@ def test_hits_need_both_thresholds():
 
 
 def test_unknown_rewards_are_refused_with_the_known_ones():
-    with pytest.raises(RacinesError, match="paper, oracle, shaped"):
+    with pytest.raises(RacinesError, match="oracle, paper, shaped"):
         get_reward("sparse")
-    assert set(REWARDS) == {"paper", "oracle", "shaped"}
+    assert set(REWARDS.names()) == {"paper", "oracle", "shaped"}
+
+
+MINE = Reward("mine", "d - d", lambda a, b, ended, _: a.distance - b.distance, needs_distance=True)
+
+
+def test_a_reward_of_ones_own_by_module_name_and_as_it_is(phantom):
+    named = make_core("SC", 2, reward=f"{__name__}:MINE", observation="params", phantom=phantom)
+    given = make_core("SC", 2, reward=MINE, observation="params", phantom=phantom)
+    paid = []
+    for core in (named, given):
+        core.reset(0)
+        far = core.score.distance
+        paid.append(core.step(torch.tensor([0, 1])).reward)
+        assert torch.equal(paid[-1], far - core.score.distance) and bool((far > 0).all())
+    assert torch.equal(*paid) and named.reward.name == "mine"
+
+
+def test_a_reward_that_needs_a_judge_asks_for_one(phantom):
+    judged = dataclasses.replace(MINE, needs_judge=True)
+    with pytest.raises(RacinesError, match="reward 'mine' needs a trained grader"):
+        ScanCore(get_task("SC"), phantom, phantom, reward=judged)

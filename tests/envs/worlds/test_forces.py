@@ -109,11 +109,11 @@ def test_the_report_is_of_trajectories_not_fitted_on(store):
 
 
 def test_the_command_prints_the_errors_beside_those_of_the_mean(workplace):
-    done = command(workplace, "racines", "eval", "forces")
+    done = command(workplace, "racines", "study", "forces")
     assert "force_z, N" in done.stdout and "mean RMSE" in done.stdout
-    told = command(workplace, "racines", "eval", "forces", "--split", "validation", "--json")
+    told = command(workplace, "racines", "study", "forces", "--split", "validation", "--json")
     report = json.loads(told.stdout)
     assert report == json.loads((workplace / "envs/runs/scores/forces.json").read_text())
     assert report["split"] == "validation" and "fitted" in report["errors"]
-    refused = command(workplace, "racines", "eval", "forces", "--split", "train", code=1)
+    refused = command(workplace, "racines", "study", "forces", "--split", "train", code=1)
     assert "fitted on it" in refused.stderr

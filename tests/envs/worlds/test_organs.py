@@ -6,7 +6,7 @@ from gymnasium.utils.env_checker import check_env
 
 import racines_envs
 from racines_data.errors import RacinesError
-from racines_data.phantom import PhantomConfig, anatomy, shared_phantom
+from racines_data.phantom import PhantomConfig, shared_phantom
 from racines_data.phantom.config import BlockConfig
 from racines_data.views import LABELS
 from racines_envs import ScanEnv
@@ -18,6 +18,7 @@ from racines_envs.task.starts import evaluation_seeds
 from racines_envs.task.tasks import Task, get_task
 from racines_envs.worlds.making import make_core
 from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork
+from tests.plugins.packages import install
 
 SETTINGS = {"observation": "params", "reward": "oracle"}
 ABDOMEN = PhantomConfig(anatomy="abdomen")
@@ -65,9 +66,10 @@ def test_organs_are_not_mixed_up(abdomen):
         evaluate("random", "", EvaluationConfig(view="KLX", starts=2), abdomen, heart)
 
 
-def test_an_organ_of_another_package_registers_its_tasks(monkeypatch):
+def test_an_organ_of_another_package_registers_its_tasks(tmp_path, monkeypatch):
     made = "racines_data.phantom.abdomen:abdomen"
-    monkeypatch.setitem(anatomy._ANATOMIES, "liver", made)
+    install(tmp_path, "livers", {"racines.anatomies": {"liver": made}})
+    monkeypatch.syspath_prepend(str(tmp_path))
     ids = racines_envs.register_tasks("liver", ("GB",))
     try:
         assert ids == ["racines/liver-GB-v0"]

@@ -19,8 +19,8 @@ from racines_envs.evaluation.run import EvaluationConfig, evaluate
 from racines_envs.task.tasks import get_task
 from racines_envs.worlds.making import make_core
 from racines_envs.worlds.pose_index import spacing
-from racines_envs.worlds.recorded import RecordedWorld
-from racines_envs.worlds.replay import Replay
+from racines_envs.worlds.recorded_world import RecordedWorld
+from racines_envs.worlds.replay_images import Replay
 from racines_models.generators.nearest_pose import NearestPose
 from racines_models.judges.grader.annotate import annotate
 from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork
@@ -113,7 +113,7 @@ def test_recordings_alone_make_an_environment(release):
     assert not bool(info["success"].any()) and not bool(info["out_of_support"].any())
     assert torch.equal(info["view"], store.views[replay.rows][index])
     assert torch.equal(info["grade"], store.grades[replay.rows][index])
-    near = world.nearest_showing(core.state.pose, label, (0.003, 0.06))
+    near = world.own_nearest(core.state.pose, label, (0.003, 0.06))
     assert bool((world.judge(near).view == label).all())
     for name in ("view_position_error", "view_rotation_error"):
         assert bool((info[name] >= 0).all()) and bool((info[name] > 0).any())
@@ -203,8 +203,8 @@ def test_datasets_that_cannot_be_replayed_are_refused(store, tmp_path, monkeypat
 def test_starts_lie_where_the_task_says(store):
     world = RecordedWorld(Replay(store))
     task = get_task("SC")
-    target = world.target("SC")
-    starts = world.draw_starts(task, target, torch.arange(50))
+    target, limits = world.target("SC"), (task.start_distance, task.start_angle)
+    starts = world.own_starts(task.target, target, torch.arange(50), *limits)
     across = (starts.position - target.position)[:, :2].norm(dim=-1)
     angle = geodesic(starts.rotation, target.rotation)
     position, rotation = parameters_to_pose(world.replay.parameters)
@@ -214,5 +214,5 @@ def test_starts_lie_where_the_task_says(store):
         assert across.min() >= task.start_distance[0] and across.max() <= task.start_distance[1]
         assert angle.min() >= task.start_angle[0] and angle.max() <= task.start_angle[1]
     assert not bool((world.judge(starts).view == task.target).any())
-    again = world.draw_starts(task, target, torch.tensor([7]))
+    again = world.own_starts(task.target, target, torch.tensor([7]), *limits)
     assert torch.equal(again.position[0], starts.position[7])

@@ -122,8 +122,8 @@ def test_commands(kit, results, tmp_path):
         return done
 
     ratings = tmp_path / "ratings"
-    assert "not an expert's" in run("simulate", kit.folder, "--out", ratings).output
-    run("oracle", kit.folder, "--out", ratings)
+    assert "not an expert's" in run("simulate", kit.folder, "--out", ratings).output, "an old name"
+    run("rate", kit.folder, "--out", ratings)
     told = run("score", kit.folder, ratings / "simulated-0.jsonl", "--resamples", 20,
                "--out", tmp_path / "study")  # fmt: skip
     assert "view κ" in told.output and "no expert" in told.output

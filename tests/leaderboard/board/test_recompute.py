@@ -11,7 +11,7 @@ from racines_data.errors import RacinesError
 from racines_data.store.frames import open_store
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.evaluation.run import EvaluationConfig, evaluate
-from racines_envs.evaluation.tracing import record_trace
+from racines_envs.evaluation.trace_recording import record_trace
 from racines_envs.worlds.making import make_phantom, phantom_recipe
 from racines_leaderboard.board import recompute as module
 from racines_leaderboard.board.collect import read_board
@@ -98,14 +98,17 @@ def test_other_data_are_refused(ground, tmp_path):
     assert not (tmp_path / "results").exists()
 
 
-@pytest.mark.parametrize(("how", "message"), [("loop", "took more than"), ("claim", "memory")])
-def test_what_breaks_a_limit_leaves_no_record(ground, tmp_path, how, message):
+@pytest.mark.parametrize(
+    ("how", "limit", "message"),
+    [("loop", {"call_seconds": 1}, "took more than"), ("claim", {}, "memory")],
+)
+def test_what_breaks_a_limit_leaves_no_record(ground, tmp_path, how, limit, message):
     digest = open_store(ground.data).manifest["digest"]
     path = harmful(inbox(tmp_path, "in") / "harm.onnx", how)
     folder = submitted(tmp_path, "generator", path, digest)
-    quick = replace(ground, limits=replace(ground.limits, call_seconds=1))
+    limited = replace(ground, limits=replace(ground.limits, **limit))
     with pytest.raises(RacinesError, match=f"harm.onnx: .*{message}"):
-        recompute(folder, quick, tmp_path / "results")
+        recompute(folder, limited, tmp_path / "results")
     assert not (tmp_path / "results").exists()
 
 

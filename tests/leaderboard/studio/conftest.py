@@ -14,7 +14,10 @@ from racines_leaderboard.board.collect import collect
 from racines_leaderboard.studio.place import Place
 from tests.leaderboard.conftest import agent_scores, generator_scores, write_submission
 from tests.leaderboard.expert_kit import kit_of
+from tests.waiting import PATIENCE
 
+BROWSER_PATIENCE = 1e3 * PATIENCE
+"""Milliseconds that a page waits for anything."""
 HOSTILE = (
     "<script>window.pwned = 1</script><img src=x onerror='window.pwned = 1'>"
     "[here](javascript:window.pwned=1) ${window.pwned = 1} {{pwned}} `pwned`"
@@ -76,7 +79,9 @@ def browser() -> Iterator[Any]:
         pytest.skip("needs Chromium; on Debian: apt install chromium")
     playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright (extra dev)")
     with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        browser = running.chromium.launch(
+            executable_path=found, args=["--no-sandbox"], timeout=BROWSER_PATIENCE
+        )
         yield browser
         browser.close()
 
@@ -90,6 +95,7 @@ def visit(served: str, browser: Any) -> Iterator[Callable[..., Any]]:
         context = browser.new_context(viewport={"width": width, "height": height})
         contexts.append(context)
         page = context.new_page()
+        page.set_default_timeout(BROWSER_PATIENCE)
         page.on("pageerror", lambda error: faults.append(f"error: {error}"))
         page.on("dialog", lambda dialog: faults.append(f"dialog: {dialog.message}"))
         page.on("console", lambda m: faults.append(m.text) if m.type == "error" else None)
@@ -113,6 +119,7 @@ def _own(url: str, served: str) -> bool:
 def open_tab(page: Any, title: str) -> None:
     """Click a tab, in the menu where the page is too narrow for all of them."""
     tab = page.get_by_role("tab", name=title, exact=True).first
+    page.get_by_role("tab").first.wait_for(state="attached")
     if tab.count() and tab.is_visible():
         tab.click()
         return

@@ -3,27 +3,34 @@
 Each is a session of its own that does what a browser does: it joins the queue and reads the stream
 of events. It looks at boards, moves through the dataset, answers a study, drives the probe, lets
 generators draw, and watches an agent, as far as the page has these tabs; every answer is checked to
-come from its own sitting or episode.
+come from its own sitting or episode. `--turns 2` lets each do so much, in place of so long.
 """
 
 import argparse
+import itertools
 import json
 import random
 import statistics
 import time
 from collections import Counter
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
 import httpx
 
+from tests.waiting import PATIENCE
+
+SECONDS = 60.0
+"""How long a visitor stays, unless it is told how much to do."""
+
 
 class Visitor:
     """One session: it sends values to the page's events, by name, and reads what comes back."""
 
     def __init__(self, url: str, seed: int) -> None:
-        self.client = httpx.Client(base_url=url, timeout=60)
+        self.client = httpx.Client(base_url=url, timeout=PATIENCE)
         self.random = random.Random(seed)
         self.session = f"load{self.random.getrandbits(60):x}"
         config = self.client.get("/config").raise_for_status().json()
@@ -65,9 +72,17 @@ class Told:
         return self
 
 
-def spend(url: str, seconds: float, seed: int) -> Told:
-    """Be one visitor for some seconds."""
-    told, end = Told(), time.monotonic() + seconds
+def numbers(seconds: float, turns: int | None) -> Iterable[int]:
+    """Number a visitor's turns: so many, or as many as it begins within the seconds."""
+    if turns is not None:
+        return range(turns)
+    end = time.monotonic() + seconds
+    return itertools.takewhile(lambda _: time.monotonic() < end, itertools.count())
+
+
+def spend(url: str, seed: int, seconds: float, turns: int | None) -> Told:
+    """Be one visitor; see `numbers`."""
+    told = Told()
     try:
         visitor = Visitor(url, seed)
 
@@ -77,11 +92,9 @@ def spend(url: str, seconds: float, seed: int) -> Told:
             told.seconds.setdefault(name, []).append(time.monotonic() - start)
             return answer
 
-        turn = 0
-        while time.monotonic() < end:
-            doings = [doing for event, doing in DOINGS.items() if event in visitor.events]
+        doings = [doing for event, doing in DOINGS.items() if event in visitor.events]
+        for turn in numbers(seconds, turns):
             doings[(turn + seed) % len(doings)](visitor, call, f"load-{seed}-{turn}")
-            turn += 1
     except (AssertionError, RuntimeError, httpx.HTTPError) as error:
         told.errors.append(f"visitor {seed}: {type(error).__name__}: {error}")
     return told
@@ -156,11 +169,18 @@ DOINGS = {
 """What a visitor does, by the event that its tab has."""
 
 
-def run(url: str, sessions: int, seconds: float) -> Told:
-    """Let many visitors in at once and return what they did."""
+def run(url: str, sessions: int, seconds: float = SECONDS, turns: int | None = None) -> Told:
+    """Let many visitors in at once and return what they did.
+
+    Args:
+        url: Of the Studio.
+        sessions: Visitors.
+        seconds: How long each begins another turn, unless `turns` is given.
+        turns: Turns of each, however long they take.
+    """
     told = Told()
     with ThreadPoolExecutor(sessions) as pool:
-        for each in pool.map(lambda seed: spend(url, seconds, seed), range(sessions)):
+        for each in pool.map(lambda seed: spend(url, seed, seconds, turns), range(sessions)):
             told += each
     return told
 
@@ -170,13 +190,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("url")
     parser.add_argument("--sessions", type=int, default=20)
-    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seconds", type=float, default=SECONDS)
+    parser.add_argument("--turns", type=int, help="of each session, in place of the seconds")
     given = parser.parse_args()
-    told = run(given.url, given.sessions, given.seconds)
+    began = time.monotonic()
+    told = run(given.url, given.sessions, given.seconds, given.turns)
+    took = time.monotonic() - began
     for name, seconds in sorted(told.seconds.items()):
         middle, worst = statistics.median(seconds), max(seconds)
         print(f"{name:20} {len(seconds):6} calls, median {middle:.2f} s, longest {worst:.2f} s")
-    print(f"{given.sessions} sessions, {given.seconds:g} s, errors: {len(told.errors)}")
+    print(f"{given.sessions} sessions, {took:.0f} s, errors: {len(told.errors)}")
     for error, count in Counter(told.errors).items():
         print(f"{count} x {error}")
     raise SystemExit(bool(told.errors))

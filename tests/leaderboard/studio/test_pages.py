@@ -68,7 +68,9 @@ def test_study_by_buttons_and_keys(visit: Visit, tmp_path: Path, size):
     photograph(page, tmp_path / "study.png")
     page.locator("#study-save").click()
     progress(page, 1)
-    assert page.get_attribute("#study-image img", "src") != first
+    page.wait_for_function(
+        "first => document.querySelector('#study-image img').src !== first", arg=first
+    )
     page.keyboard.press("a")
     page.keyboard.press("0")
     assert page.locator("#study-grade input:checked").get_attribute("value") is not None
@@ -102,7 +104,7 @@ def test_two_visitors_do_not_see_each_others_study(visit: Visit, place):
     # Somebody else of the same name is turned away; with the code, anna goes on.
     third = visit()
     begin(third, "anna")
-    assert "the name is taken" in third.locator(".toast-body").inner_text(timeout=10_000)
+    assert "the name is taken" in third.locator(".toast-body").inner_text()
     code = anna.locator("#study-code code").nth(1).inner_text()
     begin(third, "anna", code)
     assert "anna" in progress(third, 1)
@@ -111,10 +113,11 @@ def test_two_visitors_do_not_see_each_others_study(visit: Visit, place):
 def test_markup_in_a_field_is_refused_and_shown_as_text(visit: Visit, tmp_path: Path):
     page = visit()
     begin(page, "<img src=x onerror=pwned=1>")
-    toast = page.locator(".toast-body")
-    assert "<" in toast.inner_text(timeout=10_000)
-    assert "&lt;" not in toast.inner_text()
-    assert page.locator(".toast-wrap img[src=x]").count() == 0
+    # Read at once, before it goes: the words as shown, and what they are made of.
+    shown, images = page.locator(".toast-body").evaluate(
+        "toast => [toast.innerText, toast.querySelectorAll('img[src=x]').length]"
+    )
+    assert "<" in shown and "&lt;" not in shown and images == 0
     page.screenshot(path=tmp_path / "refused.png")
 
 

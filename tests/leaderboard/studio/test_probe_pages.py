@@ -13,14 +13,11 @@ from racines_envs.task.actions import ACTIONS
 from racines_leaderboard.studio.place import Place
 from racines_models.generators.nearest_pose import NearestPose
 from racines_models.protocol import Run
-from tests.leaderboard.studio.conftest import free_port, open_tab
+from tests.leaderboard.studio.conftest import BROWSER_PATIENCE, free_port, open_tab
 from tests.leaderboard.studio.test_watching import policy
 
 pytest.importorskip("gradio", reason='needs Gradio: pip install "racines[studio]"')
-pytestmark = pytest.mark.timeout(300)
 TABS = {"generators": "Generators", "probe": "Drive the probe", "agent": "Watch an agent"}
-PATIENCE = 90_000
-"""Milliseconds that a first picture may take: the phantom is made for it."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +48,7 @@ def meet(address: str, browser: Any) -> Iterator[Callable[..., Any]]:
         context = browser.new_context(viewport={"width": width, "height": height})
         contexts.append(context)
         page = context.new_page()
-        page.set_default_timeout(PATIENCE)
+        page.set_default_timeout(BROWSER_PATIENCE)
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
         page.goto(address)
@@ -143,8 +140,11 @@ def test_keys_that_are_typed_into_a_field_steer_nothing(meet):
     field.focus()
     field.press("d")
     page.keyboard.press("Tab")
-    page.wait_for_timeout(300)
-    assert "last: start" in " ".join(page.inner_text("#probe-image").split())
+    page.click("#probe-plus-z")  # events are done in turn: a step of the typed key would be first
+    page.wait_for_function(
+        "document.querySelector('#probe-image').textContent.includes('last: +z')"
+    )
+    assert "step 1 of 200" in " ".join(page.inner_text("#probe-image").split())
 
 
 def test_an_agent_is_watched_with_its_attributions(meet):

@@ -1,13 +1,11 @@
 """The confined child: the same bytes as in this process, and an end to whatever does not end."""
 
-import os
 import pickle
-import time
 from dataclasses import replace
 from multiprocessing.connection import Pipe
-from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 import torch
 
@@ -27,24 +25,21 @@ from racines_models.exchange.onnx.generator import OnnxGenerator
 from tests.envs.fakes import FakePhantom
 from tests.leaderboard.graphs import harmful, sound_generator, sound_policy
 from tests.models.conftest import random_parameters
+from tests.waiting import PATIENCE, until
 
-SMALL = Limits(memory=2**30, call_seconds=30)
+SMALL = Limits(memory=2**30, open_seconds=int(PATIENCE), call_seconds=int(PATIENCE))
 
 
 def children() -> set[int]:
     """Return the processes that this one has started and not collected."""
-    folder = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children")
-    return {int(word) for word in folder.read_text().split()}
+    return {child.pid for child in psutil.Process().children()}
 
 
 @pytest.fixture(autouse=True)
 def no_child_is_left():
     before = children()
     yield
-    deadline = time.monotonic() + 5
-    while children() - before and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not children() - before
+    until(lambda: not children() - before)
 
 
 def test_images_are_the_same_bytes(tmp_path):

@@ -24,6 +24,7 @@ from racines_leaderboard.submissions.intake import take_in
 from tests.leaderboard.conftest import artefact, generator_scores, write_submission
 from tests.leaderboard.graphs import sound_generator
 from tests.leaderboard.submissions.test_submission import Payload
+from tests.waiting import PATIENCE
 
 
 def tree(folder: Path) -> set[str]:
@@ -68,7 +69,7 @@ def test_a_check_copies_nothing_and_finds_what_taking_in_would(inbox, tmp_path):
     assert tree(tmp_path) == before
     (inbox / "mine.onnx").write_bytes(pickle.dumps([1]))
     assert isinstance(CliRunner().invoke(app, words).exception, RacinesError)
-    assert CliRunner().invoke(app, [*words, "--replace"]).exit_code == 2
+    assert CliRunner().invoke(app, [*words, "--force"]).exit_code == 2
     assert tree(tmp_path) == before
 
 
@@ -209,7 +210,7 @@ class Server:
         port = self._server.server_address[1]
         there = url.replace("https://example.org", f"http://127.0.0.1:{port}")
         proxied = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-        return proxied.open(there, timeout=10)
+        return proxied.open(there, timeout=PATIENCE)
 
     def close(self) -> None:
         self._server.shutdown()
@@ -274,7 +275,7 @@ def test_the_command_says_what_is_scored_again(inbox, tmp_path, monkeypatch):
     assert "leaderboard/submissions/generators/mine: sound" in said
     assert "Scored again: mine.onnx (a network that draws)" in said
     assert "racines leaderboard --recompute generators/mine" in said
-    document = json.loads(invoke("submit", inbox, "--replace", "--json"))
+    document = json.loads(invoke("submit", inbox, "--force", "--json"))
     assert document["rescored"] == ["mine.onnx"] and document["name"] == "mine"
 
 

@@ -1,4 +1,4 @@
-"""`racines train grader`, `eval generator` and `eval realism`, as a user types them."""
+"""`racines train grader`, `eval generator` and `study realism`, as a user types them."""
 
 import json
 
@@ -96,13 +96,14 @@ def test_a_pose_regressor_is_used_where_there_is_one(here):
 
 
 def test_truth_against_truth(here):
-    content = json.loads(invoke("eval", "floor", "--n", "4", "--n", "6", "--splits", "2", "--json"))
+    words = ("study", "floor", "--n", "4", "--splits", "2")
+    content = json.loads(invoke(*words, "--n", "6", "--json"))
     assert [row["n"] for row in content["rows"]["inception"]] == [4, 6]
     assert json.loads((here / "models/runs/floor.json").read_text()) == content
     assert (here / "models/runs/floor.png").is_file()
-    shown = invoke("eval", "floor", "--n", "4", "--splits", "2")
+    shown = invoke(*words)
     assert "inception, n = 4: FID" in shown
-    assert "fewer than the smallest" in refused("eval", "floor", "--n", "4000")
+    assert "fewer than the smallest" in refused("study", "floor", "--n", "4000")
 
 
 def test_refusals_name_the_remedy(here):
@@ -116,10 +117,10 @@ def test_refusals_name_the_remedy(here):
 
 
 def test_realism_compares_or_says_loudly_that_it_did_not(here):
-    told = refused("eval", "realism")
+    told = refused("study", "realism")
     assert "NOT COMPARED" in told and "--real" in told
-    assert "absent.parquet: no such file" in refused("eval", "realism", "--real", "absent.parquet")
-    invoke("eval", "realism", "--optional", "--real", "absent.parquet")
+    assert "absent.parquet: no such file" in refused("study", "realism", "--real", "absent.parquet")
+    invoke("study", "realism", "--optional", "--real", "absent.parquet")
     report = here / "models/runs/realism.json"
     of_many = here / "models/runs/realism-multi_phantom.json"
     for path, config in ((report, "frames"), (of_many, "multi_phantom")):
@@ -135,7 +136,7 @@ def test_realism_compares_or_says_loudly_that_it_did_not(here):
     images = [png(image.numpy()) for image in store.images[store.views == 0][:8]]
     patients = [f"patient{i // 2}" for i in range(len(images))]
     pl.DataFrame({"patient": patients, "image": images}).write_parquet(here / "real.parquet")
-    both = json.loads(invoke("eval", "realism", "--real", "real.parquet", "--json"))
+    both = json.loads(invoke("study", "realism", "--real", "real.parquet", "--json"))
     content = both["frames"]
     assert json.loads(report.read_text()) == content and content["config"] == "frames"
     assert content["compared"] and content["figures"]["kid"]["phantom"]["value"] is not None
@@ -147,5 +148,6 @@ def test_realism_compares_or_says_loudly_that_it_did_not(here):
 
 
 def test_ablation_says_what_it_lacks(here):
-    assert "NOT COMPARED" in refused("eval", "ablation")
-    assert "absent.parquet: no such file" in refused("eval", "ablation", "--real", "absent.parquet")
+    assert "NOT COMPARED" in refused("study", "ablation")
+    told = refused("study", "ablation", "--real", "absent.parquet")
+    assert "absent.parquet: no such file" in told

@@ -89,28 +89,6 @@ class Killed(Exception):
     pass
 
 
-def test_a_killed_and_resumed_run_ends_in_the_same_weights(labelled, tmp_path, monkeypatch):
-    whole, broken = tmp_path / "whole", tmp_path / "broken"
-    train_grader(labelled, SHORT, run(whole))
-    each_step = GraderConfig(**{**vars(SHORT), "checkpoint_seconds": 0.0})
-    write = Checkpoint.write
-
-    for kill_at in (5, 16):  # in the view stage; in the grade stage
-
-        def write_then_die(self, state, kill_at=kill_at):
-            write(self, state)
-            if state["step"] == kill_at:
-                raise Killed
-
-        monkeypatch.setattr(Checkpoint, "write", write_then_die)
-        with pytest.raises(Killed):
-            train_grader(labelled, each_step, run(broken))
-    monkeypatch.setattr(Checkpoint, "write", write)
-    train_grader(labelled, each_step, run(broken, resume=True))
-    a, b = ((folder / "grader.safetensors").read_bytes() for folder in (whole, broken))
-    assert a == b
-
-
 def test_a_checkpoint_of_other_settings_is_not_continued(labelled, tmp_path, monkeypatch):
     each_step = GraderConfig(**{**vars(SHORT), "checkpoint_seconds": 0.0})
 

@@ -164,7 +164,10 @@ def test_a_half_precision_copy_opens_and_agrees(trained, store, tmp_path):
 def test_an_unknown_architecture_is_refused(trained, tmp_path):
     described = json.loads((trained[0] / "config.json").read_text()) | {"architecture": "vit"}
     (tmp_path / "config.json").write_text(json.dumps(described))
-    with pytest.raises(RacinesError, match="'vit', expected resnet18 or student"):
+    with pytest.raises(
+        RacinesError,
+        match="config.json: unknown architecture 'vit': choose one of resnet18, student",
+    ):
         Grader.load(tmp_path)
 
 

@@ -135,7 +135,7 @@ def test_a_killed_and_resumed_run_ends_in_the_same_weights(store, teacher, tmp_p
 
     def write_then_die(self, state):
         write(self, state)
-        if state["step"] == 9:
+        if state["seen"] == 9 * SHORT.batch_size:
             raise Killed
 
     with monkeypatch.context() as patch:  # while the student learns
@@ -152,7 +152,7 @@ def test_a_killed_and_resumed_run_ends_in_the_same_weights(store, teacher, tmp_p
 def test_the_answers_of_another_teacher_are_not_used(store, teacher, tmp_path, monkeypatch):
     def die(self, state, write=Checkpoint.write):
         write(self, state)
-        if state["step"] == 1:
+        if state["seen"] == SHORT.batch_size:
             raise Killed
 
     with monkeypatch.context() as patch:

@@ -51,6 +51,6 @@ def test_no_generators_are_refused(store, tmp_path):
 
 def test_the_command_says_what_it_drew(workplace):
     command(workplace, "racines", "train", "generator", "mean-image", "--json")
-    done = command(workplace, "racines", "eval", "gallery")
+    done = command(workplace, "racines", "study", "gallery")
     assert "mean-image" in done.stdout
     assert Image.open(workplace / "models/runs/gallery.png").width > 200

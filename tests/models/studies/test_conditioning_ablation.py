@@ -83,7 +83,7 @@ def test_command_trains_judges_and_prints(workplace, monkeypatch):
     settings |= {"learning_rate": 0.03, "training": {"ema": 0.0, "precision": "fp32"}}
     params = {"seed": 0, "generators": {"cgan": settings}}
     (workplace / "params.yaml").write_text(yaml.safe_dump(params))
-    words = ["eval", "conditioning", "cgan", "--images", "160", "--frames", "20"]
+    words = ["study", "conditioning", "cgan", "--images", "160", "--frames", "20"]
     printed = CliRunner().invoke(app, words)
     assert printed.exit_code == 0, printed.output
     assert "own_frame" in printed.stdout and "euler" in printed.stdout

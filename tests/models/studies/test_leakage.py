@@ -103,7 +103,7 @@ def test_data_without_poses_or_test_frames_are_refused():
 
 def test_command(workplace, monkeypatch):
     monkeypatch.chdir(workplace)
-    words = ["data", "leakage", "--samples", "20", "--out", "report/leak"]
+    words = ["study", "leakage", "--samples", "20", "--out", "report/leak"]
     done = CliRunner().invoke(app, [*words, "--json"])
     assert done.exit_code == 0, done.exception
     content = json.loads(done.stdout)

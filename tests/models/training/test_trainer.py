@@ -18,7 +18,7 @@ from racines_models.training.checkpoint import Checkpoint
 from racines_models.training.feed import Feed
 from racines_models.training.guard import Guard
 from racines_models.training.objective import Training, Update
-from racines_models.training.schedule import Schedule
+from racines_models.training.schedule import rate_factor
 from racines_models.training.trainer import resolve_precision, train
 
 
@@ -128,13 +128,7 @@ def test_run_leaves_no_checkpoint_and_no_partial_file(store, run_dir):
 
 def rates(config: Training) -> list[float]:
     """The learning rate at each step of a run, for an optimizer of rate 1."""
-    optimizer = SGD([nn.Parameter(torch.zeros(1))], 1.0)
-    schedule = Schedule({"a": optimizer}, config, config.images)
-    found = []
-    for seen in range(0, config.images, config.batch_size):
-        schedule.apply(seen)
-        found.append(optimizer.param_groups[0]["lr"])
-    return found
+    return [rate_factor(config, seen) for seen in range(0, config.images, config.batch_size)]
 
 
 def test_schedule_warms_up_and_falls():
@@ -270,5 +264,5 @@ def test_impossible_settings_are_refused(change):
 def test_absent_device_is_refused(store, tmp_path):
     if torch.cuda.is_available():
         pytest.skip("there is a CUDA device")
-    with pytest.raises(RacinesError, match="--device cpu"):
+    with pytest.raises(RacinesError, match="use auto, cpu"):
         Toy().fit(store, Run(tmp_path, device="cuda"))

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -26,6 +25,7 @@ from tests.conftest import ROOT
 from tests.models.conftest import FakeStore
 from tests.models.training.test_trainer import Toy, ToyConfig
 from tests.models.training.test_trainer_resume import CONFIG, curves, mortal
+from tests.waiting import descendants, until, until_ended
 
 TRAINING = Training(
     images=96, batch_size=8, precision="fp32", ema=0.5, log_every=32, checkpoint_every=32
@@ -112,6 +112,7 @@ def test_two_processes_end_near_one(tmp_path, make, config, tolerance):
 
 
 @pytest.mark.slow
+@pytest.mark.docs
 def test_two_processes_resume_exactly(tmp_path):
     """One process of two dies; the other is ended, and a resumed pair ends as one undisturbed."""
     in_processes(2, fit, Flow, FLOW, tmp_path / "whole")
@@ -147,13 +148,14 @@ from pathlib import Path
 from racines_models.training.launch import in_processes
 from tests.models import test_trainer_processes as here
 if __name__ == "__main__":
-    training = dataclasses.replace(here.TRAINING, images=80_000)
+    training = dataclasses.replace(here.TRAINING, images=80_000_000)
     config = dataclasses.replace(here.FLOW, training=training)
     in_processes(2, here.fit, here.Flow, config, Path(sys.argv[1]))
 """
 
 
 @pytest.mark.slow
+@pytest.mark.docs
 def test_killed_command_leaves_no_process_behind(tmp_path):
     (tmp_path / "script.py").write_text(SCRIPT)
     process = subprocess.Popen(
@@ -162,14 +164,9 @@ def test_killed_command_leaves_no_process_behind(tmp_path):
         env=os.environ | {"PYTHONPATH": str(ROOT)},
         stderr=subprocess.DEVNULL,
     )
-    last = tmp_path / "checkpoint/last.pt"
-    deadline = time.monotonic() + 120
-    while not last.exists():
-        assert process.poll() is None and time.monotonic() < deadline
-        time.sleep(0.05)
+    until((tmp_path / "checkpoint/last.pt").exists, process)
+    workers = descendants(process)
+    assert len(workers) >= 2
     process.send_signal(signal.SIGKILL)
     process.wait()
-    time.sleep(1.0)
-    written = last.stat().st_mtime_ns
-    time.sleep(3.0)
-    assert last.stat().st_mtime_ns == written
+    until_ended(workers)

@@ -19,7 +19,9 @@ from racines_envs.agents.rollout import rollout
 from racines_envs.agents.training.config import TrainingConfig
 from racines_envs.task.rewards import RewardConfig
 from racines_envs.task.starts import validation_seeds
-from racines_envs.worlds.making import find_task, make_core, make_phantom, phantom_recipe
+from racines_envs.worlds.backends import JudgeLike
+from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
+from racines_models.devices import on_device
 from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
 
 
@@ -42,8 +44,8 @@ class TrainingRun(ABC):
         config: TrainingConfig,
         folder: Path,
         seed: int,
-        phantom: Any,
-        grader: Any,
+        phantom: WorldLike,
+        grader: JudgeLike,
         progress: bool,
         data: Path | str | None = None,
     ) -> None:
@@ -57,6 +59,7 @@ class TrainingRun(ABC):
                 f"agents.{cls.name}.update_every is {config.update_every}: give a multiple of envs "
                 f"({config.envs})"
             )
+        config = on_device(config)
         self.folder, self.seed, self.progress = folder, seed, progress
         self.config: Any = config
         looks = config.observation != "params"

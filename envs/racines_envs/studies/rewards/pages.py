@@ -7,7 +7,7 @@ import numpy as np
 
 from racines_data.tables import markdown_table
 from racines_envs.evaluation.pictures import save
-from racines_envs.studies.rewards.settle import Settled
+from racines_envs.studies.rewards.settlement import Settled
 
 Key = tuple[str, str, str]
 
@@ -53,7 +53,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
 
 
 def arithmetic(row: dict[str, Any], numbers: dict[str, float]) -> str:
-    """Return the sum that a mean return under the paper's formula is; nothing for `shaped`."""
+    """Return the sum that a mean return under the paper's formula is; nothing for another."""
     parts = row["parts"]
     if "hits" not in parts:
         return ""

@@ -8,15 +8,22 @@ import numpy as np
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.world import World
 from racines_envs.evaluation.agent_specs import Run, common_view
 from racines_envs.evaluation.measures import RETURN_OF_A_HIT
 from racines_envs.evaluation.run import check_view, start_seeds
-from racines_envs.studies.rewards.settle import Settled, Trace, record, settle
-from racines_envs.task.rewards import REWARDS, RewardConfig
+from racines_envs.studies.rewards.settlement import (
+    ScoredSteps,
+    Settled,
+    run_scored,
+    settle,
+)
+from racines_envs.task.rewards import REWARDS, Reward, RewardConfig, follows_paper, get_reward
 from racines_envs.task.tasks import TERMINATIONS, Task
-from racines_envs.worlds.backends import GRADER_FOLDER
-from racines_envs.worlds.making import find_task, make_core, make_phantom, phantom_recipe
+from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike
+from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
 from racines_models import statistics
+from racines_models.devices import on_device
 
 SCHEMA = "racines.agent-rewards/1"
 PAPER = {
@@ -50,7 +57,10 @@ class RewardReportConfig:
 
 
 def reward_report(
-    runs: Sequence[Run], config: RewardReportConfig, phantom: Any = None, grader: Any = None
+    runs: Sequence[Run],
+    config: RewardReportConfig,
+    phantom: WorldLike = None,
+    grader: JudgeLike = None,
 ) -> tuple[dict[str, Any], dict[tuple[str, str, str], Settled]]:
     """Let every agent act to the last step, and settle its episodes under every reward and rule.
 
@@ -58,24 +68,26 @@ def reward_report(
         The document, and the episodes by (agent, reward, rule) for a picture.
 
     Raises:
-        RacinesError: an unknown reward or rule, no grader for `paper`, or agents that do not fit.
+        RacinesError: an unknown reward or rule, no grader for one that needs it, or agents that do
+            not fit.
     """
     _check(config)
+    config = on_device(config)
     seeds, view = start_seeds(config.starts, config.seeds), common_view(runs, config.view)
     task = find_task(view, phantom)
     phantom = make_phantom(phantom, config.device, task.anatomy)
     grader = grader or config.grader or GRADER_FOLDER
     episodes: dict[tuple[str, str, str], Settled] = {}
     for run in runs:
-        traces: dict[str, Trace] = {}
+        traces: dict[bool, ScoredSteps] = {}
         for reward in config.rewards:
-            source = "paper" if reward == "paper" else "shaped"
-            if source not in traces:
-                judge = grader if source == "paper" else None
-                traces[source] = _trace(run, task, source, seeds, phantom, judge, config)
+            judged = get_reward(reward).needs_judge
+            if judged not in traces:
+                judge = grader if judged else None
+                traces[judged] = _trace(run, task, seeds, phantom, judge, config)
             for rule in config.terminations:
                 needed = replace(task, termination=rule).hits_to_end
-                settled = settle(traces[source], reward, needed, RewardConfig())
+                settled = settle(traces[judged], reward, needed, RewardConfig())
                 episodes[run.label, reward, rule] = settled
     document = {
         "schema": SCHEMA,
@@ -98,7 +110,7 @@ def reward_report(
 
 def _check(config: RewardReportConfig) -> None:
     for name, given, known in (
-        ("rewards", config.rewards, tuple(REWARDS)),
+        ("rewards", config.rewards, REWARDS.names()),
         ("terminations", config.terminations, TERMINATIONS),
     ):
         unknown = [value for value in given if value not in known]
@@ -111,26 +123,27 @@ def _check(config: RewardReportConfig) -> None:
 def _trace(
     run: Run,
     task: Task,
-    reward: str,
     seeds: Tensor,
-    phantom: Any,
-    grader: Any,
+    phantom: World,
+    grader: JudgeLike,
     config: RewardReportConfig,
-) -> Trace:
+) -> ScoredSteps:
     agent = run.load(config.device)
+    # All that any reward may look at is recorded; what this one would pay is not.
+    watched = Reward("watched", "", get_reward("oracle").pay, grader is not None, True)
     check_view(agent, task.view, run.agent, run.folder)
     core = make_core(
         task,
         len(seeds),
         observation=agent.observation,
-        reward=reward,
+        reward=watched,
         phantom=phantom,
         grader=grader,
         termination="timeout",
         encoder=getattr(agent, "encoder", None),
         device=config.device,
     )
-    return record(core, agent, seeds.to(core.device))
+    return run_scored(core, agent, seeds.to(core.device))
 
 
 def _figures(settled: Settled, config: RewardReportConfig) -> dict[str, Any]:
@@ -150,8 +163,8 @@ def _parts(settled: Settled, reward: str) -> dict[str, float]:
     numbers, steps = RewardConfig(), float(np.mean(settled.steps))
     total = float(np.mean(settled.total, dtype=np.float64))
     parts = {"steps": steps, "step_cost": numbers.step * steps}
-    if reward == "shaped":
-        return parts | {"prize_and_potential": total - numbers.step * steps}
+    if not follows_paper(reward):
+        return parts | {get_reward(reward).rest: total - numbers.step * steps}
     hits, seen = float(np.mean(settled.hits)), float(np.mean(settled.seen))
     change = float(np.mean(settled.probability, dtype=np.float64))
     paid = numbers.hit * hits + numbers.view * seen + change + numbers.step * steps

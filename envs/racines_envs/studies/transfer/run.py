@@ -17,9 +17,10 @@ from racines_envs.evaluation.agent_specs import Run, common_view
 from racines_envs.evaluation.measures import path_length_score
 from racines_envs.evaluation.run import check_view, reference_steps, start_seeds
 from racines_envs.studies.transfer.rank_correlation import correlate
-from racines_envs.worlds.making import find_task, make_core, make_phantom, phantom_recipe
-from racines_envs.worlds.recorded import RecordedWorld
+from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
+from racines_envs.worlds.recorded_world import RecordedWorld
 from racines_models import statistics
+from racines_models.devices import on_device
 
 SCHEMA = "racines.agent-transfer/1"
 COMPARED = ("success_true", "episode_steps", "spl", "final_grade")
@@ -57,7 +58,7 @@ def backend_arguments(spec: str) -> dict[str, Any]:
 
 
 def transfer(
-    runs: Sequence[Run], backends: Sequence[str], config: TransferConfig, phantom: Any = None
+    runs: Sequence[Run], backends: Sequence[str], config: TransferConfig, phantom: WorldLike = None
 ) -> dict[str, Any]:
     """Run every agent in every backend from the same starts.
 
@@ -70,6 +71,7 @@ def transfer(
     """
     if len(set(backends)) != len(backends) or not backends:
         raise RacinesError(f"backends are {', '.join(backends) or 'none'}: name each once")
+    config = on_device(config)
     arguments = [backend_arguments(backend) for backend in backends]
     seeds, view = start_seeds(config.starts, config.seeds), common_view(runs, config.view)
     phantom = make_phantom(phantom, config.device, find_task(view, phantom).anatomy)

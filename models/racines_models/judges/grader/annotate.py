@@ -7,15 +7,12 @@ source says, or null. All other bytes of the rows stay as they were, and with th
 digest; the card names the grader, so that no reader is served rows of before.
 """
 
-import fcntl
-import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -26,7 +23,7 @@ from racines_data.card.croissant import CROISSANT, add_croissant
 from racines_data.card.markdown import write_card
 from racines_data.digest import canonical_json, check_files
 from racines_data.errors import RacinesError
-from racines_data.files import recover_folder, sha256_file, swap_folder, write_once
+from racines_data.files import recover_folder, sha256_file, swap_folder, working_folder, write_once
 from racines_data.manifest import CARD, MANIFEST, read_manifest, rebuild_hint
 from racines_data.schema import SPLITS
 from racines_data.store.frames import FrameStore
@@ -138,30 +135,10 @@ def _shards(root: Path, manifest: dict[str, Any], store: FrameStore) -> list[_Sh
     return shards
 
 
-@contextmanager
-def _staging(out: Path, manifest: dict[str, Any], grader: Grader) -> Iterator[Path]:
+def _staging(out: Path, manifest: dict[str, Any], grader: Grader) -> AbstractContextManager[Path]:
     """Open the folder of the unfinished work, beside `out`; removed when the work is done."""
     key = canonical_json([manifest["files"], grader.settings, str(out)])
-    name = f".{out.name}.annotating-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
-    folder = out.parent / name
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / "lock").open("w") as lock:
-        if not _lock(lock):
-            raise RacinesError(f"{out}: it is being annotated already; wait for it")
-        for other in set(out.parent.glob(f".{out.name}.annotating-*")) - {folder}:
-            with (other / "lock").open("w") as abandoned:
-                if _lock(abandoned):  # killed, and nothing will go on from it
-                    shutil.rmtree(other)
-        yield folder
-        shutil.rmtree(folder)
-
-
-def _lock(file: IO[str]) -> bool:
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return False
-    return True
+    return working_folder(out, "annotating", key, "it is being annotated already; wait for it")
 
 
 def _judge_all(

@@ -5,29 +5,31 @@ alone; what it should have said is the oracle's, or the expert's. Its student (s
 opened by the same `Grader.load` and asked the same way.
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
-from importlib import import_module
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_data.files import sha256_file, write_atomic, write_json
+from racines_data.files import sha256_file, write_json
+from racines_data.plugins import Plugins
 from racines_data.views import LABELS
+from racines_models.devices import resolve_device
+from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.grading import GRADE_SCALE, GraderNetwork, GradingNetwork
+from racines_models.protocol import Judge
 from racines_models.training.augmentation import Augmentation
+from racines_models.weights import load_network, read_described, save_weights
 
 WEIGHTS = "grader.safetensors"
 CONFIG = "config.json"
 SCHEMA = "racines.grader/1"
-ARCHITECTURES = {"resnet18": "racines_models.judges.grader.model:Grader"}
-ARCHITECTURES["student"] = "racines_models.judges.student.model:Student"
-"""Who reads a folder, by the architecture that its config names."""
+JUDGES = Plugins("architecture", "racines.judges", ("architecture", "Config", "build"), or_give="")
+"""Who reads a folder, by the architecture that its config names: a file names no module."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,8 @@ class GraderConfig(Augmentation):
     """A view weighs its frequency to minus this power: 0 none, 1 full balance."""
     bf16: bool = True
     """Train and grade in bfloat16 autocast (twice as fast on recent CPUs)."""
+    ema: float = 0.0
+    """Decay of the averaged weights that are kept; 0, none, as the rate ends at zero anyway."""
     checkpoint_seconds: float = 30.0
     """Least time between two checkpoints."""
 
@@ -91,8 +95,11 @@ class Reading(NamedTuple):
     """(N, D) float32, the encoder's output."""
 
 
-class Grader:
+class Grader(Judge):
     """Labels and grades images.
+
+    What it says of an image depends on that image alone: not on its place, on its neighbours or on
+    the size of the batch, to the last bit, on one machine.
 
     Raises:
         RacinesError: `load` finds no grader, or one of another kind.
@@ -110,6 +117,7 @@ class Grader:
         labels: Sequence[str] = LABELS,
         temperature: float = 1.0,
     ) -> None:
+        device = resolve_device(device)
         self.network = network.to(device).eval().requires_grad_(False)
         self.config = config
         self.labels = tuple(labels)
@@ -168,11 +176,7 @@ class Grader:
 
     def save(self, folder: Path, **provenance: Any) -> None:
         """Write `grader.safetensors`, then `config.json` with what `provenance` adds."""
-        from safetensors.torch import save
-
-        state = {k: v.contiguous().cpu() for k, v in self.network.state_dict().items()}
-        write_atomic(folder / WEIGHTS, save(state))
-        self.sha256 = sha256_file(folder / WEIGHTS)
+        self.sha256 = save_weights(folder / WEIGHTS, self.network.state_dict())
         described = {"schema": SCHEMA, "architecture": self.architecture}
         described |= {"config": asdict(self.config), "sha256": self.sha256}
         described |= {"labels": list(self.labels), "temperature": self.temperature}
@@ -184,8 +188,6 @@ class Grader:
 
         The weights must have the hash that the config names.
         """
-        from racines_models.weights import load_weights
-
         folder = Path(folder)
         described = read_config(folder)
         kind = _architecture(described.get("architecture", cls.architecture), folder)
@@ -197,25 +199,16 @@ class Grader:
             raise RacinesError(f"{path}: missing or damaged; run: racines train grader")
         labels = described.get("labels") or LABELS  # graders of old are cardiac
         network = kind.build(config, len(labels))
-        network.load_state_dict(load_weights(path))
+        load_network(path, network, "run: racines train grader")
         grader = kind(network, config, device, labels, described.get("temperature", 1.0))
         grader.sha256 = digest
         return grader
 
-    def check_labels(self, labels: Sequence[str], what: str) -> None:
-        """Check that the grader knows these labels, those of `what`, in this order.
-
-        Raises:
-            RacinesError: it was trained for other views.
-        """
-        if self.labels != tuple(labels):
-            raise RacinesError(
-                f"the grader knows {', '.join(self.labels)}, {what} has {', '.join(labels)}: train "
-                "a grader on a dataset of that anatomy: racines train grader"
-            )
-
     def _read(self, images: Tensor) -> Reading:
-        return self.answer(self.network.normalise(images.to(self.device)))
+        return Reading(*in_fixed_batches(self._answer_images, images.to(self.device)))
+
+    def _answer_images(self, images: Tensor) -> Reading:
+        return self.answer(self.network.normalise(images))
 
     def answer(self, x: Tensor) -> Reading:
         """Return logits, grades and features of normalised (B, 1, S, S) images."""
@@ -231,22 +224,17 @@ def read_config(folder: Path) -> dict[str, Any]:
     Raises:
         RacinesError: it is absent, no JSON, or of another schema.
     """
-    path = folder / CONFIG
-    if not path.is_file():
-        raise RacinesError(f"{folder}: no grader there; run: racines train grader --out {folder}")
-    try:
-        described = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise RacinesError(f"{path}: not valid JSON: {error}") from error
+    absent = f"no grader there; run: racines train grader --out {folder}"
+    described = read_described(folder, absent)
     if described.get("schema") != SCHEMA:
-        raise RacinesError(f"{path}: schema {described.get('schema')!r}, expected {SCHEMA!r}")
+        raise RacinesError(
+            f"{folder / CONFIG}: schema {described.get('schema')!r}, expected {SCHEMA!r}"
+        )
     return described
 
 
 def _architecture(name: str, folder: Path) -> type[Grader]:
-    if name not in ARCHITECTURES:
-        raise RacinesError(
-            f"{folder / CONFIG}: architecture {name!r}, expected {' or '.join(ARCHITECTURES)}"
-        )
-    module, kind = ARCHITECTURES[name].split(":")
-    return cast(type[Grader], getattr(import_module(module), kind))
+    try:
+        return JUDGES.load(name)
+    except RacinesError as error:
+        raise RacinesError(f"{folder / CONFIG}: {error}") from error

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from racines_data.card.style import INK, MUTED, OURS, PAPER, card_style, encode, view_colours
 from racines_data.files import write_atomic
+from racines_data.plotting import INK, MUTED, OURS, PAPER, card_style, encode, view_colours
 from racines_models.judges.grader.calibration import reliability
 from racines_models.judges.grader.report import Examination
 

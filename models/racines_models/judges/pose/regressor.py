@@ -4,23 +4,23 @@ It measures what no likeness does: whether a drawn image shows the place that it
 pose is not unique where nothing is seen (no contact), so errors are told as medians.
 """
 
-import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import save
 from torch import Tensor, nn
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_data.files import sha256_file, write_atomic, write_json
+from racines_data.files import sha256_file, write_json
 from racines_data.geometry import Pose, matrix_from_6d, parameters_to_pose, rotation_6d
 from racines_data.imaging import IMAGE_SIZE, check_images
+from racines_models.devices import resolve_device
+from racines_models.networks.batching import in_fixed_batches
 from racines_models.training.augmentation import Augmentation
 from racines_models.training.objective import Training
-from racines_models.weights import load_weights
+from racines_models.weights import load_network, read_described, save_weights
 
 WEIGHTS = "model.safetensors"
 CONFIG = "config.json"
@@ -134,11 +134,15 @@ class PoseNetwork(nn.Module):
 class PoseRegressor:
     """Reads poses from images.
 
+    A pose depends on its image alone: not on its place, on its neighbours or on the size of the
+    batch, to the last bit, on one machine.
+
     Raises:
         RacinesError: `load` finds no pose regressor, a damaged one, or something else.
     """
 
     def __init__(self, network: PoseNetwork, config: PoseConfig, device: str = "cpu"):
+        device = resolve_device(device)
         self.network = network.to(device).eval().requires_grad_(False)
         self.config = config
         self.device = torch.device(device)
@@ -151,9 +155,12 @@ class PoseRegressor:
         parts = []
         for batch in check_images(images).split(BATCH):
             # fp32: bfloat16 rounds a position by tenths of a millimetre.
-            parts.append(self.network(self.network.normalise(batch.to(self.device))))
+            parts.append(in_fixed_batches(self._targets, batch.to(self.device)))
         predicted = torch.cat(parts) if parts else torch.empty(0, TARGETS, device=self.device)
         return self.network.pose(predicted).to("cpu")
+
+    def _targets(self, images: Tensor) -> Tensor:
+        return self.network(self.network.normalise(images))
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -169,9 +176,7 @@ class PoseRegressor:
 
     def save(self, folder: Path, **provenance: Any) -> None:
         """Write `model.safetensors`, then `config.json` with what `provenance` adds."""
-        state = {k: v.contiguous().cpu() for k, v in self.network.state_dict().items()}
-        write_atomic(folder / WEIGHTS, save(state))
-        self.sha256 = sha256_file(folder / WEIGHTS)
+        self.sha256 = save_weights(folder / WEIGHTS, self.network.state_dict())
         files = {WEIGHTS: {"bytes": (folder / WEIGHTS).stat().st_size, "sha256": self.sha256}}
         described = {"schema": SCHEMA, "config": asdict(self.config)}
         described |= {"weights_files": {"dtype": "float32", "files": files}}
@@ -181,13 +186,14 @@ class PoseRegressor:
     def load(cls, folder: Path | str, device: str = "cpu") -> "PoseRegressor":
         """Read what `save` wrote, or its half-precision copy (see `publish`)."""
         folder = Path(folder)
-        described = _read_config(folder)
+        described = read_described(folder, "no pose regressor there; run: racines train pose")
+        if described.get("schema") != SCHEMA:
+            found = described.get("schema")
+            raise RacinesError(f"{folder / CONFIG}: schema {found!r}, expected {SCHEMA!r}")
         config = fill(PoseConfig, described["config"], f"{folder / CONFIG}: config")
         path = folder / WEIGHTS
-        if not path.is_file():
-            raise RacinesError(f"{path}: no such file; run: racines train pose --out {folder}")
         network = PoseNetwork(config.input_size, config.width)
-        network.load_state_dict(load_weights(path))
+        load_network(path, network, f"run: racines train pose --out {folder}")
         regressor = cls(network, config, device)
         regressor.sha256 = sha256_file(path)
         return regressor
@@ -196,16 +202,3 @@ class PoseRegressor:
 def _raw_targets(parameters: Tensor) -> Tensor:
     pose = parameters_to_pose(parameters)
     return torch.cat([pose.position, rotation_6d(pose.rotation)], -1)
-
-
-def _read_config(folder: Path) -> dict[str, Any]:
-    path = folder / CONFIG
-    if not path.is_file():
-        raise RacinesError(f"{folder}: no pose regressor there; run: racines train pose")
-    try:
-        described = json.loads(path.read_text())
-    except json.JSONDecodeError as error:
-        raise RacinesError(f"{path}: not valid JSON: {error}") from error
-    if described.get("schema") != SCHEMA:
-        raise RacinesError(f"{path}: schema {described.get('schema')!r}, expected {SCHEMA!r}")
-    return described

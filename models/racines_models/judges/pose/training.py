@@ -12,9 +12,9 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.geometry import Pose, geodesic, parameters_to_pose
 from racines_data.store.frames import FrameStore
-from racines_models.generators.base import resolve_device
+from racines_models.devices import resolve_device
 from racines_models.judges.pose.regressor import PoseConfig, PoseNetwork, PoseRegressor
-from racines_models.protocol import Card, Run
+from racines_models.protocol import Run
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.statistics import bootstrap_median
 from racines_models.training.augmentation import augment
@@ -29,6 +29,8 @@ BETA = 0.1
 class PoseLearner:
     """What the trainer needs of the pose regressor."""
 
+    name = "pose"
+
     def __init__(self, config: PoseConfig, seed: int, data: dict[str, Any]):
         self.config, self.seed, self.data = config, seed, data
         with torch.random.fork_rng(devices=[]):
@@ -36,19 +38,10 @@ class PoseLearner:
             self.network = PoseNetwork(config.input_size, config.width)
 
     @property
-    def card(self) -> Card:
-        """Say what is trained; name, config, seed and data identify a run."""
-        return Card(
-            name="pose",
-            title="Pose regressor",
-            summary="Reads the probe's pose from one image.",
-            source="ResNet (He et al., 2016); 6-D rotations (Zhou et al., 2019)",
-            stochastic=False,
-            weights=sum(each.numel() for each in self.network.parameters()),
-            data=self.data,
-            config=asdict(self.config),
-            seed=self.seed,
-        )
+    def identity(self) -> dict[str, Any]:
+        """Say what is trained on what."""
+        known = {"config": asdict(self.config), "seed": self.seed, "data": self.data}
+        return {"name": self.name} | known
 
     def modules(self) -> dict[str, nn.Module]:
         """Return the one network."""

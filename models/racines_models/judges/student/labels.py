@@ -9,14 +9,14 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save
+from safetensors.torch import load_file
 from torch import Tensor
 
-from racines_data.files import write_atomic
 from racines_data.randomness import derive
 from racines_data.store.frames import FrameStore
 from racines_models.judges.grader.model import Grader
 from racines_models.training.augmentation import Augmentation, augment
+from racines_models.weights import save_weights
 
 VARIANT = 31
 """Random stream of the variants."""
@@ -70,7 +70,7 @@ def ask_teacher(
             answers = _read(path)
             if answers is None:
                 answers = _ask(teacher, store, augmentation, chunk, variant, seed)
-                write_atomic(path, save(answers))
+                save_weights(path, answers)
             logits.append(answers["logits"])
             grades.append(answers["grades"])
             progress(len(chunk))
@@ -93,7 +93,7 @@ def _ask(
         x = variants(x, batch, torch.full_like(batch, variant), seed, augmentation)
         parts.append(teacher.answer(x))
     logits, grades = (torch.cat([part[i] for part in parts]).cpu() for i in (0, 1))
-    return {"logits": logits.contiguous(), "grades": grades.contiguous()}
+    return {"logits": logits, "grades": grades}
 
 
 def _read(path: Path) -> dict[str, Tensor] | None:

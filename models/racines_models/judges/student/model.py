@@ -47,6 +47,8 @@ class StudentConfig(Augmentation):
     """Weight of the smooth L1 loss on the teacher's grade."""
     bf16: bool = True
     """Train in bfloat16 autocast and grade in bfloat16."""
+    ema: float = 0.0
+    """Decay of the averaged weights that are kept; 0, none, as the rate ends at zero anyway."""
     checkpoint_seconds: float = 30.0
     """Least time between two checkpoints."""
 

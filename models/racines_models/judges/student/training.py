@@ -6,35 +6,37 @@ Teacher Is Patient and Consistent (2022). Order, variants and rates are function
 """
 
 import time
-from collections.abc import Iterator
-from dataclasses import asdict
-from pathlib import Path
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, replace
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
+from torch.optim import AdamW, Optimizer
 
 from racines_data.errors import RacinesError
 from racines_data.progress import image_counter
 from racines_data.randomness import derive
 from racines_data.store.frames import FrameStore
+from racines_models.devices import resolve_device
 from racines_models.judges.grader.calibration import calibrate
 from racines_models.judges.grader.evaluation import write_report
 from racines_models.judges.grader.loss import learning_rate
 from racines_models.judges.grader.model import Grader
-from racines_models.judges.grader.training import grader_accelerator
+from racines_models.judges.grader.training import judge_training
 from racines_models.judges.student.labels import ask_teacher, variants
 from racines_models.judges.student.model import Student, StudentConfig
 from racines_models.judges.student.report import agreement, speed
 from racines_models.protocol import Run
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.training.checkpoint import FOLDER, Checkpoint, discard_checkpoint
-from racines_models.training.log import TrainingLog
+from racines_models.training.course import Course
+from racines_models.training.objective import Update
+from racines_models.training.trainer import train
 
 ORDER = 32
 """Random stream of an epoch's order."""
-LOG_STEPS = 10
 
 
 def train_student(
@@ -53,16 +55,19 @@ def train_student(
         raise RacinesError(
             f"student.input_size {config.input_size}: the teacher's is {teacher.config.input_size}"
         )
-    training = _Distillation(store, config, run, teacher)
-    with training.log:
-        training.run()
-    student = Student(training.unwrapped(), config, teacher.device.type, teacher.labels)
+    run = replace(run, device=resolve_device(run.device))
+    learner = StudentLearner(store, config, run, teacher)
+    asked = learner.ask(run)
+    settings = judge_training(config, learner.batch_size, learner.steps)
+    figures = train(learner, store, settings, run, learner, config.checkpoint_seconds)
+    figures["teacher_seconds"] = round(asked, 3)
+    student = Student(learner.network, config, run.device, teacher.labels)
     calibrated = {"split": "validation", "frames": calibrate(student, store)}
     made = {"dataset": dataset_card(store), "seed": run.seed, "code": code_version()}
     made["teacher"] = {"architecture": teacher.architecture, "sha256": teacher.sha256}
     student.save(run.folder, calibrated=calibrated, **made)
     made |= {"agreement": agreement(student, teacher, store), "speed": speed(student, teacher)}
-    made |= {"training": training.figures(), "environment": environment(str(student.device))}
+    made |= {"training": figures, "environment": environment(str(student.device))}
     metrics = write_report(run.folder, student, store, **made)
     discard_checkpoint(run.folder)
     return metrics
@@ -76,70 +81,61 @@ def distillation_loss(logits: Tensor, taught: Tensor, temperature: float) -> Ten
     return divergence * temperature**2
 
 
-class _Distillation:
-    """The state of one run: network, optimizer, the teacher's answers, and how far it has come."""
+class StudentLearner(Course):
+    """What the trainer needs of the student, and what its teacher says of the frames."""
 
-    def __init__(self, store: FrameStore, config: StudentConfig, run: Run, teacher: Grader):
+    name = "student"
+
+    def __init__(self, store: FrameStore, config: StudentConfig, run: Run, teacher: Grader) -> None:
         self.store, self.config, self.seed, self.teacher = store, config, run.seed, teacher
-        self.rows = store.split_indices("train")
+        self.rows, self.device = store.split_indices("train"), run.device
         self.batch_size = min(config.batch_size, len(self.rows))
         self.per_epoch = len(self.rows) // self.batch_size
-        self.accelerator = grader_accelerator(config.bf16, run.device, "student")
+        self.steps = config.epochs * self.per_epoch
+        known = {"config": asdict(config), "seed": run.seed, "data": dataset_card(store)}
+        self.identity = {"name": self.name, "teacher": teacher.sha256} | known
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(run.seed)
-            network = Student.build(config, len(teacher.labels))
-        self.network = self.accelerator.prepare(network)
-        adam = torch.optim.AdamW(
-            self.network.parameters(), lr=0.0, weight_decay=config.weight_decay, fused=True
-        )
-        self.optimizer = self.accelerator.prepare(adam)
-        identity = {"config": asdict(config), "seed": run.seed, "data": dataset_card(store)}
-        identity["teacher"] = teacher.sha256
-        self.checkpoint = Checkpoint(run.folder, identity)
-        state = self.checkpoint.read(run.resume)
-        self.step: int = state["step"] if state else 0
-        self.seconds: float = state["seconds"] if state else 0.0
-        self.saved = time.perf_counter()
-        self._ask(run, state is None)
-        first, stop = (steps * self.batch_size for steps in (self.step, self._steps()))
-        self.log = TrainingLog(run.folder, "student", first, stop, run.progress)
-        if state:
-            self.network.load_state_dict(state["network"])
-            self.optimizer.load_state_dict(state["optimizer"])
-            self.log.restore(state["log"], self.accelerator.device)
+            self.network = Student.build(config, len(teacher.labels))
+        self.network.to(run.device)
 
-    def _steps(self) -> int:
-        return self.config.epochs * self.per_epoch
+    def ask(self, run: Run) -> float:
+        """Have the teacher label the frames; return the seconds that it took.
 
-    def _ask(self, run: Run, anew: bool) -> None:
-        if anew:
-            # From here on the folder holds answers of this very run: see `SoftLabels`.
+        Answers that a killed run left are not asked again: from the first of them on, the folder
+        holds a checkpoint of this very run.
+        """
+        began, checkpoint = time.perf_counter(), Checkpoint(run.folder, self.identity)
+        if checkpoint.read(run.resume) is None:
             discard_checkpoint(run.folder)
-        began, count = time.perf_counter(), self.config.variants
-        if anew:
-            self._write_checkpoint()
-        total = len(self.rows) * count
+            checkpoint.write({"seen": 0, "seconds": 0.0})
+        total = len(self.rows) * self.config.variants
         with image_counter("teacher", total, hidden=not run.progress) as advance:
-            folder = Path(run.folder) / FOLDER / "teacher"
-            answers = (self.teacher, self.store, self.config, count, self.seed, folder, advance)
-            self.taught = ask_teacher(*answers)
-        self.asked = time.perf_counter() - began
+            folder = run.folder / FOLDER / "teacher"
+            answers = (self.config, self.config.variants, self.seed, folder, advance)
+            self.taught = ask_teacher(self.teacher, self.store, *answers)
+        return time.perf_counter() - began
 
-    def run(self) -> None:
-        """Train from where the checkpoint stood."""
-        self.network.train()
-        began = time.perf_counter() - self.seconds
-        for places, which in self._batches():
-            self._update(places, which)
-            self.seconds = time.perf_counter() - began
-            if self.step % LOG_STEPS == 0 or self.step % self.per_epoch == 0:
-                self.log.row(self.step * self.batch_size)
-            if time.perf_counter() - self.saved >= self.config.checkpoint_seconds:
-                self._write_checkpoint()
+    def modules(self) -> dict[str, nn.Module]:
+        """Return the one network."""
+        return {"student": self.network}
 
-    def _batches(self) -> Iterator[tuple[Tensor, Tensor]]:
+    def averaged(self) -> tuple[str, ...]:
+        """Name it: its weights are averaged."""
+        return ("student",)
+
+    def optimizers(self) -> dict[str, Optimizer]:
+        """Return its AdamW; `rate` is the whole rate."""
+        weights, decay = self.network.parameters(), self.config.weight_decay
+        return {"student": AdamW(weights, lr=1.0, weight_decay=decay, fused=True)}
+
+    def rate(self, step: int) -> float:
+        """Return the learning rate: one cycle."""
+        return learning_rate(self.config.learning_rate, step / self.steps)
+
+    def batches(self, start: int, stop: int) -> Iterator[tuple[Tensor, Tensor]]:
         """Yield places in the train split, and the variant of each; an epoch sees a frame once."""
-        first, offset = divmod(self.step, self.per_epoch)
+        first, offset = divmod(start // self.batch_size, self.per_epoch)
         for epoch in range(first, self.config.epochs):
             generator = torch.Generator()
             generator.manual_seed(int(derive(torch.tensor(self.seed), ORDER, epoch)))
@@ -149,47 +145,21 @@ class _Distillation:
                 yield places, (places + epoch) % self.config.variants
             offset = 0
 
-    def _update(self, places: Tensor, which: Tensor) -> None:
-        device, config = self.accelerator.device, self.config
+    def updates(
+        self, nets: Mapping[str, nn.Module], batch: tuple[Tensor, Tensor]
+    ) -> Iterator[Update]:
+        """Yield the one step: towards what the teacher says of the same variants."""
+        (places, which), config = batch, self.config
         rows = self.rows[places]
-        x = self.teacher.network.normalise(self.store.take(rows).images.to(device))
+        x = self.teacher.network.normalise(self.store.take(rows).images.to(self.device))
         x = variants(x, rows, which, self.seed, config)
         smaller = x.shape[-1] // config.input_size
         x = functional.avg_pool2d(x, smaller) if smaller > 1 else x
-        logits, grade = self.network(x)
-        taught = self.taught.logits[which, places].to(device)
-        wanted = self.taught.grades[which, places].to(device)
+        logits, grade = nets["student"](x)
+        taught = self.taught.logits[which, places].to(self.device)
+        wanted = self.taught.grades[which, places].to(self.device)
         losses = {
             "view": distillation_loss(logits, taught, config.temperature),
             "grade": functional.smooth_l1_loss(grade, wanted),
         }
-        for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate(config.learning_rate, self.step / self._steps())
-        self.accelerator.backward(losses["view"] + config.grade_weight * losses["grade"])
-        self.optimizer.step()
-        self.optimizer.zero_grad()
-        self.step += 1
-        self.log.add(losses)
-
-    def _write_checkpoint(self) -> None:
-        self.saved = time.perf_counter()
-        log = self.log.state() if self.step else {"sums": {}, "steps": 0, "last": {}}
-        state = {"step": self.step, "seconds": self.seconds, "log": log}
-        state |= {"network": self.network.state_dict(), "optimizer": self.optimizer.state_dict()}
-        self.checkpoint.write(state)
-
-    def unwrapped(self) -> Any:
-        """Return the network as it was before accelerate wrapped its precision around it."""
-        return self.accelerator.unwrap_model(self.network, keep_fp32_wrapper=False)
-
-    def figures(self) -> dict[str, Any]:
-        """Return what the run took, and the losses of the last row of its curves."""
-        images = self.step * self.batch_size
-        return {
-            "images": images,
-            "steps": self.step,
-            "seconds": round(self.seconds, 3),
-            "teacher_seconds": round(self.asked, 3),
-            "images_per_second": round(images / max(self.seconds, 1e-9), 1),
-            "losses": self.log.last,
-        }
+        yield Update("student", losses["view"] + config.grade_weight * losses["grade"], losses)

@@ -1,4 +1,4 @@
-"""Hearts that lack one thing: anatomies for `racines eval ablation`, named `module:function`."""
+"""Hearts that lack one thing: anatomies for `racines study ablation`, named `module:function`."""
 
 from dataclasses import replace
 from typing import Any

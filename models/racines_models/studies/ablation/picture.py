@@ -4,7 +4,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from racines_data.card.style import MUTED, OURS, PAPER, card_style, encode
+from racines_data.plotting import MUTED, OURS, PAPER, card_style, encode
 
 
 def draw_ablation(content: dict[str, Any]) -> bytes:

@@ -128,7 +128,7 @@ def poses_near(phantom: Phantom, view: str, count: int, seed: int) -> Pose:
 
 
 def merge_into(report: Path, ablation: dict[str, Any]) -> None:
-    """Write the list of an ablation under `ablation` in a report of `racines eval realism`.
+    """Write the list of an ablation under `ablation` in a report of `racines study realism`.
 
     Raises:
         RacinesError: no such report, or it holds no comparison.
@@ -138,7 +138,7 @@ def merge_into(report: Path, ablation: dict[str, Any]) -> None:
     except (OSError, ValueError) as error:
         raise RacinesError(f"{report}: no readable JSON ({error})") from error
     if not isinstance(content, dict) or not content.get("compared"):
-        raise RacinesError(f"{report}: holds no comparison; run: racines eval realism --real FILE")
+        raise RacinesError(f"{report}: holds no comparison; run: racines study realism --real FILE")
     keys = ("name", "kid", "low", "high", "change", "change_low", "change_high")
     content["ablation"] = [{key: row[key] for key in keys} for row in ablation["ablation"]]
     write_json(report, content)

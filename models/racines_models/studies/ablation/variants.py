@@ -1,4 +1,4 @@
-"""The variants of the phantom that `racines eval ablation` renders: each is it less one part."""
+"""The variants of the phantom that `racines study ablation` renders: each is it less one part."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,0 +1,233 @@
+"""Episodes on disk: one JSONL file each, and a picture of it in motion; `rerun` checks it.
+
+    episode_0000.jsonl    line 1: task, settings, seeds, phantom, versions
+                          line 2: step 0, the start; then one line a step, in order
+    episode_0000.gif      the frames of `racines_envs.apis.rendering.compose`
+
+Files are written when an episode ends, whole; running again writes the same names again.
+"""
+
+import io
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium.utils import RecordConstructorArgs
+from PIL import Image
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.files import write_atomic
+from racines_envs.agents.protocol import Agent
+from racines_envs.apis.rendering import History, compose
+from racines_envs.task.actions import ACTIONS
+from racines_envs.task.core import ScanCore, Transition
+
+SCHEMA = "racines.episode/1"
+CONTACT = "contact"
+"""Forces of the phantom's contact model, in the header; else the class that tells them."""
+FRAME_MS = 100
+_COLOURS = 128
+
+
+class CoreRecorder:
+    """Records the first episodes of the first rows of a core, one episode a row at a time."""
+
+    def __init__(
+        self, core: ScanCore, folder: Path, maximum: int = 10, video: bool = True, agent: str = ""
+    ) -> None:
+        """Record into a folder.
+
+        Args:
+            core: Whose episodes.
+            folder: Where the files go; made when the first is written. Numbers go on after the
+                episodes that lie there.
+            maximum: Episodes to write; after that nothing is recorded.
+            video: Whether a GIF goes with each.
+            agent: Who acts, for the header.
+        """
+        self.core, self.folder, self.maximum, self.video = core, Path(folder), maximum, video
+        self.written: list[Path] = []
+        """The JSONL files so far."""
+        self._common = _header(core) | ({"agent": agent} if agent else {})
+        self._history = History(core.num_envs)
+        self._paths: dict[int, Path] = {}
+        self._lines: dict[int, list[dict[str, Any]]] = {}
+        self._frames: dict[int, list[Image.Image]] = {}
+        self._begun = 0
+        numbers = [path.stem.removeprefix("episode_") for path in self.folder.glob("episode_*.*")]
+        self._first = max((int(n) + 1 for n in numbers if n.isdecimal()), default=0)
+
+    def start(self, seeds: list[int | None] | None = None) -> None:
+        """Begin an episode in every row that has just been reset; what was unfinished is written.
+
+        `seeds` are those that the rows were reset with, where somebody gave any.
+        """
+        self.finish()
+        self._history.note(self.core)
+        info = self.core.info()
+        for row in range(min(self.core.num_envs, self.maximum - self._begun)):
+            self._paths[row] = self.folder / f"episode_{self._first + self._begun + row:04d}.jsonl"
+            given = {} if seeds is None or seeds[row] is None else {"reset_seed": seeds[row]}
+            seed = int(self.core.state.seed[row])
+            self._lines[row] = [self._common | {"seed": seed} | given]
+            self._frames[row] = []
+            self._add(row, info, None, 0.0, False, False)
+        self._begun += len(self._lines)
+
+    def step(self, actions: Tensor, transition: Transition) -> None:
+        """Add a step of all rows, and write the episodes that it ended."""
+        if not self._lines:
+            return
+        self._history.note(self.core, actions)
+        info = self.core.info()
+        columns = (actions, transition.reward, transition.terminated, transition.truncated)
+        for row, values in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
+            if row not in self._lines:
+                continue
+            self._add(row, info, *values)
+            if values[2] or values[3]:
+                self._write(row)
+
+    def finish(self) -> None:
+        """Write the episodes that have not ended, as they stand."""
+        for row in list(self._lines):
+            self._write(row)
+
+    def _add(
+        self, row: int, info: dict[str, Tensor], action: int | None, reward: float, ended: bool,
+        cut: bool,
+    ) -> None:  # fmt: skip
+        state = self.core.state
+        line = {
+            "step": int(state.steps[row]),
+            "action": None if action is None else ACTIONS[action],
+            "position": state.position[row].tolist(),
+            "rotation": state.rotation[row].flatten().tolist(),
+            "wrench": state.wrench[row].tolist(),
+            "reward": reward,
+            "terminated": ended,
+            "truncated": cut,
+            "info": {name: value[row].item() for name, value in info.items()},
+        }
+        self._lines[row].append(line)
+        if self.video:
+            frame = Image.fromarray(compose(self.core, row, self._history))
+            small = frame.quantize(_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+            self._frames[row].append(small)
+
+    def _write(self, row: int) -> None:
+        """Write one episode; the record goes last, so that where it is the video is too."""
+        lines, frames = self._lines.pop(row), self._frames.pop(row)
+        path = self._paths[row]
+        if frames:
+            buffer = io.BytesIO()
+            frames[0].save(
+                buffer, "GIF", save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0
+            )
+            write_atomic(path.with_suffix(".gif"), buffer.getvalue())
+        write_atomic(path, "".join(json.dumps(line) + "\n" for line in lines))
+        self.written.append(path)
+
+
+def _header(core: ScanCore) -> dict[str, Any]:
+    """Return what a replay has to know, and where the numbers come from."""
+    from racines_data.digest import recipe_digest
+    from racines_data.phantom import PHANTOM_VERSION
+    from racines_models.provenance import code_version
+
+    phantom = None
+    if core.phantom.config is not None:
+        recipe = {"version": PHANTOM_VERSION, "config": asdict(core.phantom.config)}
+        phantom = recipe | {"recipe_digest": recipe_digest(recipe)}
+    return {
+        "schema": SCHEMA,
+        "task": asdict(core.task),
+        "observation": core.observation,
+        "reward": core.reward.name,
+        "rewards": asdict(core.rewards),
+        "images": type(core.images).__name__,
+        "forces": CONTACT if core.forces is core.phantom else type(core.forces).__name__,
+        "phantom": phantom,
+        "code": code_version(),
+    }
+
+
+class EpisodeRecorder(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """Records the episodes of one Gymnasium environment of ours.
+
+        env = EpisodeRecorder(gymnasium.make("racines_envs:racines/SC-v0"), "recordings")
+
+    An episode that was left by a reset or by `close` is written as far as it came.
+    """
+
+    def __init__(
+        self, env: gymnasium.Env[Any, Any], folder: Path | str, maximum: int = 10,
+        video: bool = True,
+    ) -> None:  # fmt: skip
+        """Wrap an environment; see `CoreRecorder` for the rest.
+
+        Raises:
+            RacinesError: it is not one of ours.
+        """
+        RecordConstructorArgs.__init__(self, folder=str(folder), maximum=maximum, video=video)
+        gymnasium.Wrapper.__init__(self, env)
+        core = getattr(env.unwrapped, "core", None)
+        if not isinstance(core, ScanCore):
+            raise RacinesError(
+                f"{env.unwrapped} cannot be recorded: give racines_envs:racines/<VIEW>-v0"
+            )
+        self._core = core
+        self._recorder = CoreRecorder(core, Path(folder), maximum, video)
+
+    @property
+    def written(self) -> list[Path]:
+        """The JSONL files so far."""
+        return self._recorder.written
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Reset, and begin a record."""
+        self._recorder.finish()
+        result = self.env.reset(seed=seed, options=options)
+        self._recorder.start([seed])
+        return result
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Step, and add it to the record."""
+        seen, reward, terminated, truncated, info = self.env.step(action)
+        flags = (torch.tensor([reward]), torch.tensor([terminated]), torch.tensor([truncated]))
+        self._recorder.step(torch.as_tensor(np.asarray(action)).reshape(1), Transition({}, *flags))
+        return seen, reward, terminated, truncated, info
+
+    def close(self) -> None:
+        """Write what is left, and close."""
+        self._recorder.finish()
+        super().close()
+
+
+@torch.no_grad()
+def record_rollout(
+    core: ScanCore, agent: Agent, seeds: Tensor, folder: Path, maximum: int = 4, video: bool = True
+) -> list[Path]:
+    """Let an agent act from (n,) seeds, record the first rows, and return the JSONL files.
+
+    Runs until the recorded rows have ended; n is the core's number of rows, and best no more than
+    are recorded.
+    """
+    agent.attach(core)
+    observation = core.reset(seeds)
+    recorder = CoreRecorder(core, folder, maximum, video, getattr(agent, "name", ""))
+    recorder.start([int(seed) for seed in seeds])
+    count = min(maximum, core.num_envs)
+    while not bool(core.state.done[:count].all()):
+        action = agent.act(observation, core.decision_seeds())
+        transition = core.step(action)
+        observation = transition.observation
+        recorder.step(action, transition)
+    return sorted(recorder.written)

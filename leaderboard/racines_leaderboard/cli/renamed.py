@@ -1,0 +1,77 @@
+"""Commands and options that have another name now; the old ones still work, and say the new one."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+COMMANDS = {
+    "phantom sheet": "study sheet",
+    "data leakage": "study leakage",
+    "eval gallery": "study gallery",
+    "eval realism": "study realism",
+    "eval ablation": "study ablation",
+    "eval floor": "study floor",
+    "eval conditioning": "study conditioning",
+    "eval transfer": "study transfer",
+    "eval rewards": "study rewards",
+    "eval curves": "study curves",
+    "eval forces": "study forces",
+    "eval speed": "study speed",
+    "determinism": "study determinism",
+    "expert simulate": "expert rate --by simulated",
+    "expert oracle": "expert rate --by oracle",
+}
+OPTIONS = {
+    "train agent": {"--run-dir": "--out"},
+    "eval agent": {"--run-dir": "--run", "--scores": "--out", "--latency": "--set=latency="},
+    "explain": {
+        "--run-dir": "--run",
+        "--every": "--set=every=",
+        "--frames": "--set=frames=",
+        "--steps": "--set=steps=",
+        "--random-maps": "--set=random_maps=",
+    },
+    "study speed": {"--steps": "--set=steps="},
+    "export trace": {"--run-dir": "--run"},
+    "study rewards": {"--reward": "--rewards"},
+    "submit": {"--replace": "--force"},
+    "expert rate": {"--grader": "--by=grader"},
+}
+
+
+def renamed(words: list[str]) -> list[str]:
+    """Return the words of a command line by their names of today; say on stderr what changed."""
+    for count in (2, 1):
+        old = " ".join(words[:count])
+        if old in COMMANDS:
+            _tell(old, COMMANDS[old])
+            words = [*COMMANDS[old].split(), *words[count:]]
+            break
+    options = OPTIONS.get(" ".join(words[:2])) or OPTIONS.get(words[0]) or {}
+    return list(_options(iter(words), options))
+
+
+def _options(words: Iterator[str], options: dict[str, str]) -> Iterator[str]:
+    for word in words:
+        name, equals, value = word.partition("=")
+        if name not in options:
+            yield word
+            continue
+        new = options[name]
+        _tell(name, new)
+        # An option that became a setting takes its value into the same word.
+        yield new + (value or next(words, "")) if new.endswith("=") else new + equals + value
+
+
+def _tell(old: str, new: str) -> None:
+    typer.echo(f"racines: {old} is an old name of: {new}", err=True)
+
+
+class RenamingGroup(TyperGroup):
+    """The root of the commands, which takes old names too without listing them."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command by its name of today."""
+        return super().resolve_command(ctx, renamed(args))

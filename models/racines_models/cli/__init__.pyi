@@ -1,3 +1,0 @@
-from .commands import register as register
-
-__all__ = ["register"]

@@ -1,0 +1,93 @@
+"""The command `racines eval generator`. Heavy imports stand inside, so that --help is instant."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from racines_data.cli import options as opt
+from racines_data.cli.settings import given, read_settings
+from racines_data.errors import RacinesError
+from racines_models.cli.device import Device
+
+if TYPE_CHECKING:
+    from racines_models.scores.scoring import Scores
+
+
+def eval_generator(
+    name: Annotated[
+        str, typer.Argument(help="A registered generator, module:Class, FILE.onnx or FILE.parquet.")
+    ],
+    data: opt.Data = opt.DATA,
+    run: opt.Trained = None,
+    grader: opt.Grader = opt.GRADER,
+    no_grader: opt.NoGrader = False,
+    pose: opt.Pose = None,
+    no_pose: opt.NoPose = False,
+    out: opt.Out = Path("models/runs/scores"),
+    split: opt.OneSplit = None,
+    samples: opt.Samples = None,
+    params: opt.Params = None,
+    profile: opt.Profile = None,
+    device: Device = "auto",
+    as_json: opt.AsJson = False,
+) -> None:
+    """Score a generator on held-out poses; write NAME.json and a picture NAME.png.
+
+    The pose regressor is that of models/runs/pose, if it is there.
+    """
+    from racines_data.config import fill, section
+    from racines_data.progress import image_counter
+    from racines_data.store.frames import open_store
+    from racines_models.cli.output import show_metrics
+    from racines_models.judges.grader.model import Grader
+    from racines_models.judges.pose.regressor import PoseRegressor
+    from racines_models.registry import open_runs, weights_of
+    from racines_models.scores.scoring import ScoresConfig, score, take_turns
+
+    values = read_settings(params, profile)
+    settings = section(values, "scores") | given(split=split, samples=samples)
+    config = fill(ScoresConfig, settings, "scores")
+    store = open_store(data)
+    if not no_grader and not (grader and grader.is_dir()):
+        raise RacinesError(f"{grader}: no grader; run: racines train grader, or give --no-grader")
+    judge = None if no_grader or grader is None else Grader.load(grader, device)
+    runs: Any = open_runs(name, run, device=device, store=store, split=config.split)
+    title: str = runs[0].name
+    pose = None if no_pose else pose or (opt.POSE if opt.POSE.is_dir() else None)
+    regressor = None if pose is None else PoseRegressor.load(pose, device)
+    total = min(config.samples, len(store.split_indices(config.split)))
+    total *= 1 + 2 * len(take_turns(runs, config.seeds))
+    with image_counter(f"scoring {title}", total, hidden=as_json) as advance:
+        scores = score(
+            runs,
+            store,
+            config,
+            title,
+            grader=judge,
+            pose=regressor,
+            cache=out / "reference",
+            device=device,
+            progress=advance,
+        )
+    content: dict[str, Any] = {**scores.content, "weights": weights_of(name, run) or None}
+    content["dataset"]["board"] = values.get("board")
+    _write_scores(out, title, content, scores, len(store.labels) - 1)
+    if as_json:
+        typer.echo(json.dumps(content))
+    else:
+        show_metrics(f"{title}, {config.split} split", content["metrics"])
+        typer.echo(f"{out / title}.json, {out / title}.png")
+
+
+def _write_scores(
+    out: Path, name: str, content: dict[str, Any], scores: "Scores", random: int
+) -> None:
+    from racines_data.files import write_json
+    from racines_models.pictures import pick_columns, write_strip
+
+    frames = scores.sample.frames
+    columns = pick_columns(frames.views, frames.grades, random)
+    write_strip(out / f"{name}.png", [frames.images[columns], scores.images[columns]])
+    write_json(out / f"{name}.json", content)

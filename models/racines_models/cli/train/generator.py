@@ -1,0 +1,89 @@
+"""The command `racines train generator`. Heavy imports stand inside, so that --help is instant."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from racines_data.cli import options as opt
+from racines_data.cli.settings import read_settings, seed_of
+from racines_models.cli.device import Device
+
+if TYPE_CHECKING:
+    from racines_models.protocol import Run
+
+
+def train_generator(
+    name: Annotated[str, typer.Argument(help="A registered generator, or module:Class.")],
+    data: opt.Data = opt.DATA,
+    out: opt.OwnOut = None,
+    params: opt.Params = None,
+    profile: opt.Profile = None,
+    seed: opt.Seed = None,
+    device: Device = "auto",
+    processes: Annotated[
+        int, typer.Option(min=1, help="Processes on this machine that share each batch.")
+    ] = 1,
+    resume: opt.Resume = None,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Train a generator on the train split; leaves model, config, metrics and samples."""
+    from racines_data.config import section
+    from racines_models.protocol import Run
+    from racines_models.registry import generator_class
+
+    cls = generator_class(name)
+    values = read_settings(params, profile)
+    settings = section(values, ("generators", cls.name))
+    run = Run(
+        folder=out or Path("models/runs") / cls.name,
+        seed=seed_of(values, seed),
+        device=device,
+        resume=resume,
+        progress=not as_json,
+    )
+    metrics = _started(processes, name, settings, data, run)
+    if metrics is None:
+        return
+    if as_json:
+        typer.echo(json.dumps({"out": str(run.folder), **metrics}))
+    else:
+        _print(run.folder, metrics)
+
+
+def _started(processes: int, *fit: Any) -> dict[str, Any] | None:
+    """Return the metrics, or None in a process whose word is not needed."""
+    from racines_models.training.launch import in_processes
+    from racines_models.training.processes import is_main_process, leave
+
+    if processes > 1:
+        return in_processes(processes, _fit, *fit)
+    try:
+        metrics = _fit(*fit)
+        return metrics if is_main_process() else None
+    finally:
+        leave()
+
+
+def _fit(name: str, settings: dict[str, Any], data: Path, run: "Run") -> dict[str, Any]:
+    from racines_data.config import fill
+    from racines_data.store.frames import open_store
+    from racines_models.registry import generator_class
+    from racines_models.training.repeats import train_seeds
+
+    cls, store = generator_class(name), open_store(data)
+    config = fill(cls.Config, settings, f"generators.{cls.name}")
+    repeats = getattr(getattr(config, "training", None), "repeats", 1)
+    return train_seeds(lambda one: cls(config).fit(store, one), run, repeats)
+
+
+def _print(folder: Path, metrics: dict[str, Any]) -> None:
+    shown = {key: value for key, value in metrics.items() if not isinstance(value, dict | str)}
+    validation = metrics.get("validation", {})
+    parts = [f"{key} {value:,}" for key, value in shown.items()]
+    if validation:
+        parts.append(
+            f"PSNR {validation['psnr']:.2f} dB on {validation['n']} {validation['split']} frames"
+        )
+    typer.echo(f"{folder}: {', '.join(parts)}")

@@ -1,0 +1,81 @@
+"""The options that commands share: one name, one meaning and one help text each.
+
+A command annotates its parameters with these and gives its own defaults. What `--device` takes
+stands in `racines_models.cli.device`, which knows the devices of this machine.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+DATA = Path("data/racines")
+GRADER, POSE = Path("models/runs/grader"), Path("models/runs/pose")
+RESULTS, SUBMISSIONS = Path("leaderboard/results"), Path("leaderboard/submissions")
+
+Root = Annotated[
+    Path | None, typer.Argument(help="Folder of the dataset.  [default: data/racines]")
+]
+Data = Annotated[Path, typer.Option(help="Folder of the dataset.")]
+OtherData = Annotated[Path | None, typer.Option("--data", help="Folder of the dataset.")]
+Split = Annotated[str, typer.Option(help="train, validation or test.")]
+OneSplit = Annotated[str | None, typer.Option("--split", help="train, validation or test.")]
+Samples = Annotated[
+    int | None, typer.Option(min=2, help="Frames that are scored.  [default: the settings']")
+]
+
+_PROFILES = "smoke, default, reference, paper or abdomen"
+Params = Annotated[
+    Path | None, typer.Option(help="Settings.  [default: ./params.yaml, if it is there]")
+]
+Profile = Annotated[str | None, typer.Option(help=f"Packaged settings: {_PROFILES}.")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="A setting of the section, NAME=VALUE; repeat for several."),
+]
+Seed = Annotated[int | None, typer.Option(help="Seed.  [default: the settings']")]
+DrawSeed = Annotated[int, typer.Option("--seed", min=0, help="Seed of what is drawn by chance.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes.")]
+Strict = Annotated[bool, typer.Option(help="Stop at the first refused input.")]
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print the figures as JSON on stdout.")]
+Details = Annotated[bool, typer.Option("--details", help="Show further figures as well.")]
+Force = Annotated[bool, typer.Option("--force", help="Take the place of what is there.")]
+Resume = Annotated[
+    bool | None,
+    typer.Option(
+        "--resume/--fresh",
+        help="Continue a killed run, or start anew.  [default: continue if one is there]",
+    ),
+]
+
+Out = Annotated[Path, typer.Option(help="Folder to write.")]
+OwnOut = Annotated[Path | None, typer.Option("--out", help="Folder to write.  [default: by name]")]
+OutFile = Annotated[Path, typer.Option("--out", help="File to write.")]
+OwnOutFile = Annotated[
+    Path | None, typer.Option("--out", help="File to write.  [default: by name, or none]")
+]
+Report = Annotated[Path, typer.Option("--out", help="Writes OUT.json, and OUT.png beside it.")]
+
+Trained = Annotated[
+    Path | None, typer.Option("--run", help="Folder of the trained run.  [default: by name]")
+]
+Runs = Annotated[Path, typer.Option(help="Folder of the trained generators.")]
+Grader = Annotated[Path | None, typer.Option(help="Folder of the grader's run.")]
+NoGrader = Annotated[bool, typer.Option("--no-grader", help="Leave out what needs a grader.")]
+Pose = Annotated[Path | None, typer.Option(help="Folder of the pose regressor's run.")]
+NoPose = Annotated[bool, typer.Option("--no-pose", help="Leave out what needs a pose regressor.")]
+
+View = Annotated[str | None, typer.Option(help="Target view.")]
+Observation = Annotated[str | None, typer.Option(help="image, params or multimodal.")]
+Reward = Annotated[str | None, typer.Option(help="paper, oracle, shaped, or another's.")]
+Backend = Annotated[str | None, typer.Option(help="phantom, generator or replay.")]
+Generator = Annotated[str | None, typer.Option(help="Generator: name, run folder or FILE.onnx.")]
+Starts = Annotated[int | None, typer.Option(help="Episodes from each start set.")]
+StartSeed = Annotated[
+    int | None, typer.Option("--seed", help="Names one start set.  [default: the settings']")
+]
+
+Results = Annotated[Path, typer.Option(help="Folder of the boards.")]
+Submissions = Annotated[Path, typer.Option(help="Folder of the submissions.")]
+Board = Annotated[str | None, typer.Option(help="Only this board.")]

@@ -1,0 +1,130 @@
+# pyright: strict
+"""What is scanned: what an environment, an evaluation or a study asks of it.
+
+The phantom is one implementation, recordings in its place are another. A class of your own inherits
+`World`, gives its labels, workspace and first three methods, and may leave the rest as it is.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
+
+import torch
+from torch import Tensor
+
+from racines_data.geometry import Pose, parameters_to_pose
+
+if TYPE_CHECKING:
+    from racines_data.phantom.config import PhantomConfig
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Where the tip may be and how far the probe may lean and turn."""
+
+    position_min: Tensor
+    """(3,) m."""
+    position_max: Tensor
+    tilt_max: float
+    yaw_max: float
+
+    def contains(self, pose: Pose) -> Tensor:
+        """Return (B,) bool."""
+        inside = (pose.position >= self.position_min) & (pose.position <= self.position_max)
+        upright = -pose.rotation[:, 2, 2] >= torch.cos(torch.tensor(self.tilt_max)).item()
+        yaw = torch.atan2(pose.rotation[:, 1, 0], pose.rotation[:, 0, 0]).abs() <= self.yaw_max
+        return inside.all(-1) & upright & yaw
+
+
+class Truth(NamedTuple):
+    """What an oracle, or a recording's labels, say of (B,) poses."""
+
+    view: Tensor
+    """(B,) int64 label; Random where no view is attained."""
+    grade: Tensor
+    """(B,) float32, 1-10 for a view, 0 for Random."""
+    membership: Tensor
+    """(B, V) float32 in 0-1, how far each view is attained; above 0.5 it is."""
+    view_grade: Tensor
+    """(B, V) float32 0-10, the grade as each view."""
+    clarity: Tensor
+    """(B,) float32 in 0-1: coupling over the sector."""
+    visibility: Tensor
+    """(B, structures) float32 in 0-1."""
+
+
+@runtime_checkable
+class World(Protocol):
+    """Knows what is true at a pose, what is felt and seen there, and where the probe may go."""
+
+    views: tuple[str, ...]
+    """Names of the views that can be targets."""
+    labels: tuple[str, ...]
+    """The views, then `Random`."""
+    workspace: Workspace
+
+    def target(self, view: str) -> Pose:
+        """Return the nominal pose of a view, a batch of one.
+
+        Raises:
+            RacinesError: no such view.
+        """
+        ...
+
+    def judge(self, pose: Pose) -> Truth:
+        """Return the truth of (B,) poses, unchecked."""
+        ...
+
+    def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
+        """Return (B, 6) force, N, and torque, N·m, in the probe's axes, at rest by default."""
+        ...
+
+    def render(self, pose: Pose, seeds: Tensor) -> Tensor:
+        """Return (B, 128, 128) uint8 images of poses, unchecked; the seeds draw the noise."""
+        ...
+
+    def truth(self, parameters: Tensor) -> Truth:
+        """Return the truth of (B, 12) parameters."""
+        return self.judge(parameters_to_pose(parameters))
+
+    def judge_alike(self, pose: Pose) -> Truth:
+        """Return the truth of poses, each as if it were alone, to the last bit."""
+        return self.judge(pose)
+
+    @property
+    def config(self) -> "PhantomConfig | None":
+        """Settings of a phantom: its block, its probe, its anatomy; None of all else."""
+        return None
+
+    @property
+    def surface_height(self) -> float | None:
+        """Height of the surface that is touched, m; None where there is no contact model."""
+        return None
+
+    def own_starts(
+        self,
+        label: int,
+        target: Pose,
+        seeds: Tensor,
+        distance: tuple[float, float],
+        angle: tuple[float, float],
+    ) -> Pose | None:
+        """Return a start a seed that does not show a label; None: they are drawn around the target.
+
+        Args:
+            label: What a start may not show.
+            target: The nominal pose, a batch of one.
+            seeds: (N,).
+            distance: Least and most distance from the target along the top, m.
+            angle: Least and most angle to it, rad.
+        """
+        return None
+
+    def own_nearest(self, pose: Pose, label: int, units: tuple[float, float]) -> Pose | None:
+        """Return the nearest poses that show a label; None: they are searched with `judge`.
+
+        Args:
+            pose: (N,) poses.
+            label: What they shall show.
+            units: What counts as one step of shift, m, and of turn, rad.
+        """
+        return None

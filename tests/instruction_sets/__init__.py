@@ -1,0 +1,1 @@
+"""What must hold to the last bit, whatever code a CPU's libraries choose."""

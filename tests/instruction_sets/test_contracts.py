@@ -1,0 +1,43 @@
+"""The contracts on other instruction sets than the machine's own, in processes of their own.
+
+Which code oneDNN, MKL and PyTorch take is decided once a process. The machine's own choice is
+tested where the contracts stand.
+"""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+ROOT = Path(__file__).parents[2]
+TESTS = [
+    "tests/instruction_sets/test_rows.py",
+    "tests/models/generators/test_gan_roster.py",
+    "tests/models/generators/test_generators.py",
+    "tests/models/generators/test_noise_ceiling.py",
+    "tests/envs/agents/test_agents.py",
+]
+"""Where tests marked `contract` are: those of published weights, and tiny networks."""
+LEVELS = {"DEFAULT": 0, "AVX2": 1, "AVX512": 2}
+SETTINGS = {
+    "oneDNN avx2": (1, {"ONEDNN_MAX_CPU_ISA": "AVX2"}),
+    "oneDNN avx512": (2, {"ONEDNN_MAX_CPU_ISA": "AVX512_CORE", "ATEN_CPU_CAPABILITY": "avx512"}),
+    "ATen avx2": (1, {"ATEN_CPU_CAPABILITY": "avx2"}),
+}
+
+
+@pytest.mark.instruction_sets
+@pytest.mark.timeout(3000)  # each is some hundred tests on one core, however busy
+@pytest.mark.parametrize("name", SETTINGS)
+def test_contracts_hold_with(name: str) -> None:
+    needed, environment = SETTINGS[name]
+    if LEVELS.get(torch.backends.cpu.get_cpu_capability(), 0) < needed:
+        pytest.skip(f"this CPU has no {name.split()[1]}")
+    command = [sys.executable, "-m", "pytest", "-n", "0", "-m", "contract", *TESTS]
+    done = subprocess.run(
+        command, cwd=ROOT, env=os.environ | environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
