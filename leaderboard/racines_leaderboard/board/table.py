@@ -105,7 +105,7 @@ def published() -> dict[str, Any]:
 
 def cell(record: Record, column: Column, usual_n: int) -> str:
     """Return a metric with its 95 % interval; with its n where that is not the row's."""
-    metric = metric_of(record, column.key)
+    metric = shown_metric(record, column)
     if metric is None:
         return "–"
     text = _number(metric["value"], column)

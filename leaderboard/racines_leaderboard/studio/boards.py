@@ -165,8 +165,8 @@ def charts_html(results: Path, wanted: Selection) -> str:
     track = track_of(wanted)
     ranking = _once(ranked_groups(results, wanted))
     columns = (*track.columns, *(track.details if wanted.details else ()))
-    metric_columns = [column for column in columns if column.value is None]  # a metric is behind it
-    shown = [column for column in metric_columns if shown_columns((column,), ranking)]
+    metrics = [column for column in columns if column.value is None]  # what a metric is behind
+    shown = [column for column in metrics if shown_columns((column,), ranking)]
     charts = [element(_chart(column, _Frozen(ranking)), column.title) for column in shown]
     return f'<div class="rc-grid">{"".join(charts)}</div>'
 

@@ -53,8 +53,9 @@ def table(
     """
 
     def line(tag: str, cells: Sequence[Any]) -> str:
-        pairs = zip(css, cells, strict=True)
-        return "".join(f'<{tag} class="{name}">{_html(cell)}</{tag}>' for name, cell in pairs)
+        opened = (f'{tag} class="{name}"' if name else tag for name in css)
+        pairs = zip(opened, cells, strict=True)
+        return "".join(f"<{opening}>{_html(cell)}</{tag}>" for opening, cell in pairs)
 
     lines = [f"{line('td', row)}</tr>" for row in rows]
     openings = ["<tr>"] * len(lines) if names is None else [_named(name) for name in names]

@@ -27,7 +27,7 @@ def show_metrics(title: str, metrics: dict[str, Any]) -> None:
         if metric["low"] is not None:
             interval = f"{metric['low']:.4g} to {metric['high']:.4g}"
         rows.append((name, value, interval, str(metric.get("n", ""))))
-    Console().print(console_table(("metric", "value", "95 % interval", "n"), rows, title))
+    Console().print(console_table(("figure", "value", "95 % interval", "n"), rows, title))
 
 
 def show_training(title: str, out: Path, metrics: dict[str, Any], as_json: bool) -> None:
@@ -63,7 +63,7 @@ def show_realism(content: dict[str, Any]) -> None:
         ours, real = figure["phantom"], figure["real"]
         ratio = f"{ours['value'] / real['value']:.3g}" if real["low"] > 0 else "-"
         rows.append((name, ranged(ours), ranged(real), ratio))
-    head = ("metric", "phantom, real", "real, real", "ratio")
+    head = ("figure", "phantom, real", "real, real", "ratio")
     Console().print(console_table(head, rows, title))
 
 
