@@ -4,16 +4,15 @@
 a file for what lies flat in a package or is one command among others.
 """
 
-from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-import typer
 import yaml
 
 from racines_data.config import read_params
 from racines_envs.evaluation.entries import find_entry
+from racines_leaderboard.cli.command import COMMANDS
 from tests.conftest import ROOT
 from tests.modules import FOLDERS, closure, modules, says_only_what_it_offers
 
@@ -23,14 +22,9 @@ FILES = {f"{package}.cli" for package in FOLDERS}
 
 def command_module(command: str) -> str:
     """Return the module that implements a command line `racines …`."""
-    from racines_leaderboard.cli import app
-
-    found: Any = typer.main.get_command(app)
-    for word in command.split()[1:]:
-        if not hasattr(found, "commands"):
-            break
-        found = found.commands[word]
-    return found.callback.__module__
+    words = command.split()[1:]
+    names = (" ".join(words[:count]) for count in range(len(words), 0, -1))
+    return next(COMMANDS[name].partition(":")[0] for name in names if name in COMMANDS)
 
 
 def plugins(stage: str, key: str, params: dict[str, Any]) -> set[str]:
@@ -103,5 +97,4 @@ def write(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    import_module("racines_leaderboard.cli")
     write(ROOT / "dvc.yaml")

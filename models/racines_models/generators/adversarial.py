@@ -56,10 +56,11 @@ class AdversarialGenerator(BaseGenerator[C]):
         self.nets = self.build()
         self.net("conditioning").fit(store.parameters[store.split_indices("train")])
         config: Any = self.config
+        learner: Any = self  # a `Learner`, once a subclass names it
         if config.sector:
             self.net(self.drawing).fit(store)
         self.nets.to(self.device)
-        return train(self, store, config.training, run)
+        return train(learner, store, config.training, run)
 
     def tensors(self) -> dict[str, Tensor]:
         """Return all networks but the discriminator, which stays behind."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from torch import Tensor, nn
 from torch.optim import Optimizer
@@ -86,8 +86,10 @@ class Update(NamedTuple):
 class Learner(Protocol):
     """Whatever the trainer can train."""
 
-    name: ClassVar[str]
-    """What the curves and messages call it."""
+    @property
+    def name(self) -> str:
+        """What the curves and messages call it."""
+        ...
 
     @property
     def identity(self) -> dict[str, Any]:
