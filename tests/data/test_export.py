@@ -19,6 +19,8 @@ from racines_data.export.sweeps import read_sweeps
 from tests.conftest import command
 from tests.data.fake_source import FakeConfig, FakeSource
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 OURS = ("lerobot", "minari")
 
 

@@ -15,6 +15,8 @@ from racines_data.sources.mha import read_frames, read_header, upright
 from racines_data.sources.tracked import TrackedSource, square
 from racines_data.validate import validate
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 REAL = Path(os.environ.get("RACINES_REAL", Path(__file__).parents[2] / ".." / "shared" / "real"))
 SPINE, NWIRE = (REAL / f"{name}PhantomFreehand.igs.mha" for name in ("Spine", "Nwire"))
 needs_real = pytest.mark.skipif(
