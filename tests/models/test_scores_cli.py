@@ -11,9 +11,11 @@ from racines_data.errors import RacinesError
 from racines_data.store import open_store
 from racines_leaderboard.cli import app
 from racines_leaderboard.schema import read_json
+from racines_models import scoring
 from racines_models.grader import Grader
 from racines_models.pose_regressor import PoseRegressor
 from tests.models.test_realism import png
+from tests.models.test_scores import Coarse
 
 STAGE = {"epochs": 1}
 PARAMS = {
@@ -75,7 +77,10 @@ def test_grader_then_generator_then_scores(here):
     assert json.loads(path.read_text())["metrics"]["fid"]["n"] == 8
 
 
-def test_a_pose_regressor_is_used_where_there_is_one(here):
+def test_a_pose_regressor_is_used_where_there_is_one(here, monkeypatch):
+    monkeypatch.setattr(
+        scoring, "InceptionFeatures", Coarse
+    )  # it is asked five times, beside the point
     metrics = json.loads(invoke("train", "pose", "--json"))
     regressor = PoseRegressor.load(here / "models/runs/pose")
     assert regressor.config.width == 0.125 and metrics["training"]["images"] == 96
