@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 import psutil
 
-PATIENCE = 300.0
+PATIENCE = 600.0
 """Seconds after which what did not happen is taken for a hang."""
 
 

@@ -4,8 +4,13 @@ from pathlib import Path
 
 import datasets
 import pytest
+from matplotlib.figure import Figure
 
 from racines_data.build.dataset import DataConfig, build
+from racines_data.card.markdown import paths as card_paths
+from racines_data.card.markdown import pictures as card_pictures
+from racines_data.card.markdown import plots as card_plots
+from racines_data.card.markdown import samples as card_samples
 from tests.data.fake_source import FakeConfig, FakeSource
 
 
@@ -14,6 +19,19 @@ def own_caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("RACINES_DATA", raising=False)
     monkeypatch.setattr(datasets.config, "HF_DATASETS_CACHE", tmp_path / "cache" / "datasets")
+
+
+@pytest.fixture
+def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the pictures of cards empty: to draw them is nine tenths of a small build."""
+    for module, kinds in (
+        (card_paths, ["trajectories"]),
+        (card_plots, ["parameters", "shares"]),
+        (card_samples, ["samples", "hearts"]),
+    ):
+        for kind in kinds:
+            monkeypatch.setattr(module, f"{kind}_figure", lambda *_: Figure((0.1, 0.1)))
+    monkeypatch.setattr(card_pictures, "encode", lambda figure, gray: b"blank")
 
 
 @pytest.fixture(scope="session")

@@ -15,6 +15,8 @@ from racines_data.store.frames import FrameStore
 from tests.data.release_tree import read_elsewhere
 from tests.data.scan_source import ScanConfig, ScanSource
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 FRAMES = 2000
 
 
@@ -149,7 +151,7 @@ def test_absent_forces_are_written_as_nan(tmp_path: Path):
 
 
 def test_a_stopped_export_goes_on(original: Path, tree: Path, tmp_path: Path, monkeypatch):
-    from racines_data.export import release
+    from racines_data.export.registry import release
 
     wrote: list[int] = []
     write = release._write_sweep

@@ -19,6 +19,8 @@ from tests.data.release_tree import (
     write_release,
 )
 
+pytestmark = pytest.mark.usefixtures("blank_pictures")
+
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:

@@ -13,6 +13,8 @@ from racines_leaderboard.cli.command import app
 from racines_leaderboard.records.schema import read_json
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
+from racines_models.scores import scoring
+from tests.models.scores.test_scores import Coarse
 from tests.models.studies.test_realism import png
 
 STAGE = {"epochs": 1}
@@ -75,7 +77,10 @@ def test_grader_then_generator_then_scores(here):
     assert json.loads(path.read_text())["metrics"]["fid"]["n"] == 8
 
 
-def test_a_pose_regressor_is_used_where_there_is_one(here):
+def test_a_pose_regressor_is_used_where_there_is_one(here, monkeypatch):
+    monkeypatch.setattr(
+        scoring, "InceptionFeatures", Coarse
+    )  # it is asked five times, beside the point
     metrics = json.loads(invoke("train", "pose", "--json"))
     regressor = PoseRegressor.load(here / "models/runs/pose")
     assert regressor.config.width == 0.125 and metrics["training"]["images"] == 96

@@ -40,7 +40,9 @@ def labelled():
     return LabelledStore(trajectories=20, length=12)
 
 
-QUICK = ScoresConfig(samples=48, speed=False)
+COUNT = 24
+"""Frames of a sample: four of each of the six trajectories."""
+QUICK = ScoresConfig(samples=COUNT, speed=False)
 
 
 def test_every_number_has_n_an_interval_and_its_settings(labelled, coarse):
@@ -48,7 +50,7 @@ def test_every_number_has_n_an_interval_and_its_settings(labelled, coarse):
     for name in ("ssim", "psnr", "fid", "kid"):
         metric = content["metrics"][name]
         assert metric["low"] < metric["value"] < metric["high"], name
-        assert metric["n"] == 48 and metric["settings"]["trajectories"] == 6
+        assert metric["n"] == COUNT and metric["settings"]["trajectories"] == 6
     assert content["dataset"]["digest"] == labelled.manifest["digest"]
     assert content["dataset"]["split"] == "test"
     assert content["extractors"]["inception"]["id"] == "coarse"
@@ -114,13 +116,13 @@ def test_seeds_are_averaged_and_n_counts_frames(labelled, coarse):
     for name in ("psnr", "fid", "kid"):
         mean = (one[name]["value"] + two[name]["value"]) / 2
         assert both["metrics"][name]["value"] == pytest.approx(mean)
-    assert both["metrics"]["psnr"]["n"] == 48 and both["seeds"] == [3, 4]
+    assert both["metrics"]["psnr"]["n"] == COUNT and both["seeds"] == [3, 4]
 
 
 def test_a_grader_adds_agreement_with_the_truth_and_its_own_ceiling(labelled, coarse):
     grader = Grader(GraderNetwork(32, 0.125), GraderConfig(input_size=32, width=0.125, bf16=False))
     metrics = score(Replay(labelled), labelled, QUICK, "replay", grader).content["metrics"]
-    sample = take_sample(labelled, "test", 48)
+    sample = take_sample(labelled, "test", COUNT)
     label, grade, _ = grader.judge(sample.frames.images)
     right = float((label == sample.frames.views).double().mean())
     assert metrics["view_agreement"]["value"] == metrics["view_agreement_truth"]["value"] == right

@@ -16,9 +16,7 @@ from racines_models.scores.prdc import Neighbourhoods
 from racines_models.scores.scoring import ScoresConfig, score
 from racines_models.statistics import bootstrap_median
 from tests.models.labelled import LabelledStore, Replay
-from tests.models.scores.test_scores import Coarse, Noise
-
-QUICK = ScoresConfig(samples=48, speed=False)
+from tests.models.scores.test_scores import COUNT, QUICK, Coarse, Noise
 
 
 @pytest.fixture(autouse=True)
@@ -70,13 +68,13 @@ def figures(generator, store, **options):
 def test_poses_are_told_as_medians_beside_those_of_the_truth(labelled):
     content = score(Upside(labelled), labelled, QUICK, "any", pose=KnownPose(labelled)).content
     metrics = content["metrics"]
-    sample = take_sample(labelled, "test", 48)
+    sample = take_sample(labelled, "test", COUNT)
     errors = np.where(sample.frames.index.numpy() % 3 == 0, 10.0, 0.0)
     expected = bootstrap_median(errors, sample.trajectory)
     told = metrics["pose_error_mm"]
     assert told["value"] == pytest.approx(expected.value, abs=1e-3)
     assert told["high"] == pytest.approx(expected.high, abs=1e-3)
-    assert told["n"] == 48 and told["unit"] == "mm" and "median" in told["settings"]["interval"]
+    assert told["n"] == COUNT and told["unit"] == "mm" and "median" in told["settings"]["interval"]
     assert metrics["pose_error_mm_truth"]["value"] == pytest.approx(0.0, abs=1e-3)
     assert metrics["pose_error_deg"]["value"] < 0.1
     assert metrics["pose_error_mm_view"]["n"] == int((sample.frames.views != 5).sum())
@@ -96,7 +94,7 @@ def test_errors_of_several_seeds_are_pooled_and_n_counts_frames(labelled):
 
     assert told([0])["pose_error_mm"]["value"] == pytest.approx(0.0, abs=1e-3)
     both = told([0, 1])["pose_error_mm"]
-    assert both["value"] == pytest.approx(5.0, abs=1e-3) and both["n"] == 48
+    assert both["value"] == pytest.approx(5.0, abs=1e-3) and both["n"] == COUNT
 
 
 def test_neighbours_are_those_of_each_feature_space(labelled):
@@ -108,7 +106,7 @@ def test_neighbours_are_those_of_each_feature_space(labelled):
         expected = Neighbourhoods(embed(truth), embed(scores.images)).figures()
         for name, value in expected.items():
             told = metrics[f"{name}{suffix}"]
-            assert told["value"] == pytest.approx(value) and told["n"] == 48
+            assert told["value"] == pytest.approx(value) and told["n"] == COUNT
             assert told["low"] <= told["value"] <= told["high"] and told["settings"]["k"] == 5
     assert metrics["coverage"]["high"] <= 1.0
     few = score(generator, labelled, ScoresConfig(samples=5, speed=False), "any")
@@ -118,11 +116,11 @@ def test_neighbours_are_those_of_each_feature_space(labelled):
 def test_diversity_is_the_difference_of_two_draws_of_a_pose(labelled):
     assert figures(Replay(labelled), labelled)["diversity"]["value"] == 0.0
     told = figures(Noise(labelled), labelled)["diversity"]
-    frames = take_sample(labelled, "test", 48).frames
+    frames = take_sample(labelled, "test", COUNT).frames
     pair = [draw(Noise(labelled), frames, seed).double() for seed in (0, 1)]
     expected = (pair[0] - pair[1]).square().mean((1, 2)).sqrt().mean()
     assert told["value"] == pytest.approx(float(expected), rel=1e-5)
-    assert told["unit"] == "gray levels" and told["n"] == 48
+    assert told["unit"] == "gray levels" and told["n"] == COUNT
     same = figures(Noise(labelled), labelled, seeds=[0, 1])["diversity"]
     assert same["value"] == pytest.approx(told["value"])
     three = figures(Noise(labelled), labelled, seeds=[0, 1, 2])["diversity"]
@@ -154,7 +152,7 @@ def test_only_a_phantom_can_be_scanned_again(labelled, monkeypatch, tmp_path):
     monkeypatch.setattr(diversity, "recorded_phantom", lambda manifest: "its phantom")
     monkeypatch.setattr(model, "shared_phantom", shared_phantom)
     metrics = figures(Noise(labelled), labelled, cache=tmp_path)
-    frames = take_sample(labelled, "test", 48).frames
+    frames = take_sample(labelled, "test", COUNT).frames
     expected = spread([draw(Noise(labelled), frames, seed) for seed in (0, 1)]).mean()
     told = metrics["diversity_truth"]
     assert told["value"] == pytest.approx(float(expected), rel=1e-6)
@@ -174,7 +172,7 @@ def test_copies_of_training_images_are_told(labelled):
             return torch.where((own % 2 == 0).view(-1, 1, 1), copied, 255 - labelled.images[own])
 
     metrics = figures(Copies(), labelled)
-    rows = take_sample(labelled, "test", 48).frames.index
+    rows = take_sample(labelled, "test", COUNT).frames.index
     share = float((rows % 2 == 0).double().mean())
     assert metrics["copies"]["value"] == pytest.approx(share)
     assert metrics["copies_truth"]["value"] == 0.0
@@ -220,9 +218,9 @@ REFUSALS = {
     "NaN": lambda x: torch.full_like(x, torch.nan),
     "float32": lambda x: x.float(),
     "int64": lambda x: x.long(),
-    r"shape \(48, 64, 128\)": lambda x: x.byte()[:, ::2],
-    r"shape \(48, 1, 128, 128\)": lambda x: x.byte().unsqueeze(1),
-    "no .* tensor of 48": lambda x: x.byte()[1:],
+    rf"shape \({COUNT}, 64, 128\)": lambda x: x.byte()[:, ::2],
+    rf"shape \({COUNT}, 1, 128, 128\)": lambda x: x.byte().unsqueeze(1),
+    f"no .* tensor of {COUNT}": lambda x: x.byte()[1:],
     "near-constant": lambda x: torch.cat([torch.full_like(x[:-9], 9), x[-9:]]).byte(),
 }
 

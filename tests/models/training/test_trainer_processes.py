@@ -94,19 +94,33 @@ def test_feed_shares_each_batch(store):
             assert torch.equal(column, torch.cat(halves))
 
 
+KINDS = {
+    "adversaries": (Adversaries, ToyConfig(TRAINING), 1e-6),
+    "flow": (Flow, FLOW, 1e-4),
+    "vae-gan": (VaeGan, VAE, 0.02),
+}
+"""What is trained, how, and how far apart one and two processes may end."""
+
+
+def fit_each(folder: Path) -> dict[str, dict]:
+    return {name: fit(make, config, folder / name) for name, (make, config, _) in KINDS.items()}
+
+
+@pytest.fixture(scope="module")
+def ends(tmp_path_factory) -> tuple[Path, dict[str, dict], dict[str, dict]]:
+    """Folders and metrics of each kind, trained by one process and by two that started once."""
+    folder = tmp_path_factory.mktemp("ends")
+    return folder, fit_each(folder / "one"), in_processes(2, fit_each, folder / "two")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("make", "config", "tolerance"),
-    [(Adversaries, ToyConfig(TRAINING), 1e-6), (Flow, FLOW, 1e-4), (VaeGan, VAE, 0.02)],
-    ids=["adversaries", "flow", "vae-gan"],
-)
-def test_two_processes_end_near_one(tmp_path, make, config, tolerance):
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_processes_end_near_one(ends, kind):
     """Without batch norm weights differ by rounding; vae-gan has it, and sees half a batch."""
-    one = fit(make, config, tmp_path / "one")
-    two = in_processes(2, fit, make, config, tmp_path / "two")
+    folder, one, two = ends[0], ends[1][kind], ends[2][kind]
     assert (one["processes"], two["processes"]) == (1, 2)
     assert one["images"] == two["images"] == 96
-    assert 0.0 < drift(tmp_path / "one", tmp_path / "two") < tolerance
+    assert 0.0 < drift(folder / "one" / kind, folder / "two" / kind) < KINDS[kind][2]
     for name, loss in one["losses"].items():
         assert two["losses"][name] == pytest.approx(loss, rel=0.2, abs=0.05)
 
