@@ -7,10 +7,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from racines_data.build.dataset import DataConfig, build
-from racines_data.card.markdown import paths as card_paths
-from racines_data.card.markdown import pictures as card_pictures
-from racines_data.card.markdown import plots as card_plots
-from racines_data.card.markdown import samples as card_samples
+from racines_data.card import paths as card_paths
+from racines_data.card import pictures as card_pictures
+from racines_data.card import plots as card_plots
+from racines_data.card import samples as card_samples
 from tests.data.fake_source import FakeConfig, FakeSource
 
 

@@ -6,8 +6,11 @@ import pytest
 import torch
 
 from racines_data.errors import RacinesError
-from racines_envs.agents.behaviour_cloning import BehaviourCloningAgent, BehaviourCloningConfig
-from racines_envs.agents.behaviour_cloning import _Imitation as Imitation
+from racines_envs.agents.behaviour_cloning import (
+    BehaviourCloningAgent,
+    BehaviourCloningConfig,
+    CloningLearner,
+)
 from racines_envs.agents.dqn import DQNAgent, DQNConfig
 from racines_envs.agents.identity import environment_identity
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
@@ -114,20 +117,20 @@ def test_a_cloned_policy_goes_on_with_a_moved_encoder_only(phantom, tmp_path, mo
     config = BehaviourCloningConfig(
         encoder=save_encoder(tmp_path / "encoder"), epochs=3, batch_size=64, hidden=(16, 16)
     )
-    real, epochs = Imitation._pass, []
+    real, epochs = CloningLearner.look, []
 
-    def dying(self):
-        epochs.append(self.epoch)
+    def dying(self, *given):
+        epochs.append(len(self.history))
         if len(epochs) == 2:
             raise KeyboardInterrupt
-        return real(self)
+        return real(self, *given)
 
     def train(config, **where):
         return BehaviourCloningAgent.train(
             config, run, data=store, phantom=phantom, progress=False, **where
         )
 
-    monkeypatch.setattr(Imitation, "_pass", dying)
+    monkeypatch.setattr(CloningLearner, "look", dying)
     with pytest.raises(KeyboardInterrupt):
         train(config)
     other = replace(config, encoder=save_encoder(tmp_path / "other", seed=1))
