@@ -196,6 +196,19 @@ def test_terminations(phantom):
     assert [cut for _, cut, _ in ends] == [False] * 199 + [True]
 
 
+def test_forces_are_told_at_their_peak_and_on_average(phantom):
+    core = core_of(phantom)
+    core.reset(seed=0, pose=phantom.target("SC"))  # 12 N
+    forces = []
+    for name in ("-z", "-z", "+z"):
+        core.step(torch.tensor([ACTIONS.index(name)]))
+        told = core.info(view_error=False)
+        forces.append(told["force"].item())
+        assert told["mean_force"].item() == pytest.approx(sum(forces) / len(forces))
+        assert told["peak_force"].item() == pytest.approx(12.0, rel=1e-4)
+        assert "view_position_error" not in told and "view_position_error" in core.info()
+
+
 def test_hits_must_be_in_a_row(phantom):
     core = core_of(phantom, task=dataclasses.replace(get_task("SC"), step_translation=0.02))
     core.reset(seed=0, pose=phantom.target("SC"))

@@ -100,8 +100,12 @@ def test_starts_keep_their_distances_and_limits(phantom):
 
 def test_an_episode_does_not_start_in_the_view_though_a_third_of_the_draws_show_it(phantom):
     task = dataclasses.replace(get_task("SC"), start_distance=(0.0, 0.02), start_angle=(0.0, 0.6))
-    starts = draw_starts(task, phantom, phantom.target("SC"), evaluation_seeds(300))
+    seeds, target = evaluation_seeds(300), phantom.target("SC")
+    starts = draw_starts(task, phantom, target, seeds)
     assert bool((phantom.judge(starts).membership[:, task.target] < 0.5).all())
+    for row in range(20):  # whichever of its draws it took
+        alone = draw_starts(task, phantom, target, seeds[row : row + 1])
+        assert torch.equal(alone.position[0], starts.position[row])
 
 
 def test_a_start_depends_on_its_own_seed_alone(phantom):
