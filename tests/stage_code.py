@@ -4,6 +4,7 @@
 a file for what lies flat in a package or is one command among others.
 """
 
+from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,7 @@ def plugins(stage: str, key: str, params: dict[str, Any]) -> set[str]:
     }
 
 
+@cache
 def stage_code() -> dict[str, set[str]]:
     """Return the modules that each stage runs, over all keys of the default profile."""
     params, found = read_params(profile="default"), {}
@@ -73,6 +75,16 @@ def dependencies(code: set[str]) -> list[str]:
     wanted = {path for module in code if (path := dependency(module)) is not None}
     shown = [path for path in wanted if not wanted & set(path.parents)]
     return [str(path.relative_to(ROOT)) for path in sorted(shown)]
+
+
+def stages_that_use(module: str) -> set[str]:
+    """Return the stages that depend on a module's room, or on the module where it stands alone."""
+    path = modules()[module]
+    return {
+        stage
+        for stage, code in stage_code().items()
+        if any(path.is_relative_to(ROOT / each) for each in dependencies(code))
+    }
 
 
 def is_code(dependency: str) -> bool:

@@ -4,7 +4,6 @@ The stages run for real under DVC in a scratch repository, with a stand-in for `
 each stage's outputs with a digest of that stage's dependencies and parameters, in no time.
 """
 
-import ast
 import json
 import os
 import shutil
@@ -22,11 +21,8 @@ from racines_envs.agents import agent_names
 from racines_envs.evaluation.entries import find_entry
 from racines_models.registry import generator_names
 from tests.conftest import ROOT
-
-REPLAY = {"backends_replay.py", "recorded.py", "pose_index.py"}
-ENVIRONMENT = {
-    "backends.py", "core.py", "data_versions.py", "forces.py", "rewards.py", "sensing.py",
-}  # fmt: skip
+from tests.modules import closure, modules, says_only_what_it_offers
+from tests.stage_code import is_code, stage_code, stages_that_use
 
 STAND_IN = """#!{python}
 import hashlib, json, pathlib, sys
@@ -239,36 +235,94 @@ def test_runs_of_every_profile_are_ignored_by_git():
     assert done.stdout.split() == paths
 
 
-def imported(path: Path) -> set[Path]:
-    """Return the modules of environments that one imports, inside functions as well."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            for name in (node.module, *(f"{node.module}.{each.name}" for each in node.names)):
-                module = ROOT / "envs" / Path(*name.split(".")).with_suffix(".py")
-                if name.startswith("racines_envs") and module.is_file():
-                    found.add(module)
-    return found
+STAGES = stage_code()
 
 
-@pytest.mark.parametrize(
-    ("stage", "starts", "apart"),
-    [
-        # No profile trains on a replay; exploration draws poses and steps through no environment.
-        ("agents", ["agents/ppo.py", "agents/dqn.py", "agents/behaviour_cloning.py"], REPLAY),
-        ("encoder", ["exploration.py"], REPLAY | ENVIRONMENT),
-    ],
-)
-def test_a_stage_names_the_code_that_it_runs(stage: str, starts: list[str], apart: set[str]):
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stage_depends_on_the_code_that_it_runs_and_on_no_other(stage: str):
+    """`python -m tests.stage_code` writes the dependencies of all stages anew."""
     written = yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"][stage]
-    deps = [ROOT / dep for dep in written.get("do", written)["deps"]]
-    code = ROOT / "envs/racines_envs"
-    todo, seen = [code / start for start in starts], set()
-    while todo:
-        path = todo.pop()
-        if path in seen or path.name in apart:
-            continue
-        seen.add(path)
-        todo.extend(imported(path))
-        assert any(dep == path or dep in path.parents for dep in deps), path
-    assert len(seen) > 4
+    deps = [ROOT / dep for dep in written.get("do", written)["deps"] if is_code(dep)]
+    files = {modules()[name] for name in STAGES[stage]}
+    needed = {path for path in files if not says_only_what_it_offers(path)}
+    missing = {path for path in needed if not any(path.is_relative_to(dep) for dep in deps)}
+    assert not missing, f"{stage} runs what it does not depend on: {sorted(map(str, missing))}"
+    idle = {dep for dep in deps if not any(path.is_relative_to(dep) for path in needed)}
+    assert not idle, f"{stage} depends on what it does not run: {sorted(map(str, idle))}"
+
+
+def test_the_closure_sees_what_runs():
+    """Lazy imports count where a module is used, not where it is merely a parent on the way."""
+    assert "racines_models.judges.grader.training" in STAGES["grader"]  # imported in the command
+    assert "racines_data.hub.fetch" in closure(["racines_data.load"])
+    assert "racines_data.hub.fetch" not in closure(["racines_data.schema"])
+    assert "racines_models.generators.vae_gan" in STAGES["generators"]
+    assert "racines_models.generators.flow" not in STAGES["generators"]  # in no default profile
+    right = ("racines_leaderboard.", "racines_envs.")
+    for stage in ("grader", "student", "pose", "generators", "scores", "gallery"):
+        assert not {name for name in STAGES[stage] if name.startswith(right)}
+    for stage in set(STAGES) - {"leaderboard"}:
+        assert not {name for name in STAGES[stage] if name.startswith(right[0])}
+
+
+TOUCHED = [
+    "racines_data.schema",
+    "racines_data.phantom.truth",
+    "racines_data.sources.phantom",
+    "racines_data.store.loader",
+    "racines_data.build.splits",
+    "racines_data.card.sections",
+    "racines_data.export.minari",
+    "racines_data.hub.push",
+    "racines_data.validate.rows",
+    "racines_data.cli.validate",
+    "racines_models.weights",
+    "racines_models.networks.pyramid",
+    "racines_models.training.trainer",
+    "racines_models.exchange.onnx.export",
+    "racines_models.generators.flow",
+    "racines_models.judges.grader.loss",
+    "racines_models.judges.student.labels",
+    "racines_models.judges.pose.regressor",
+    "racines_models.scores.metrics",
+    "racines_models.studies.leakage",
+    "racines_models.cli.train.pose",
+    "racines_envs.task.rewards",
+    "racines_envs.worlds.making",
+    "racines_envs.apis.rendering",
+    "racines_envs.agents.ppo",
+    "racines_envs.driving.keyboard",
+    "racines_envs.evaluation.measures",
+    "racines_envs.explain.maps",
+    "racines_envs.recordings.rerun",
+    "racines_envs.studies.curves",
+    "racines_leaderboard.board.rank",
+    "racines_leaderboard.records.seal",
+    "racines_leaderboard.submissions.intake",
+    "racines_leaderboard.expert.kappa",
+    "racines_leaderboard.audit.claims",
+    "racines_leaderboard.studio.app",
+]
+"""One module in each room."""
+
+
+@pytest.mark.slow
+def test_a_touched_module_runs_the_stages_that_use_its_room_and_no_others(pipeline: Path):
+    from dvc.repo import Repo
+
+    repro(pipeline)
+    for module in TOUCHED:
+        path = pipeline / modules()[module].relative_to(ROOT)
+        path.write_text(path.read_text() + "# touched\n")
+        with Repo(str(pipeline)) as repo:
+            status = repo.status()
+        path.write_text(modules()[module].read_text())
+        changed = {name.rpartition(":")[2].partition("@")[0] for name in status}
+        assert changed == stages_that_use(module), module
+
+
+def test_what_trains_nothing_retrains_nothing():
+    trained = {"grader", "student", "pose", "encoder", "generators", "agents"}
+    for module in modules():
+        if module.startswith("racines_leaderboard."):
+            assert not stages_that_use(module) & trained, module

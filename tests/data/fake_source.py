@@ -11,7 +11,7 @@ import numpy as np
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Finding, Unit
 from racines_data.views import LABELS, RANDOM_LABEL, VIEWS
-from tests.waiting import halt
+from tests.waiting import halt, until
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,8 @@ class FakeConfig:
     """Number of the unit from which on none is finished."""
     journal: str = ""
     """Folder in which every unit made leaves a mark, with its process and session."""
+    processes: int = 1
+    """No unit is finished before so many processes have left a mark."""
 
 
 @dataclass
@@ -50,12 +52,18 @@ class FakeSource:
             for i, (low, high) in enumerate(zip(edges, edges[1:], strict=False))
         ]
 
+    def _at_work(self) -> int:
+        """Return how many processes have left a mark; one may just be written."""
+        marks = (path.read_text().split() for path in Path(self.config.journal).iterdir())
+        return len({words[0] for words in marks if words})
+
     def produce(self, unit: Unit) -> Trajectory:
         if self.config.halts_at is not None and int(unit.id[1:]) >= self.config.halts_at:
             halt()
         if self.config.journal:
             mark = Path(self.config.journal) / f"{unit.id}-{time.monotonic_ns()}"
             mark.write_text(f"{os.getpid()} {unit.session}")
+            until(lambda: self._at_work() >= self.config.processes)
         n = unit.frames
         rng = np.random.default_rng([self.config.seed, int(unit.id[1:])])
         parameters = rng.normal(size=(n, 12)).astype(np.float32)

@@ -13,7 +13,7 @@ from pyarrow import ipc
 
 from racines_data.build.dataset import DataConfig, build
 from racines_data.errors import RacinesError
-from racines_data.export.lerobot.writer import writer as lerobot
+from racines_data.export.lerobot import writer as lerobot
 from racines_data.export.minari import _rewards
 from racines_data.export.registry import exporter_names, load_exporter
 from racines_data.store.sweeps import read_sweeps

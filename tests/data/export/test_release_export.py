@@ -151,7 +151,7 @@ def test_absent_forces_are_written_as_nan(tmp_path: Path):
 
 
 def test_a_stopped_export_goes_on(original: Path, tree: Path, tmp_path: Path, monkeypatch):
-    from racines_data.export.registry import release
+    from racines_data.export import release
 
     wrote: list[int] = []
     write = release._write_sweep

@@ -105,7 +105,7 @@ def test_a_rebuilt_config_is_not_served_stale(tmp_path: Path, monkeypatch: pytes
 def test_one_worker_makes_all_of_a_heart(tmp_path: Path):
     journal = tmp_path / "journal"
     journal.mkdir()
-    make(tmp_path / "racines", workers=2, journal=str(journal), delay=0.01)
+    make(tmp_path / "racines", workers=2, journal=str(journal), processes=2)
     marks = {tuple(path.read_text().split()) for path in journal.iterdir()}
     hearts = [heart for _, heart in marks]
     assert len(hearts) == len(set(hearts)) == 8, "a heart was given to two workers"

@@ -26,6 +26,7 @@ from racines_models.judges.pose.regressor import (
     PoseRegressor,
     PoseTraining,
 )
+from racines_models.networks.batching import in_fixed_batches
 from racines_models.protocol import Run
 from racines_models.provenance import weights_sha256
 from tests.envs.fakes import FakePhantom
@@ -54,7 +55,7 @@ def test_the_environment_shows_what_the_encoder_says_of_each_image(phantom, fold
     )
     seen = core.reset(seed=0)
     for action in (2, 4, 8):
-        assert torch.equal(seen["features"], encoder(seen["image"]))
+        assert torch.equal(seen["features"], in_fixed_batches(encoder, seen["image"]))
         seen = core.step(torch.full((5,), action)).observation
     core.reset(mask=torch.tensor([True, False, False, False, True]))
     assert torch.allclose(core.observe()["features"], encoder(core.picture()), atol=1e-5)

@@ -8,6 +8,7 @@ from racines_models.sample import take_sample
 from racines_models.scores import judge as module
 from racines_models.scores.judge import Judge, ScoresConfig
 from racines_models.scores.plugin import Metric
+from tests.models.labelled import LabelledStore
 
 
 class Mean:
@@ -27,7 +28,8 @@ def _dark(drawn, truth):
 
 
 @pytest.fixture
-def judge(store) -> Judge:
+def judge() -> Judge:
+    store = LabelledStore()
     sample = take_sample(store, "test", 12)
     darker = [(sample.frames.images // 2), torch.zeros_like(sample.frames.images)]
     return Judge(ScoresConfig(resamples=20, blocks=3), store, sample, darker)
