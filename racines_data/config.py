@@ -46,6 +46,10 @@ class Settings(dict[str, Any]):
         return Settings({name: self[name] for name in names if name in self}, self.file)
 
 
+# YAML writes its own dictionaries alone; settings are written as what they are.
+yaml.SafeDumper.add_representer(Settings, yaml.SafeDumper.represent_dict)
+
+
 def read_params(params: Path | None = None, profile: str | None = None) -> Settings:
     """Read a params file, or a packaged profile (`default` when neither is named).
 

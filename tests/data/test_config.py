@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 import pytest
+import yaml
 
 from racines_data.config import fill, read_params, section
 from racines_data.errors import RacinesError
@@ -105,3 +106,8 @@ def test_a_section_is_a_mapping():
         section({"a": {"b": 3}}, "a.b.c")
     assert section({"a": {"x.y:Z": {"k": 1}}}, ("a", "x.y:Z")) == {"k": 1}
     assert section({"a": None}, "a.b") == {}
+
+
+def test_settings_are_written_as_they_were_read():
+    params = read_params(profile="smoke")
+    assert yaml.safe_load(yaml.safe_dump(params | {"seed": 3})) == params | {"seed": 3}

@@ -160,7 +160,7 @@ import dataclasses
 import sys
 from pathlib import Path
 from racines_models.training.launch import in_processes
-from tests.models import test_trainer_processes as here
+from tests.models.training import test_trainer_processes as here
 if __name__ == "__main__":
     training = dataclasses.replace(here.TRAINING, images=80_000_000)
     config = dataclasses.replace(here.FLOW, training=training)
