@@ -1,6 +1,7 @@
 """What all tests share: one thread a process, the command, and one tiny dataset for all of them."""
 
 import fcntl
+import gc
 import os
 import subprocess
 import sys
@@ -39,10 +40,21 @@ TINY = {
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the contracts' tests of rows, also the inherited ones, by their name."""
+    """Mark the contracts' tests of rows, also the inherited ones, by their name.
+
+    Files with slow tests come first, so that no process ends with one while the other is idle.
+    """
     for item in items:
         if "ignores_its_batch" in item.name:
             item.add_marker("contract")
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
+def pytest_collection_finish() -> None:
+    """Keep what was imported out of every later collection of garbage, and of forks' memory."""
+    gc.collect()
+    gc.freeze()
 
 
 def command(

@@ -74,9 +74,10 @@ def stages(folder: Path) -> dict[str, dict[str, Any]]:
     return found
 
 
-@pytest.fixture
-def pipeline(tmp_path: Path) -> Path:
-    """A scratch repository with the pipeline, the code it depends on, and the stand-in."""
+@pytest.fixture(scope="module")
+def reproduced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """A scratch repository with the pipeline, its code and the stand-in, run once; what ran."""
+    tmp_path = tmp_path_factory.mktemp("pipeline")
     for name in ("dvc.yaml", "params.yaml", ".dvcignore"):
         shutil.copy(ROOT / name, tmp_path / name)
     for name in ("racines_data", "models/racines_models", "envs/racines_envs"):
@@ -94,7 +95,7 @@ def pipeline(tmp_path: Path) -> Path:
     stand_in = tmp_path / "bin" / "racines"
     stand_in.write_text(STAND_IN.format(python=sys.executable))
     stand_in.chmod(0o755)
-    return tmp_path
+    return tmp_path, repro(tmp_path)
 
 
 def repro(folder: Path) -> list[str]:
@@ -117,9 +118,11 @@ def change(folder: Path, path: str, value: object) -> None:
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
 
 
-@pytest.mark.slow
-def test_a_change_runs_again_what_follows_from_it_and_nothing_else(pipeline: Path):
-    everything = repro(pipeline)
+@pytest.mark.docs
+def test_a_change_runs_again_what_follows_from_it_and_nothing_else(
+    reproduced: tuple[Path, list[str]],
+):
+    pipeline, everything = reproduced
     assert everything[0] == "data" and everything[-1] == "leaderboard"
     assert set(everything) == {stage["name"] for stage in stages(pipeline).values()}
     assert repro(pipeline) == [], "a second repro does nothing"
@@ -140,10 +143,9 @@ def test_a_change_runs_again_what_follows_from_it_and_nothing_else(pipeline: Pat
     assert repro(pipeline) == ["agents@ppo-pl", "evaluate@ppo-pl", "leaderboard"]
 
     (pipeline / "racines_data" / "README.md").write_text("words")
-    assert repro(pipeline) == [], "documentation is no dependency"
-
     shutil.rmtree(pipeline / "data" / "racines")
-    assert repro(pipeline) == [], "what the cache holds is taken from there"
+    assert repro(pipeline) == [], "documentation is no dependency; data come from the cache"
+    assert (pipeline / "data" / "racines" / "out.txt").is_file()
 
 
 def test_params_yaml_is_the_default_profile():
@@ -306,11 +308,14 @@ TOUCHED = [
 """One module in each room."""
 
 
-@pytest.mark.slow
-def test_a_touched_module_runs_the_stages_that_use_its_room_and_no_others(pipeline: Path):
+@pytest.mark.docs
+def test_a_touched_module_runs_the_stages_that_use_its_room_and_no_others(
+    reproduced: tuple[Path, list[str]],
+):
     from dvc.repo import Repo
 
-    repro(pipeline)
+    pipeline, _ = reproduced
+    assert repro(pipeline) == []
     for module in TOUCHED[4::6]:  # DVC takes seconds each; dvc.yaml is held to the code above
         path = pipeline / modules()[module].relative_to(ROOT)
         path.write_text(path.read_text() + "# touched\n")

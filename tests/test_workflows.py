@@ -51,12 +51,21 @@ def test_ci_runs_what_the_project_runs():
 
 def test_ci_runs_every_test_once():
     """Those of `make test`, then those that are marked to come after."""
-    ran = re.findall(r"^make ([\w-]+)", (ROOT / ".ci/run").read_text(), re.MULTILINE)
-    assert ran == ["lint", "types", "repro", "test", "test-instruction-sets", "test-docs"]
+    ran = re.findall(r"^ *make ([\w-]+)", (ROOT / ".ci/run").read_text(), re.MULTILINE)
+    assert sorted(ran) == sorted(
+        ["lint", "types", "repro", "test", "test-instruction-sets", "test-docs"]
+    )
     makefile = (ROOT / "Makefile").read_text()
     recipe = r"^{}: .*\n\t\$\(TESTS\) -m (.*)$"
-    chosen = [re.findall(recipe.format(name), makefile, re.MULTILINE) for name in ran[3:]]
-    assert chosen == [['"not docs and not instruction_sets"'], ["instruction_sets"], ["docs"]]
+    chosen = {
+        name: re.findall(recipe.format(name), makefile, re.MULTILINE)
+        for name in ("test", "test-instruction-sets", "test-docs")
+    }
+    assert chosen == {
+        "test": ['"not docs and not instruction_sets"'],
+        "test-instruction-sets": ["instruction_sets"],
+        "test-docs": ["docs"],
+    }
 
 
 def test_submissions_are_data_to_the_base_branchs_code():

@@ -84,7 +84,7 @@ def merged(ground) -> Path:
 def climbed(ground) -> Path:
     """The record of an agent that goes by the grader which judges its last images."""
     torch.manual_seed(0)
-    settings = GraderConfig(input_size=32)
+    settings = GraderConfig(input_size=32, width=0.125)
     folder = Path("models/runs/grader")
     folder.mkdir(parents=True)
     Grader(Grader.build(settings, len(LABELS)), settings).save(folder)
