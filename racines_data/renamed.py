@@ -25,9 +25,13 @@ MOVED = {
     ),
     "racines_data.export.lerobot": "export.lerobot_statistics=statistics",
     "racines_data.hub": "push",
+    "racines_data.sources": (
+        "sources.multi_phantom=phantom sources.crop=cactus.source "
+        "sources.release.kinds=folder sources.release_kinds=folder"
+    ),
     "racines_data.sources.cactus": "sources.cactus_files=files",
     "racines_data.sources.release": (
-        "sources.release_checks=checks sources.release_kinds=kinds sources.release_log=log "
+        "sources.release_checks=checks sources.release_log=log "
         "sources.release_survey=survey sources.release_tree=tree"
     ),
     "racines_data.sources.tracked": "sources.mha=mha",

@@ -1,14 +1,95 @@
-"""What sources share that read one folder of files: opening it, and the recipe."""
+"""What readers of recordings share: a folder's files and their faults, poses, trajectories."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
+import numpy as np
+import torch
+
 from racines_data.config import fill
 from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, pose_to_parameters
+from racines_data.schema import CONTROLS, PARAMETERS, Trajectory
 from racines_data.sources.base import Finding, Unit
+
+UNITS = {"m": 1.0, "mm": 1e-3}
+"""Metres of each unit that a recording may have its positions in."""
+
+
+class Kind(StrEnum):
+    """What is wrong; every reason in the report begins with one of these and a colon."""
+
+    MISSING_LOG = "missing log"
+    MISSING_IMAGE = "missing image"
+    MISSING_ROW = "missing row"
+    MISSING_TABLE = "missing table"
+    TRUNCATED_PNG = "truncated PNG"
+    NOT_A_PNG = "not a PNG"
+    DAMAGED_PNG = "damaged PNG"
+    TRUNCATED_JPEG = "truncated JPEG"
+    NOT_A_JPEG = "not a JPEG"
+    DAMAGED_JPEG = "damaged JPEG"
+    UNREADABLE_IMAGE = "unreadable image"
+    MIXED_SIZES = "mixed sizes"
+    UNREADABLE_LOG = "unreadable log"
+    WRONG_SHAPE = "wrong matrix shape"
+    NAN = "NaN"
+    INFINITE = "infinite"
+    REFLECTED = "reflected rotation"
+    NOT_ORTHONORMAL = "non-orthonormal rotation"
+    NOT_RIGID = "not a rigid pose"
+    MILLIMETRES = "millimetres"
+    METRES = "metres"
+    OUT_OF_REACH = "out of reach"
+    CLOCK = "clock"
+    GRADE_CONFLICT = "grade conflict"
+    WRONG_GRADE = "wrong grade"
+    DUPLICATE_NUMBER = "duplicate number"
+    GAP = "gap in numbers"
+    EMPTY_FOLDER = "empty folder"
+    UNKNOWN = "unknown file"
+
+
+class Fault(RacinesError):
+    """Why a file, or the `item` of it, cannot be used."""
+
+    def __init__(self, kind: Kind, detail: str, item: str = "") -> None:
+        super().__init__(f"{kind}: {item}: {detail}" if item else f"{kind}: {detail}")
+        self.kind, self.detail, self.item = kind, detail, item
+
+
+class Report(list[Finding]):
+    """The findings of an import; files are named relative to its folder."""
+
+    def __init__(self, root: Path) -> None:
+        super().__init__()
+        self.root = root
+
+    def place(self, file: Path | str) -> str:
+        """Return how a file is named."""
+        return file if isinstance(file, str) else file.relative_to(self.root).as_posix()
+
+    def refuse(
+        self, kind: Kind, file: Path | str, detail: str, item: str = "", frames: int = 1
+    ) -> None:
+        """Add what costs frames."""
+        self.append(Finding(self.place(file), item, True, f"{kind}: {detail}", frames))
+
+    def flag(
+        self, kind: Kind, file: Path | str, detail: str, item: str = "", frames: int = 1
+    ) -> None:
+        """Add what is said of frames that are kept."""
+        self.append(Finding(self.place(file), item, False, f"{kind}: {detail}", frames))
+
+
+def count_kinds(report: Sequence[Finding]) -> dict[str, int]:
+    """Return the number of findings of each kind, in order of first appearance."""
+    return dict(Counter(finding.reason.partition(":")[0] for finding in report))
 
 
 @dataclass
@@ -20,14 +101,12 @@ class FolderSource:
     report: list[Finding] = field(default_factory=list)
     progress: bool = False
     """Show a progress bar on stderr while the files are checked."""
+    _inputs: str = field(default="", init=False)
+    """The sha256 over all files, which `plan` finds."""
     name = ""
     Config: ClassVar[type]
     reader: ClassVar[int] = 1
     """Version of what the reader makes of the files; part of the recipe."""
-
-    def __post_init__(self) -> None:
-        """Remember nothing yet."""
-        self._inputs = ""  # the sha256 over all files, which `plan` finds
 
     @classmethod
     def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> Self:
@@ -58,3 +137,33 @@ class FolderSource:
     def plan(self) -> Sequence[Unit]:
         """Check every file, set the hash over all, and return the units; see `Source`."""
         raise NotImplementedError
+
+
+def parameters_of(
+    matrices: np.ndarray, wrench: np.ndarray | None = None, metres: float = 1.0
+) -> np.ndarray:
+    """Return (T, 12) float32 parameters of recorded poses.
+
+    Args:
+        matrices: (T, 4, 4) float64 poses.
+        wrench: (T, 6) float64 forces and torques; NaN if there are none.
+        metres: Unit of the positions.
+    """
+    known = torch.from_numpy(matrices)
+    pose = Pose(known[:, :3, 3] * metres, known[:, :3, :3])
+    forces = np.full((len(matrices), 6), np.nan) if wrench is None else wrench
+    return pose_to_parameters(pose, torch.from_numpy(forces)).to(torch.float32).numpy()
+
+
+def recorded(unit: Unit, images: Sequence[np.ndarray], **known: np.ndarray) -> Trajectory:
+    """Return a unit's trajectory: (128, 128) images, the columns known, and the others absent."""
+    count = len(images)
+    absent = {
+        "parameters": np.full((count, len(PARAMETERS)), np.nan, np.float32),
+        "timestamps": np.full(count, np.nan),
+        "controls": np.full((count, len(CONTROLS)), np.nan, np.float32),
+        "views": np.full(count, -1),
+        "grades": np.full(count, np.nan, np.float32),
+    }
+    columns = {**absent, **known}
+    return Trajectory(unit.id, unit.session, unit.target_view, np.stack(images), **columns)

@@ -1,4 +1,4 @@
-from .source import ReleaseConfig as ReleaseConfig
+from .checks import ReleaseConfig as ReleaseConfig
 from .source import ReleaseSource as ReleaseSource
 from .source import ReleaseUnit as ReleaseUnit
 

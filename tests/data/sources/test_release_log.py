@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from racines_data.sources.folder import Fault as DamagedLog
 from racines_data.sources.release.checks import backward
 from racines_data.sources.release.log import (
     CONTROL,
@@ -8,7 +9,6 @@ from racines_data.sources.release.log import (
     POSE,
     TIME,
     WRENCH,
-    DamagedLog,
     format_log,
     parse_log,
 )
