@@ -38,7 +38,6 @@ from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 
 MINARI_VERSION = "0.5.0"
 """Oldest version whose format this is; later ones read it."""
-_SHAPE = (1, IMAGE_SIZE, IMAGE_SIZE)
 
 
 def export(
@@ -99,35 +98,29 @@ def dataset_id(manifest: Mapping[str, Any], split: str) -> str:
 
 def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ...]) -> int:
     """Write one episode; return how many of its steps have no commanded velocity."""
-    table = sweep.table
-    count = len(table)
+    table, count = sweep.table, len(sweep)
+    target, random = sweep.first("target_view"), labels[-1]
     actions = float_columns(table, CONTROLS)
     views = table["view"].fill_null(-1).to_numpy()
     grades = float_columns(table, ["grade"])[:, 0]
-    rewards = _rewards(views, grades, labels.index(sweep.first("target_view")))
-    if sweep.first("target_view") == labels[-1]:
+    rewards = _rewards(views, grades, labels.index(target))
+    if target == random:
         rewards = np.zeros_like(rewards)  # a random scan has no target
-    observations = {
-        "image": _fixed(sweep.images().reshape(count, -1)),
-        "params": _fixed(float_columns(table, PARAMETERS)),
-    }
+    images, parameters = sweep.images().reshape(count, -1), float_columns(table, PARAMETERS)
     infos = {
         "view": pa.array(views),
         "grade": pa.array(grades),
         "timestamp": table["timestamp"].combine_chunks(),
         "frame": table["frame"].combine_chunks(),
     }
-    last = np.arange(count) == count - 2
     batch = pa.RecordBatch.from_pydict(
         {
-            "observations": pa.StructArray.from_arrays(
-                list(observations.values()), [*observations]
-            ),
+            "observations": _struct({"image": _fixed(images), "params": _fixed(parameters)}),
             "actions": _fixed(actions),  # the last one leads nowhere; Minari drops it
             "rewards": np.append(rewards, 0.0),
             "terminations": np.zeros(count, bool),
-            "truncations": last,
-            "infos": pa.StructArray.from_arrays(list(infos.values()), [*infos]),
+            "truncations": np.arange(count) == count - 2,
+            "infos": _struct(infos),
         }
     )
     folder = data / str(episode)
@@ -150,16 +143,20 @@ def _rewards(views: np.ndarray, grades: np.ndarray, target: int) -> np.ndarray:
 
 
 def _fixed(values: np.ndarray) -> pa.FixedSizeListArray:
-    flat = pa.array(np.ascontiguousarray(values).ravel())
-    return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+
+
+def _struct(columns: Mapping[str, pa.Array]) -> pa.StructArray:
+    return pa.StructArray.from_arrays([*columns.values()], [*columns])
 
 
 def _write_metadata(
     data: Path, name: str, manifest: Mapping[str, Any], counts: Mapping[str, int]
 ) -> None:
-    image = _box(np.zeros(_SHAPE, int), np.full(_SHAPE, 255), "uint8")
-    params = _box(np.full(len(PARAMETERS), -np.inf), np.full(len(PARAMETERS), np.inf), "float32")
-    action = _box(np.full(len(CONTROLS), -np.inf), np.full(len(CONTROLS), np.inf), "float32")
+    image = _box((1, IMAGE_SIZE, IMAGE_SIZE), 0, 255, "uint8")
+    params, action = (
+        _box((len(names),), -np.inf, np.inf, "float32") for names in (PARAMETERS, CONTROLS)
+    )
     spaces = {"type": "Dict", "subspaces": {"image": image, "params": params}}
     size = sum(path.stat().st_size for path in data.rglob("*") if path.is_file())
     metadata = {
@@ -193,8 +190,6 @@ def _description(manifest: Mapping[str, Any]) -> str:
     )
 
 
-def _box(low: np.ndarray, high: np.ndarray, dtype: str) -> dict[str, Any]:
-    shape = list(low.shape)
-    return {"type": "Box", "dtype": dtype, "shape": shape, "low": low.tolist()} | {
-        "high": high.tolist()
-    }
+def _box(shape: tuple[int, ...], low: float, high: float, dtype: str) -> dict[str, Any]:
+    bounds = {"low": np.full(shape, low).tolist(), "high": np.full(shape, high).tolist()}
+    return {"type": "Box", "dtype": dtype, "shape": list(shape), **bounds}

@@ -25,7 +25,11 @@ import pyarrow.parquet as pq
 from datasets import Features, Image, List, Value
 
 from racines_data.errors import RacinesError
-from racines_data.export.lerobot.statistics import Statistics, image_histogram
+from racines_data.export.lerobot.statistics import (
+    image_histogram,
+    image_statistics,
+    values_statistics,
+)
 from racines_data.files import write_json
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import describe, manifest_labels, read_manifest
@@ -114,7 +118,9 @@ class _Writer:
     episodes: list[dict[str, Any]] = field(default_factory=list)
     tasks: dict[str, int] = field(default_factory=dict)
     intervals: list[np.ndarray] = field(default_factory=list)
-    statistics: Statistics = field(default_factory=Statistics)
+    columns: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    """Numbers of each feature, by episode."""
+    histograms: list[np.ndarray] = field(default_factory=list)
     _files: int = 0
     _bytes: int = 0
     _open: pq.ParquetWriter | None = None
@@ -125,11 +131,14 @@ class _Writer:
         index = self.tasks.setdefault(task, len(self.tasks))
         columns = _columns(sweep, len(self.episodes), self.frames, index)
         chunk, number = self._write(sweep, columns)
-        own = Statistics()
-        own.add(columns, image_histogram(sweep, self.frames))
-        self.statistics.merge(own)
+        self.histograms.append(image_histogram(sweep, self.frames))
+        own = {IMAGE: image_statistics(self.histograms[-1:])}
+        for name, values in columns.items():
+            self.columns.setdefault(name, []).append(values)
+            own[name] = values_statistics([values])
         self.missing += int(np.isnan(columns["action"]).any(-1).sum())
         self.intervals.append(np.diff(sweep.table["timestamp"].to_numpy()))
+        about = ("trajectory", "session", "target_view", "phantom")
         self.episodes.append(
             {
                 "episode_index": len(self.episodes),
@@ -142,13 +151,8 @@ class _Writer:
                 "meta/episodes/chunk_index": 0,
                 "meta/episodes/file_index": 0,
                 "split": sweep.split,
-                **{name: sweep.first(name) for name in ("trajectory", "session", "target_view")},
-                "phantom": sweep.first("phantom"),
-                **{
-                    f"stats/{name}/{key}": value
-                    for name, values in own.result(IMAGE).items()
-                    for key, value in values.items()
-                },
+                **{name: sweep.first(name) for name in about},
+                **{f"stats/{name}/{key}": v for name in own for key, v in own[name].items()},
             }
         )
         self.frames += len(sweep)
@@ -204,10 +208,8 @@ def _columns(sweep: Sweep, episode: int, start: int, task: int) -> dict[str, np.
 
 
 def _array(values: np.ndarray) -> pa.Array:
-    flat = pa.array(np.ascontiguousarray(values).ravel())
-    if values.ndim == 1:
-        return flat
-    return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    flat = pa.array(values.ravel())
+    return flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
 
 
 def _write_meta(folder: Path, writer: _Writer, manifest: Mapping[str, Any]) -> dict[str, Any]:
@@ -227,13 +229,13 @@ def _write_meta(folder: Path, writer: _Writer, manifest: Mapping[str, Any]) -> d
         "features": _FEATURES,
     }
     write_json(folder / "meta/info.json", info)
-    write_json(folder / "meta/stats.json", writer.statistics.result(IMAGE))
-    keys = ("source", "version", "digest", "recipe_digest")
-    about = {**{key: manifest[key] for key in keys}, "labels": list(writer.labels)}
-    write_json(folder / "meta/racines.json", {**about, "description": describe(manifest)})
-    tasks = pd.DataFrame(
-        {"task_index": [*writer.tasks.values()]}, index=pd.Index([*writer.tasks], name="task")
-    )
+    statistics = {name: values_statistics(parts) for name, parts in writer.columns.items()}
+    images = {IMAGE: image_statistics(writer.histograms)}
+    write_json(folder / "meta/stats.json", {**images, **statistics})
+    about = {key: manifest[key] for key in ("source", "version", "digest", "recipe_digest")}
+    about |= {"labels": list(writer.labels), "description": describe(manifest)}
+    write_json(folder / "meta/racines.json", about)
+    tasks = pd.Series(writer.tasks, name="task_index").rename_axis("task").to_frame()
     tasks.to_parquet(folder / "meta/tasks.parquet")
     path = folder / "meta/episodes/chunk-000/file-000.parquet"
     path.parent.mkdir(parents=True)
@@ -251,12 +253,8 @@ def _rate(intervals: list[np.ndarray]) -> int | float:
 
 
 def _splits(episodes: list[dict[str, Any]]) -> dict[str, str]:
-    ranges = {}
-    for split in SPLITS:
-        of = [row["episode_index"] for row in episodes if row["split"] == split]
-        if of:
-            ranges[split] = f"{of[0]}:{of[-1] + 1}"
-    return ranges
+    inside = {s: [e["episode_index"] for e in episodes if e["split"] == s] for s in SPLITS}
+    return {split: f"{of[0]}:{of[-1] + 1}" for split, of in inside.items() if of}
 
 
 def _card(manifest: Mapping[str, Any], info: Mapping[str, Any]) -> str:
