@@ -1,4 +1,7 @@
-"""What a card draws and counts: the columns of a training store that is not yet sealed."""
+"""What a card draws and counts: the columns of a training store that is not yet sealed.
+
+The figures are those of the twelve parameters, and shares of classes and grades by split.
+"""
 
 import json
 from collections.abc import Mapping
@@ -12,6 +15,25 @@ import pyarrow as pa
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import METADATA, manifest_labels
 from racines_data.schema import CONTROLS, PARAMETERS, SPLITS
+from racines_data.sources.card import manifest_card
+from racines_data.views import LABELS
+
+CACTUS_COUNTS = {"A4C": 7422, "SC": 6345, "PL": 6102, "PSAV": 5832, "PSMV": 6014, "Random": 6021}
+"""Images of each class in CACTUS (DOI 10.20383/103.01484), recorded on the same kind of block."""
+
+GRADE_EDGES = np.array([0.0, *np.arange(0.5, 10.0), 10.001])
+"""Bins of grades: half a grade to each side of 0, 1, … 10."""
+
+
+def has_paper(manifest: Mapping[str, Any]) -> bool:
+    """Return whether the paper's statistics are the measure of this dataset: a heart with poses."""
+    return manifest_card(manifest).like_paper and manifest_labels(manifest) == LABELS
+
+
+def unit_of(parameter: str) -> str:
+    """Return the SI unit of a parameter."""
+    units = {"force": "N", "torque": "N·m", "position": "m", "rotation": "rad"}
+    return units[parameter.partition("_")[0]]
 
 
 @dataclass(frozen=True)
@@ -79,3 +101,30 @@ def read_frames(path: Path, manifest: Mapping[str, Any]) -> Frames:
         splits={name: tuple(named["splits"][name]) for name in SPLITS if name in named["splits"]},
         labels=manifest_labels(manifest),
     )
+
+
+def card_statistics(frames: Frames) -> dict[str, Any]:
+    """Return what the manifest keeps for the card; JSON-able.
+
+    Returns:
+        `parameters`: minimum, maximum, mean, std of each parameter that was measured.
+        `views`: for each split, frames of each label, and `unknown`.
+        `grades`: for each split, frames of view labels by rounded grade 0-10, and `unknown`.
+    """
+    parameters, views, grades = {}, {}, {}
+    for name, column in zip(PARAMETERS, frames.parameters.T, strict=True):
+        known = column[~np.isnan(column)].astype(np.float64)
+        if len(known):
+            four = known.min(), known.max(), known.mean(), known.std()
+            keys = ("minimum", "maximum", "mean", "std")
+            parameters[name] = {k: round(float(v), 6) for k, v in zip(keys, four, strict=True)}
+    for split, bounds in frames.splits.items():
+        labels, graded = frames.views[slice(*bounds)], frames.grades[slice(*bounds)]
+        counts = np.bincount(labels[labels >= 0], minlength=len(frames.labels))
+        views[split] = dict(zip(frames.labels, counts.tolist(), strict=True))
+        views[split]["unknown"] = int((labels < 0).sum())
+        graded = graded[labels != len(frames.labels) - 1]  # a frame of no view has grade 0
+        known = graded[~np.isnan(graded)]
+        counts = np.histogram(known, GRADE_EDGES)[0].tolist()
+        grades[split] = {"counts": counts, "unknown": len(graded) - len(known)}
+    return {"parameters": parameters, "views": views, "grades": grades}

@@ -63,7 +63,11 @@ def rewrite_card(
         beside.chmod(root.stat().st_mode)
         _link(root, beside, manifest)
         if shown:
-            _replace_pictures(beside, manifest, shown)
+            for name in manifest.get("realism_pictures", []):
+                (beside / name).unlink(missing_ok=True)
+            for name, data in shown.items():
+                write_atomic(beside / name, data)
+            manifest["realism_pictures"] = list(shown)
         if draw:
             for name in manifest.get("pictures", []):
                 (beside / FOLDER / f"{name}.png").unlink()
@@ -111,23 +115,16 @@ def _link(root: Path, beside: Path, manifest: dict[str, Any]) -> None:
             shutil.copyfile(source, target)
 
 
-def _replace_pictures(beside: Path, manifest: dict[str, Any], shown: dict[str, bytes]) -> None:
-    for name in manifest.get("realism_pictures", []):
-        (beside / name).unlink(missing_ok=True)
-    for name, data in shown.items():
-        write_atomic(beside / name, data)
-    manifest["realism_pictures"] = list(shown)
-
-
 def _seal(beside: Path, manifest: dict[str, Any]) -> None:
     """Record the files anew; of those that were linked, what is known of them holds."""
-    known = manifest["files"]
-    names = sorted(p.relative_to(beside).as_posix() for p in beside.rglob("*") if p.is_file())
-    manifest["files"] = {
-        name: known[name]
-        if name in known and name != CARD and not name.startswith(f"{FOLDER}/")
-        else {"sha256": sha256_file(beside / name), "bytes": (beside / name).stat().st_size}
-        for name in names
-        if name != MANIFEST
-    }
+    known, files = manifest["files"], {}
+    for path in beside.rglob("*"):
+        name = path.relative_to(beside).as_posix()
+        if path.is_file() and name != MANIFEST:
+            linked = name in known and name != CARD and not name.startswith(f"{FOLDER}/")
+            if linked:
+                files[name] = known[name]
+            else:
+                files[name] = {"sha256": sha256_file(path), "bytes": path.stat().st_size}
+    manifest["files"] = dict(sorted(files.items()))
     write_atomic(beside / MANIFEST, json.dumps(manifest, indent=1) + "\n")

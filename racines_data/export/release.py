@@ -78,17 +78,14 @@ def export(
             _write_sweep(staging, places[sweep.id], sweep)
             bar.advance(task, len(sweep))
     os.replace(staging, out)
-    unseen = (
-        f"{len(sessions)} sessions: a loader that knows only `Folder 1` to `Folder 3` will not "
-        "see the others"
-    )
+    known = "a loader that knows only `Folder 1` to `Folder 3` will not see the others"
     return {
         "out": str(out),
         "format": "release",
         "frames": total,
         "trajectories": len(places),
         "sessions": sessions,
-        "notes": [unseen] if len(sessions) > _KNOWN_FOLDERS else [],
+        "notes": [f"{len(sessions)} sessions: {known}"] if len(sessions) > _KNOWN_FOLDERS else [],
     }
 
 
@@ -151,11 +148,7 @@ def _folder(path: Path) -> Iterator[Path]:
 
 
 def _log_rows(table: pa.Table) -> np.ndarray:
-    """Return (T, 29) numbers of the logs of a trajectory.
-
-    Raises:
-        RacinesError: a frame has no pose.
-    """
+    """Return (T, 29) numbers of the logs of a trajectory; refuse one without poses."""
     parameters = float_columns(table, PARAMETERS).astype(np.float64)
     if not np.isfinite(parameters[:, 6:]).all():
         name = table["trajectory"][0].as_py()

@@ -111,18 +111,12 @@ class PhantomSource:
 
     def plan(self) -> Sequence[SweepUnit]:
         """Return the sweeps in order, sessions in turn."""
-        lengths = plan_lengths(self.config)
-        targets = plan_targets(len(lengths), self.config)
-        return [
-            SweepUnit(
-                id=f"{i:05d}-{target.lower()}",
-                session=f"session-{self._session(i, len(lengths)) + 1}",
-                target_view=target,
-                frames=length,
-                index=i,
-            )
-            for i, (length, target) in enumerate(zip(lengths, targets, strict=True))
-        ]
+        lengths, sessions = plan_lengths(self.config), self.config.sessions
+        targets, units = plan_targets(len(lengths), self.config), []
+        for i, (length, target) in enumerate(zip(lengths, targets, strict=True)):
+            session = f"session-{min(i * sessions // len(lengths), sessions - 1) + 1}"
+            units.append(SweepUnit(f"{i:05d}-{target.lower()}", session, target, length, i))
+        return units
 
     def produce(self, unit: Unit) -> Trajectory:
         """Acquire one sweep."""
@@ -130,9 +124,6 @@ class PhantomSource:
         seed = derive(sample_seeds(self.config.seed, 1), unit.index, 1)
         session = int(unit.session.rpartition("-")[2]) - 1
         return _acquire(self.config.phantom, self.config, unit, session, seed)
-
-    def _session(self, index: int, count: int) -> int:
-        return min(index * self.config.sessions // count, self.config.sessions - 1)
 
 
 @dataclass(frozen=True)
@@ -190,18 +181,12 @@ class MultiPhantomSource:
 
     def plan(self) -> Sequence[SweepUnit]:
         """Return the sweeps in order, heart by heart."""
-        return [
-            SweepUnit(
-                id=f"h{heart:04d}-{target.lower()}",
-                session=f"heart-{heart:04d}",
-                target_view=target,
-                frames=self.config.frames_per_sweep,
-                index=index,
-                heart=heart,
-            )
-            for heart in range(1, self.config.hearts + 1)
-            for index, target in enumerate(self.labels)
-        ]
+        frames, units = self.config.frames_per_sweep, []
+        for heart in range(1, self.config.hearts + 1):
+            for index, target in enumerate(self.labels):
+                name, session = f"h{heart:04d}-{target.lower()}", f"heart-{heart:04d}"
+                units.append(SweepUnit(name, session, target, frames, index, heart))
+        return units
 
     def produce(self, unit: Unit) -> Trajectory:
         """Acquire one sweep; hearts take turns among the operators."""

@@ -31,7 +31,7 @@ def image_histogram(sweep: Sweep, start: int) -> np.ndarray:
     return counts
 
 
-def values_statistics(parts: Sequence[np.ndarray]) -> dict[str, list[float]]:
+def of_values(parts: Sequence[np.ndarray]) -> dict[str, list[float]]:
     """Return minimum, maximum, mean, std, quantiles and count of (T,) or (T, D) parts of a feature.
 
     Unknown numbers (NaN) are left out; a column that has no number has zeros, as JSON has no NaN.
@@ -49,7 +49,7 @@ def values_statistics(parts: Sequence[np.ndarray]) -> dict[str, list[float]]:
     return {**{key: value.tolist() for key, value in made.items()}, "count": [len(table)]}
 
 
-def image_statistics(histograms: Sequence[np.ndarray]) -> dict[str, Any]:
+def of_images(histograms: Sequence[np.ndarray]) -> dict[str, Any]:
     """Return the statistics of gray levels scaled to 0-1, as LeRobot hands images out."""
     histogram = np.sum(histograms, axis=0)
     counts, levels = histogram[:256], np.arange(256) / 255

@@ -25,11 +25,7 @@ import pyarrow.parquet as pq
 from datasets import Features, Image, List, Value
 
 from racines_data.errors import RacinesError
-from racines_data.export.lerobot.statistics import (
-    image_histogram,
-    image_statistics,
-    values_statistics,
-)
+from racines_data.export.lerobot import statistics
 from racines_data.files import write_json
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import describe, manifest_labels, read_manifest
@@ -44,17 +40,16 @@ FILE_MEGABYTES = 100
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
 _FEATURES: dict[str, dict[str, Any]] = {
-    IMAGE: {
-        "dtype": "image",
-        "shape": [IMAGE_SIZE, IMAGE_SIZE, 1],
-        "names": ["height", "width", "channels"],
-    },
-    "observation.state": {"dtype": "float32", "shape": [12], "names": list(PARAMETERS)},
-    "action": {"dtype": "float32", "shape": [6], "names": list(CONTROLS)},
-    "view": {"dtype": "int64", "shape": [1], "names": None},
-    "grade": {"dtype": "float32", "shape": [1], "names": None},
-    "timestamp": {"dtype": "float32", "shape": [1], "names": None},
-    **{name: {"dtype": "int64", "shape": [1], "names": None} for name in _INDICES},
+    name: {"dtype": dtype, "shape": shape, "names": names}
+    for name, dtype, shape, names in (
+        (IMAGE, "image", [IMAGE_SIZE, IMAGE_SIZE, 1], ["height", "width", "channels"]),
+        ("observation.state", "float32", [12], list(PARAMETERS)),
+        ("action", "float32", [6], list(CONTROLS)),
+        ("view", "int64", [1], None),
+        ("grade", "float32", [1], None),
+        ("timestamp", "float32", [1], None),
+        *((name, "int64", [1], None) for name in _INDICES),
+    )
 }
 
 
@@ -83,12 +78,13 @@ def export(
             writer.add(sweep)
             bar.advance(task, len(sweep))
         writer.close()
-        if writer.missing == writer.frames:
+        missing = sum(int(np.isnan(each).any(-1).sum()) for each in writer.columns["action"])
+        if missing == writer.frames:
             raise RacinesError(
                 f"{root}: {manifest['source']} data have no commanded velocity, hence no actions"
             )
         info = _write_meta(folder, writer, manifest)
-    missing = f"{writer.missing} of {writer.frames} frames have no commanded velocity: NaN"
+    note = f"{missing} of {writer.frames} frames have no commanded velocity: NaN"
     return {
         "out": str(out),
         "format": "lerobot",
@@ -96,7 +92,7 @@ def export(
         "trajectories": len(writer.episodes),
         "fps": info["fps"],
         "splits": info["splits"],
-        "notes": [missing] if writer.missing else [],
+        "notes": [note] if missing else [],
     }
 
 
@@ -114,7 +110,6 @@ class _Writer:
     folder: Path
     labels: tuple[str, ...]
     frames: int = 0
-    missing: int = 0
     episodes: list[dict[str, Any]] = field(default_factory=list)
     tasks: dict[str, int] = field(default_factory=dict)
     intervals: list[np.ndarray] = field(default_factory=list)
@@ -131,12 +126,11 @@ class _Writer:
         index = self.tasks.setdefault(task, len(self.tasks))
         columns = _columns(sweep, len(self.episodes), self.frames, index)
         chunk, number = self._write(sweep, columns)
-        self.histograms.append(image_histogram(sweep, self.frames))
-        own = {IMAGE: image_statistics(self.histograms[-1:])}
+        self.histograms.append(statistics.image_histogram(sweep, self.frames))
+        own: dict[str, Any] = {IMAGE: statistics.of_images(self.histograms[-1:])}
         for name, values in columns.items():
             self.columns.setdefault(name, []).append(values)
-            own[name] = values_statistics([values])
-        self.missing += int(np.isnan(columns["action"]).any(-1).sum())
+            own[name] = statistics.of_values([values])
         self.intervals.append(np.diff(sweep.table["timestamp"].to_numpy()))
         about = ("trajectory", "session", "target_view", "phantom")
         self.episodes.append(
@@ -229,9 +223,9 @@ def _write_meta(folder: Path, writer: _Writer, manifest: Mapping[str, Any]) -> d
         "features": _FEATURES,
     }
     write_json(folder / "meta/info.json", info)
-    statistics = {name: values_statistics(parts) for name, parts in writer.columns.items()}
-    images = {IMAGE: image_statistics(writer.histograms)}
-    write_json(folder / "meta/stats.json", {**images, **statistics})
+    found: dict[str, Any] = {IMAGE: statistics.of_images(writer.histograms)}
+    found |= {name: statistics.of_values(parts) for name, parts in writer.columns.items()}
+    write_json(folder / "meta/stats.json", found)
     about = {key: manifest[key] for key in ("source", "version", "digest", "recipe_digest")}
     about |= {"labels": list(writer.labels), "description": describe(manifest)}
     write_json(folder / "meta/racines.json", about)

@@ -9,7 +9,7 @@ Names of folders may differ in case.
 import re
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import polars as pl
@@ -63,7 +63,8 @@ def find_pictures(report: Report) -> list[Picture]:
         files = _images(folder, report)
         table = _Table.read(grades, view, report)
         pictures += [table.join(folder, file, report) for file in files]
-        for name in table.unused():
+        lost = [row for rows in table.rows.values() for row in rows if row not in table.used]
+        for name, _, _ in lost:
             detail = f"there is no such image in {report.place(folder)}"
             report.refuse(Kind.MISSING_IMAGE, table.name, detail, name)
     if not pictures:
@@ -97,24 +98,24 @@ class _Table:
 
     name: str
     view: str
-    rows: dict[str, list[tuple[str, str, str]]]
+    rows: dict[str, list[tuple[str, str, str]]] = field(default_factory=lambda: defaultdict(list))
     """Image name, subfolder and grade as they stand."""
-    used: set[tuple[str, str, str]]
+    used: set[tuple[str, str, str]] = field(default_factory=set)
 
     @classmethod
     def read(cls, folder: Path | None, view: str, report: Report) -> "_Table":
         wanted = f"{view}_grades.csv"
         files = entries(folder) if folder else []
         path = next((file for file in files if file.name.lower() == wanted.lower()), None)
-        rows: dict[str, list[tuple[str, str, str]]] = defaultdict(list)
         if path is None:
             detail = "no such table; grades are those of the file names"
             report.flag(Kind.MISSING_TABLE, f"{GRADES}/{wanted}", detail, frames=0)
-            return cls("", view, rows, set())
+            return cls("", view)
+        table = cls(f"{GRADES}/{path.name}", view)
         for row in _read_csv(path).iter_rows():
             name, subfolder, grade = ((cell or "").strip() for cell in row)
-            rows[_key(name)].append((name, subfolder, grade))
-        return cls(f"{GRADES}/{path.name}", view, rows, set())
+            table.rows[_key(name)].append((name, subfolder, grade))
+        return table
 
     def join(self, folder: Path, path: Path, report: Report) -> Picture:
         """Return an image with the grade that its name and its row agree on."""
@@ -131,29 +132,20 @@ class _Table:
             detail = f"{self.name} has no row of it; its grade is that of its name"
             report.flag(Kind.MISSING_ROW, path, detail)
         grade, told = next(iter(said.values()), None), ", ".join(said)
+        lowest, highest = (0, 0) if self.view == RANDOM else (1, 10)
         if len(set(said.values())) > 1:
             grade = None
-            detail = f"{told}; it is kept without a grade"
-            report.flag(Kind.GRADE_CONFLICT, path, detail, "Grade")
-        elif said and not _fits(grade, self.view):
+            report.flag(Kind.GRADE_CONFLICT, path, f"{told}; it is kept without a grade", "Grade")
+        elif said and (grade is None or not lowest <= grade <= highest):
             grade = None
             right = "0" if self.view == RANDOM else "1-10"
             detail = f"{told}, where {self.view} has {right}; it is kept without a grade"
             report.flag(Kind.WRONG_GRADE, path, detail, "Grade")
         return Picture(report.place(path), self.view, subfolder, grade)
 
-    def unused(self) -> list[str]:
-        """Return the names in rows whose images are not there."""
-        rows = (row for same in self.rows.values() for row in same)
-        return [row[0] for row in rows if row not in self.used]
-
 
 def _read_csv(path: Path) -> pl.DataFrame:
-    """Return the three columns as text.
-
-    Raises:
-        RacinesError: it is not such a table.
-    """
+    """Return the three columns as text."""
     try:
         table = pl.read_csv(path, infer_schema=False, encoding="utf8-lossy")
     except (pl.exceptions.PolarsError, OSError) as error:
@@ -174,12 +166,6 @@ def _number(text: str) -> float | None:
         return float(text)
     except ValueError:
         return None
-
-
-def _fits(grade: float | None, view: str) -> bool:
-    if grade is None:
-        return False
-    return grade == 0 if view == RANDOM else 1 <= grade <= 10
 
 
 def runs(pictures: Sequence[Picture], longest: int) -> list[list[Picture]]:

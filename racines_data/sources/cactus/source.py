@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -167,23 +168,18 @@ class CactusSource(FolderSource):
         folders: dict[tuple[str, str], list[Picture]] = defaultdict(list)
         for picture in kept:
             folders[picture.view, picture.subfolder].append(picture)
-        counts: dict[str, int] = defaultdict(int)
-        units = []
+        units, numbers = [], defaultdict(count)
         for (view, _), pictures in folders.items():
             for run in runs(pictures, self.config.run):
-                name = f"{view.lower()}-{counts[view]:03d}"
-                counts[view] += 1
-                unit = CactusUnit(name, "cactus", view, len(run), self.root, tuple(run), boxes)
-                units.append(unit)
+                name = f"{view.lower()}-{next(numbers[view]):03d}"
+                units.append(
+                    CactusUnit(name, "cactus", view, len(run), self.root, tuple(run), boxes)
+                )
         return units
 
 
 def _fixed_box(text: str) -> Box:
-    """Read left,top,right,bottom.
-
-    Raises:
-        RacinesError: it is not such a box.
-    """
+    """Read left,top,right,bottom, and refuse what is no such box."""
     match = re.fullmatch(r"\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*", text)
     left, top, right, bottom = map(int, match.groups()) if match else (0, 0, 0, 0)
     if left >= right or top >= bottom:

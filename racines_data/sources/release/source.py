@@ -21,9 +21,8 @@ from racines_data.sources.base import Unit
 from racines_data.sources.card import SourceCard
 from racines_data.sources.folder import UNITS, FolderSource, Kind, Report, parameters_of, recorded
 from racines_data.sources.images import read_gray, resolution, square
-from racines_data.sources.release.checks import UNIT_KINDS, ReleaseConfig
 from racines_data.sources.release.log import CONTROL, POSE, TIME, WRENCH, parse_log
-from racines_data.sources.release.survey import Surveyor
+from racines_data.sources.release.survey import UNIT_KINDS, ReleaseConfig, Surveyor
 from racines_data.sources.release.tree import Pair, find_recordings
 from racines_data.views import RANDOM
 

@@ -131,14 +131,10 @@ def _blocks(recording: Recording) -> Iterator[bytes]:
 
 
 def upright(image: np.ndarray, orientation: str) -> np.ndarray:
-    """Return an image with the marked side of the probe at the right and depth downwards.
-
-    Args:
-        image: (H, W) as stored.
-        orientation: The header's letters; see `Recording.orientation`.
+    """Return an (H, W) image with the marked side of the probe at the right and depth downwards.
 
     Raises:
-        RacinesError: an orientation that is not that of a B-mode image.
+        RacinesError: an orientation (see `Recording`) that is not that of a B-mode image.
     """
     if not re.fullmatch("[MU][FN][AD]?", orientation):
         raise RacinesError(

@@ -158,11 +158,7 @@ class TrackedSource:
         self.report.append(Finding(path.name, item, True, reason, frames))
 
     def _check(self, recording: Recording) -> list[int]:
-        """Return the frames to keep; report the others.
-
-        Raises:
-            RacinesError: the file as a whole is unusable.
-        """
+        """Return the frames to keep and report the others; refuse a file that is unusable."""
         upright(np.zeros((1, 1), np.uint8), self.config.orientation or recording.orientation)
         names = {key for fields in recording.frames for key in fields if key.endswith("Transform")}
         if f"{self.config.transform}Transform" not in names:
@@ -207,13 +203,13 @@ class TrackedSource:
         return ""
 
     def _check_unit(self, matrices: np.ndarray) -> None:
-        distance = np.linalg.norm(matrices[:, :3, 3], axis=-1)
-        for other, ok in (("mm", distance.max() <= FARTHEST), ("m", distance.max() >= NEAREST)):
-            if not ok:
-                raise RacinesError(
-                    f"translations reach {distance.max():.3g} m when read in {self.config.unit}; "
-                    f"they are likely in {other}: set unit to {other}"
-                )
+        reach = np.linalg.norm(matrices[:, :3, 3], axis=-1).max()
+        if not NEAREST <= reach <= FARTHEST:
+            other = "m" if reach < NEAREST else "mm"
+            raise RacinesError(
+                f"translations reach {reach:.3g} m when read in {self.config.unit}; "
+                f"they are likely in {other}: set unit to {other}"
+            )
 
     def _flag_tools(self, recording: Recording) -> None:
         own = f"{self.config.transform}TransformStatus"

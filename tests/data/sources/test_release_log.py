@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from racines_data.sources.folder import Fault as DamagedLog
-from racines_data.sources.release.checks import backward
 from racines_data.sources.release.log import (
     CONTROL,
     FIELDS,
@@ -12,6 +11,7 @@ from racines_data.sources.release.log import (
     format_log,
     parse_log,
 )
+from racines_data.sources.release.survey import backward
 from tests.data.release_tree import log_text, matrix
 
 
