@@ -24,7 +24,7 @@ MOVED = {
     "racines_data.cli": (
         "cli_card=card cli_export=export cli_hub=hub cli_import=importing cli_phantom=sheet"
     ),
-    "racines_data.export.lerobot": "export.lerobot_statistics=statistics",
+    "racines_data.export.lerobot": "export.lerobot_statistics=writer",
     "racines_data.hub": "push",
     "racines_data.sources": (
         "sources.multi_phantom=phantom sources.crop=cactus.source "

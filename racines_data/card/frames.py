@@ -14,7 +14,8 @@ import pyarrow as pa
 
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import METADATA, manifest_labels
-from racines_data.schema import CONTROLS, PARAMETERS, SPLITS
+from racines_data.records import PIXELS
+from racines_data.schema import PARAMETERS, SPLITS
 from racines_data.sources.card import manifest_card
 from racines_data.views import LABELS
 
@@ -38,23 +39,22 @@ def unit_of(parameter: str) -> str:
 
 @dataclass(frozen=True)
 class Frames:
-    """The N frames of one store, in the order train, validation, test; images memory-mapped."""
+    """The N frames of one store, in the order train, validation, test; images memory-mapped.
+
+    What is absent or unknown is NaN, and -1 among the views.
+    """
 
     images: np.ndarray
     """(N, 128, 128) uint8."""
     parameters: np.ndarray
-    """(N, 12) float32, SI; NaN where absent."""
-    controls: np.ndarray
-    """(N, 6) float32, NaN where absent."""
+    """(N, 12) float32, SI."""
     views: np.ndarray
-    """(N,) int64 labels, -1 where unknown."""
+    """(N,) int64 labels."""
     grades: np.ndarray
-    """(N,) float32, NaN where unknown."""
     timestamps: np.ndarray
     """(N,) float64 seconds."""
     trajectory: np.ndarray
-    """(N,) int64 place in `trajectories`."""
-    trajectories: list[str]
+    """(N,) int64 place in `target_views`."""
     target_views: list[str]
     """Target view of each trajectory."""
     phantoms: list[int | None]
@@ -62,7 +62,6 @@ class Frames:
     splits: dict[str, tuple[int, int]]
     """First and past-the-last row of each split."""
     labels: tuple[str, ...]
-    """Names of the view labels."""
 
     @property
     def has_poses(self) -> bool:
@@ -79,25 +78,18 @@ def read_frames(path: Path, manifest: Mapping[str, Any]) -> Frames:
     """Map a store by its path, whatever the manifest says of its files."""
     table = pa.ipc.open_file(pa.memory_map(str(path))).read_all()
     named = json.loads(table.schema.metadata[METADATA])
-    trajectories, _, target_views = named["trajectories"][:3]
-
-    def column(name: str, dtype: type, *shape: int) -> np.ndarray:
-        array = table[name].chunk(0)
-        buffer = (array.values if pa.types.is_fixed_size_list(array.type) else array).buffers()[1]
-        flat = np.frombuffer(buffer, dtype, len(array) * int(np.prod(shape, initial=1)))
-        return flat.reshape(len(array), *shape)
-
+    target_views = list(named["trajectories"][2])
+    pixels = np.frombuffer(table["image"].chunk(0).buffers()[1], np.uint8, len(table) * PIXELS)
+    parameters = table["parameters"].chunk(0).flatten().to_numpy()
     return Frames(
-        images=column("image", np.uint8, IMAGE_SIZE, IMAGE_SIZE),
-        parameters=column("parameters", np.float32, len(PARAMETERS)),
-        controls=column("controls", np.float32, len(CONTROLS)),
-        views=column("view", np.int64),
-        grades=column("grade", np.float32),
-        timestamps=column("timestamp", np.float64),
-        trajectory=column("trajectory", np.int64),
-        trajectories=list(trajectories),
-        target_views=list(target_views),
-        phantoms=list(named.get("phantoms") or [None] * len(trajectories)),
+        images=pixels.reshape(-1, IMAGE_SIZE, IMAGE_SIZE),
+        parameters=parameters.reshape(-1, len(PARAMETERS)),
+        views=table["view"].to_numpy(),
+        grades=table["grade"].to_numpy(),
+        timestamps=table["timestamp"].to_numpy(),
+        trajectory=table["trajectory"].to_numpy(),
+        target_views=target_views,
+        phantoms=list(named.get("phantoms") or [None] * len(target_views)),
         splits={name: tuple(named["splits"][name]) for name in SPLITS if name in named["splits"]},
         labels=manifest_labels(manifest),
     )

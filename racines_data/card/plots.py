@@ -171,7 +171,7 @@ def _paths(
         face = Poly3DCollection([corners], facecolor="#d9c7a8", edgecolor="#8c7a5b", alpha=0.35)
         axis.add_collection3d(face)
     colours, used = view_colours(frames.labels), {}
-    for index in evenly(len(frames.trajectories), PATHS):
+    for index in evenly(len(frames.target_views), PATHS):
         rows = frames.rows_of(int(index))
         tip = 1e3 * frames.parameters[rows, 6:9].astype(float)
         tip = tip[evenly(len(tip), POINTS)]

@@ -42,7 +42,13 @@ def check_png(content: bytes) -> tuple[int, int]:
         kind, body, position = _chunk(content, position)
         if kind == b"IDAT":
             packed += body
-    _check_pixels(packed, height * row, interlaced)
+    size, unpacker = height * row, zlib.decompressobj()
+    try:
+        found = len(unpacker.decompress(packed, 2 * size))
+    except zlib.error as error:
+        raise Fault(Kind.DAMAGED_PNG, f"its pixels cannot be unpacked ({error})") from error
+    if found < size or (not interlaced and (found > size or not unpacker.eof)):
+        raise Fault(Kind.TRUNCATED_PNG, f"{found} bytes of pixels instead of {size}")
     return width, height
 
 
@@ -71,16 +77,6 @@ def _header(kind: bytes, body: bytes) -> tuple[int, int, int, bool]:
     return width, height, 1 + (width * bits * _CHANNELS[colour] + 7) // 8, bool(interlace)
 
 
-def _check_pixels(packed: bytearray, size: int, interlaced: bool) -> None:
-    unpacker = zlib.decompressobj()
-    try:
-        found = len(unpacker.decompress(packed, 2 * size))
-    except zlib.error as error:
-        raise Fault(Kind.DAMAGED_PNG, f"its pixels cannot be unpacked ({error})") from error
-    if found < size or (not interlaced and (found > size or not unpacker.eof)):
-        raise Fault(Kind.TRUNCATED_PNG, f"{found} bytes of pixels instead of {size}")
-
-
 def read_gray(path: Path, box: tuple[int, int, int, int] | None = None) -> np.ndarray:
     """Return an image file as (H, W) uint8 gray; `box` crops it: left, top, right, bottom.
 
@@ -106,9 +102,8 @@ def square(image: np.ndarray) -> np.ndarray:
     """
     height, width = image.shape
     size = max(height, width)
-    padded = np.zeros((size, size), np.uint8)
     left = (size - width) // 2
-    padded[:height, left : left + width] = image
+    padded = np.pad(image, ((0, size - height), (left, size - width - left)))
     if size == IMAGE_SIZE:
         return padded
     resized = Image.fromarray(padded).resize((IMAGE_SIZE, IMAGE_SIZE), Image.Resampling.LANCZOS)

@@ -12,8 +12,9 @@ seconds since its first frame. `action` is the commanded velocity at the frame. 
 channel, as recorded; `view` is -1 and numbers are NaN where unknown.
 """
 
+import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,9 +24,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from datasets import Features, Image, List, Value
+from PIL import Image as Picture
 
 from racines_data.errors import RacinesError
-from racines_data.export.lerobot import statistics
 from racines_data.files import write_json
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import describe, manifest_labels, read_manifest
@@ -37,6 +38,9 @@ from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 IMAGE = "observation.images.ultrasound"
 CHUNK_FILES = 1000
 FILE_MEGABYTES = 100
+QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+STRIDE = 10
+"""One frame in so many gives the statistics of images."""
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
 _FEATURES: dict[str, dict[str, Any]] = {
@@ -126,11 +130,11 @@ class _Writer:
         index = self.tasks.setdefault(task, len(self.tasks))
         columns = _columns(sweep, len(self.episodes), self.frames, index)
         chunk, number = self._write(sweep, columns)
-        self.histograms.append(statistics.image_histogram(sweep, self.frames))
-        own: dict[str, Any] = {IMAGE: statistics.of_images(self.histograms[-1:])}
+        self.histograms.append(_histogram(sweep, self.frames))
+        own: dict[str, Any] = {IMAGE: _image_statistics(self.histograms[-1:])}
         for name, values in columns.items():
             self.columns.setdefault(name, []).append(values)
-            own[name] = statistics.of_values([values])
+            own[name] = _statistics([values])
         self.intervals.append(np.diff(sweep.table["timestamp"].to_numpy()))
         about = ("trajectory", "session", "target_view", "phantom")
         self.episodes.append(
@@ -206,6 +210,56 @@ def _array(values: np.ndarray) -> pa.Array:
     return flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
 
 
+def _histogram(sweep: Sweep, start: int) -> np.ndarray:
+    """Return (257,) int64: counts of the 256 gray levels in some frames, and of these frames.
+
+    Chosen are those whose rows, the first of which is `start`, are multiples of STRIDE, or one.
+    """
+    pngs = sweep.pngs()
+    chosen = pngs[-start % STRIDE :: STRIDE] or pngs[:1]
+    counts = np.zeros(257, np.int64)
+    for png in chosen:
+        pixels = np.asarray(Picture.open(io.BytesIO(png)))
+        counts[:256] += np.bincount(pixels.ravel(), minlength=256)
+    counts[256] = len(chosen)
+    return counts
+
+
+def _statistics(parts: Sequence[np.ndarray]) -> dict[str, list[float]]:
+    """Return minimum, maximum, mean, std, quantiles and count of (T,) or (T, D) parts of a feature.
+
+    Unknown numbers (NaN) are left out; a column that has no number has zeros, as JSON has no NaN.
+    """
+    table = np.concatenate(parts)
+    table = table.reshape(len(table), -1).astype(np.float64)
+    table[:, np.isnan(table).all(0)] = 0.0
+    made = {
+        "min": np.nanmin(table, 0),
+        "max": np.nanmax(table, 0),
+        "mean": np.nanmean(table, 0),
+        "std": np.nanstd(table, 0),
+        **dict(zip(QUANTILES, np.nanquantile(table, [*QUANTILES.values()], axis=0), strict=True)),
+    }
+    return {**{key: value.tolist() for key, value in made.items()}, "count": [len(table)]}
+
+
+def _image_statistics(histograms: Sequence[np.ndarray]) -> dict[str, Any]:
+    """Return the statistics of gray levels scaled to 0-1, as LeRobot hands images out."""
+    histogram = np.sum(histograms, axis=0)
+    counts, levels = histogram[:256], np.arange(256) / 255
+    total = counts.sum()
+    mean = float((counts * levels).sum() / total)
+    seen, running = levels[counts > 0], np.cumsum(counts) / total
+    made = {
+        "min": float(seen[0]),
+        "max": float(seen[-1]),
+        "mean": mean,
+        "std": float(np.sqrt((counts * (levels - mean) ** 2).sum() / total)),
+        **{key: float(levels[np.searchsorted(running, q)]) for key, q in QUANTILES.items()},
+    }
+    return {**{key: [[[value]]] for key, value in made.items()}, "count": [int(histogram[256])]}
+
+
 def _write_meta(folder: Path, writer: _Writer, manifest: Mapping[str, Any]) -> dict[str, Any]:
     info = {
         "codebase_version": "v3.0",
@@ -223,8 +277,8 @@ def _write_meta(folder: Path, writer: _Writer, manifest: Mapping[str, Any]) -> d
         "features": _FEATURES,
     }
     write_json(folder / "meta/info.json", info)
-    found: dict[str, Any] = {IMAGE: statistics.of_images(writer.histograms)}
-    found |= {name: statistics.of_values(parts) for name, parts in writer.columns.items()}
+    found: dict[str, Any] = {IMAGE: _image_statistics(writer.histograms)}
+    found |= {name: _statistics(parts) for name, parts in writer.columns.items()}
     write_json(folder / "meta/stats.json", found)
     about = {key: manifest[key] for key in ("source", "version", "digest", "recipe_digest")}
     about |= {"labels": list(writer.labels), "description": describe(manifest)}

@@ -10,9 +10,9 @@ A folder is a session, an image folder a trajectory, `Full` a random scan.
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 from racines_data.errors import RacinesError
 from racines_data.sources.folder import Kind, Report
@@ -30,8 +30,7 @@ _JUNK = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class SweepFolder:
+class SweepFolder(NamedTuple):
     """One image folder and its logs."""
 
     id: str
@@ -41,8 +40,7 @@ class SweepFolder:
     logs: Path
 
 
-@dataclass(frozen=True)
-class Pair:
+class Pair(NamedTuple):
     """One frame: its number and the names of its two files."""
 
     number: int
