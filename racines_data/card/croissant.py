@@ -187,37 +187,35 @@ def _record_sets(manifest: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         path = next(iter(splits.values()))[0]
         if path.split("/")[1] != config:
             continue  # `sessions`: the rows of `frames` in other splits; its file sets say which
-        features = config_features(manifest, config)
         row = "trajectory" if config == "trajectories" else "frame"
-        fields = [_field(config, name, features[name]) for name in features]
-        if "split" not in features:
-            fields.insert(0, _split_field(config))
+        fields = list(_fields(config, config_features(manifest, config)))
         told = f"The config {config}: one row a {row}."
         yield {**_node("cr:RecordSet", config, told), "field": fields}
 
 
-def _split_field(config: str) -> dict[str, Any]:
-    told = "Split of the row, from the name of its file; see the record set `splits`."
-    path = rf"^.*data/{config}/({'|'.join(SPLITS)})-.+\.parquet$"
+def _field(
+    config: str, name: str, description: str, kind: str, source: Mapping[str, Any]
+) -> dict[str, Any]:
     return {
-        **_node("cr:Field", f"{config}/split", told),
-        "dataType": "sc:Text",
-        "source": {
-            "fileSet": {"@id": f"files/{config}"},
-            "extract": {"fileProperty": "fullpath"},
-            "transform": {"regex": path},
-        },
+        **_node("cr:Field", f"{config}/{name}", description),
+        "dataType": kind,
+        "source": {"fileSet": {"@id": f"files/{config}"}, **source},
     }
 
 
-def _field(config: str, name: str, feature: Any) -> dict[str, Any]:
-    image = isinstance(feature, Image)
-    source = {"fileSet": {"@id": f"files/{config}"}, "extract": {"column": name}}
-    return {
-        **_node("cr:Field", f"{config}/{name}", _describe_column(name, feature)),
-        "dataType": "sc:ImageObject" if image else _TYPES[feature.dtype],
-        "source": {**source, "transform": {"jsonPath": "bytes"}} if image else source,
-    }
+def _fields(config: str, features: Features) -> Iterator[dict[str, Any]]:
+    if "split" not in features:
+        told = "Split of the row, from the name of its file; see the record set `splits`."
+        path = rf"^.*data/{config}/({'|'.join(SPLITS)})-.+\.parquet$"
+        source = {"extract": {"fileProperty": "fullpath"}, "transform": {"regex": path}}
+        yield _field(config, "split", told, "sc:Text", source)
+    for name, feature in features.items():
+        told, source = _describe_column(name, feature), {"extract": {"column": name}}
+        if isinstance(feature, Image):
+            kind, source = "sc:ImageObject", {**source, "transform": {"jsonPath": "bytes"}}
+        else:
+            kind = _TYPES[feature.dtype]
+        yield _field(config, name, told, kind, source)
 
 
 def _node(kind: str, name: str, description: str = "") -> dict[str, Any]:

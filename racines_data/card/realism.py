@@ -4,6 +4,7 @@ It is written after the build, from reports of `racines study realism`; the mani
 under `realism`, and under `realism_pictures` the pictures shown with them.
 """
 
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -31,23 +32,30 @@ _INTRODUCTION = (
 )
 
 
-def check_realism(content: Mapping[str, Any], manifest: Mapping[str, Any], name: str) -> None:
-    """Check that a report, the file `name`, is one, has figures, and measures this dataset.
+def read_realism(path: Path, manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Read a report and check that it is one, has figures, and measures this dataset.
 
     Raises:
         RacinesError: it does not.
     """
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise RacinesError(f"{path}: no readable JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise RacinesError(f"{path}: not a realism report; make one: racines study realism")
     if content.get("schema") != SCHEMA:
-        raise RacinesError(f"{name}: schema is {content.get('schema')!r}, expected {SCHEMA!r}")
+        raise RacinesError(f"{path}: schema is {content.get('schema')!r}, expected {SCHEMA!r}")
     if not content.get("compared", True) or "kid" not in content.get("figures", {}):
-        raise RacinesError(f"{name}: holds no comparison; run: racines study realism --real FILE")
+        raise RacinesError(f"{path}: holds no comparison; run: racines study realism --real FILE")
     many = manifest.get(MULTI_PHANTOM) or {}
     digest = content.get("dataset", {}).get("digest")
     if digest not in (None, manifest["digest"], many.get("digest")):
         raise RacinesError(
-            f"{name}: measures another dataset (content {digest[:16]}, here "
+            f"{path}: measures another dataset (content {digest[:16]}, here "
             f"{manifest['digest'][:16]}); run racines study realism on this one"
         )
+    return content
 
 
 def realism_section(manifest: Mapping[str, Any]) -> str:

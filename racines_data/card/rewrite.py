@@ -18,7 +18,7 @@ from PIL import Image, UnidentifiedImageError
 
 from racines_data.card.markdown import write_card
 from racines_data.card.pictures import FOLDER, write_pictures
-from racines_data.card.realism import check_realism
+from racines_data.card.realism import read_realism
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
 from racines_data.files import recover_folder, sha256_file, swap_folder, write_atomic
@@ -34,16 +34,13 @@ def rewrite_card(
     pictures: Sequence[Path] = (),
     draw: bool = False,
 ) -> dict[str, Any]:
-    """Write a dataset's card anew, and seal it in the manifest.
+    """Write a dataset's card anew, and seal it in the manifest, which is returned.
 
     Args:
         root: Folder of the dataset.
         realism: Reports of `racines study realism` on it; they replace earlier ones.
         pictures: PNG files shown with them, copied to `card/`; they replace earlier ones.
         draw: Draw the other pictures again, and count again.
-
-    Returns:
-        The manifest.
 
     Raises:
         RacinesError: no dataset or a damaged one, a report that is none or is of another dataset,
@@ -54,7 +51,7 @@ def rewrite_card(
     manifest = read_manifest(root)
     check_files(root, manifest["files"], rebuild_hint(manifest))
     if realism:
-        manifest["realism"] = [_read_report(path, manifest) for path in realism]
+        manifest["realism"] = [read_realism(path, manifest) for path in realism]
     shown = {f"{FOLDER}/realism-{path.stem}.png": _read_picture(path) for path in pictures}
     if len(shown) < len(pictures):
         raise RacinesError("pictures: two of one name; rename one")
@@ -78,17 +75,6 @@ def rewrite_card(
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     return manifest
-
-
-def _read_report(path: Path, manifest: dict[str, Any]) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise RacinesError(f"{path}: no readable JSON ({error})") from error
-    if not isinstance(content, dict):
-        raise RacinesError(f"{path}: not a realism report; make one: racines study realism")
-    check_realism(content, manifest, str(path))
-    return content
 
 
 def _read_picture(path: Path) -> bytes:
