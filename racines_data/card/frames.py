@@ -63,11 +63,6 @@ class Frames:
     """First and past-the-last row of each split."""
     labels: tuple[str, ...]
 
-    @property
-    def has_poses(self) -> bool:
-        """Whether any frame has a position."""
-        return bool(np.isfinite(self.parameters[:, 6:9]).any())
-
     def rows_of(self, trajectory: int) -> slice:
         """Return the rows of one trajectory; they are neighbours."""
         low, high = np.searchsorted(self.trajectory, (trajectory, trajectory + 1))

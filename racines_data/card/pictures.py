@@ -19,6 +19,7 @@ from racines_data.card.frames import (
     read_frames,
 )
 from racines_data.card.plots import parameters_figure, shares_figure, trajectories_figure
+from racines_data.geometry import POSITION
 from racines_data.manifest import MULTI_PHANTOM, store_name
 from racines_data.plotting import MUTED, card_style, encode, evenly
 from racines_data.views import VIEW_TITLES
@@ -54,7 +55,7 @@ def write_pictures(final: Path, manifest: dict[str, Any]) -> None:
         if (frames.views >= 0).any():
             cactus = frames.labels == tuple(CACTUS_COUNTS)
             figures["shares"] = shares_figure(frames, statistics, cactus)
-        if frames.has_poses:
+        if np.isfinite(frames.parameters[:, POSITION]).any():
             figures["trajectories"] = trajectories_figure(frames, manifest)
         if MULTI_PHANTOM in manifest["configs"]:
             hearts = read_frames(final / store_name(MULTI_PHANTOM), manifest)

@@ -49,7 +49,8 @@ def export(
 ) -> dict[str, Any]:
     """Write a dataset for Minari; set `MINARI_DATASETS_PATH` to `out` to load it.
 
-    Arguments as of `registry.Exporter`; each split is a Minari dataset.
+    Arguments as of `registry.Exporter`; each split is a Minari dataset. These have whole versions,
+    hence the first number only.
 
     Returns:
         `out`, the `datasets` by id with their episodes and steps, counts, and notes.
@@ -58,13 +59,13 @@ def export(
         RacinesError: `out` exists, there is no such dataset or split, or no commanded velocity.
     """
     manifest = read_manifest(root)
-    labels = manifest_labels(manifest)
+    labels, major = manifest_labels(manifest), manifest["version"].split(".")[0]
     written: dict[str, dict[str, int]] = {}
     missing = frames = 0
     with new_folder(out) as folder, progress_bar(progress) as bar:
         task = bar.add_task("frames", total=None)
         for sweep in read_sweeps(root, split, limit):
-            name = dataset_id(manifest, sweep.split)
+            name = f"racines/{manifest['source']}-{sweep.split}-v{major}"
             counts = written.setdefault(name, {"episodes": 0, "steps": 0})
             missing += _write_episode(folder / name / "data", counts["episodes"], sweep, labels)
             counts["episodes"] += 1
@@ -78,9 +79,8 @@ def export(
             )
         for name, counts in written.items():
             _write_metadata(folder / name / "data", name, manifest, counts)
-        (folder / "racines" / "namespace_metadata.json").write_text(
-            json.dumps({"description": f"RACINES: {describe(manifest)}"})
-        )
+        about = {"description": f"RACINES: {describe(manifest)}"}
+        (folder / "racines" / "namespace_metadata.json").write_text(json.dumps(about))
     return {
         "out": str(out),
         "format": "minari",
@@ -89,11 +89,6 @@ def export(
         "datasets": written,
         "notes": [f"{missing} of {steps} steps have no commanded velocity: NaN"] if missing else [],
     }
-
-
-def dataset_id(manifest: Mapping[str, Any], split: str) -> str:
-    """Return the Minari id of a split; Minari has whole versions, hence the first number only."""
-    return f"racines/{manifest['source']}-{split}-v{manifest['version'].split('.')[0]}"
 
 
 def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ...]) -> int:
@@ -128,9 +123,8 @@ def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ..
     options = ipc.IpcWriteOptions(compression="zstd")
     with ipc.new_file(str(folder / "part-0.arrow"), batch.schema, options=options) as writer:
         writer.write_batch(batch)
-    keys = ("trajectory", "session", "target_view", "phantom")
     about = {"id": episode, "total_steps": count - 1, "split": sweep.split}
-    about |= {key: sweep.first(key) for key in keys}
+    about |= {k: sweep.first(k) for k in ("trajectory", "session", "target_view", "phantom")}
     (folder / "metadata.json").write_text(json.dumps(about))
     return int(np.isnan(actions[:-1]).any(-1).sum())
 

@@ -77,8 +77,8 @@ def _header(kind: bytes, body: bytes) -> tuple[int, int, int, bool]:
     return width, height, 1 + (width * bits * _CHANNELS[colour] + 7) // 8, bool(interlace)
 
 
-def read_gray(path: Path, box: tuple[int, int, int, int] | None = None) -> np.ndarray:
-    """Return an image file as (H, W) uint8 gray; `box` crops it: left, top, right, bottom.
+def read_gray(path: Path) -> np.ndarray:
+    """Return an image file as (H, W) uint8 gray.
 
     Raises:
         RacinesError: the file cannot be read, or is not an 8-bit image.
@@ -88,8 +88,7 @@ def read_gray(path: Path, box: tuple[int, int, int, int] | None = None) -> np.nd
             if image.mode not in _GRAY_MODES:
                 raise RacinesError(f"{path}: {image.mode} pixels; save it with 8 bits a channel")
             plain = image.convert("RGB") if image.mode in ("P", "PA", "RGBA") else image
-            gray = plain.convert("L")
-            return np.asarray(gray.crop(box) if box else gray)
+            return np.asarray(plain.convert("L"))
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise RacinesError(f"{path}: cannot be read ({error}); import again") from error
 
