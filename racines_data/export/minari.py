@@ -49,14 +49,9 @@ def export(
 ) -> dict[str, Any]:
     """Write a dataset for Minari; set `MINARI_DATASETS_PATH` to `out` to load it.
 
-    Arguments as of `registry.Exporter`; each split is a Minari dataset. These have whole versions,
-    hence the first number only.
-
-    Returns:
-        `out`, the `datasets` by id with their episodes and steps, counts, and notes.
-
-    Raises:
-        RacinesError: `out` exists, there is no such dataset or split, or no commanded velocity.
+    Arguments and errors as of `registry.Exporter`, and an error where there is no commanded
+    velocity. Each split is a Minari dataset; these have whole versions, hence the first number
+    only. Returns `out`, the `datasets` by id with their episodes and steps, counts, and notes.
     """
     manifest = read_manifest(root)
     labels, major = manifest_labels(manifest), manifest["version"].split(".")[0]

@@ -27,6 +27,9 @@ class Exporter(Protocol):
             split: One split only; default all, in the order train, validation, test.
             limit: Frames to write, the first of that order.
             progress: Show a progress bar on stderr.
+
+        Raises:
+            RacinesError: `out` exists, or there is no such dataset or split.
         """
         ...
 

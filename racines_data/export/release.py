@@ -56,13 +56,8 @@ def export(
 ) -> dict[str, Any]:
     """Write a dataset in the published layout; an export that was killed goes on where it stopped.
 
-    Arguments as of `registry.Exporter`.
-
-    Returns:
-        `out`, counts of frames and trajectories, and which session became which folder.
-
-    Raises:
-        RacinesError: `out` exists, there is no such dataset or split, or it has no poses.
+    Arguments and errors as of `registry.Exporter`, and an error where there are no poses. Returns
+    `out`, counts of frames and trajectories, and which session became which folder.
     """
     if out.exists():
         raise RacinesError(f"{out}: exists; name a new folder or remove it")

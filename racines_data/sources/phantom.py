@@ -111,8 +111,8 @@ class PhantomSource:
 
     def plan(self) -> Sequence[SweepUnit]:
         """Return the sweeps in order, sessions in turn."""
-        lengths, sessions = plan_lengths(self.config), self.config.sessions
-        targets, units = plan_targets(len(lengths), self.config), []
+        units, sessions, lengths = [], self.config.sessions, plan_lengths(self.config)
+        targets = plan_targets(len(lengths), self.config)
         for i, (length, target) in enumerate(zip(lengths, targets, strict=True)):
             session = f"session-{min(i * sessions // len(lengths), sessions - 1) + 1}"
             units.append(SweepUnit(f"{i:05d}-{target.lower()}", session, target, length, i))

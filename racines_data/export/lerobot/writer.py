@@ -66,13 +66,8 @@ def export(
 ) -> dict[str, Any]:
     """Write a dataset in the LeRobot format: `LeRobotDataset(NAME, root=out)` opens it.
 
-    Arguments as of `registry.Exporter`; splits are ranges of episodes in `meta/info.json`.
-
-    Returns:
-        `out`, counts, `fps`, `splits` as ranges of episodes, and notes.
-
-    Raises:
-        RacinesError: `out` exists, there is no such dataset or split, or no commanded velocity.
+    Arguments and errors as of `registry.Exporter`, and an error where there is no commanded
+    velocity. Returns `out`, counts, `fps`, `splits` as ranges of episodes, and notes.
     """
     manifest = read_manifest(root)
     with new_folder(out) as folder, progress_bar(progress) as bar:

@@ -102,7 +102,8 @@ class CactusSource(FolderSource):
         """
         self.report = report = Report(self.root)
         found = find_pictures(report)
-        digest, kept = hashlib.sha256(), list[Picture]()
+        digest = hashlib.sha256()
+        kept: list[Picture] = []
         sizes: dict[Size, list[Picture]] = defaultdict(list)
         with ThreadPoolExecutor(_THREADS) as pool, progress_bar(self.progress) as bar:
             checks = pool.map(self._check, found)

@@ -23,7 +23,7 @@ from racines_data.sources.folder import UNITS, FolderSource, Kind, Report, param
 from racines_data.sources.images import read_gray, resolution, square
 from racines_data.sources.release.log import CONTROL, POSE, TIME, WRENCH, parse_log
 from racines_data.sources.release.survey import UNIT_KINDS, ReleaseConfig, Surveyor
-from racines_data.sources.release.tree import Pair, find_recordings
+from racines_data.sources.release.tree import Pair, SweepFolder, find_recordings
 from racines_data.views import RANDOM
 
 _THREADS = 4
@@ -49,8 +49,7 @@ CARD = SourceCard(
 class ReleaseUnit(Unit):
     """One image folder."""
 
-    images: Path
-    logs: Path
+    folder: SweepFolder
     pairs: tuple[Pair, ...]
     """Frames that are kept, in order."""
 
@@ -97,28 +96,21 @@ class ReleaseSource(FolderSource):
             if size != usual:
                 detail = f"{resolution(size)} here, {resolution(usual)} in {report.place(first)}"
                 report.flag(Kind.MIXED_SIZES, folder.images, detail, frames=len(pairs))
-        return [
-            ReleaseUnit(
-                id=folder.id,
-                session=folder.session,
-                target_view=folder.target_view,
-                frames=len(pairs),
-                images=folder.images,
-                logs=folder.logs,
-                pairs=tuple(pairs),
-            )
-            for folder, pairs, _, _ in found
-        ]
+        units = []
+        for folder, pairs, _, _ in found:
+            names = folder.id, folder.session, folder.target_view
+            units.append(ReleaseUnit(*names, len(pairs), folder, tuple(pairs)))
+        return units
 
     def produce(self, unit: Unit) -> Trajectory:
         """Read a trajectory: 128×128 gray images, poses in metres and radians, N and N·m."""
         assert isinstance(unit, ReleaseUnit)
-        rows = np.array([parse_log(_read_text(unit.logs / pair.log)) for pair in unit.pairs])
+        rows = np.array([parse_log(_read_text(unit.folder.logs / pair.log)) for pair in unit.pairs])
         label = self.labels.index(unit.target_view) if self.config.label_views else -1
         poses, metres = rows[:, POSE].reshape(-1, 4, 4), UNITS[self.config.unit]
         return recorded(
             unit,
-            [square(read_gray(unit.images / pair.image)) for pair in unit.pairs],
+            [square(read_gray(unit.folder.images / pair.image)) for pair in unit.pairs],
             parameters=parameters_of(poses, rows[:, WRENCH], metres),
             timestamps=rows[:, TIME].copy(),
             controls=rows[:, CONTROL].astype(np.float32),
