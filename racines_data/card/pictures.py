@@ -35,15 +35,11 @@ _LOOKED_AT = 400
 
 
 def write_pictures(final: Path, manifest: dict[str, Any]) -> None:
-    """Draw what there is to draw into `card/`, and note it in the manifest with the figures.
+    """Draw what there is to draw into `card/` of a dataset whose stores are written.
 
     Sets `manifest["statistics"]` (see `card_statistics`) and `manifest["pictures"]`, the names of
     the pictures drawn: `parameters`, `samples`, `shares`, `trajectories`, `hearts`. A dataset
     without poses has no `parameters` and `trajectories`, one without labels no `shares`.
-
-    Args:
-        final: The dataset's folder with its stores written.
-        manifest: Its manifest so far: source, labels, recipe, configs.
     """
     frames = read_frames(final / store_name("frames"), manifest)
     statistics = manifest["statistics"] = card_statistics(frames)

@@ -142,12 +142,9 @@ class FolderSource:
 def parameters_of(
     matrices: np.ndarray, wrench: np.ndarray | None = None, metres: float = 1.0
 ) -> np.ndarray:
-    """Return (T, 12) float32 parameters of recorded poses.
+    """Return (T, 12) float32 parameters of (T, 4, 4) poses and (T, 6) forces and torques, float64.
 
-    Args:
-        matrices: (T, 4, 4) float64 poses.
-        wrench: (T, 6) float64 forces and torques; NaN if there are none.
-        metres: Unit of the positions.
+    Positions come in units of so many `metres`; without a wrench, forces are NaN.
     """
     known = torch.from_numpy(matrices)
     pose = Pose(known[:, :3, 3] * metres, known[:, :3, :3])
