@@ -143,13 +143,12 @@ def _values(frames: Frames, row: int) -> list[str]:
 def hearts_figure(frames: Frames) -> Figure | None:
     """Draw the best frame of the first view from up to HEARTS hearts; None where none shows it."""
     seed = np.array([-1 if each is None else each for each in frames.phantoms])[frames.trajectory]
-    shown = (frames.views == 0) & np.isfinite(frames.grades)
-    best = []
-    for each in np.unique(seed[shown]):
-        rows = np.flatnonzero((seed == each) & shown)
-        best.append((each, rows[frames.grades[rows].argmax()]))
-    if not best:
+    shown = np.flatnonzero((frames.views == 0) & np.isfinite(frames.grades))
+    if not len(shown):
         return None
+    shown = shown[np.lexsort((-frames.grades[shown], seed[shown]))]  # each heart's best first
+    hearts, first = np.unique(seed[shown], return_index=True)
+    best = list(zip(hearts, shown[first], strict=True))
     whole = max(len(best) // HEARTS_ACROSS * HEARTS_ACROSS, min(len(best), HEARTS_ACROSS))
     best = [best[i] for i in evenly(len(best), min(whole, HEARTS))]  # full rows
     across = min(HEARTS_ACROSS, len(best))

@@ -128,11 +128,12 @@ class Surveyor:
     def _sound(self, folder: SweepFolder, frames: Sequence[_Frame]) -> list[_Frame]:
         """Keep the frames whose numbers are sound."""
         faults = check_numbers(_rows(frames), self.config)
-        unit = _common_unit(faults)
-        if unit:
-            # One line for a folder, not one for each of its thousands of frames.
-            detail = f"all {len(faults)} frames: {unit.detail}"
-            self.report.refuse(unit.kind, folder.images, detail, unit.item, len(faults))
+        kinds = {fault.kind if fault else None for fault in faults}
+        first = next(iter(faults), None)
+        if first and len(faults) > 1 and len(kinds) == 1 and first.kind in UNIT_KINDS.values():
+            # All are in one other unit: a line for the folder, not for each of thousands of frames.
+            detail = f"all {len(faults)} frames: {first.detail}"
+            self.report.refuse(first.kind, folder.images, detail, first.item, len(faults))
             return []
         for frame, fault in zip(frames, faults, strict=True):
             if fault:
@@ -156,15 +157,6 @@ class Surveyor:
 def _rows(frames: Sequence[_Frame]) -> np.ndarray:
     """Return (T, 29) float64."""
     return np.array([frame.numbers for frame in frames], float).reshape(-1, WIDTH)
-
-
-def _common_unit(faults: Sequence[Fault | None]) -> Fault | None:
-    """Return a fault that says so if every frame, of several, is in one other unit."""
-    found = [fault for fault in faults if fault]
-    kinds = {fault.kind for fault in found}
-    if len(found) < max(len(faults), 2) or len(kinds) > 1:
-        return None
-    return found[0] if kinds & set(UNIT_KINDS.values()) else None
 
 
 def check_numbers(rows: np.ndarray, config: ReleaseConfig) -> list[Fault | None]:

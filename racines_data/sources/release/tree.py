@@ -123,8 +123,8 @@ def _view_recordings(
     for number in sorted({number for _, number in sides}, key=natural):
         images, logs = (sides.get((side, number)) for side in ("images", "logs"))
         if images and logs:
-            suffix = f"-{int(number)}" if number else ""
-            yield SweepFolder(f"{name}{suffix}", session, view, images, logs)
+            whole = f"{name}-{int(number)}" if number else name
+            yield SweepFolder(whole, session, view, images, logs)
         elif images:
             _refuse_lonely(Kind.MISSING_LOG, images, _IMAGE, ("images", "logs"), report)
         elif logs:
