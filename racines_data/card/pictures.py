@@ -11,13 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from racines_data.card.frames import (
-    CACTUS_COUNTS,
-    Frames,
-    card_statistics,
-    has_paper,
-    read_frames,
-)
+from racines_data.card.frames import CACTUS_COUNTS, Frames, card_statistics, has_paper, read_frames
 from racines_data.card.plots import parameters_figure, shares_figure, trajectories_figure
 from racines_data.geometry import POSITION
 from racines_data.manifest import MULTI_PHANTOM, store_name

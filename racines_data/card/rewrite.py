@@ -29,10 +29,7 @@ LARGEST = 2_000_000
 
 
 def rewrite_card(
-    root: Path,
-    realism: Sequence[Path] = (),
-    pictures: Sequence[Path] = (),
-    draw: bool = False,
+    root: Path, realism: Sequence[Path] = (), pictures: Sequence[Path] = (), draw: bool = False
 ) -> dict[str, Any]:
     """Write a dataset's card anew, and seal it in the manifest, which is returned.
 
