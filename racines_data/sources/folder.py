@@ -1,10 +1,9 @@
-"""What readers of recordings share: a folder's files and their faults, poses, trajectories."""
+"""What readers of recordings share: a folder of files, the report on it, poses, trajectories."""
 
 import dataclasses
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -16,51 +15,10 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, pose_to_parameters
 from racines_data.schema import CONTROLS, PARAMETERS, Trajectory
 from racines_data.sources.base import Finding, Unit
+from racines_data.sources.images import Kind
 
 UNITS = {"m": 1.0, "mm": 1e-3}
 """Metres of each unit that a recording may have its positions in."""
-
-
-class Kind(StrEnum):
-    """What is wrong; every reason in the report begins with one of these and a colon."""
-
-    MISSING_LOG = "missing log"
-    MISSING_IMAGE = "missing image"
-    MISSING_ROW = "missing row"
-    MISSING_TABLE = "missing table"
-    TRUNCATED_PNG = "truncated PNG"
-    NOT_A_PNG = "not a PNG"
-    DAMAGED_PNG = "damaged PNG"
-    TRUNCATED_JPEG = "truncated JPEG"
-    NOT_A_JPEG = "not a JPEG"
-    DAMAGED_JPEG = "damaged JPEG"
-    UNREADABLE_IMAGE = "unreadable image"
-    MIXED_SIZES = "mixed sizes"
-    UNREADABLE_LOG = "unreadable log"
-    WRONG_SHAPE = "wrong matrix shape"
-    NAN = "NaN"
-    INFINITE = "infinite"
-    REFLECTED = "reflected rotation"
-    NOT_ORTHONORMAL = "non-orthonormal rotation"
-    NOT_RIGID = "not a rigid pose"
-    MILLIMETRES = "millimetres"
-    METRES = "metres"
-    OUT_OF_REACH = "out of reach"
-    CLOCK = "clock"
-    GRADE_CONFLICT = "grade conflict"
-    WRONG_GRADE = "wrong grade"
-    DUPLICATE_NUMBER = "duplicate number"
-    GAP = "gap in numbers"
-    EMPTY_FOLDER = "empty folder"
-    UNKNOWN = "unknown file"
-
-
-class Fault(RacinesError):
-    """Why a file, or the `item` of it, cannot be used."""
-
-    def __init__(self, kind: Kind, detail: str, item: str = "") -> None:
-        super().__init__(f"{kind}: {item}: {detail}" if item else f"{kind}: {detail}")
-        self.kind, self.detail, self.item = kind, detail, item
 
 
 class Report(list[Finding]):

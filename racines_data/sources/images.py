@@ -1,8 +1,9 @@
-"""Other people's image files: is a file whole, and how it becomes a 128×128 gray image."""
+"""Other people's files: what is wrong with them, and how images become 128×128 gray ones."""
 
 import io
 import struct
 import zlib
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
@@ -10,12 +11,53 @@ from PIL import Image
 
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.sources.folder import Fault, Kind
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}
 _MOST_PIXELS = 64_000_000
 _GRAY_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX")
+
+
+class Kind(StrEnum):
+    """What is wrong; every reason in the report begins with one of these and a colon."""
+
+    MISSING_LOG = "missing log"
+    MISSING_IMAGE = "missing image"
+    MISSING_ROW = "missing row"
+    MISSING_TABLE = "missing table"
+    TRUNCATED_PNG = "truncated PNG"
+    NOT_A_PNG = "not a PNG"
+    DAMAGED_PNG = "damaged PNG"
+    TRUNCATED_JPEG = "truncated JPEG"
+    NOT_A_JPEG = "not a JPEG"
+    DAMAGED_JPEG = "damaged JPEG"
+    UNREADABLE_IMAGE = "unreadable image"
+    MIXED_SIZES = "mixed sizes"
+    UNREADABLE_LOG = "unreadable log"
+    WRONG_SHAPE = "wrong matrix shape"
+    NAN = "NaN"
+    INFINITE = "infinite"
+    REFLECTED = "reflected rotation"
+    NOT_ORTHONORMAL = "non-orthonormal rotation"
+    NOT_RIGID = "not a rigid pose"
+    MILLIMETRES = "millimetres"
+    METRES = "metres"
+    OUT_OF_REACH = "out of reach"
+    CLOCK = "clock"
+    GRADE_CONFLICT = "grade conflict"
+    WRONG_GRADE = "wrong grade"
+    DUPLICATE_NUMBER = "duplicate number"
+    GAP = "gap in numbers"
+    EMPTY_FOLDER = "empty folder"
+    UNKNOWN = "unknown file"
+
+
+class Fault(RacinesError):
+    """Why a file, or the `item` of it, cannot be used."""
+
+    def __init__(self, kind: Kind, detail: str, item: str = "") -> None:
+        super().__init__(f"{kind}: {item}: {detail}" if item else f"{kind}: {detail}")
+        self.kind, self.detail, self.item = kind, detail, item
 
 
 def resolution(size: tuple[int, int]) -> str:

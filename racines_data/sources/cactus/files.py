@@ -15,7 +15,8 @@ from pathlib import Path
 import polars as pl
 
 from racines_data.errors import RacinesError
-from racines_data.sources.folder import Kind, Report
+from racines_data.sources.folder import Report
+from racines_data.sources.images import Kind
 from racines_data.sources.release.tree import entries, natural
 from racines_data.views import LABELS, RANDOM
 

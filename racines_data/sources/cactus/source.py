@@ -23,8 +23,8 @@ from racines_data.schema import Trajectory
 from racines_data.sources.base import Unit
 from racines_data.sources.cactus.files import Picture, find_pictures, runs
 from racines_data.sources.card import SourceCard
-from racines_data.sources.folder import Fault, FolderSource, Kind, Report, recorded
-from racines_data.sources.images import check_jpeg, read_gray, resolution, square
+from racines_data.sources.folder import FolderSource, Report, recorded
+from racines_data.sources.images import Fault, Kind, check_jpeg, read_gray, resolution, square
 from racines_data.views import LABELS
 
 _THREADS = 4

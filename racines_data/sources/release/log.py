@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from racines_data.sources.folder import Fault, Kind
+from racines_data.sources.images import Fault, Kind
 
 TIME, WRENCH, POSE, CONTROL = 0, slice(1, 7), slice(7, 23), slice(23, 29)
 """Columns of a log as one row of 29 numbers; the pose is a 4×4 matrix, row by row."""

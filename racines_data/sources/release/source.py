@@ -19,8 +19,8 @@ from racines_data.progress import progress_bar
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Unit
 from racines_data.sources.card import SourceCard
-from racines_data.sources.folder import UNITS, FolderSource, Kind, Report, parameters_of, recorded
-from racines_data.sources.images import read_gray, resolution, square
+from racines_data.sources.folder import UNITS, FolderSource, Report, parameters_of, recorded
+from racines_data.sources.images import Kind, read_gray, resolution, square
 from racines_data.sources.release.log import CONTROL, POSE, TIME, WRENCH, parse_log
 from racines_data.sources.release.survey import UNIT_KINDS, ReleaseConfig, Surveyor
 from racines_data.sources.release.tree import Pair, SweepFolder, find_recordings

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from racines_data.sources.folder import UNITS, Fault, Kind, Report
-from racines_data.sources.images import check_png, resolution
+from racines_data.sources.folder import UNITS, Report
+from racines_data.sources.images import Fault, Kind, check_png, resolution
 from racines_data.sources.release.log import CONTROL, FIELDS, POSE, TIME, WIDTH, WRENCH, parse_log
 from racines_data.sources.release.tree import Pair, SweepFolder, pair_files
 from racines_data.views import VIEWS

@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from racines_data.errors import RacinesError
-from racines_data.sources.folder import Kind, Report
+from racines_data.sources.folder import Report
+from racines_data.sources.images import Kind
 from racines_data.views import RANDOM
 
 FULL = "Full"

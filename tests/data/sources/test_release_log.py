@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from racines_data.sources.folder import Fault as DamagedLog
+from racines_data.sources.images import Fault as DamagedLog
 from racines_data.sources.release.log import (
     CONTROL,
     FIELDS,
