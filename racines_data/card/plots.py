@@ -21,6 +21,7 @@ PATHS = 60
 """Trajectories drawn, at most."""
 POINTS = 120
 """Points of a trajectory drawn, at most."""
+_Rectangle = tuple[float, float, float, float]
 
 
 def parameters_figure(frames: Frames, statistics: dict[str, Any], paper: bool) -> Figure:
@@ -93,7 +94,7 @@ def shares_figure(frames: Frames, statistics: dict[str, Any], cactus: bool) -> F
 def _classes(
     axis: Axes, views: dict[str, dict[str, int]], labels: tuple[str, ...], cactus: bool
 ) -> None:
-    looks: dict[str, dict[str, str]] = {name: {"color": SPLIT_COLOURS[name]} for name in views}
+    looks: dict[str, dict[str, Any]] = {name: {"color": SPLIT_COLOURS[name]} for name in views}
     if cactus:
         views = {**views, "CACTUS": CACTUS_COUNTS}
         looks["CACTUS"] = {"color": "white", "edgecolor": PAPER, "hatch": "////"}
@@ -158,9 +159,7 @@ def trajectories_figure(frames: Frames, manifest: dict[str, Any]) -> Figure:
     return figure
 
 
-def _paths(
-    figure: Figure, place: tuple[float, ...], frames: Frames, manifest: dict[str, Any]
-) -> None:
+def _paths(figure: Figure, place: _Rectangle, frames: Frames, manifest: dict[str, Any]) -> None:
     top = block_top(manifest)
     axis = figure.add_axes(place, projection="3d")
     assert isinstance(axis, Axes3D)

@@ -151,7 +151,8 @@ class Surveyor:
         if stopped:
             detail = f"{stopped} frames have the time of the frame before; they are kept"
             self.report.flag(Kind.CLOCK, folder.images, detail, "Time", stopped)
-        return [frames[index] for index in np.delete(np.arange(len(frames)), lost)]
+        gone = set(lost)
+        return [frame for index, frame in enumerate(frames) if index not in gone]
 
 
 def _rows(frames: Sequence[_Frame]) -> np.ndarray:
