@@ -83,8 +83,8 @@ def plan_push(
             left[name] = record["bytes"]
     sent[MANIFEST] = {"bytes": (root / MANIFEST).stat().st_size}
     default = f"{manifest['source']}-v{manifest['version']}"  # of a dataset built before tags
-    name = tag or manifest.get("tag", default)
-    return Push(repo_id, revision, name, manifest["digest"], sent, left)
+    chosen = tag or manifest.get("tag", default)
+    return Push(repo_id, revision, chosen, manifest["digest"], sent, left)
 
 
 def push(root: Path, plan: Push, private: bool = False, api: "HfApi | None" = None) -> dict:
