@@ -15,19 +15,24 @@ MOVED = {
     "racines_data": "card_style=plotting",
     "racines_data.build": "canonical shards splits staging writer",
     "racines_data.card": (
-        "card_frames=frames card_paths=paths card_pictures=pictures card_plots=plots "
-        "card_realism=realism card_rewrite=rewrite card_samples=samples "
-        "card_sections=sections card_statistics=statistics "
-        "card_tables=tables croissant croissant_rai datasheet"
+        "card_frames=frames card_paths=plots card.paths=plots card_pictures=pictures "
+        "card_plots=plots card_realism=realism card_rewrite=rewrite card_samples=pictures "
+        "card.samples=pictures card_sections=markdown card.sections=markdown "
+        "card_statistics=frames card.statistics=frames card_tables=tables croissant "
+        "croissant_rai=croissant card.croissant_rai=croissant datasheet"
     ),
     "racines_data.cli": (
         "cli_card=card cli_export=export cli_hub=hub cli_import=importing cli_phantom=sheet"
     ),
-    "racines_data.export.lerobot": "export.lerobot_statistics=statistics",
+    "racines_data.export.lerobot": "export.lerobot_statistics=writer",
     "racines_data.hub": "push",
+    "racines_data.sources": (
+        "sources.multi_phantom=phantom sources.crop=cactus.source "
+        "sources.release.kinds=folder sources.release_kinds=folder"
+    ),
     "racines_data.sources.cactus": "sources.cactus_files=files",
     "racines_data.sources.release": (
-        "sources.release_checks=checks sources.release_kinds=kinds sources.release_log=log "
+        "sources.release_checks=survey sources.release.checks=survey sources.release_log=log "
         "sources.release_survey=survey sources.release_tree=tree"
     ),
     "racines_data.sources.tracked": "sources.mha=mha",

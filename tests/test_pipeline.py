@@ -273,7 +273,7 @@ TOUCHED = [
     "racines_data.sources.phantom",
     "racines_data.store.loader",
     "racines_data.build.splits",
-    "racines_data.card.sections",
+    "racines_data.card.markdown",
     "racines_data.export.minari",
     "racines_data.hub.push",
     "racines_data.validate.rows",

@@ -96,8 +96,7 @@ def make_multi_phantom(
     Raises:
         RacinesError: unknown or impossible settings.
     """
-    from racines_data.sources.multi_phantom import MultiPhantomSource
-    from racines_data.sources.phantom import PhantomSource
+    from racines_data.sources.phantom import MultiPhantomSource, PhantomSource
 
     if not isinstance(source, PhantomSource):
         return None

@@ -15,7 +15,7 @@ from typing import Any
 
 from datasets import ClassLabel, Features, Image
 
-from racines_data.card.croissant_rai import rai_fields
+from racines_data.card.frames import unit_of
 from racines_data.files import sha256_file, write_atomic
 from racines_data.manifest import describe, manifest_labels
 from racines_data.records import features_of
@@ -35,7 +35,19 @@ _CR = (
     *("path", "recordSet", "references", "regex", "repeated", "replace", "samplingRate"),
     *("separator", "source", "subField", "transform"),
 )
-_UNITS = {"force": "N", "torque": "N·m", "position": "m", "rotation": "rad"}
+_CONTEXT = {
+    "@language": "en",
+    "@vocab": "https://schema.org/",
+    **{name: f"cr:{name}" for name in _CR},
+    "conformsTo": "dct:conformsTo",
+    "cr": "http://mlcommons.org/croissant/",
+    "data": {"@id": "cr:data", "@type": "@json"},
+    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+    "dct": "http://purl.org/dc/terms/",
+    "examples": {"@id": "cr:examples", "@type": "@json"},
+    "rai": "http://mlcommons.org/croissant/RAI/",
+    "sc": "https://schema.org/",
+}
 _COLUMNS = {
     "image": "The frame: 8-bit gray, 128 by 128, beam axis down, probe at the top centre; PNG.",
     "timestamp": "Time of the frame, s.",
@@ -54,6 +66,23 @@ _COLUMNS = {
     "duration": "Duration of the trajectory, s.",
     "digest": "sha256 of the trajectory's pixels and numbers.",
 }
+_USES = (
+    "Training and scoring of image generators conditioned on the probe's pose and force, of view "
+    "and grade classifiers, and of scanning agents, on the RACINES leaderboard. Not for: "
+    "diagnosis, guidance of examinations of people, or claims about clinical performance. "
+    "Research software, not a medical device."
+)
+_IMPACT = (
+    "Meant to make research on robotic ultrasound reproducible without access to a robot or to "
+    "patients' data. The risk is overconfidence: a system that does well here has been shown to do "
+    "well on a phantom only."
+)
+_PREPROCESSING = "Frames are 8-bit gray, padded to a square where needed, 128 by 128; PNG."
+_MAINTENANCE = (
+    "Versions are semantic and tagged `SOURCE-vX.Y.Z`; a tag is never moved. Each version has a "
+    "content digest and a recipe digest, and every file a sha256. A fault found is corrected in a "
+    "new version and named in the changelog; old versions stay available."
+)
 
 
 def add_croissant(manifest: dict[str, Any], folder: Path) -> None:
@@ -65,16 +94,11 @@ def add_croissant(manifest: dict[str, Any], folder: Path) -> None:
 
 
 def write_croissant(manifest: Mapping[str, Any], folder: Path) -> str:
-    """Return `croissant.json` of a dataset.
-
-    Args:
-        manifest: The manifest; where it has no `files` yet, the data files are hashed.
-        folder: The dataset.
-    """
+    """Return `croissant.json` of a dataset; files that the manifest has not are hashed."""
     source, version = manifest["source"], manifest["version"]
     license_ = manifest_card(manifest).license
     document: dict[str, Any] = {
-        "@context": _context(),
+        "@context": _CONTEXT,
         "@type": "sc:Dataset",
         "name": f"racines-{source}",
         "description": f"RACINES, robotic cardiac ultrasound: {describe(manifest)}.",
@@ -83,7 +107,8 @@ def write_croissant(manifest: Mapping[str, Any], folder: Path) -> str:
         "version": version,
         "keywords": ["ultrasound", "echocardiography", "robotics", source],
         "creator": {"@type": "sc:Organization", "name": "The RACINES developers"},
-        "citeAs": _citation(manifest),
+        "citeAs": f"@misc{{racines-{source}, author = {{{{The RACINES developers}}}}, title = "
+        f"{{RACINES, {source} {version}}}, note = {{content sha256 {manifest['digest']}}}}}",
         **rai_fields(manifest),
         "distribution": [*_file_objects(manifest, folder), *_file_sets(manifest)],
         "recordSet": list(_record_sets(manifest)),
@@ -91,44 +116,47 @@ def write_croissant(manifest: Mapping[str, Any], folder: Path) -> str:
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
 
-def _context() -> dict[str, Any]:
+def rai_fields(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a user should know before using a dataset: its properties `rai:`, by name."""
+    card, report = manifest_card(manifest), manifest.get("report", {})
+    grader = manifest.get("annotation", {}).get("grader")
+    tools = [f"RACINES grader, weights sha256 {grader}"] if grader else []
+    missing = (
+        f"Measurements that are not known are null. {report.get('refused_frames', 0)} frames were "
+        f"refused and {report.get('flagged', 0)} inputs flagged; import_report.parquet gives each "
+        "with its reason."
+    )
     return {
-        "@language": "en",
-        "@vocab": "https://schema.org/",
-        **{name: f"cr:{name}" for name in _CR},
-        "conformsTo": "dct:conformsTo",
-        "cr": "http://mlcommons.org/croissant/",
-        "data": {"@id": "cr:data", "@type": "@json"},
-        "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-        "dct": "http://purl.org/dc/terms/",
-        "examples": {"@id": "cr:examples", "@type": "@json"},
-        "rai": "http://mlcommons.org/croissant/RAI/",
-        "sc": "https://schema.org/",
+        "rai:dataCollection": card.collection,
+        "rai:dataCollectionType": [card.collection_type],
+        "rai:dataCollectionMissingData": missing,
+        "rai:dataCollectionRawData": f"Recipe sha256 {manifest['recipe_digest']}, in the manifest.",
+        "rai:dataPreprocessingProtocol": [_PREPROCESSING],
+        "rai:dataAnnotationProtocol": card.annotation,
+        "rai:machineAnnotationTools": tools,
+        "rai:dataUseCases": [_USES],
+        "rai:dataBiases": [card.biases],
+        "rai:dataLimitations": [card.limitations],
+        "rai:dataSocialImpact": _IMPACT,
+        "rai:personalSensitiveInformation": [card.personal],
+        "rai:dataReleaseMaintenancePlan": _MAINTENANCE,
     }
 
 
-def _citation(manifest: Mapping[str, Any]) -> str:
-    source, version = manifest["source"], manifest["version"]
-    return (
-        f"@misc{{racines-{source}, author = {{{{The RACINES developers}}}}, title = "
-        f"{{RACINES, {source} {version}}}, note = {{content sha256 {manifest['digest']}}}}}"
-    )
+def config_features(manifest: Mapping[str, Any], config: str) -> Features:
+    """Return the features of a config of the dataset."""
+    if config == "trajectories":
+        return trajectory_features()
+    return features_of(manifest["source"], manifest_labels(manifest))
 
 
 def _file_objects(manifest: Mapping[str, Any], folder: Path) -> Iterator[dict[str, Any]]:
-    paths = {
-        path
-        for config in manifest["configs"].values()
-        for files in config.values()
-        for path in files
-    }
-    for path in sorted(paths):
+    configs = manifest["configs"].values()
+    for path in sorted({path for splits in configs for paths in splits.values() for path in paths}):
         known = manifest.get("files", {}).get(path, {})
         size = known.get("bytes", (folder / path).stat().st_size)
         yield {
-            "@type": "cr:FileObject",
-            "@id": path,
-            "name": path,
+            **_node("cr:FileObject", path),
             "contentUrl": path,
             "contentSize": f"{size} B",
             "encodingFormat": _PARQUET,
@@ -139,29 +167,17 @@ def _file_objects(manifest: Mapping[str, Any], folder: Path) -> Iterator[dict[st
 def _file_sets(manifest: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     for config, splits in manifest["configs"].items():
         files = [path for paths in splits.values() for path in paths]
-        yield _file_set(f"files/{config}", f"All files of the config {config}.", files)
+        sets = [(config, f"All files of the config {config}.", files)]
         for split, paths in splits.items():
-            name = f"files/{config}-{split}"
-            yield _file_set(name, f"Split {split} of the config {config}.", paths)
-
-
-def _file_set(name: str, description: str, paths: list[str]) -> dict[str, Any]:
-    return {
-        "@type": "cr:FileSet",
-        "@id": name,
-        "name": name,
-        "description": description,
-        "encodingFormat": _PARQUET,
-        "includes": list(paths),
-    }
+            sets.append((f"{config}-{split}", f"Split {split} of the config {config}.", paths))
+        for name, told, paths in sets:
+            head = _node("cr:FileSet", f"files/{name}", told)
+            yield {**head, "encodingFormat": _PARQUET, "includes": list(paths)}
 
 
 def _record_sets(manifest: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     yield {
-        "@type": "cr:RecordSet",
-        "@id": "splits",
-        "name": "splits",
-        "description": "The splits; a trajectory lies wholly in one of them.",
+        **_node("cr:RecordSet", "splits", "The splits; a trajectory lies wholly in one of them."),
         "dataType": "cr:Split",
         "key": {"@id": "splits/name"},
         "field": [{"@type": "cr:Field", "@id": "splits/name", "dataType": "sc:Text"}],
@@ -171,62 +187,49 @@ def _record_sets(manifest: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         path = next(iter(splits.values()))[0]
         if path.split("/")[1] != config:
             continue  # `sessions`: the rows of `frames` in other splits; its file sets say which
-        features = (
-            trajectory_features()
-            if config == "trajectories"
-            else features_of(manifest["source"], manifest_labels(manifest))
-        )
-        yield {
-            "@type": "cr:RecordSet",
-            "@id": config,
-            "name": config,
-            "description": f"The config {config}: one row a "
-            + ("trajectory." if config == "trajectories" else "frame."),
-            "field": [
-                *([] if "split" in features else [_split_field(config)]),
-                *(_field(config, name, features) for name in features),
-            ],
-        }
+        row = "trajectory" if config == "trajectories" else "frame"
+        fields = list(_fields(config, config_features(manifest, config)))
+        told = f"The config {config}: one row a {row}."
+        yield {**_node("cr:RecordSet", config, told), "field": fields}
 
 
-def _split_field(config: str) -> dict[str, Any]:
+def _field(
+    config: str, name: str, description: str, kind: str, source: Mapping[str, Any]
+) -> dict[str, Any]:
     return {
-        "@type": "cr:Field",
-        "@id": f"{config}/split",
-        "name": "split",
-        "description": "Split of the row, from the name of its file; see the record set `splits`.",
-        "dataType": "sc:Text",
-        "source": {
-            "fileSet": {"@id": f"files/{config}"},
-            "extract": {"fileProperty": "fullpath"},
-            "transform": {"regex": rf"^.*data/{config}/({'|'.join(SPLITS)})-.+\.parquet$"},
-        },
-    }
-
-
-def _field(config: str, name: str, features: Features) -> dict[str, Any]:
-    feature = features[name]
-    source: dict[str, Any] = {"fileSet": {"@id": f"files/{config}"}, "extract": {"column": name}}
-    if isinstance(feature, Image):
-        source["transform"] = {"jsonPath": "bytes"}
-        kind = "sc:ImageObject"
-    else:
-        kind = _TYPES[feature.dtype]
-    return {
-        "@type": "cr:Field",
-        "@id": f"{config}/{name}",
-        "name": name,
-        "description": _describe_column(name, feature),
+        **_node("cr:Field", f"{config}/{name}", description),
         "dataType": kind,
-        "source": source,
+        "source": {"fileSet": {"@id": f"files/{config}"}, **source},
     }
+
+
+def _fields(config: str, features: Features) -> Iterator[dict[str, Any]]:
+    if "split" not in features:
+        told = "Split of the row, from the name of its file; see the record set `splits`."
+        path = rf"^.*data/{config}/({'|'.join(SPLITS)})-.+\.parquet$"
+        source = {"extract": {"fileProperty": "fullpath"}, "transform": {"regex": path}}
+        yield _field(config, "split", told, "sc:Text", source)
+    for name, feature in features.items():
+        told, source = _describe_column(name, feature), {"extract": {"column": name}}
+        if isinstance(feature, Image):
+            kind, source = "sc:ImageObject", {**source, "transform": {"jsonPath": "bytes"}}
+        else:
+            kind = _TYPES[feature.dtype]
+        yield _field(config, name, told, kind, source)
+
+
+def _node(kind: str, name: str, description: str = "") -> dict[str, Any]:
+    """Return the beginning of a node; a field is named by the last part of its identifier."""
+    told = name.rpartition("/")[2] if kind == "cr:Field" else name
+    head = {"@type": kind, "@id": name, "name": told}
+    return {**head, "description": description} if description else head
 
 
 def _describe_column(name: str, feature: Any) -> str:
     kind, _, axis = name.partition("_")
     if name in PARAMETERS:
         euler = "; extrinsic xyz Euler angle" if kind == "rotation" else ""
-        return f"{kind.capitalize()} {axis}, {_UNITS[kind]}, robot base frame{euler}; nullable."
+        return f"{kind.capitalize()} {axis}, {unit_of(name)}, robot base frame{euler}; nullable."
     if name in CONTROLS:
         unit = "rad/s" if axis.startswith("r") else "m/s"
         return f"Commanded velocity {axis}, {unit}, robot base frame; null where unknown."

@@ -1,22 +1,51 @@
-"""The dataset card: YAML that `datasets` reads, and what a reader has to know."""
+"""The dataset card: YAML that `datasets` reads, and what a reader has to know, by sections."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import yaml
-from datasets import Features
 
-from racines_data.card import sections
-from racines_data.card.croissant_rai import rai_fields
+from racines_data.card import tables
+from racines_data.card.croissant import config_features, rai_fields
 from racines_data.card.datasheet import datasheet
+from racines_data.card.frames import has_paper
 from racines_data.card.realism import realism_section
-from racines_data.manifest import describe, manifest_labels
-from racines_data.records import features_of
-from racines_data.schema import trajectory_features
-from racines_data.sources.card import SourceCard, manifest_card
+from racines_data.manifest import MULTI_PHANTOM, describe, manifest_labels
+from racines_data.sources.card import manifest_card
+from racines_data.tables import Markdown, code, markdown_table
 from racines_data.views import LABELS
 
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"))
+_INTRODUCTION = """\
+Ultrasound frames for robotic scanning: each image with the probe's pose, force and torque, the view
+it shows and its grade, in sweeps towards standard views and at random. For training and scoring
+image generators, view graders and scanning agents.
+
+**This is research software, not a medical device.** Nothing here is for clinical use."""
+_LOADING = """\
+```python
+import datasets
+
+frames = datasets.load_dataset("racines")  # a folder of this name, or the repository on a hub
+stream = datasets.load_dataset("racines", split="train", streaming=True)  # shard by shard
+print(next(iter(stream))["image"].size)
+```
+
+From a hub give `revision="{tag}"` to stay with this version. With the package,
+digests are checked first, and training reads whole batches from a memory map:
+
+```python
+import racines_data
+
+test = racines_data.load(version="{version}", split="test")
+{hearts}store = racines_data.open_store()
+batch = next(store.batches("train", batch_size=64, seed=0))
+```"""
+_DIGESTS = """\
+The *content* digest is of the pixels, numbers and splits; it is equal for rebuilds on one platform.
+The *recipe* digest is of what they are made from: source, version, settings, seed, inputs. The
+frames in `canonical/` tell whether a rebuild on another processor is the same version: within one
+gray level. `manifest.json` has the sha256 of every file, which `racines data validate` checks."""
 
 
 def write_card(manifest: Mapping[str, Any]) -> str:
@@ -26,18 +55,37 @@ def write_card(manifest: Mapping[str, Any]) -> str:
     without them their sections are left out.
     """
     head = yaml.safe_dump(_front_matter(manifest), sort_keys=False, allow_unicode=True, width=1000)
-    card, rai = manifest_card(manifest), rai_fields(manifest)
+    source, version, card = manifest["source"], manifest["version"], manifest_card(manifest)
+    views = ", ".join(manifest_labels(manifest)[:-1])
+    many = MULTI_PHANTOM in manifest["configs"]
+    hearts = f'hearts = racines_data.load(config="{MULTI_PHANTOM}")\n' if many else ""
     parts = [
-        sections.summary(manifest, card.origin),
-        sections.rows(manifest),
-        sections.configs(manifest),
-        sections.loading(manifest),
-        sections.contents(manifest),
-        sections.making(manifest, rai["rai:dataCollection"]),
-        sections.statistics(manifest),
-        sections.shares(manifest),
+        f"**Source: `{source}` — {card.origin}.**",
+        f"# RACINES, {source} {version}",
+        _INTRODUCTION,
+        _picture(manifest, "samples"),
+        "## What a row is",
+        f"One frame. Robot base frame, SI units; views are {views}, and `Random` for none of them.",
+        tables.columns_table(),
+        "## Configs and splits",
+        "\n".join(_configs(manifest)),
+        tables.splits_table(manifest),
+        _picture(manifest, "hearts"),
+        "## Load",
+        _LOADING.format(tag=manifest.get("tag", version), version=version, hearts=hearts),
+        "## Version and digests",
+        _versions(manifest),
+        _DIGESTS,
+        "## How it was made",
+        card.collection,
+        _picture(manifest, "trajectories"),
+        *_statistics(manifest),
+        *_shares(manifest),
         realism_section(manifest),
-        sections.limits(manifest, rai["rai:dataUseCases"][0], card.limits),
+        "## Intended use and limits",
+        rai_fields(manifest)["rai:dataUseCases"][0],
+        card.limits,
+        *_losses(manifest),
         "## Datasheet",
         datasheet(manifest),
     ]
@@ -55,36 +103,125 @@ def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:
         configs.append(
             {**config, "version": manifest["version"], "description": describe(manifest, name)}
         )
-        features: Features = (
-            trajectory_features()
-            if name == "trajectories"
-            else features_of(manifest["source"], manifest_labels(manifest))
-        )
-        infos.append({"config_name": name, "features": features._to_yaml_list()})
-    source, card = manifest["source"], manifest_card(manifest)
+        features = config_features(manifest, name)._to_yaml_list()
+        infos.append({"config_name": name, "features": features})
+    source, card, frames = manifest["source"], manifest_card(manifest), manifest["counts"]["frames"]
+    heart, poses = manifest_labels(manifest) == LABELS, manifest.get("poses", True)
+    organ = ["echocardiography"] * (card.labelled and heart)
+    tasks = ["image-classification"] * card.labelled + [
+        "reinforcement-learning",
+        "robotics",
+    ] * poses
     return {
         "pretty_name": f"RACINES ({source} {manifest['version']})",
         "license": card.license,
         "language": ["zxx"],  # ISO 639-2: no linguistic content
         "annotations_creators": ["machine-generated" if card.simulated else "other"],
-        "task_categories": _tasks(manifest, card),
-        "size_categories": [_size(manifest["counts"]["frames"])],
-        "tags": _tags(manifest, card),
+        "task_categories": tasks,
+        "size_categories": [next((name for top, name in _SIZES if frames < top), "1M<n<10M")],
+        "tags": ["ultrasound", *organ, "robotics", "medical", source, *card.tags],
         "configs": configs,
         "dataset_info": infos,
     }
 
 
-def _tags(manifest: Mapping[str, Any], card: SourceCard) -> list[str]:
-    heart = card.labelled and manifest_labels(manifest) == LABELS
-    organ = ["echocardiography"] if heart else []
-    return ["ultrasound", *organ, "robotics", "medical", manifest["source"], *card.tags]
+def _configs(manifest: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a line for each config."""
+    held, many = manifest["held_out_session"], manifest.get(MULTI_PHANTOM)
+    yield "- `frames` (default): one row a frame; splits by trajectory, stratified by target view."
+    yield "- `trajectories`: one row a trajectory, in the same splits, with its digest."
+    if held is None:
+        yield "- No `sessions` config: there is only one session, so none can be held out."
+    else:
+        kept = f"the same rows with the whole session `{held}` as test, the rest as train."
+        yield f"- `sessions`: {kept}"
+    if many:
+        yield (
+            f"- `{MULTI_PHANTOM}`: the columns of `frames`, from {many['hearts']} other simulated "
+            "hearts (seeds in the column `phantom`); splits by heart."
+        )
 
 
-def _tasks(manifest: Mapping[str, Any], card: SourceCard) -> list[str]:
-    poses, labels = manifest.get("poses", True), card.labelled
-    return ["image-classification"] * labels + ["reinforcement-learning", "robotics"] * poses
+def _versions(manifest: Mapping[str, Any]) -> str:
+    rows = [
+        ("version", f"{manifest['source']} {manifest['version']}"),
+        ("tag", code(manifest.get("tag", ""))),
+        ("content digest", code(manifest["digest"])),
+    ]
+    many, annotation = manifest.get(MULTI_PHANTOM), manifest.get("annotation")
+    if many:
+        rows.append((Markdown(f"content digest of `{MULTI_PHANTOM}`"), code(many["digest"])))
+    rows.append(("recipe digest", code(manifest["recipe_digest"])))
+    if annotation:
+        rows.append(("annotated by the grader", code(annotation.get("grader"))))
+    return markdown_table(("", ""), rows)
 
 
-def _size(frames: int) -> str:
-    return next((name for limit, name in _SIZES if frames < limit), "1M<n<10M")
+def _statistics(manifest: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the twelve parameters, beside the paper's where they are the measure."""
+    if not manifest.get("statistics", {}).get("parameters"):
+        return
+    yield "## Statistics"
+    yield (
+        "Each cell: this dataset / the paper (144,668 real frames). The paper's figures are as "
+        "reported, on other data. rotation_x jumps between −π and +π, so its mean says little."
+        if has_paper(manifest)
+        else "Of the frames in which the parameter was measured."
+    )
+    yield tables.statistics_table(manifest)
+    yield _picture(manifest, "parameters")
+
+
+def _shares(manifest: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the shares of classes and grades by split."""
+    found = manifest.get("statistics")
+    if not found or not any(sum(c.values()) - c["unknown"] for c in found["views"].values()):
+        return
+    note = "A frame that shows no standard view is `Random`, also on the way to one."
+    if has_paper(manifest):
+        note += " CACTUS: shares of its 37,736 images of such a block, chosen by its authors."
+    yield "## Classes and grades"
+    yield note
+    yield tables.classes_table(manifest)
+    if _graded(manifest):
+        yield "Rounded grades of the frames that show a view:"
+        yield tables.grades_table(manifest)
+    yield _picture(manifest, "shares")
+
+
+def _losses(manifest: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what was refused, and which splits are empty."""
+    report, splits = manifest["report"], manifest["counts"]["splits"]
+    if report["refused_frames"] or report["flagged"]:
+        yield (
+            f"{report['refused_frames']} frames were refused and {report['flagged']} inputs "
+            "flagged; `import_report.parquet` gives each with its reason."
+        )
+    empty = [split for split, count in splits.items() if not count["frames"]]
+    if empty:
+        yield f"Too few trajectories for the split(s) {', '.join(empty)}."
+
+
+def _graded(manifest: Mapping[str, Any]) -> bool:
+    return any(sum(each["counts"]) for each in manifest["statistics"]["grades"].values())
+
+
+def _picture(manifest: Mapping[str, Any], name: str) -> str:
+    """Return a picture with its caption, empty if it was not drawn."""
+    if name not in manifest.get("pictures", []):
+        return ""
+    measured, graded = manifest["statistics"]["parameters"], _graded(manifest)
+    values = ["grade"] * graded
+    values += ["position (mm)", "rotation (degrees)"] * ("position_x" in measured)
+    values += ["force (N)"] * ("force_x" in measured)
+    order = "from the best grade to the worst" if graded else "from bright to dark"
+    over = " over the block" if manifest_card(manifest).simulated else ""
+    sweeps = "; the grade along one sweep of each view (shaded: the view is attained)"
+    caption = {
+        "samples": f"Frames of each view, {order}, with {', '.join(values) or 'nothing measured'}",
+        "parameters": "Distribution of the measured parameters",
+        "shares": "Shares of the classes" + ", and of the grades, by split" * graded,
+        "trajectories": f"Paths of the probe{over}, by target view{sweeps * graded}",
+        "hearts": f"The best frame of the first view in several hearts of `{MULTI_PHANTOM}`",
+    }[name]
+    return f"![{caption}](card/{name}.png)\n\n*{caption}.*"

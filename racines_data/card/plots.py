@@ -1,4 +1,4 @@
-"""Charts of a card: the twelve parameters, and the shares of classes and grades."""
+"""Charts of a card: the twelve parameters, shares of classes and grades, and the probe's paths."""
 
 from typing import Any
 
@@ -7,14 +7,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from racines_data.card.frames import Frames
-from racines_data.card.statistics import CACTUS_COUNTS, GRADE_EDGES, unit_of
-from racines_data.plotting import MUTED, OURS, PAPER, SPLIT_COLOURS, view_colours
+from racines_data.card.frames import CACTUS_COUNTS, GRADE_EDGES, Frames, unit_of
+from racines_data.plotting import MUTED, OURS, PAPER, SPLIT_COLOURS, evenly, view_colours
 from racines_data.schema import PARAMETERS
 from racines_data.views import PAPER_STATISTICS
 
 BINS = 60
+PATHS = 60
+"""Trajectories drawn, at most."""
+POINTS = 120
+"""Points of a trajectory drawn, at most."""
+_Rectangle = tuple[float, float, float, float]
 
 
 def parameters_figure(frames: Frames, statistics: dict[str, Any], paper: bool) -> Figure:
@@ -61,8 +68,7 @@ def _parameter(
     axis.stairs(100.0 * counts / len(values), edges, fill=True, color=OURS, alpha=0.75)
     axis.axvline(ours["mean"], color=OURS, lw=1.6)
     margin = 0.04 * (high - low)
-    axis.set_xlim(low - margin, high + margin)
-    axis.set_title(name)
+    axis.set(xlim=(low - margin, high + margin), title=name)
     axis.set_xlabel(unit_of(name), labelpad=1)
     axis.set_ylabel("%", labelpad=1)
     axis.locator_params(axis="x", nbins=5)
@@ -88,26 +94,22 @@ def shares_figure(frames: Frames, statistics: dict[str, Any], cactus: bool) -> F
 def _classes(
     axis: Axes, views: dict[str, dict[str, int]], labels: tuple[str, ...], cactus: bool
 ) -> None:
-    series = {}
-    for split, counts in views.items():
-        total = sum(counts[name] for name in labels)
-        if total:
-            share = [100.0 * counts[name] / total for name in labels]
-            series[split] = share, {"color": SPLIT_COLOURS[split]}
+    looks: dict[str, dict[str, Any]] = {name: {"color": SPLIT_COLOURS[name]} for name in views}
     if cactus:
-        whole = sum(CACTUS_COUNTS.values())
-        share = [100.0 * CACTUS_COUNTS[name] / whole for name in labels]
-        series["CACTUS"] = share, {"color": "white", "edgecolor": PAPER, "hatch": "////"}
-    width = 0.84 / len(series)
-    for index, (name, (share, look)) in enumerate(series.items()):
-        place = np.arange(len(labels)) + (index - (len(series) - 1) / 2) * width
-        axis.bar(place, share, width * 0.92, label=name, linewidth=0.8, **look)
+        views = {**views, "CACTUS": CACTUS_COUNTS}
+        looks["CACTUS"] = {"color": "white", "edgecolor": PAPER, "hatch": "////"}
+    totals = {name: sum(counts[label] for label in labels) for name, counts in views.items()}
+    drawn = [name for name in views if totals[name]]
+    width = 0.84 / len(drawn)
+    for index, name in enumerate(drawn):
+        share = [100.0 * views[name][label] / totals[name] for label in labels]
+        place = np.arange(len(labels)) + (index - (len(drawn) - 1) / 2) * width
+        axis.bar(place, share, width * 0.92, label=name, linewidth=0.8, **looks[name])
     axis.set_xticks(np.arange(len(labels)), labels)
     axis.tick_params(axis="x", length=0)
     axis.grid(False, axis="x")
-    axis.set_ylabel("share of the split's frames, %")
-    axis.set_title("classes")
-    axis.set_ylim(0, axis.get_ylim()[1] * 1.25)
+    top = 1.25 * axis.get_ylim()[1]
+    axis.set(ylabel="share of the split's frames, %", title="classes", ylim=(0, top))
     axis.legend(ncols=2, loc="upper left", handlelength=1.2, columnspacing=1.2)
 
 
@@ -121,11 +123,9 @@ def _grades_by_view(axis: Axes, frames: Frames) -> None:
             share = 100.0 * counts / whole
             axis.bar(np.arange(11), share, 0.86, bottom=base, color=colours[name], label=name)
             base += share
-    axis.set_title("grades by class")
-    axis.set_ylabel("share of all graded frames, %")
-    _grade_axis(axis)
     axis.legend(loc="upper right", handlelength=1.0, ncols=2, columnspacing=1.0)
-    axis.set_ylim(0, max(base.max() * 1.08, 1.0))
+    top = max(base.max() * 1.08, 1.0)
+    _label(axis, "grades by class", "share of all graded frames, %", top)
 
 
 def _grades_by_split(axis: Axes, grades: dict[str, dict[str, Any]]) -> None:
@@ -135,15 +135,101 @@ def _grades_by_split(axis: Axes, grades: dict[str, dict[str, Any]]) -> None:
         if counts.any():
             share, colour = 100.0 * counts / counts.sum(), SPLIT_COLOURS[split]
             axis.stairs(share, edges, color=colour, lw=1.9, label=split, baseline=None)
-    axis.set_title("grades of the views, by split")
-    axis.set_ylabel("share of the split's frames of a view, %")
-    _grade_axis(axis)
-    axis.set_ylim(0, axis.get_ylim()[1] * 1.22)
     axis.legend(loc="upper left")
+    top = axis.get_ylim()[1] * 1.22
+    _label(axis, "grades of the views, by split", "share of the split's frames of a view, %", top)
 
 
-def _grade_axis(axis: Axes) -> None:
-    axis.set_xticks(np.arange(0, 11, 2))
-    axis.set_xlim(-0.7, 10.7)
+def _label(axis: Axes, title: str, share: str, top: float) -> None:
+    axis.set(
+        title=title, ylabel=share, xticks=np.arange(0, 11, 2), xlim=(-0.7, 10.7), ylim=(0, top)
+    )
     axis.grid(False, axis="x")
     axis.set_xlabel("grade, rounded (0: no view)", color=MUTED)
+
+
+def trajectories_figure(frames: Frames, manifest: dict[str, Any]) -> Figure:
+    """Draw paths of the probe's tip, and the grade along the best sweep of each view."""
+    sweeps = _best_sweeps(frames)
+    figure = Figure(figsize=(10.0, 5.0) if sweeps else (6.4, 5.0))
+    left = (-0.01, 0.10, 0.62, 0.92) if sweeps else (0.0, 0.10, 0.94, 0.92)
+    _paths(figure, left, frames, manifest)
+    if sweeps:
+        _grades(figure, frames, sweeps)
+    return figure
+
+
+def _paths(figure: Figure, place: _Rectangle, frames: Frames, manifest: dict[str, Any]) -> None:
+    top = block_top(manifest)
+    axis = figure.add_axes(place, projection="3d")
+    assert isinstance(axis, Axes3D)
+    axis.set_proj_type("persp", focal_length=0.6)
+    axis.view_init(elev=28, azim=-58)
+    if top is not None:
+        corners = rectangle(*top)
+        face = Poly3DCollection([corners], facecolor="#d9c7a8", edgecolor="#8c7a5b", alpha=0.35)
+        axis.add_collection3d(face)
+    colours, used = view_colours(frames.labels), {}
+    for index in evenly(len(frames.target_views), PATHS):
+        rows = frames.rows_of(int(index))
+        tip = 1e3 * frames.parameters[rows, 6:9].astype(float)
+        tip = tip[evenly(len(tip), POINTS)]
+        name = frames.target_views[index]
+        used[name] = colours.get(name, MUTED)
+        axis.plot(*tip.T, color=used[name], lw=1.0, alpha=0.85)
+    names = dict.fromkeys(name for name in (*frames.labels, *used) if name in used)
+    handles = [Line2D([], [], color=used[name], lw=2.2, label=name) for name in names]
+    figure.legend(
+        handles=handles, loc="lower center", ncols=len(handles), handlelength=1.4,
+        bbox_to_anchor=(place[0] + place[2] / 2, 0.0), title="target view",
+    )  # fmt: skip
+    for letter in "xyz":
+        getattr(axis, f"set_{letter}label")(f"{letter}, mm", labelpad=-3 if letter == "z" else 2)
+    axis.tick_params(pad=0, labelsize=7.5)
+    axis.zaxis.set_major_locator(MaxNLocator(5))
+    axis.set_box_aspect((1.2, 1.0, 0.62), zoom=1.1)  # pyright: ignore[reportArgumentType]
+
+
+def rectangle(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return (4, 3) corners of a box's top face, mm."""
+    x, y, z = (low[0], high[0]), (low[1], high[1]), high[2]
+    return 1e3 * np.array([[x[i], y[j], z] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))])
+
+
+def block_top(manifest: dict[str, Any]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the block's corners, m, if the recipe is one of the phantom."""
+    settings = manifest.get("recipe", {}).get("settings", {})
+    block = settings.get("acquisition", {}).get("phantom", {}).get("block")
+    if not block:
+        return None
+    return np.array(block["minimum"]), np.array(block["maximum"])
+
+
+def _best_sweeps(frames: Frames) -> dict[str, int]:
+    """Return, for each target view, the sweep that ranges over most grades."""
+    best: dict[str, tuple[float, int]] = {}
+    for index, name in enumerate(frames.target_views):
+        rows = frames.rows_of(index)
+        grades = frames.grades[rows][np.isfinite(frames.grades[rows])]
+        if name in frames.labels[:-1] and len(grades) > 1:
+            span = float(grades.max() - grades.min())
+            best[name] = max(best.get(name, (-1.0, 0)), (span, -index))
+    return {name: -best[name][1] for name in frames.labels if name in best}
+
+
+def _grades(figure: Figure, frames: Frames, sweeps: dict[str, int]) -> None:
+    colours = view_colours(frames.labels)
+    place = {"left": 0.685, "right": 0.985, "top": 0.93, "bottom": 0.10}
+    axes = figure.subplots(len(sweeps), sharex=True, squeeze=False, gridspec_kw=place)[:, 0]
+    for axis, (name, index) in zip(axes, sweeps.items(), strict=True):
+        rows = frames.rows_of(index)
+        time = frames.timestamps[rows] - frames.timestamps[rows.start]
+        grades, aimed = frames.grades[rows], frames.views[rows] == frames.labels.index(name)
+        look = {"color": colours[name], "alpha": 0.13, "lw": 0, "step": "mid"}
+        axis.fill_between(time, 0, 10, where=aimed, **look)
+        axis.plot(time, grades, color=colours[name], lw=1.6)
+        axis.set(ylim=(0, 10), yticks=(0, 5, 10))
+        axis.set_ylabel(name, color=colours[name], weight="bold")
+        axis.margins(x=0.01)
+    axes[0].set_title("grade along one sweep of each view")
+    axes[-1].set_xlabel("time, s")

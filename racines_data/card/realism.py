@@ -4,6 +4,7 @@ It is written after the build, from reports of `racines study realism`; the mani
 under `realism`, and under `realism_pictures` the pictures shown with them.
 """
 
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -31,28 +32,30 @@ _INTRODUCTION = (
 )
 
 
-def check_realism(content: Mapping[str, Any], manifest: Mapping[str, Any], name: str) -> None:
-    """Check that a report is one, has figures, and measures this dataset.
-
-    Args:
-        content: The report.
-        manifest: The dataset's manifest.
-        name: The file, for the error.
+def read_realism(path: Path, manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Read a report and check that it is one, has figures, and measures this dataset.
 
     Raises:
         RacinesError: it does not.
     """
+    try:
+        content = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise RacinesError(f"{path}: no readable JSON ({error})") from error
+    if not isinstance(content, dict):
+        raise RacinesError(f"{path}: not a realism report; make one: racines study realism")
     if content.get("schema") != SCHEMA:
-        raise RacinesError(f"{name}: schema is {content.get('schema')!r}, expected {SCHEMA!r}")
+        raise RacinesError(f"{path}: schema is {content.get('schema')!r}, expected {SCHEMA!r}")
     if not content.get("compared", True) or "kid" not in content.get("figures", {}):
-        raise RacinesError(f"{name}: holds no comparison; run: racines study realism --real FILE")
+        raise RacinesError(f"{path}: holds no comparison; run: racines study realism --real FILE")
     many = manifest.get(MULTI_PHANTOM) or {}
     digest = content.get("dataset", {}).get("digest")
     if digest not in (None, manifest["digest"], many.get("digest")):
         raise RacinesError(
-            f"{name}: measures another dataset (content {digest[:16]}, here "
+            f"{path}: measures another dataset (content {digest[:16]}, here "
             f"{manifest['digest'][:16]}); run racines study realism on this one"
         )
+    return content
 
 
 def realism_section(manifest: Mapping[str, Any]) -> str:
@@ -60,12 +63,24 @@ def realism_section(manifest: Mapping[str, Any]) -> str:
     reports = manifest.get("realism") or []
     if not reports:
         return ""
-    parts = ["## Realism", _INTRODUCTION]
-    for content in reports:
-        parts += [_measured(content), _figures(content), *_ablation(content)]
-    for name in manifest.get("realism_pictures", []):
-        parts.append(f"![{Path(name).stem}]({name})")
-    return "\n\n".join(parts)
+    told = (part for content in reports for part in _told(content))
+    shown = (f"![{Path(name).stem}]({name})" for name in manifest.get("realism_pictures", []))
+    return "\n\n".join(["## Realism", _INTRODUCTION, *told, *shown])
+
+
+def _told(content: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what was measured, the figures, and, where the report has it, what each part brings."""
+    yield _measured(content)
+    rows = []
+    for key, figure in content["figures"].items():
+        cells = (_range(figure[side], _DIGITS.get(key, 1)) for side in ("phantom", "real"))
+        rows.append((_TITLES.get(key, figure.get("rule", key)), *cells))
+    yield markdown_table(("figure", "simulated to real", "real to real"), rows, right=1)
+    parts = content.get("ablation") or []
+    if parts:
+        yield "What each part of the simulation brings (KID without it, and the change):"
+        cells = [(part["name"], number(part["kid"]), _signed(part.get("change"))) for part in parts]
+        yield markdown_table(("left out or changed", "KID", "change"), cells, right=1)
 
 
 def _measured(content: Mapping[str, Any]) -> str:
@@ -84,26 +99,9 @@ def _measured(content: Mapping[str, Any]) -> str:
     return f"{told}:"
 
 
-def _figures(content: Mapping[str, Any]) -> str:
-    rows = []
-    for key, figure in content["figures"].items():
-        cells = (_range(figure[side], _DIGITS.get(key, 1)) for side in ("phantom", "real"))
-        rows.append((_TITLES.get(key, figure.get("rule", key)), *cells))
-    return markdown_table(("figure", "simulated to real", "real to real"), rows, right=1)
-
-
 def _range(value: Mapping[str, float], digits: int) -> str:
     low, high = (number(value[key], digits) for key in ("low", "high"))
     return f"{number(value['value'], digits)} ({low} – {high})"
-
-
-def _ablation(content: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what each part of the physics brings, where the report has it."""
-    rows = content.get("ablation") or []
-    if rows:
-        yield "What each part of the simulation brings (KID without it, and the change):"
-        cells = [(row["name"], number(row["kid"]), _signed(row.get("change"))) for row in rows]
-        yield markdown_table(("left out or changed", "KID", "change"), cells, right=1)
 
 
 def _signed(value: float | None) -> str:

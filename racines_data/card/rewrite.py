@@ -18,7 +18,7 @@ from PIL import Image, UnidentifiedImageError
 
 from racines_data.card.markdown import write_card
 from racines_data.card.pictures import FOLDER, write_pictures
-from racines_data.card.realism import check_realism
+from racines_data.card.realism import read_realism
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
 from racines_data.files import recover_folder, sha256_file, swap_folder, write_atomic
@@ -29,21 +29,15 @@ LARGEST = 2_000_000
 
 
 def rewrite_card(
-    root: Path,
-    realism: Sequence[Path] = (),
-    pictures: Sequence[Path] = (),
-    draw: bool = False,
+    root: Path, realism: Sequence[Path] = (), pictures: Sequence[Path] = (), draw: bool = False
 ) -> dict[str, Any]:
-    """Write a dataset's card anew, and seal it in the manifest.
+    """Write a dataset's card anew, and seal it in the manifest, which is returned.
 
     Args:
         root: Folder of the dataset.
         realism: Reports of `racines study realism` on it; they replace earlier ones.
         pictures: PNG files shown with them, copied to `card/`; they replace earlier ones.
         draw: Draw the other pictures again, and count again.
-
-    Returns:
-        The manifest.
 
     Raises:
         RacinesError: no dataset or a damaged one, a report that is none or is of another dataset,
@@ -54,7 +48,7 @@ def rewrite_card(
     manifest = read_manifest(root)
     check_files(root, manifest["files"], rebuild_hint(manifest))
     if realism:
-        manifest["realism"] = [_read_report(path, manifest) for path in realism]
+        manifest["realism"] = [read_realism(path, manifest) for path in realism]
     shown = {f"{FOLDER}/realism-{path.stem}.png": _read_picture(path) for path in pictures}
     if len(shown) < len(pictures):
         raise RacinesError("pictures: two of one name; rename one")
@@ -63,7 +57,11 @@ def rewrite_card(
         beside.chmod(root.stat().st_mode)
         _link(root, beside, manifest)
         if shown:
-            _replace_pictures(beside, manifest, shown)
+            for name in manifest.get("realism_pictures", []):
+                (beside / name).unlink(missing_ok=True)
+            for name, data in shown.items():
+                write_atomic(beside / name, data)
+            manifest["realism_pictures"] = list(shown)
         if draw:
             for name in manifest.get("pictures", []):
                 (beside / FOLDER / f"{name}.png").unlink()
@@ -74,17 +72,6 @@ def rewrite_card(
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     return manifest
-
-
-def _read_report(path: Path, manifest: dict[str, Any]) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise RacinesError(f"{path}: no readable JSON ({error})") from error
-    if not isinstance(content, dict):
-        raise RacinesError(f"{path}: not a realism report; make one: racines study realism")
-    check_realism(content, manifest, str(path))
-    return content
 
 
 def _read_picture(path: Path) -> bytes:
@@ -111,23 +98,16 @@ def _link(root: Path, beside: Path, manifest: dict[str, Any]) -> None:
             shutil.copyfile(source, target)
 
 
-def _replace_pictures(beside: Path, manifest: dict[str, Any], shown: dict[str, bytes]) -> None:
-    for name in manifest.get("realism_pictures", []):
-        (beside / name).unlink(missing_ok=True)
-    for name, data in shown.items():
-        write_atomic(beside / name, data)
-    manifest["realism_pictures"] = list(shown)
-
-
 def _seal(beside: Path, manifest: dict[str, Any]) -> None:
     """Record the files anew; of those that were linked, what is known of them holds."""
-    known = manifest["files"]
-    names = sorted(p.relative_to(beside).as_posix() for p in beside.rglob("*") if p.is_file())
-    manifest["files"] = {
-        name: known[name]
-        if name in known and name != CARD and not name.startswith(f"{FOLDER}/")
-        else {"sha256": sha256_file(beside / name), "bytes": (beside / name).stat().st_size}
-        for name in names
-        if name != MANIFEST
-    }
+    known, files = manifest["files"], {}
+    for path in beside.rglob("*"):
+        name = path.relative_to(beside).as_posix()
+        if path.is_file() and name != MANIFEST:
+            linked = name in known and name != CARD and not name.startswith(f"{FOLDER}/")
+            if linked:
+                files[name] = known[name]
+            else:
+                files[name] = {"sha256": sha256_file(path), "bytes": path.stat().st_size}
+    manifest["files"] = dict(sorted(files.items()))
     write_atomic(beside / MANIFEST, json.dumps(manifest, indent=1) + "\n")

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from racines_data.card.statistics import CACTUS_COUNTS, has_paper, unit_of
+from racines_data.card.frames import CACTUS_COUNTS, has_paper, unit_of
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels
 from racines_data.schema import SPLITS
 from racines_data.tables import Markdown, code, markdown_table
@@ -40,8 +40,7 @@ def number(value: float, digits: int = 4) -> str:
 
 def columns_table() -> str:
     """Return the columns of `frames`."""
-    names = (", ".join(f"`{name}`" for name in row[0].split(", ")) for row in COLUMNS)
-    rows = ((Markdown(name), *row[1:]) for name, row in zip(names, COLUMNS, strict=True))
+    rows = [(Markdown(f"`{names}`".replace(", ", "`, `")), *about) for names, *about in COLUMNS]
     return markdown_table(("column", "type", "unit", "meaning"), rows)
 
 
@@ -60,43 +59,42 @@ def splits_table(manifest: Mapping[str, Any]) -> str:
 
 def statistics_table(manifest: Mapping[str, Any]) -> str:
     """Return the twelve parameters, with the paper's beside them where they are the measure."""
-    ours = manifest["statistics"]["parameters"]
-    kinds = ("minimum", "maximum", "mean", "std")
-    if not has_paper(manifest):
-        rows = [
-            (code(k), unit_of(k), *(number(v[kind]) for kind in kinds)) for k, v in ours.items()
-        ]
-        return markdown_table(("parameter", "unit", "min", "max", "mean", "std"), rows, right=2)
-    rows = []
-    for name, values in ours.items():
-        paper = PAPER_STATISTICS[name]
-        pairs = (f"{number(values[kind])} / {number(getattr(paper, kind))}" for kind in kinds)
-        shift = number((values["mean"] - paper.mean) / paper.std, 2)
-        ratio = number(values["std"] / paper.std, 2)
-        rows.append((code(name), unit_of(name), *pairs, shift, ratio))
-    head = ("parameter", "unit", "min", "max", "mean", "std", "Δ mean, paper's std", "std ratio")
-    return markdown_table(head, rows, right=2)
+    kinds, paper, rows = ("minimum", "maximum", "mean", "std"), has_paper(manifest), []
+    for name, ours in manifest["statistics"]["parameters"].items():
+        cells = [number(ours[kind]) for kind in kinds]
+        if paper:
+            known = PAPER_STATISTICS[name]
+            theirs = (number(getattr(known, kind)) for kind in kinds)
+            cells = [" / ".join(pair) for pair in zip(cells, theirs, strict=True)]
+            cells.append(number((ours["mean"] - known.mean) / known.std, 2))
+            cells.append(number(ours["std"] / known.std, 2))
+        rows.append((code(name), unit_of(name), *cells))
+    head = ("parameter", "unit", "min", "max", "mean", "std")
+    beside = ("Δ mean, paper's std", "std ratio") if paper else ()
+    return markdown_table((*head, *beside), rows, right=2)
 
 
 def classes_table(manifest: Mapping[str, Any]) -> str:
     """Return frames of each class by split, their share, and that of CACTUS for the heart."""
-    views, labels = manifest["statistics"]["views"], manifest_labels(manifest)
+    labels = manifest_labels(manifest)
+    found = manifest["statistics"]["views"]
+    views = {split: found[split] for split in SPLITS if split in found}
     cactus = CACTUS_COUNTS if labels == tuple(CACTUS_COUNTS) else {}
-    whole = sum(views[split][name] for split in views for name in labels)
+    whole = sum(counts[name] for counts in views.values() for name in labels)
     rows = []
     for name in labels:
-        counts = [views[split][name] for split in SPLITS if split in views]
+        counts = [each[name] for each in views.values()]
         row = [f"{name}: {VIEW_TITLES[name]}" if name in VIEW_TITLES else name]
         row += [f"{count:,}" for count in counts]
         row.append(f"{100.0 * sum(counts) / whole:.1f} %")
         if cactus:
             row.append(f"{100.0 * cactus[name] / sum(cactus.values()):.1f} %")
         rows.append(row)
-    unknown = [views[split]["unknown"] for split in SPLITS if split in views]
+    unknown = [counts["unknown"] for counts in views.values()]
     if any(unknown):
-        rows.append(["unknown", *(f"{n:,}" for n in unknown), "", *([""] if cactus else [])])
-    head = ("class", *(split for split in SPLITS if split in views), "share")
-    return markdown_table((*head, "CACTUS") if cactus else head, rows, right=1)
+        rows.append(["unknown", *(f"{n:,}" for n in unknown), "", *[""] * bool(cactus)])
+    head = ("class", *views, "share", *["CACTUS"] * bool(cactus))
+    return markdown_table(head, rows, right=1)
 
 
 def grades_table(manifest: Mapping[str, Any]) -> str:

@@ -63,7 +63,7 @@ def import_(
 
 
 def _report(source: "Source") -> dict[str, Any]:
-    from racines_data.sources.release.kinds import count_kinds
+    from racines_data.sources.folder import count_kinds
 
     findings = [vars(finding) for finding in source.report]
     return {"kinds": count_kinds(source.report), "findings": findings}

@@ -38,7 +38,6 @@ from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 
 MINARI_VERSION = "0.5.0"
 """Oldest version whose format this is; later ones read it."""
-_SHAPE = (1, IMAGE_SIZE, IMAGE_SIZE)
 
 
 def export(
@@ -50,22 +49,18 @@ def export(
 ) -> dict[str, Any]:
     """Write a dataset for Minari; set `MINARI_DATASETS_PATH` to `out` to load it.
 
-    Arguments as of `registry.Exporter`; each split is a Minari dataset.
-
-    Returns:
-        `out`, the `datasets` by id with their episodes and steps, counts, and notes.
-
-    Raises:
-        RacinesError: `out` exists, there is no such dataset or split, or no commanded velocity.
+    Arguments and errors as of `registry.Exporter`, and an error where there is no commanded
+    velocity. Each split is a Minari dataset; these have whole versions, hence the first number
+    only. Returns `out`, the `datasets` by id with their episodes and steps, counts, and notes.
     """
     manifest = read_manifest(root)
-    labels = manifest_labels(manifest)
+    labels, major = manifest_labels(manifest), manifest["version"].split(".")[0]
     written: dict[str, dict[str, int]] = {}
     missing = frames = 0
     with new_folder(out) as folder, progress_bar(progress) as bar:
         task = bar.add_task("frames", total=None)
         for sweep in read_sweeps(root, split, limit):
-            name = dataset_id(manifest, sweep.split)
+            name = f"racines/{manifest['source']}-{sweep.split}-v{major}"
             counts = written.setdefault(name, {"episodes": 0, "steps": 0})
             missing += _write_episode(folder / name / "data", counts["episodes"], sweep, labels)
             counts["episodes"] += 1
@@ -79,9 +74,8 @@ def export(
             )
         for name, counts in written.items():
             _write_metadata(folder / name / "data", name, manifest, counts)
-        (folder / "racines" / "namespace_metadata.json").write_text(
-            json.dumps({"description": f"RACINES: {describe(manifest)}"})
-        )
+        about = {"description": f"RACINES: {describe(manifest)}"}
+        (folder / "racines" / "namespace_metadata.json").write_text(json.dumps(about))
     return {
         "out": str(out),
         "format": "minari",
@@ -92,42 +86,31 @@ def export(
     }
 
 
-def dataset_id(manifest: Mapping[str, Any], split: str) -> str:
-    """Return the Minari id of a split; Minari has whole versions, hence the first number only."""
-    return f"racines/{manifest['source']}-{split}-v{manifest['version'].split('.')[0]}"
-
-
 def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ...]) -> int:
     """Write one episode; return how many of its steps have no commanded velocity."""
-    table = sweep.table
-    count = len(table)
+    table, count = sweep.table, len(sweep)
+    target, random = sweep.first("target_view"), labels[-1]
     actions = float_columns(table, CONTROLS)
     views = table["view"].fill_null(-1).to_numpy()
     grades = float_columns(table, ["grade"])[:, 0]
-    rewards = _rewards(views, grades, labels.index(sweep.first("target_view")))
-    if sweep.first("target_view") == labels[-1]:
+    rewards = _rewards(views, grades, labels.index(target))
+    if target == random:
         rewards = np.zeros_like(rewards)  # a random scan has no target
-    observations = {
-        "image": _fixed(sweep.images().reshape(count, -1)),
-        "params": _fixed(float_columns(table, PARAMETERS)),
-    }
+    images, parameters = sweep.images().reshape(count, -1), float_columns(table, PARAMETERS)
     infos = {
         "view": pa.array(views),
         "grade": pa.array(grades),
         "timestamp": table["timestamp"].combine_chunks(),
         "frame": table["frame"].combine_chunks(),
     }
-    last = np.arange(count) == count - 2
     batch = pa.RecordBatch.from_pydict(
         {
-            "observations": pa.StructArray.from_arrays(
-                list(observations.values()), [*observations]
-            ),
+            "observations": _struct({"image": _fixed(images), "params": _fixed(parameters)}),
             "actions": _fixed(actions),  # the last one leads nowhere; Minari drops it
             "rewards": np.append(rewards, 0.0),
             "terminations": np.zeros(count, bool),
-            "truncations": last,
-            "infos": pa.StructArray.from_arrays(list(infos.values()), [*infos]),
+            "truncations": np.arange(count) == count - 2,
+            "infos": _struct(infos),
         }
     )
     folder = data / str(episode)
@@ -135,9 +118,8 @@ def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ..
     options = ipc.IpcWriteOptions(compression="zstd")
     with ipc.new_file(str(folder / "part-0.arrow"), batch.schema, options=options) as writer:
         writer.write_batch(batch)
-    keys = ("trajectory", "session", "target_view", "phantom")
     about = {"id": episode, "total_steps": count - 1, "split": sweep.split}
-    about |= {key: sweep.first(key) for key in keys}
+    about |= {k: sweep.first(k) for k in ("trajectory", "session", "target_view", "phantom")}
     (folder / "metadata.json").write_text(json.dumps(about))
     return int(np.isnan(actions[:-1]).any(-1).sum())
 
@@ -150,16 +132,20 @@ def _rewards(views: np.ndarray, grades: np.ndarray, target: int) -> np.ndarray:
 
 
 def _fixed(values: np.ndarray) -> pa.FixedSizeListArray:
-    flat = pa.array(np.ascontiguousarray(values).ravel())
-    return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+
+
+def _struct(columns: Mapping[str, pa.Array]) -> pa.StructArray:
+    return pa.StructArray.from_arrays([*columns.values()], [*columns])
 
 
 def _write_metadata(
     data: Path, name: str, manifest: Mapping[str, Any], counts: Mapping[str, int]
 ) -> None:
-    image = _box(np.zeros(_SHAPE, int), np.full(_SHAPE, 255), "uint8")
-    params = _box(np.full(len(PARAMETERS), -np.inf), np.full(len(PARAMETERS), np.inf), "float32")
-    action = _box(np.full(len(CONTROLS), -np.inf), np.full(len(CONTROLS), np.inf), "float32")
+    image = _box((1, IMAGE_SIZE, IMAGE_SIZE), 0, 255, "uint8")
+    params, action = (
+        _box((len(names),), -np.inf, np.inf, "float32") for names in (PARAMETERS, CONTROLS)
+    )
     spaces = {"type": "Dict", "subspaces": {"image": image, "params": params}}
     size = sum(path.stat().st_size for path in data.rglob("*") if path.is_file())
     metadata = {
@@ -193,8 +179,6 @@ def _description(manifest: Mapping[str, Any]) -> str:
     )
 
 
-def _box(low: np.ndarray, high: np.ndarray, dtype: str) -> dict[str, Any]:
-    shape = list(low.shape)
-    return {"type": "Box", "dtype": dtype, "shape": shape, "low": low.tolist()} | {
-        "high": high.tolist()
-    }
+def _box(shape: tuple[int, ...], low: float, high: float, dtype: str) -> dict[str, Any]:
+    bounds = {"low": np.full(shape, low).tolist(), "high": np.full(shape, high).tolist()}
+    return {"type": "Box", "dtype": dtype, "shape": list(shape), **bounds}

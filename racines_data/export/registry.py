@@ -1,13 +1,4 @@
-"""Other people's formats: the registry of exporters.
-
-An exporter is one file with one function, and one entry point of the group `racines.exporters`:
-
-    export(root, out, split=None, limit=None, progress=False) -> dict[str, Any]
-
-It writes the dataset at `root` (one split, or all; at most `limit` frames, whole dataset order) to
-the new path `out`, aside first and then renamed, and returns what it wrote as JSON. It refuses an
-`out` that exists.
-"""
+"""The registry of exporters: a file with a function each, an entry point `racines.exporters`."""
 
 from pathlib import Path
 from typing import Any, Protocol
@@ -18,7 +9,7 @@ EXPORTERS = Plugins("format", "racines.exporters", or_give="module:function")
 
 
 class Exporter(Protocol):
-    """Writes a dataset in another format."""
+    """Writes a dataset in another format: aside first, then renamed to a path that is new."""
 
     def __call__(
         self,
@@ -28,14 +19,17 @@ class Exporter(Protocol):
         limit: int | None = None,
         progress: bool = False,
     ) -> dict[str, Any]:
-        """Export.
+        """Export, and return what was written as JSON.
 
         Args:
             root: Folder of the dataset.
-            out: New folder to write.
+            out: New folder to write; one that exists is refused.
             split: One split only; default all, in the order train, validation, test.
             limit: Frames to write, the first of that order.
             progress: Show a progress bar on stderr.
+
+        Raises:
+            RacinesError: `out` exists, or there is no such dataset or split.
         """
         ...
 

@@ -11,10 +11,9 @@ PNGs are those of the shards, byte for byte. The layout has no place for views, 
 import hashlib
 import os
 import shutil
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,14 +31,14 @@ from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS
 from racines_data.sources.release.log import CONTROL, POSE, TIME, WIDTH, WRENCH, format_log
 from racines_data.sources.release.tree import FULL, natural
+from racines_data.store.sweeps import Sweep, read_sweeps
 from racines_data.views import RANDOM
 
-_COLUMNS = ["image", *PARAMETERS, "timestamp", *CONTROLS, "trajectory", "frame"]
 _KNOWN_FOLDERS = 3
 
 
-class _Sweep(NamedTuple):
-    """One trajectory and where it goes."""
+class _Place(NamedTuple):
+    """Where a trajectory of so many frames goes."""
 
     frames: int
     folder: str
@@ -57,36 +56,31 @@ def export(
 ) -> dict[str, Any]:
     """Write a dataset in the published layout; an export that was killed goes on where it stopped.
 
-    Arguments as of `registry.Exporter`.
-
-    Returns:
-        `out`, counts of frames and trajectories, and which session became which folder.
-
-    Raises:
-        RacinesError: `out` exists, there is no such dataset or split, or it has no poses.
+    Arguments and errors as of `registry.Exporter`, and an error where there are no poses. Returns
+    `out`, counts of frames and trajectories, and which session became which folder.
     """
     if out.exists():
         raise RacinesError(f"{out}: exists; name a new folder or remove it")
     manifest = read_manifest(root)
-    shards = _shards(root, manifest, split)
-    wanted, sessions = _plan(shards, limit)
+    places, sessions = _plan(_shards(root, manifest, split), limit)
     key = hashlib.sha256(f"{manifest['digest']}/{split}/{limit}".encode()).hexdigest()[:16]
     staging = out.parent / f".{out.name}.{key}.part"
     staging.mkdir(parents=True, exist_ok=True)
-    total = sum(sweep.frames for sweep in wanted.values())
+    total = sum(place.frames for place in places.values())
     with progress_bar(progress) as bar:
         task = bar.add_task("frames", total=total)
-        for sweep, table in _tables(shards, wanted):
-            _write_sweep(staging, sweep, table)
-            bar.advance(task, sweep.frames)
+        for sweep in read_sweeps(root, split, limit):
+            _write_sweep(staging, places[sweep.id], sweep)
+            bar.advance(task, len(sweep))
     os.replace(staging, out)
+    known = "a loader that knows only `Folder 1` to `Folder 3` will not see the others"
     return {
         "out": str(out),
         "format": "release",
         "frames": total,
-        "trajectories": len(wanted),
+        "trajectories": len(places),
         "sessions": sessions,
-        "notes": _notes(sessions),
+        "notes": [f"{len(sessions)} sessions: {known}"] if len(sessions) > _KNOWN_FOLDERS else [],
     }
 
 
@@ -96,82 +90,45 @@ def _shards(root: Path, manifest: Mapping[str, Any], split: str | None) -> list[
     if split is not None and check_split(split) not in paths:
         raise RacinesError(f"{root}: split {split!r} is empty: too few trajectories")
     names = [name for part in paths if split in (None, part) for name in paths[part]]
-    files = {name: manifest["files"][name] for name in names}
-    check_files(root, files, rebuild_hint(manifest))
+    check_files(root, {name: manifest["files"][name] for name in names}, rebuild_hint(manifest))
     return [root / name for name in names]
 
 
-def _plan(shards: Sequence[Path], limit: int | None) -> tuple[dict[str, _Sweep], dict[str, str]]:
-    """Say what goes where: the sweep of each trajectory id, and the folder of each session."""
+def _plan(shards: Sequence[Path], limit: int | None) -> tuple[dict[str, _Place], dict[str, str]]:
+    """Say what goes where: the place of each trajectory id, and the folder of each session."""
     columns = ["session", "target_view", "trajectory"]
     table = pa.concat_tables([pq.read_table(path, columns=columns) for path in shards])
-    counts: dict[tuple[str, str, str], int] = defaultdict(int)
-    for batch in table.slice(0, limit).to_batches():
-        for row in zip(*(column.to_pylist() for column in batch.columns), strict=True):
-            counts[row] += 1
+    rows = table.slice(0, limit).to_pydict()
+    counts = Counter(zip(*(rows[name] for name in columns), strict=True))
     if not counts:
         raise RacinesError(f"limit {limit}: nothing to export; give one frame or more")
-    sessions = {row[0] for row in counts}
-    folders = {
-        session: f"Folder {number + 1}"
-        for number, session in enumerate(sorted(sessions, key=natural))
-    }
+    sessions = sorted({session for session, _, _ in counts}, key=natural)
+    folders = {name: f"Folder {number}" for number, name in enumerate(sessions, start=1)}
     members: dict[tuple[str, str], list[str]] = defaultdict(list)
     for session, view, trajectory in sorted(counts, key=lambda row: natural(row[2])):
         members[session, view].append(trajectory)
-    sweeps = {}
+    places = {}
     for (session, view, trajectory), frames in counts.items():
-        place = f"{folders[session]}/{FULL if view == RANDOM else view}"
+        folder = f"{folders[session]}/{FULL if view == RANDOM else view}"
         others = members[session, view]
         suffix = f"_{others.index(trajectory) + 1}" if len(others) > 1 else ""
-        sweeps[trajectory] = _Sweep(frames, place, suffix)
-    return sweeps, folders
+        places[trajectory] = _Place(frames, folder, suffix)
+    return places, folders
 
 
-def _tables(
-    shards: Sequence[Path], wanted: Mapping[str, _Sweep]
-) -> Iterator[tuple[_Sweep, pa.Table]]:
-    """Yield the rows of each trajectory; one may cross shards."""
-    pending: list[pa.RecordBatch] = []
-    name: str | None = None
-    for batch in _batches(shards):
-        if batch["trajectory"][0].as_py() != name and name is not None:
-            yield wanted[name], pa.Table.from_batches(pending)
-            pending = []
-        name = batch["trajectory"][0].as_py()
-        if name not in wanted:
-            return  # beyond the limit
-        pending.append(batch)
-    if name is not None:
-        yield wanted[name], pa.Table.from_batches(pending)
-
-
-def _batches(shards: Sequence[Path]) -> Iterator[pa.RecordBatch]:
-    """Yield batches of one trajectory each."""
-    for path in shards:
-        for batch in pq.ParquetFile(path).iter_batches(256, columns=_COLUMNS):
-            ids = batch["trajectory"].to_numpy(zero_copy_only=False)
-            starts = [0, *(np.flatnonzero(ids[1:] != ids[:-1]) + 1).tolist(), len(ids)]
-            for start, stop in pairwise(starts):
-                yield batch.slice(start, stop - start)
-
-
-def _write_sweep(staging: Path, sweep: _Sweep, table: pa.Table) -> None:
+def _write_sweep(staging: Path, place: _Place, sweep: Sweep) -> None:
     """Write the two folders of a trajectory, unless an earlier run has."""
-    images, logs = (staging / sweep.folder / f"{side}{sweep.suffix}" for side in ("images", "logs"))
+    images, logs = (staging / place.folder / f"{side}{place.suffix}" for side in ("images", "logs"))
     if images.is_dir():
         return
-    table = table.slice(0, sweep.frames)
-    numbers = table["frame"].to_pylist()
-    pngs = (png for chunk in table["image"].chunks for png in chunk.field("bytes"))
-    texts = (format_log(row) for row in _log_rows(table))
+    numbers, rows = sweep.table["frame"].to_pylist(), _log_rows(sweep.table)
     # The images come last: where they are, the trajectory is whole.
     with _folder(logs) as aside:
-        for number, text in zip(numbers, texts, strict=True):
-            (aside / f"PA_{number}.txt").write_text(text)
+        for number, row in zip(numbers, rows, strict=True):
+            (aside / f"PA_{number}.txt").write_text(format_log(row))
     with _folder(images) as aside:
-        for number, png in zip(numbers, pngs, strict=True):
-            (aside / f"img{number}.png").write_bytes(png.as_buffer())
+        for number, png in zip(numbers, sweep.pngs(), strict=True):
+            (aside / f"img{number}.png").write_bytes(png)
 
 
 @contextmanager
@@ -186,11 +143,7 @@ def _folder(path: Path) -> Iterator[Path]:
 
 
 def _log_rows(table: pa.Table) -> np.ndarray:
-    """Return (T, 29) numbers of the logs of a trajectory.
-
-    Raises:
-        RacinesError: a frame has no pose.
-    """
+    """Return (T, 29) numbers of the logs of a trajectory; refuse one without poses."""
     parameters = float_columns(table, PARAMETERS).astype(np.float64)
     if not np.isfinite(parameters[:, 6:]).all():
         name = table["trajectory"][0].as_py()
@@ -204,12 +157,3 @@ def _log_rows(table: pa.Table) -> np.ndarray:
     rows[:, POSE] = matrices.reshape(len(table), 16)
     rows[:, CONTROL] = float_columns(table, CONTROLS)
     return rows
-
-
-def _notes(sessions: Mapping[str, str]) -> list[str]:
-    if len(sessions) <= _KNOWN_FOLDERS:
-        return []
-    return [
-        f"{len(sessions)} sessions: a loader that knows only `Folder 1` to `Folder 3` will not "
-        "see the others"
-    ]

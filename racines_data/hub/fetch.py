@@ -27,7 +27,7 @@ def download(
 ) -> Path:
     """Fetch a dataset from the Hub by its tag and check every digest.
 
-    Files that are here already are not fetched again.
+    Files that are here already are not fetched again. Returns the dataset's folder.
 
     Args:
         repo_id: `OWNER/NAME` on the Hub.
@@ -37,9 +37,6 @@ def download(
         stores: Have the training stores too, made from the shards where the Hub has none.
         api: Client of the Hub.
 
-    Returns:
-        The dataset's folder.
-
     Raises:
         RacinesError: no such repository or version, or a damaged file.
     """
@@ -48,12 +45,9 @@ def download(
     client = api or HfApi(library_name="racines")
     with hub_errors(repo_id, "check the name, the network and HF_TOKEN, then run again"):
         tag = version if version and _TAG.match(version) else _find_tag(client, repo_id, version)
+        ignored = None if stores else [f"{STORE_FOLDER}*"]
         path = client.snapshot_download(
-            repo_id,
-            repo_type=KIND,
-            revision=tag,
-            local_dir=out,
-            ignore_patterns=None if stores else [f"{STORE_FOLDER}*"],
+            repo_id, repo_type=KIND, revision=tag, local_dir=out, ignore_patterns=ignored
         )
     root = Path(path)
     manifest = read_manifest(root)
@@ -68,24 +62,22 @@ def download(
 
 def _find_tag(client: "HfApi", repo_id: str, version: str | None) -> str:
     names = [ref.name for ref in client.list_repo_refs(repo_id, repo_type=KIND).tags]
-    found = [match for name in names if (match := _TAG.match(name))]
-    if version is None and found:
-        newest = max(_numbers(match["version"]) for match in found)
-        found = [match for match in found if _numbers(match["version"]) == newest]
-    elif version is not None:
-        found = [match for match in found if match["version"] == version]
+    versions = {name: match["version"] for name in names if (match := _TAG.match(name))}
+    if version is None:
+        version = max(versions.values(), key=_numbers, default=None)
+    found = [name for name in versions if versions[name] == version]
     if len(found) == 1:
-        return found[0][0]
+        return found[0]
     known = ", ".join(names) or "none"
     if not found:
         raise RacinesError(f"{repo_id}: no version {version or ''} there; its tags: {known}")
     raise RacinesError(
-        f"{repo_id}: version {found[0]['version']} of several sources; name one of the tags {known}"
+        f"{repo_id}: version {version} of several sources; name one of the tags {known}"
     )
 
 
-def _numbers(version: str) -> tuple[int, ...]:
-    return tuple(int(part) for part in version.split("."))
+def _numbers(version: str) -> list[int]:
+    return [int(part) for part in version.split(".")]
 
 
 @contextmanager

@@ -75,23 +75,23 @@ def plan_push(
         raise RacinesError(f"{repo_id}: not a repository's name ({error})") from error
     manifest = read_manifest(root)
     check_files(root, manifest["files"], rebuild_hint(manifest))
-    sent = {
-        name: dict(record)
-        for name, record in manifest["files"].items()
-        if with_store or not name.startswith(STORE_FOLDER)
-    }
-    default = f"{manifest['source']}-v{manifest['version']}"  # of a dataset built before tags
+    sent, left = {}, {}
+    for name, record in manifest["files"].items():
+        if with_store or not name.startswith(STORE_FOLDER):
+            sent[name] = dict(record)
+        else:
+            left[name] = record["bytes"]
     sent[MANIFEST] = {"bytes": (root / MANIFEST).stat().st_size}
-    left = {n: r["bytes"] for n, r in manifest["files"].items() if n not in sent}
-    return Push(
-        repo_id, revision, tag or manifest.get("tag", default), manifest["digest"], sent, left
-    )
+    default = f"{manifest['source']}-v{manifest['version']}"  # of a dataset built before tags
+    chosen = tag or manifest.get("tag", default)
+    return Push(repo_id, revision, chosen, manifest["digest"], sent, left)
 
 
 def push(root: Path, plan: Push, private: bool = False, api: "HfApi | None" = None) -> dict:
     """Upload a dataset and tag it; run again after a failure, it goes on where it stopped.
 
     The branch then holds this dataset and nothing else; older versions stay under their tags.
+    Returns the plan as JSON, with `commit`, and `uploaded`: false if the Hub had this version.
 
     Args:
         root: Folder of the dataset.
@@ -99,29 +99,25 @@ def push(root: Path, plan: Push, private: bool = False, api: "HfApi | None" = No
         private: Make the repository private, if it is new.
         api: Client of the Hub; default one with the token of the environment (`HF_TOKEN`).
 
-    Returns:
-        The plan as JSON, with `commit`, and `uploaded`: false if the Hub had this version.
-
     Raises:
         RacinesError: no token, the tag is taken by other content, the repository holds something
             else, or the upload fails.
     """
-    client = api or _client()
-    with hub_errors(plan.repo_id, "run the command again: it goes on where it stopped"):
-        client.create_repo(plan.repo_id, repo_type=KIND, private=private or None, exist_ok=True)
-        commit = _commit_of_tag(client, plan)
+    client, repo = api or _client(), plan.repo_id
+    with hub_errors(repo, "run the command again: it goes on where it stopped"):
+        client.create_repo(repo, repo_type=KIND, private=private or None, exist_ok=True)
+        refs = client.list_repo_refs(repo, repo_type=KIND)
+        commit = next((ref.target_commit for ref in refs.tags if ref.name == plan.tag), None)
         if commit is not None:
             _check_same(client, root, plan)
             return {**plan.to_json(), "commit": commit, "uploaded": False}
         if plan.revision != "main":
-            client.create_branch(plan.repo_id, branch=plan.revision, repo_type=KIND, exist_ok=True)
+            client.create_branch(repo, branch=plan.revision, repo_type=KIND, exist_ok=True)
         _check_room(client, plan)
         commit = _upload(client, root, plan)
         _check_uploaded(client, plan, commit)
         message = describe(read_manifest(root))
-        client.create_tag(
-            plan.repo_id, tag=plan.tag, tag_message=message, revision=commit, repo_type=KIND
-        )
+        client.create_tag(repo, tag=plan.tag, tag_message=message, revision=commit, repo_type=KIND)
     return {**plan.to_json(), "commit": commit, "uploaded": True}
 
 
@@ -131,11 +127,6 @@ def _client() -> "HfApi":
     if get_token() is None:
         raise RacinesError("no token for the Hub: set HF_TOKEN to one that may write")
     return HfApi(library_name="racines")
-
-
-def _commit_of_tag(client: "HfApi", plan: Push) -> str | None:
-    refs = client.list_repo_refs(plan.repo_id, repo_type=KIND)
-    return next((ref.target_commit for ref in refs.tags if ref.name == plan.tag), None)
 
 
 def _check_same(client: "HfApi", root: Path, plan: Push) -> None:
@@ -150,11 +141,8 @@ def _check_same(client: "HfApi", root: Path, plan: Push) -> None:
             f"{where} holds other content (sha256 {there['digest'][:12]}, here "
             f"{here['digest'][:12]}); a tag is never moved: raise the dataset's version"
         )
-    changed = sorted(
-        name
-        for name in {*there["files"], *here["files"]}
-        if there["files"].get(name) != here["files"].get(name)
-    )
+    old, new = there["files"], here["files"]
+    changed = sorted(name for name in {*old, *new} if old.get(name) != new.get(name))
     if changed:
         raise RacinesError(
             f"{where} holds the same content in other files ({', '.join(changed[:3])}); a tag is "
@@ -191,12 +179,8 @@ def _check_uploaded(client: "HfApi", plan: Push, commit: str) -> None:
     for name, record in plan.files.items():
         file = tree.get(name)
         sha256 = getattr(getattr(file, "lfs", None), "sha256", None)  # small files have none
-        wanted = record.get("sha256")
-        if (
-            file is None
-            or file.size != record["bytes"]
-            or (sha256 and wanted not in (None, sha256))
-        ):
+        other = sha256 and record.get("sha256") not in (None, sha256)
+        if file is None or file.size != record["bytes"] or other:
             raise RacinesError(
                 f"{plan.repo_id}: {name} is not on the Hub as it is here; nothing was tagged: run "
                 "the command again"

@@ -1,16 +1,9 @@
 """Where trajectories come from: the protocol of a source, and the registry of their names.
 
 A source is one file with one class, and one entry point of the group `racines.sources`. The builder
-asks little of it:
-
-    source = Class.from_config(config, inputs)    # settings and input files, checked
-    units = source.plan()                         # cheap: what there is to make, in order
-    trajectory = source.produce(units[i])         # anywhere, in any order, always the same bytes
-    source.report                                 # what plan() refused or flagged, and why
-    source.recipe()                               # all that decides the bytes, as JSON
-
-The source object is pickled to each worker process once: keep it small and build what is heavy
-(a baked volume, an opened file) on the first `produce`.
+makes it with `from_config`, asks for its `plan` and its `recipe`, and lets processes `produce` the
+units: anywhere, in any order, always the same bytes. The source is pickled to each process once:
+keep it small and build what is heavy (a baked volume, an opened file) on the first `produce`.
 """
 
 from collections.abc import Sequence
@@ -60,7 +53,12 @@ class Finding:
 
 @runtime_checkable
 class Source(Protocol):
-    """Yields trajectories. Must be picklable."""
+    """Yields trajectories. Must be picklable.
+
+    A source of other views than the five also has `labels: tuple[str, ...]`, `Random` last. One of
+    single images, without poses and times, has `poses = False`; both are then NaN. What there is to
+    say of its data is its `card`, a `racines_data.sources.card.SourceCard`.
+    """
 
     name: str
     """Name in the registry, the card and the `source` column."""
@@ -70,9 +68,6 @@ class Source(Protocol):
     """Filled by `plan`; empty where there is nothing to say."""
     Config: ClassVar[type]
     """Dataclass of settings. Fields `frames` and `seed`, if any, are set from the data section."""
-    # A source of other views than the five also has `labels: tuple[str, ...]`, `Random` last. One
-    # of single images, without poses and times, has `poses = False`; both are then NaN. What there
-    # is to say of its data is its `card`, a `racines_data.sources.card.SourceCard`.
 
     @classmethod
     def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> Self:

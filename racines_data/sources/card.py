@@ -51,8 +51,7 @@ class SourceCard:
 def manifest_card(manifest: Mapping[str, Any]) -> SourceCard:
     """Return the card of a dataset's source: the manifest's, the source's, or a neutral one.
 
-    Args:
-        manifest: Of the dataset, or its beginning: `source` is enough.
+    Of the manifest, `source` is enough.
     """
     if held := manifest.get("card"):
         known = {field.name for field in fields(SourceCard)}

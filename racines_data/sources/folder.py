@@ -1,14 +1,53 @@
-"""What sources share that read one folder of files: opening it, and the recipe."""
+"""What readers of recordings share: a folder of files, the report on it, poses, trajectories."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
+import numpy as np
+import torch
+
 from racines_data.config import fill
 from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, pose_to_parameters
+from racines_data.schema import CONTROLS, PARAMETERS, Trajectory
 from racines_data.sources.base import Finding, Unit
+from racines_data.sources.images import Kind
+
+UNITS = {"m": 1.0, "mm": 1e-3}
+"""Metres of each unit that a recording may have its positions in."""
+
+
+class Report(list[Finding]):
+    """The findings of an import; files are named relative to its folder."""
+
+    def __init__(self, root: Path) -> None:
+        super().__init__()
+        self.root = root
+
+    def place(self, file: Path | str) -> str:
+        """Return how a file is named."""
+        return file if isinstance(file, str) else file.relative_to(self.root).as_posix()
+
+    def refuse(
+        self, kind: Kind, file: Path | str, detail: str, item: str = "", frames: int = 1
+    ) -> None:
+        """Add what costs frames."""
+        self.append(Finding(self.place(file), item, True, f"{kind}: {detail}", frames))
+
+    def flag(
+        self, kind: Kind, file: Path | str, detail: str, item: str = "", frames: int = 1
+    ) -> None:
+        """Add what is said of frames that are kept."""
+        self.append(Finding(self.place(file), item, False, f"{kind}: {detail}", frames))
+
+
+def count_kinds(report: Sequence[Finding]) -> dict[str, int]:
+    """Return the number of findings of each kind, in order of first appearance."""
+    return dict(Counter(finding.reason.partition(":")[0] for finding in report))
 
 
 @dataclass
@@ -20,14 +59,12 @@ class FolderSource:
     report: list[Finding] = field(default_factory=list)
     progress: bool = False
     """Show a progress bar on stderr while the files are checked."""
+    _inputs: str = field(default="", init=False)
+    """The sha256 over all files, which `plan` finds."""
     name = ""
     Config: ClassVar[type]
     reader: ClassVar[int] = 1
     """Version of what the reader makes of the files; part of the recipe."""
-
-    def __post_init__(self) -> None:
-        """Remember nothing yet."""
-        self._inputs = ""  # the sha256 over all files, which `plan` finds
 
     @classmethod
     def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> Self:
@@ -58,3 +95,30 @@ class FolderSource:
     def plan(self) -> Sequence[Unit]:
         """Check every file, set the hash over all, and return the units; see `Source`."""
         raise NotImplementedError
+
+
+def parameters_of(
+    matrices: np.ndarray, wrench: np.ndarray | None = None, metres: float = 1.0
+) -> np.ndarray:
+    """Return (T, 12) float32 parameters of (T, 4, 4) poses and (T, 6) forces and torques, float64.
+
+    Positions come in units of so many `metres`; without a wrench, forces are NaN.
+    """
+    known = torch.from_numpy(matrices)
+    pose = Pose(known[:, :3, 3] * metres, known[:, :3, :3])
+    forces = np.full((len(matrices), 6), np.nan) if wrench is None else wrench
+    return pose_to_parameters(pose, torch.from_numpy(forces)).to(torch.float32).numpy()
+
+
+def recorded(unit: Unit, images: Sequence[np.ndarray], **known: np.ndarray) -> Trajectory:
+    """Return a unit's trajectory: (128, 128) images, the columns known, and the others absent."""
+    count = len(images)
+    absent = {
+        "parameters": np.full((count, len(PARAMETERS)), np.nan, np.float32),
+        "timestamps": np.full(count, np.nan),
+        "controls": np.full((count, len(CONTROLS)), np.nan, np.float32),
+        "views": np.full(count, -1),
+        "grades": np.full(count, np.nan, np.float32),
+    }
+    columns = {**absent, **known}
+    return Trajectory(unit.id, unit.session, unit.target_view, np.stack(images), **columns)

@@ -7,10 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from racines_data.build.dataset import DataConfig, build
-from racines_data.card import paths as card_paths
 from racines_data.card import pictures as card_pictures
-from racines_data.card import plots as card_plots
-from racines_data.card import samples as card_samples
 from tests.data.fake_source import FakeConfig, FakeSource
 
 
@@ -24,13 +21,8 @@ def own_caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def blank_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave the pictures of cards empty: to draw them is nine tenths of a small build."""
-    for module, kinds in (
-        (card_paths, ["trajectories"]),
-        (card_plots, ["parameters", "shares"]),
-        (card_samples, ["samples", "hearts"]),
-    ):
-        for kind in kinds:
-            monkeypatch.setattr(module, f"{kind}_figure", lambda *_: Figure((0.1, 0.1)))
+    for kind in ("trajectories", "parameters", "shares", "samples", "hearts"):
+        monkeypatch.setattr(card_pictures, f"{kind}_figure", lambda *_: Figure((0.1, 0.1)))
     monkeypatch.setattr(card_pictures, "encode", lambda figure, gray: b"blank")
 
 

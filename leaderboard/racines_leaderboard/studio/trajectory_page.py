@@ -16,7 +16,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from racines_data.card.paths import block_top, rectangle
+from racines_data.card.plots import block_top, rectangle
 from racines_data.geometry import parameters_to_pose
 from racines_data.plotting import MUTED, evenly, view_colours
 from racines_data.schema import PARAMETERS

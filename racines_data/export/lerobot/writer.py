@@ -12,8 +12,9 @@ seconds since its first frame. `action` is the commanded velocity at the frame. 
 channel, as recorded; `view` is -1 and numbers are NaN where unknown.
 """
 
+import io
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,9 +24,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from datasets import Features, Image, List, Value
+from PIL import Image as Picture
 
 from racines_data.errors import RacinesError
-from racines_data.export.lerobot.statistics import Statistics, image_histogram
 from racines_data.files import write_json
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import describe, manifest_labels, read_manifest
@@ -37,20 +38,22 @@ from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 IMAGE = "observation.images.ultrasound"
 CHUNK_FILES = 1000
 FILE_MEGABYTES = 100
+QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+STRIDE = 10
+"""One frame in so many gives the statistics of images."""
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
 _FEATURES: dict[str, dict[str, Any]] = {
-    IMAGE: {
-        "dtype": "image",
-        "shape": [IMAGE_SIZE, IMAGE_SIZE, 1],
-        "names": ["height", "width", "channels"],
-    },
-    "observation.state": {"dtype": "float32", "shape": [12], "names": list(PARAMETERS)},
-    "action": {"dtype": "float32", "shape": [6], "names": list(CONTROLS)},
-    "view": {"dtype": "int64", "shape": [1], "names": None},
-    "grade": {"dtype": "float32", "shape": [1], "names": None},
-    "timestamp": {"dtype": "float32", "shape": [1], "names": None},
-    **{name: {"dtype": "int64", "shape": [1], "names": None} for name in _INDICES},
+    name: {"dtype": dtype, "shape": shape, "names": names}
+    for name, dtype, shape, names in (
+        (IMAGE, "image", [IMAGE_SIZE, IMAGE_SIZE, 1], ["height", "width", "channels"]),
+        ("observation.state", "float32", [12], list(PARAMETERS)),
+        ("action", "float32", [6], list(CONTROLS)),
+        ("view", "int64", [1], None),
+        ("grade", "float32", [1], None),
+        ("timestamp", "float32", [1], None),
+        *((name, "int64", [1], None) for name in _INDICES),
+    )
 }
 
 
@@ -63,13 +66,8 @@ def export(
 ) -> dict[str, Any]:
     """Write a dataset in the LeRobot format: `LeRobotDataset(NAME, root=out)` opens it.
 
-    Arguments as of `registry.Exporter`; splits are ranges of episodes in `meta/info.json`.
-
-    Returns:
-        `out`, counts, `fps`, `splits` as ranges of episodes, and notes.
-
-    Raises:
-        RacinesError: `out` exists, there is no such dataset or split, or no commanded velocity.
+    Arguments and errors as of `registry.Exporter`, and an error where there is no commanded
+    velocity. Returns `out`, counts, `fps`, `splits` as ranges of episodes, and notes.
     """
     manifest = read_manifest(root)
     with new_folder(out) as folder, progress_bar(progress) as bar:
@@ -79,12 +77,13 @@ def export(
             writer.add(sweep)
             bar.advance(task, len(sweep))
         writer.close()
-        if writer.missing == writer.frames:
+        missing = sum(int(np.isnan(each).any(-1).sum()) for each in writer.columns["action"])
+        if missing == writer.frames:
             raise RacinesError(
                 f"{root}: {manifest['source']} data have no commanded velocity, hence no actions"
             )
         info = _write_meta(folder, writer, manifest)
-    missing = f"{writer.missing} of {writer.frames} frames have no commanded velocity: NaN"
+    note = f"{missing} of {writer.frames} frames have no commanded velocity: NaN"
     return {
         "out": str(out),
         "format": "lerobot",
@@ -92,7 +91,7 @@ def export(
         "trajectories": len(writer.episodes),
         "fps": info["fps"],
         "splits": info["splits"],
-        "notes": [missing] if writer.missing else [],
+        "notes": [note] if missing else [],
     }
 
 
@@ -110,11 +109,12 @@ class _Writer:
     folder: Path
     labels: tuple[str, ...]
     frames: int = 0
-    missing: int = 0
     episodes: list[dict[str, Any]] = field(default_factory=list)
     tasks: dict[str, int] = field(default_factory=dict)
     intervals: list[np.ndarray] = field(default_factory=list)
-    statistics: Statistics = field(default_factory=Statistics)
+    columns: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    """Numbers of each feature, by episode."""
+    histograms: list[np.ndarray] = field(default_factory=list)
     _files: int = 0
     _bytes: int = 0
     _open: pq.ParquetWriter | None = None
@@ -125,11 +125,13 @@ class _Writer:
         index = self.tasks.setdefault(task, len(self.tasks))
         columns = _columns(sweep, len(self.episodes), self.frames, index)
         chunk, number = self._write(sweep, columns)
-        own = Statistics()
-        own.add(columns, image_histogram(sweep, self.frames))
-        self.statistics.merge(own)
-        self.missing += int(np.isnan(columns["action"]).any(-1).sum())
+        self.histograms.append(_histogram(sweep, self.frames))
+        own: dict[str, Any] = {IMAGE: _image_statistics(self.histograms[-1:])}
+        for name, values in columns.items():
+            self.columns.setdefault(name, []).append(values)
+            own[name] = _statistics([values])
         self.intervals.append(np.diff(sweep.table["timestamp"].to_numpy()))
+        about = ("trajectory", "session", "target_view", "phantom")
         self.episodes.append(
             {
                 "episode_index": len(self.episodes),
@@ -142,13 +144,8 @@ class _Writer:
                 "meta/episodes/chunk_index": 0,
                 "meta/episodes/file_index": 0,
                 "split": sweep.split,
-                **{name: sweep.first(name) for name in ("trajectory", "session", "target_view")},
-                "phantom": sweep.first("phantom"),
-                **{
-                    f"stats/{name}/{key}": value
-                    for name, values in own.result(IMAGE).items()
-                    for key, value in values.items()
-                },
+                **{name: sweep.first(name) for name in about},
+                **{f"stats/{name}/{key}": v for name in own for key, v in own[name].items()},
             }
         )
         self.frames += len(sweep)
@@ -204,10 +201,58 @@ def _columns(sweep: Sweep, episode: int, start: int, task: int) -> dict[str, np.
 
 
 def _array(values: np.ndarray) -> pa.Array:
-    flat = pa.array(np.ascontiguousarray(values).ravel())
-    if values.ndim == 1:
-        return flat
-    return pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+    flat = pa.array(values.ravel())
+    return flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
+
+
+def _histogram(sweep: Sweep, start: int) -> np.ndarray:
+    """Return (257,) int64: counts of the 256 gray levels in some frames, and of these frames.
+
+    Chosen are those whose rows, the first of which is `start`, are multiples of STRIDE, or one.
+    """
+    pngs = sweep.pngs()
+    chosen = pngs[-start % STRIDE :: STRIDE] or pngs[:1]
+    counts = np.zeros(257, np.int64)
+    for png in chosen:
+        pixels = np.asarray(Picture.open(io.BytesIO(png)))
+        counts[:256] += np.bincount(pixels.ravel(), minlength=256)
+    counts[256] = len(chosen)
+    return counts
+
+
+def _statistics(parts: Sequence[np.ndarray]) -> dict[str, list[float]]:
+    """Return minimum, maximum, mean, std, quantiles and count of (T,) or (T, D) parts of a feature.
+
+    Unknown numbers (NaN) are left out; a column that has no number has zeros, as JSON has no NaN.
+    """
+    table = np.concatenate(parts)
+    table = table.reshape(len(table), -1).astype(np.float64)
+    table[:, np.isnan(table).all(0)] = 0.0
+    made = {
+        "min": np.nanmin(table, 0),
+        "max": np.nanmax(table, 0),
+        "mean": np.nanmean(table, 0),
+        "std": np.nanstd(table, 0),
+        **dict(zip(QUANTILES, np.nanquantile(table, [*QUANTILES.values()], axis=0), strict=True)),
+    }
+    return {**{key: value.tolist() for key, value in made.items()}, "count": [len(table)]}
+
+
+def _image_statistics(histograms: Sequence[np.ndarray]) -> dict[str, Any]:
+    """Return the statistics of gray levels scaled to 0-1, as LeRobot hands images out."""
+    histogram = np.sum(histograms, axis=0)
+    counts, levels = histogram[:256], np.arange(256) / 255
+    total = counts.sum()
+    mean = float((counts * levels).sum() / total)
+    seen, running = levels[counts > 0], np.cumsum(counts) / total
+    made = {
+        "min": float(seen[0]),
+        "max": float(seen[-1]),
+        "mean": mean,
+        "std": float(np.sqrt((counts * (levels - mean) ** 2).sum() / total)),
+        **{key: float(levels[np.searchsorted(running, q)]) for key, q in QUANTILES.items()},
+    }
+    return {**{key: [[[value]]] for key, value in made.items()}, "count": [int(histogram[256])]}
 
 
 def _write_meta(folder: Path, writer: _Writer, manifest: Mapping[str, Any]) -> dict[str, Any]:
@@ -227,13 +272,13 @@ def _write_meta(folder: Path, writer: _Writer, manifest: Mapping[str, Any]) -> d
         "features": _FEATURES,
     }
     write_json(folder / "meta/info.json", info)
-    write_json(folder / "meta/stats.json", writer.statistics.result(IMAGE))
-    keys = ("source", "version", "digest", "recipe_digest")
-    about = {**{key: manifest[key] for key in keys}, "labels": list(writer.labels)}
-    write_json(folder / "meta/racines.json", {**about, "description": describe(manifest)})
-    tasks = pd.DataFrame(
-        {"task_index": [*writer.tasks.values()]}, index=pd.Index([*writer.tasks], name="task")
-    )
+    found: dict[str, Any] = {IMAGE: _image_statistics(writer.histograms)}
+    found |= {name: _statistics(parts) for name, parts in writer.columns.items()}
+    write_json(folder / "meta/stats.json", found)
+    about = {key: manifest[key] for key in ("source", "version", "digest", "recipe_digest")}
+    about |= {"labels": list(writer.labels), "description": describe(manifest)}
+    write_json(folder / "meta/racines.json", about)
+    tasks = pd.Series(writer.tasks, name="task_index").rename_axis("task").to_frame()
     tasks.to_parquet(folder / "meta/tasks.parquet")
     path = folder / "meta/episodes/chunk-000/file-000.parquet"
     path.parent.mkdir(parents=True)
@@ -251,12 +296,8 @@ def _rate(intervals: list[np.ndarray]) -> int | float:
 
 
 def _splits(episodes: list[dict[str, Any]]) -> dict[str, str]:
-    ranges = {}
-    for split in SPLITS:
-        of = [row["episode_index"] for row in episodes if row["split"] == split]
-        if of:
-            ranges[split] = f"{of[0]}:{of[-1] + 1}"
-    return ranges
+    inside = {s: [e["episode_index"] for e in episodes if e["split"] == s] for s in SPLITS}
+    return {split: f"{of[0]}:{of[-1] + 1}" for split, of in inside.items() if of}
 
 
 def _card(manifest: Mapping[str, Any], info: Mapping[str, Any]) -> str:

@@ -9,37 +9,20 @@ Names of folders may differ in case.
 import re
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import polars as pl
 
 from racines_data.errors import RacinesError
-from racines_data.sources.base import Finding
-from racines_data.sources.release.kinds import flagged, refused
+from racines_data.sources.folder import Report
+from racines_data.sources.images import Kind
 from racines_data.sources.release.tree import entries, natural
 from racines_data.views import LABELS, RANDOM
 
 IMAGES, GRADES = "Images Dataset", "Grades"
 _COLUMNS = ("Image Name", "Subfolder Name", "Grade")
 _GRADE = re.compile(r"(\d+(?:\.\d+)?)(?![\d.]*\d)")
-
-
-class Kind(StrEnum):
-    """What is wrong; every reason in the report begins with one of these and a colon."""
-
-    NOT_A_JPEG = "not a JPEG"
-    TRUNCATED_JPEG = "truncated JPEG"
-    DAMAGED_JPEG = "damaged JPEG"
-    MISSING_IMAGE = "missing image"
-    MISSING_ROW = "missing row"
-    MISSING_TABLE = "missing table"
-    GRADE_CONFLICT = "grade conflict"
-    WRONG_GRADE = "wrong grade"
-    MIXED_SIZES = "mixed sizes"
-    EMPTY_FOLDER = "empty folder"
-    UNKNOWN = "unknown file"
 
 
 @dataclass(frozen=True)
@@ -61,12 +44,13 @@ class Picture:
         return natural(self.subfolder), natural(rest), name
 
 
-def find_pictures(root: Path, report: list[Finding]) -> list[Picture]:
-    """Return all images with their grades; add what is odd to `report`.
+def find_pictures(report: Report) -> list[Picture]:
+    """Return all images of the report's folder with their grades; add what is odd to the report.
 
     Raises:
         RacinesError: the folder does not hold the data set, or a table cannot be read.
     """
+    root = report.root
     images, grades = _child(root, IMAGES), _child(root, GRADES)
     if images is None:
         raise RacinesError(f"{root}: holds no folder `{IMAGES}`; give the folder that does")
@@ -75,13 +59,15 @@ def find_pictures(root: Path, report: list[Finding]) -> list[Picture]:
     for folder in entries(images):
         view = views.get(folder.name.lower())
         if view is None or not folder.is_dir():
-            detail = "not a view of CACTUS, left out"
-            report.append(flagged(Kind.UNKNOWN, _place(root, folder), detail, frames=0))
+            report.flag(Kind.UNKNOWN, folder, "not a view of CACTUS, left out", frames=0)
             continue
-        files = _images(root, folder, report)
+        files = _images(folder, report)
         table = _Table.read(grades, view, report)
-        pictures += [table.join(root, folder, file, report) for file in files]
-        report += table.unused(_place(root, folder))
+        pictures += [table.join(folder, file, report) for file in files]
+        lost = [row for rows in table.rows.values() for row in rows if row not in table.used]
+        for name, _, _ in lost:
+            detail = f"there is no such image in {report.place(folder)}"
+            report.refuse(Kind.MISSING_IMAGE, table.name, detail, name)
     if not pictures:
         raise RacinesError(f"{images}: holds no image of a view ({', '.join(LABELS)})")
     return pictures
@@ -92,20 +78,18 @@ def _child(folder: Path, name: str) -> Path | None:
     return next((path for path in found if path.is_dir()), None)
 
 
-def _images(root: Path, folder: Path, report: list[Finding]) -> list[Path]:
+def _images(folder: Path, report: Report) -> list[Path]:
     """Return the images of a view's folder and of the folders in it."""
     found: list[Path] = []
     for path in entries(folder):
         if path.is_dir():
-            found += _images(root, path, report)
+            found += _images(path, report)
         elif path.suffix.lower() in (".jpg", ".jpeg"):
             found.append(path)
         else:
-            detail = "not a JPEG by its name, left out"
-            report.append(flagged(Kind.UNKNOWN, _place(root, path), detail, frames=0))
+            report.flag(Kind.UNKNOWN, path, "not a JPEG by its name, left out", frames=0)
     if not found:
-        detail = "it holds no image"
-        report.append(refused(Kind.EMPTY_FOLDER, _place(root, folder), detail, frames=0))
+        report.refuse(Kind.EMPTY_FOLDER, folder, "it holds no image", frames=0)
     return found
 
 
@@ -115,30 +99,29 @@ class _Table:
 
     name: str
     view: str
-    rows: dict[str, list[tuple[str, str, str]]]
+    rows: dict[str, list[tuple[str, str, str]]] = field(default_factory=lambda: defaultdict(list))
     """Image name, subfolder and grade as they stand."""
-    used: set[tuple[str, str, str]]
+    used: set[tuple[str, str, str]] = field(default_factory=set)
 
     @classmethod
-    def read(cls, folder: Path | None, view: str, report: list[Finding]) -> "_Table":
+    def read(cls, folder: Path | None, view: str, report: Report) -> "_Table":
         wanted = f"{view}_grades.csv"
         files = entries(folder) if folder else []
         path = next((file for file in files if file.name.lower() == wanted.lower()), None)
-        rows: dict[str, list[tuple[str, str, str]]] = defaultdict(list)
         if path is None:
             detail = "no such table; grades are those of the file names"
-            report.append(flagged(Kind.MISSING_TABLE, f"{GRADES}/{wanted}", detail, frames=0))
-            return cls("", view, rows, set())
+            report.flag(Kind.MISSING_TABLE, f"{GRADES}/{wanted}", detail, frames=0)
+            return cls("", view)
+        table = cls(f"{GRADES}/{path.name}", view)
         for row in _read_csv(path).iter_rows():
             name, subfolder, grade = ((cell or "").strip() for cell in row)
-            rows[_key(name)].append((name, subfolder, grade))
-        return cls(f"{GRADES}/{path.name}", view, rows, set())
+            table.rows[_key(name)].append((name, subfolder, grade))
+        return table
 
-    def join(self, root: Path, folder: Path, path: Path, report: list[Finding]) -> Picture:
+    def join(self, folder: Path, path: Path, report: Report) -> Picture:
         """Return an image with the grade that its name and its row agree on."""
         inside = path.parent.relative_to(folder).as_posix()
         subfolder = "" if inside == "." else inside
-        file = _place(root, path)
         rows = self.rows.get(_key(path.name), [])
         if len(rows) > 1 and subfolder:
             rows = [row for row in rows if row[1].lower() == subfolder.lower()] or rows
@@ -148,32 +131,22 @@ class _Table:
         said |= {f"{self.name} {row[2]}": _number(row[2]) for row in rows}
         if self.name and not rows:
             detail = f"{self.name} has no row of it; its grade is that of its name"
-            report.append(flagged(Kind.MISSING_ROW, file, detail))
-        grade = next(iter(said.values()), None)
+            report.flag(Kind.MISSING_ROW, path, detail)
+        grade, told = next(iter(said.values()), None), ", ".join(said)
+        lowest, highest = (0, 0) if self.view == RANDOM else (1, 10)
         if len(set(said.values())) > 1:
             grade = None
-            detail = f"{', '.join(said)}; it is kept without a grade"
-            report.append(flagged(Kind.GRADE_CONFLICT, file, detail, "Grade"))
-        elif said and not _fits(grade, self.view):
+            report.flag(Kind.GRADE_CONFLICT, path, f"{told}; it is kept without a grade", "Grade")
+        elif said and (grade is None or not lowest <= grade <= highest):
             grade = None
             right = "0" if self.view == RANDOM else "1-10"
-            detail = f"{', '.join(said)}, where {self.view} has {right}; it is kept without a grade"
-            report.append(flagged(Kind.WRONG_GRADE, file, detail, "Grade"))
-        return Picture(file, self.view, subfolder, grade)
-
-    def unused(self, folder: str) -> list[Finding]:
-        """Return the rows whose images are not there."""
-        lost = [row for rows in self.rows.values() for row in rows if row not in self.used]
-        detail = f"there is no such image in {folder}"
-        return [refused(Kind.MISSING_IMAGE, self.name, detail, row[0]) for row in lost]
+            detail = f"{told}, where {self.view} has {right}; it is kept without a grade"
+            report.flag(Kind.WRONG_GRADE, path, detail, "Grade")
+        return Picture(report.place(path), self.view, subfolder, grade)
 
 
 def _read_csv(path: Path) -> pl.DataFrame:
-    """Return the three columns as text.
-
-    Raises:
-        RacinesError: it is not such a table.
-    """
+    """Return the three columns as text."""
     try:
         table = pl.read_csv(path, infer_schema=False, encoding="utf8-lossy")
     except (pl.exceptions.PolarsError, OSError) as error:
@@ -194,16 +167,6 @@ def _number(text: str) -> float | None:
         return float(text)
     except ValueError:
         return None
-
-
-def _fits(grade: float | None, view: str) -> bool:
-    if grade is None:
-        return False
-    return grade == 0 if view == RANDOM else 1 <= grade <= 10
-
-
-def _place(root: Path, path: Path) -> str:
-    return path.relative_to(root).as_posix()
 
 
 def runs(pictures: Sequence[Picture], longest: int) -> list[list[Picture]]:

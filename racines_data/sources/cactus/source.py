@@ -11,43 +11,46 @@ from collections import defaultdict
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import numpy as np
+from scipy import ndimage
 
 from racines_data.errors import RacinesError
 from racines_data.progress import progress_bar
-from racines_data.schema import CONTROLS, PARAMETERS, Trajectory
+from racines_data.schema import Trajectory
 from racines_data.sources.base import Unit
-from racines_data.sources.cactus.files import Kind, Picture, find_pictures, runs
+from racines_data.sources.cactus.files import Picture, find_pictures, runs
 from racines_data.sources.card import SourceCard
-from racines_data.sources.crop import Box, sector_box
-from racines_data.sources.folder import FolderSource
-from racines_data.sources.images import DamagedImage, check_jpeg, read_gray, square
-from racines_data.sources.release.kinds import flagged, refused
+from racines_data.sources.folder import FolderSource, Report, recorded
+from racines_data.sources.images import Fault, Kind, check_jpeg, read_gray, resolution, square
 from racines_data.views import LABELS
 
 _THREADS = 4
 _SAMPLE = 96
+_MOVES = 4.0
+"""Standard deviation over images above which a pixel belongs to the sector, gray levels."""
+_DARK = 8
+_FEWEST = 8
+_SMALLEST = 0.02
 Size = tuple[int, int]
+Box = tuple[int, int, int, int]
+"""Left, top, right, bottom: pixels, the last two past the end."""
 
 CARD = SourceCard(
     origin="the published CACTUS images, imported; labels and grades without poses",
     license="cc-by-4.0",
-    rights=("CC BY 4.0, as the originals (DOI 10.20383/103.01484); cite their authors."),
-    collection=(
-        "The published CACTUS images, imported: frames of a cardiac phantom with view and "
-        "grade, without poses."
-    ),
+    rights="CC BY 4.0, as the originals (DOI 10.20383/103.01484); cite their authors.",
+    collection="The published CACTUS images, imported: frames of a cardiac phantom with view and "
+    "grade, without poses.",
     collection_type="Direct measurement",
-    annotation=("View and grade as published with the images; see the CACTUS publication."),
-    biases=("A manufactured heart; classes and grades in the shares its authors chose."),
+    annotation="View and grade as published with the images; see the CACTUS publication.",
+    biases="A manufactured heart; classes and grades in the shares its authors chose.",
     limitations="A phantom is not a patient. There are no poses or forces.",
     personal="None: images of a manufactured phantom.",
-    limits=(
-        "A manufactured phantom, not a patient. There are no poses, forces or times; runs of "
-        "files stand as trajectories, and frames on both sides of a cut may be neighbours."
-    ),
+    limits="A manufactured phantom, not a patient. There are no poses, forces or times; runs of "
+    "files stand as trajectories, and frames on both sides of a cut may be neighbours.",
 )
 
 
@@ -97,65 +100,53 @@ class CactusSource(FolderSource):
         Raises:
             RacinesError: the folder is not CACTUS, or the crop does not fit its images.
         """
-        self.report = []
-        found = find_pictures(self.root, self.report)
-        digest, kept, sizes = hashlib.sha256(), [], defaultdict(list)
+        self.report = report = Report(self.root)
+        found = find_pictures(report)
+        digest = hashlib.sha256()
+        kept: list[Picture] = []
+        sizes: dict[Size, list[Picture]] = defaultdict(list)
         with ThreadPoolExecutor(_THREADS) as pool, progress_bar(self.progress) as bar:
             checks = pool.map(self._check, found)
             steps = bar.track(checks, total=len(found), description="checking images")
-            for picture, (size, fault, sha256) in zip(found, steps, strict=True):
+            for picture, (checked, sha256) in zip(found, steps, strict=True):
                 digest.update(f"{picture.file}\0{picture.grade}\0".encode() + sha256)
-                if fault:
-                    self.report.append(refused(fault.kind, picture.file, fault.detail))
+                if isinstance(checked, Fault):
+                    report.refuse(checked.kind, picture.file, checked.detail)
                     continue
                 kept.append(picture)
-                sizes[size].append(picture)
+                sizes[checked].append(picture)
         self._inputs = digest.hexdigest()
-        self._flag_sizes(sizes)
+        usual = max(sizes, key=lambda size: (len(sizes[size]), size), default=(0, 0))
+        for size, of in sorted(sizes.items()):
+            if size != usual:
+                detail = f"{resolution(size)}, most are {resolution(usual)}; cropped by itself"
+                report.flag(Kind.MIXED_SIZES, of[0].file, detail, frames=len(of))
         boxes = tuple((size, self._box(size, of)) for size, of in sorted(sizes.items()))
         return self._units(kept, boxes)
 
     def produce(self, unit: Unit) -> Trajectory:
         """Read a run: cropped 128×128 gray images, views and grades; no poses, no times."""
         assert isinstance(unit, CactusUnit)
-        boxes = dict(unit.boxes)
-        images = []
+        boxes, images = dict(unit.boxes), []
         for picture in unit.pictures:
             image = read_gray(unit.root / picture.file)
             left, top, right, bottom = boxes[image.shape[1], image.shape[0]]
             images.append(square(image[top:bottom, left:right]))
-        count = len(images)
         grades = [np.nan if p.grade is None else p.grade for p in unit.pictures]
-        return Trajectory(
-            id=unit.id,
-            session=unit.session,
-            target_view=unit.target_view,
-            images=np.stack(images),
-            parameters=np.full((count, len(PARAMETERS)), np.nan, np.float32),
-            timestamps=np.full(count, np.nan),
-            controls=np.full((count, len(CONTROLS)), np.nan, np.float32),
-            views=np.full(count, LABELS.index(unit.target_view), np.int64),
-            grades=np.array(grades, np.float32),
-        )
+        views = np.full(len(images), LABELS.index(unit.target_view), np.int64)
+        return recorded(unit, images, views=views, grades=np.array(grades, np.float32))
 
-    def _check(self, picture: Picture) -> tuple[Size, DamagedImage | None, bytes]:
+    def _check(self, picture: Picture) -> tuple[Size | Fault, bytes]:
+        """Return an image's size, or what is wrong with it, and the sha256 of the file."""
         content = b""
         try:
             content = (self.root / picture.file).read_bytes()
-            size, fault = check_jpeg(content), None
-        except DamagedImage as error:
-            size, fault = (0, 0), error
+            checked: Size | Fault = check_jpeg(content)
+        except Fault as error:
+            checked = error
         except OSError as error:
-            size, fault = (0, 0), DamagedImage(Kind.DAMAGED_JPEG, f"{error.strerror}")
-        return size, fault, hashlib.sha256(content).digest()
-
-    def _flag_sizes(self, sizes: dict[Size, list[Picture]]) -> None:
-        usual = max(sizes, key=lambda size: (len(sizes[size]), size), default=None)
-        for size, pictures in sorted(sizes.items()):
-            if size != usual and usual:
-                detail = f"{size[0]}×{size[1]}, most are {usual[0]}×{usual[1]}; cropped by itself"
-                count = len(pictures)
-                self.report.append(flagged(Kind.MIXED_SIZES, pictures[0].file, detail, "", count))
+            checked = Fault(Kind.DAMAGED_JPEG, f"{error.strerror}")
+        return checked, hashlib.sha256(content).digest()
 
     def _box(self, size: Size, pictures: Sequence[Picture]) -> Box:
         """Return the crop of all images of one size."""
@@ -166,11 +157,10 @@ class CactusSource(FolderSource):
             if box[2] > size[0] or box[3] > size[1]:
                 raise RacinesError(
                     f"data.cactus.crop {self.config.crop}: {pictures[0].file} has "
-                    f"{size[0]}×{size[1]} pixels only"
+                    f"{resolution(size)} pixels only"
                 )
             return box
-        step = max(1, len(pictures) // _SAMPLE)
-        chosen = pictures[::step]
+        chosen = pictures[:: max(1, len(pictures) // _SAMPLE)]
         return sector_box([read_gray(self.root / picture.file) for picture in chosen])
 
     def _units(
@@ -179,27 +169,45 @@ class CactusSource(FolderSource):
         folders: dict[tuple[str, str], list[Picture]] = defaultdict(list)
         for picture in kept:
             folders[picture.view, picture.subfolder].append(picture)
-        counts: dict[str, int] = defaultdict(int)
-        units = []
+        units, numbers = [], defaultdict(count)
         for (view, _), pictures in folders.items():
             for run in runs(pictures, self.config.run):
-                name = f"{view.lower()}-{counts[view]:03d}"
-                counts[view] += 1
-                unit = CactusUnit(name, "cactus", view, len(run), self.root, tuple(run), boxes)
-                units.append(unit)
+                name = f"{view.lower()}-{next(numbers[view]):03d}"
+                units.append(
+                    CactusUnit(name, "cactus", view, len(run), self.root, tuple(run), boxes)
+                )
         return units
 
 
 def _fixed_box(text: str) -> Box:
-    """Read left,top,right,bottom.
-
-    Raises:
-        RacinesError: it is not such a box.
-    """
+    """Read left,top,right,bottom, and refuse what is no such box."""
     match = re.fullmatch(r"\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*,\s*(\d+)\s*", text)
-    if not match or int(match[1]) >= int(match[3]) or int(match[2]) >= int(match[4]):
+    left, top, right, bottom = map(int, match.groups()) if match else (0, 0, 0, 0)
+    if left >= right or top >= bottom:
         raise RacinesError(
             f"data.cactus.crop {text!r}: give auto, none, or left,top,right,bottom in pixels"
         )
-    left, top, right, bottom = (int(number) for number in match.groups())
     return left, top, right, bottom
+
+
+def sector_box(images: Sequence[np.ndarray]) -> Box:
+    """Return the box of the sector in (H, W) uint8 images of one screen layout.
+
+    Logos, scales and text are the same in every image and drop out, however bright; so does what
+    is black. The largest connected region that is left is the sector. With fewer than eight images
+    it is the largest region that is not black in their mean. A screen without such a region is
+    returned whole.
+    """
+    stack = np.stack(images).astype(np.float32)
+    height, width = stack.shape[1:]
+    lively = stack.std(0) > _MOVES if len(stack) >= _FEWEST else stack.mean(0) > _DARK
+    # Opening cuts ticks and text that touch the sector; closing joins speckle to one region.
+    region = ndimage.binary_closing(lively, np.ones((5, 5), bool), border_value=0) | lively
+    region = ndimage.binary_opening(region, np.ones((7, 7), bool))
+    labels = np.empty(region.shape, np.int32)
+    ndimage.label(region, output=labels)
+    sizes = np.bincount(labels.ravel())[1:]
+    if not len(sizes) or sizes.max() < _SMALLEST * height * width:
+        return 0, 0, width, height
+    rows, columns = ndimage.find_objects(labels)[int(sizes.argmax())]
+    return int(columns.start), int(rows.start), int(columns.stop), int(rows.stop)

@@ -1,6 +1,6 @@
 """The published RACINES recordings, as people download them.
 
-`tree` knows the folders, `log` the log files, `survey` and `checks` what is wrong with them.
+`tree` knows the folders, `log` the log files, `survey` what is wrong with them.
 """
 
 import lazy_loader

@@ -14,11 +14,11 @@ Arrays stand as NumPy prints them. Commas are read as well, and a column where a
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from racines_data.errors import RacinesError
+from racines_data.sources.images import Fault, Kind
 
 TIME, WRENCH, POSE, CONTROL = 0, slice(1, 7), slice(7, 23), slice(23, 29)
 """Columns of a log as one row of 29 numbers; the pose is a 4×4 matrix, row by row."""
@@ -28,36 +28,40 @@ _HEADINGS = re.compile(r"^[ \t]*(" + "|".join(map(re.escape, FIELDS)) + r"):", r
 _DIGITS = 8
 
 
-class DamagedLog(RacinesError):
-    """A log that cannot be used: `kind` of damage, `field` concerned, and detail."""
-
-    def __init__(self, kind: str, field: str, detail: str) -> None:
-        super().__init__(f"{kind}: {field}: {detail}")
-        self.kind, self.field, self.detail = kind, field, detail
-
-
 def parse_log(text: str) -> list[float]:
     """Return the 29 numbers of a log: time, wrench, pose matrix, control effort, as they stand.
 
     Raises:
-        DamagedLog: a field is missing or stands twice, is not numbers, or has the wrong shape.
+        Fault: a field is missing or stands twice, is not numbers, or has the wrong shape.
     """
     parts = _HEADINGS.split(text)
     fields = dict(zip(parts[1::2], parts[2::2], strict=True))
     for name in FIELDS:
         if name not in fields:
-            raise DamagedLog("unreadable log", name, "the field is missing")
+            raise Fault(Kind.UNREADABLE_LOG, "the field is missing", name)
     if len(parts) > 2 * len(FIELDS) + 1:
-        raise DamagedLog("unreadable log", "", "a field stands twice")
-    time = _rows("Time", fields["Time"])
-    if len(time) != 1 or len(time[0]) != 1:
-        raise DamagedLog("unreadable log", "Time", f"{fields['Time'].strip()!r} is not seconds")
-    pose = _rows(FIELDS[2], fields[FIELDS[2]])
-    if [len(row) for row in pose] != [4, 4, 4, 4]:
-        shape = "×".join(map(str, _shape(pose)))
-        raise DamagedLog("wrong matrix shape", FIELDS[2], f"{shape} numbers instead of 4×4")
-    wrench, control = (_six(name, fields[name]) for name in (FIELDS[1], FIELDS[3]))
-    return [*time[0], *wrench, *(number for row in pose for number in row), *control]
+        raise Fault(Kind.UNREADABLE_LOG, "a field stands twice")
+    time = _rows(FIELDS[0], fields[FIELDS[0]])
+    if [len(row) for row in time] != [1]:
+        detail = f"{fields[FIELDS[0]].strip()!r} is not seconds"
+        raise Fault(Kind.UNREADABLE_LOG, detail, FIELDS[0])
+    six, four = ([6], [1] * 6), ([4] * 4,)
+    pose = _array_of(FIELDS[2], fields, four, "4×4")
+    wrench = _array_of(FIELDS[1], fields, six, "six")
+    return [*time[0], *wrench, *pose, *_array_of(FIELDS[3], fields, six, "six")]
+
+
+def _array_of(
+    name: str, fields: Mapping[str, str], shapes: Sequence[list[int]], wanted: str
+) -> list[float]:
+    """Return the numbers of a field whose rows have the lengths of one of the shapes."""
+    rows = _rows(name, fields[name])
+    lengths = [len(row) for row in rows]
+    if lengths not in shapes:
+        width = "/".join(map(str, sorted(set(lengths)))) or 0
+        detail = f"{len(rows)}×{width} numbers instead of {wanted}"
+        raise Fault(Kind.WRONG_SHAPE, detail, name)
+    return [number for row in rows for number in row]
 
 
 def _rows(name: str, text: str) -> list[list[float]]:
@@ -65,20 +69,7 @@ def _rows(name: str, text: str) -> list[list[float]]:
     try:
         return [row for row in ([float(word) for word in row.split()] for row in rows) if row]
     except ValueError as error:
-        raise DamagedLog("unreadable log", name, f"{error}") from error
-
-
-def _shape(rows: Sequence[Sequence[float]]) -> tuple[int | str, ...]:
-    widths = sorted({len(row) for row in rows})
-    return len(rows), "/".join(map(str, widths)) or 0
-
-
-def _six(name: str, text: str) -> list[float]:
-    rows = _rows(name, text)
-    if [len(row) for row in rows] not in ([6], [1] * 6):
-        shape = "×".join(map(str, _shape(rows)))
-        raise DamagedLog("wrong matrix shape", name, f"{shape} numbers instead of six")
-    return [number for row in rows for number in row]
+        raise Fault(Kind.UNREADABLE_LOG, f"{error}", name) from error
 
 
 def format_log(row: np.ndarray) -> str:
@@ -88,24 +79,17 @@ def format_log(row: np.ndarray) -> str:
     stands on one line, as readers expect that match it line by line.
     """
     time = np.format_float_positional(row[TIME], unique=True, trim="0")
-    wrench, pose, control = (
-        _array(row[part].reshape(shape))
-        for part, shape in ((WRENCH, (6, 1)), (POSE, (4, 4)), (CONTROL, (1, 6)))
-    )
+    wrench, pose = _printed(row[WRENCH], 1), _printed(row[POSE], 4)
     return (
         f"Time: {time}\nForce and Torque: {wrench}\nPose Matrix (ROT):\n{pose}\n"
-        f"Control Effort (CO): {control[1:-1]}\n"
+        f"Control Effort (CO): {_printed(row[CONTROL], 6)[1:-1]}\n"
     )
 
 
-def _array(values: np.ndarray) -> str:
-    """Print an (R, C) array as NumPy does; its own printer takes fifty times as long."""
+def _printed(values: np.ndarray, columns: int) -> str:
+    """Print numbers in rows as NumPy does; its own printer takes fifty times as long."""
     # The sum turns a negative zero into zero.
-    words = [f"{number + 0.0:.{_DIGITS}f}" for number in values.round(_DIGITS).ravel().tolist()]
+    words = [f"{number + 0.0:.{_DIGITS}f}" for number in values.round(_DIGITS).tolist()]
     width = max(map(len, words))
-    columns = values.shape[1]
-    rows = [
-        "[" + " ".join(word.rjust(width) for word in words[start : start + columns]) + "]"
-        for start in range(0, len(words), columns)
-    ]
-    return "[" + "\n ".join(rows) + "]"
+    rows = (words[start : start + columns] for start in range(0, len(words), columns))
+    return "[" + "\n ".join(f"[{' '.join(w.rjust(width) for w in row)}]" for row in rows) + "]"

@@ -1,28 +1,57 @@
-"""Checking one image folder of the published recordings: which frames can be used."""
+"""Checking one image folder of the published recordings: which frames can be used.
+
+Are the files whole, the numbers poses of a probe in metres, and does the clock run on?
+"""
 
 import hashlib
+from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from racines_data.sources.base import Finding
-from racines_data.sources.images import DamagedImage, check_png
-from racines_data.sources.release.checks import UNIT_KINDS, Fault, Limits, backward, check_numbers
-from racines_data.sources.release.kinds import Kind, flagged, refused
-from racines_data.sources.release.log import TIME, WIDTH, DamagedLog, parse_log
+from racines_data.sources.folder import UNITS, Report
+from racines_data.sources.images import Fault, Kind, check_png, resolution
+from racines_data.sources.release.log import CONTROL, FIELDS, POSE, TIME, WIDTH, WRENCH, parse_log
 from racines_data.sources.release.tree import Pair, SweepFolder, pair_files
+from racines_data.views import VIEWS
 
 _CHUNK = 64
+UNIT_KINDS = {"m": Kind.METRES, "mm": Kind.MILLIMETRES}
+_NEAREST = 0.01
+"""No recording has the probe nearer to the middle of the robot's base, m."""
+
+
+@dataclass(frozen=True)
+class ReleaseConfig:
+    """How the published recordings are read."""
+
+    unit: str = "m"
+    """Unit of the positions in the logs: `m` or `mm`."""
+    reach: float = 2.0
+    """Farthest that the probe can be from the robot's base, m."""
+    tolerance: float = 1e-3
+    """Largest error of a rotation's orthonormality, per element of R Rᵀ - 1."""
+    allow_absent: bool = False
+    """Read a force or control effort that is all NaN as not measured, instead of refusing it."""
+    allow_repeats: bool = False
+    """Keep a frame whose time is that of the frame before: a coarse clock, or a stale log."""
+    label_views: bool = False
+    """Take the folder as the view of each of its frames. Frames on the way to a view are then
+    labelled as that view, which they are not."""
+    views: tuple[str, ...] = VIEWS
+    """Names of the view folders, beside `Full`."""
 
 
 class FolderSurvey(NamedTuple):
     """What one image folder holds."""
 
+    folder: SweepFolder
     pairs: list[Pair]
     """Frames to keep, in order."""
     size: tuple[int, int]
@@ -31,122 +60,171 @@ class FolderSurvey(NamedTuple):
     """Of the names and bytes of all pairs of files."""
 
 
-class _Reading(NamedTuple):
-    """What one frame's files hold; `finding` says why there are no numbers."""
+@dataclass
+class _Frame:
+    """One frame's files, and what they hold."""
 
-    numbers: list[float] | None
-    size: tuple[int, int]
-    finding: Finding | None
-    digest: bytes
+    pair: Pair
+    image: Path
+    log: Path
+    numbers: list[float] | None = None
+    size: tuple[int, int] = (0, 0)
+    fault: Fault | None = None
+    """Why there are no numbers."""
+    digest: bytes = b""
+
+
+def _read(frames: list[_Frame]) -> list[_Frame]:
+    """Read the files of some frames; return the frames."""
+    for frame in frames:
+        image = log = b""
+        try:
+            image = frame.image.read_bytes()
+            frame.size = check_png(image)
+            log = frame.log.read_bytes()
+            frame.numbers = parse_log(log.decode("utf-8", "replace"))
+        except Fault as error:
+            frame.fault = error
+        except OSError as error:
+            kind = Kind.UNREADABLE_LOG if image else Kind.UNREADABLE_IMAGE
+            frame.fault = Fault(kind, f"{error.strerror}")
+        frame.digest = hashlib.sha256(image).digest() + hashlib.sha256(log).digest()
+    return frames
 
 
 @dataclass
 class Surveyor:
     """Checks the image folders of one release, and reports what cannot be used."""
 
-    root: Path
-    limits: Limits
-    report: list[Finding]
+    config: ReleaseConfig
+    report: Report
     pool: ThreadPoolExecutor
 
-    def survey(self, recording: SweepFolder) -> FolderSurvey:
+    def survey(self, folder: SweepFolder) -> FolderSurvey:
         """Read every file of a recording once."""
-        pairs = pair_files(self.root, recording, self.report)
-        chunks = [pairs[start : start + _CHUNK] for start in range(0, len(pairs), _CHUNK)]
-        jobs = self.pool.map(lambda part: [self._read(recording, pair) for pair in part], chunks)
-        readings = [reading for chunk in jobs for reading in chunk]
-        digest = hashlib.sha256(recording.where.encode())
-        for pair, reading in zip(pairs, readings, strict=True):
-            digest.update(f"{pair.image}\0{pair.log}\0".encode() + reading.digest)
-        self.report += [reading.finding for reading in readings if reading.finding]
-        kept = [index for index, reading in enumerate(readings) if reading.numbers is not None]
-        kept, size = self._one_size(recording, pairs, readings, kept)
-        rows = np.array([readings[index].numbers for index in kept], float).reshape(-1, WIDTH)
-        kept, rows = self._sound(recording, pairs, kept, rows)
-        kept = self._in_time(recording, pairs, kept, rows[:, TIME])
-        return FolderSurvey([pairs[index] for index in kept], size, digest.digest())
+        pairs = pair_files(folder, self.report)
+        frames = [_Frame(p, folder.images / p.image, folder.logs / p.log) for p in pairs]
+        digest = hashlib.sha256(self.report.place(folder.images).encode())
+        chunks = [frames[start : start + _CHUNK] for start in range(0, len(frames), _CHUNK)]
+        for frame in chain.from_iterable(self.pool.map(_read, chunks)):
+            digest.update(f"{frame.pair.image}\0{frame.pair.log}\0".encode() + frame.digest)
+            if frame.fault:
+                file = frame.log if frame.size != (0, 0) else frame.image
+                self.report.refuse(frame.fault.kind, file, frame.fault.detail, frame.fault.item)
+        frames, size = self._one_size([frame for frame in frames if frame.numbers is not None])
+        frames = self._in_time(folder, self._sound(folder, frames))
+        return FolderSurvey(folder, [frame.pair for frame in frames], size, digest.digest())
 
-    def _read(self, recording: SweepFolder, pair: Pair) -> _Reading:
-        size, content = (0, 0), [b"", b""]
-        image, log = f"{recording.where}/{pair.image}", self._log(recording, pair)
-        try:
-            content[0] = (recording.images / pair.image).read_bytes()
-            size = check_png(content[0])
-            content[1] = (recording.logs / pair.log).read_bytes()
-            numbers = parse_log(content[1].decode("utf-8", "replace"))
-            finding = None
-        except DamagedImage as error:
-            numbers, finding = None, refused(error.kind, image, error.detail)
-        except DamagedLog as error:
-            numbers, finding = None, refused(error.kind, log, error.detail, error.field)
-        except OSError as error:
-            kind, file = (
-                (Kind.UNREADABLE_LOG, log) if content[0] else (Kind.UNREADABLE_IMAGE, image)
-            )
-            numbers, finding = None, refused(kind, file, f"{error.strerror}")
-        digest = b"".join(hashlib.sha256(part).digest() for part in content)
-        return _Reading(numbers, size, finding, digest)
-
-    def _one_size(
-        self,
-        recording: SweepFolder,
-        pairs: Sequence[Pair],
-        readings: Sequence[_Reading],
-        kept: Sequence[int],
-    ) -> tuple[list[int], tuple[int, int]]:
+    def _one_size(self, frames: Sequence[_Frame]) -> tuple[list[_Frame], tuple[int, int]]:
         """Keep the images of the commonest size: another size is another crop of the screen."""
-        sizes = Counter(readings[index].size for index in kept)
+        sizes = Counter(frame.size for frame in frames)
         usual = max(sizes, key=lambda size: (sizes[size], size), default=(0, 0))
-        for index in kept:
-            width, height = readings[index].size
-            if (width, height) != usual:
-                detail = f"{width}×{height}, {sizes[usual]} others are {usual[0]}×{usual[1]}"
-                file = f"{recording.where}/{pairs[index].image}"
-                self.report.append(refused(Kind.MIXED_SIZES, file, detail))
-        return [index for index in kept if readings[index].size == usual], usual
+        for frame in frames:
+            if frame.size != usual:
+                detail = f"{resolution(frame.size)}, {sizes[usual]} others are {resolution(usual)}"
+                self.report.refuse(Kind.MIXED_SIZES, frame.image, detail)
+        return [frame for frame in frames if frame.size == usual], usual
 
-    def _sound(
-        self, recording: SweepFolder, pairs: Sequence[Pair], kept: Sequence[int], rows: np.ndarray
-    ) -> tuple[list[int], np.ndarray]:
+    def _sound(self, folder: SweepFolder, frames: Sequence[_Frame]) -> list[_Frame]:
         """Keep the frames whose numbers are sound."""
-        faults = check_numbers(rows, self.limits)
-        unit = _common_unit(faults)
-        if unit:
-            # One line for a folder, not one for each of its thousands of frames.
-            detail = f"all {len(faults)} frames: {unit.detail}"
-            found = refused(unit.kind, recording.where, detail, unit.field, len(faults))
-            self.report.append(found)
-            return [], rows[:0]
-        for index, fault in zip(kept, faults, strict=True):
+        faults = check_numbers(_rows(frames), self.config)
+        kinds = {fault.kind if fault else None for fault in faults}
+        first = next(iter(faults), None)
+        if first and len(faults) > 1 and len(kinds) == 1 and first.kind in UNIT_KINDS.values():
+            # All are in one other unit: a line for the folder, not for each of thousands of frames.
+            detail = f"all {len(faults)} frames: {first.detail}"
+            self.report.refuse(first.kind, folder.images, detail, first.item, len(faults))
+            return []
+        for frame, fault in zip(frames, faults, strict=True):
             if fault:
-                file = self._log(recording, pairs[index])
-                self.report.append(refused(fault.kind, file, fault.detail, fault.field))
-        good = [place for place, fault in enumerate(faults) if fault is None]
-        return [kept[place] for place in good], rows[good]
+                self.report.refuse(fault.kind, frame.log, fault.detail, fault.item)
+        return [frame for frame, fault in zip(frames, faults, strict=True) if not fault]
 
-    def _in_time(
-        self, recording: SweepFolder, pairs: Sequence[Pair], kept: Sequence[int], times: np.ndarray
-    ) -> list[int]:
+    def _in_time(self, folder: SweepFolder, frames: Sequence[_Frame]) -> list[_Frame]:
         """Keep the frames in whose order the clock runs on; flag where it may stand still."""
-        lost = backward(times.tolist(), self.limits.allow_repeats)
-        for place in lost:
-            file = self._log(recording, pairs[kept[place]])
-            detail = f"{times[place]:.6f} s does not go on from its neighbours' times"
-            self.report.append(refused(Kind.CLOCK, file, detail, "Time"))
+        times = _rows(frames)[:, TIME]
+        lost = backward(times.tolist(), self.config.allow_repeats)
+        for index in lost:
+            detail = f"{times[index]:.6f} s does not go on from its neighbours' times"
+            self.report.refuse(Kind.CLOCK, frames[index].log, detail, "Time")
         stopped = int((np.diff(np.delete(times, lost)) == 0).sum())
         if stopped:
             detail = f"{stopped} frames have the time of the frame before; they are kept"
-            self.report.append(flagged(Kind.CLOCK, recording.where, detail, "Time", stopped))
-        return [index for place, index in enumerate(kept) if place not in set(lost)]
-
-    def _log(self, recording: SweepFolder, pair: Pair) -> str:
-        return (recording.logs / pair.log).relative_to(self.root).as_posix()
+            self.report.flag(Kind.CLOCK, folder.images, detail, "Time", stopped)
+        gone = set(lost)
+        return [frame for index, frame in enumerate(frames) if index not in gone]
 
 
-def _common_unit(faults: Sequence[Fault | None]) -> Fault | None:
-    """Return a fault that says so if every frame, of several, is in one other unit."""
-    found = [fault for fault in faults if fault]
-    kinds = {fault.kind for fault in found}
-    if len(found) < max(len(faults), 2) or len(kinds) > 1:
+def _rows(frames: Sequence[_Frame]) -> np.ndarray:
+    """Return (T, 29) float64."""
+    return np.array([frame.numbers for frame in frames], float).reshape(-1, WIDTH)
+
+
+def check_numbers(rows: np.ndarray, config: ReleaseConfig) -> list[Fault | None]:
+    """Return what is wrong with each of (T, 29) logs, or None."""
+    faults: list[Fault | None] = [None] * len(rows)
+    for index in np.flatnonzero(~np.isfinite(rows).all(1)):
+        faults[index] = _not_finite(rows[index], config.allow_absent)
+    good = np.flatnonzero([fault is None for fault in faults])
+    matrices = rows[good, POSE].reshape(-1, 4, 4)
+    rotation = matrices[:, :3, :3]
+    error = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max((1, 2), initial=0)
+    reflected = np.linalg.det(rotation) < 0
+    for place, index in enumerate(good):
+        if (matrices[place, 3] != [0, 0, 0, 1]).any():
+            fault = Fault(Kind.NOT_RIGID, f"its last row is {matrices[place, 3]}", FIELDS[2])
+        elif error[place] > config.tolerance:
+            detail = f"R Rᵀ differs from 1 by {error[place]:.2g}, more than {config.tolerance:g}"
+            fault = Fault(Kind.NOT_ORTHONORMAL, detail, FIELDS[2])
+        elif reflected[place]:
+            fault = Fault(Kind.REFLECTED, "its determinant is -1: left-handed", FIELDS[2])
+        else:
+            fault = _wrong_unit(matrices[place, :3, 3], config.unit, config.reach)
+        faults[index] = fault
+    return faults
+
+
+def _not_finite(row: np.ndarray, allow_absent: bool) -> Fault | None:
+    for name, part in zip(FIELDS, (slice(TIME, 1), WRENCH, POSE, CONTROL), strict=True):
+        values = row[part]
+        nan, wrong = np.isnan(values), int((~np.isfinite(values)).sum())
+        absent = allow_absent and part in (WRENCH, CONTROL) and nan.all()
+        if wrong and not absent:
+            kind = Kind.NAN if nan.any() else Kind.INFINITE
+            return Fault(kind, f"{wrong} of {len(values)} numbers are not finite", name)
+    return None
+
+
+def _wrong_unit(position: np.ndarray, unit: str, reach: float) -> Fault | None:
+    distance = float(np.linalg.norm(position))
+    if distance * UNITS[unit] <= reach and (unit == "m" or distance * UNITS[unit] >= _NEAREST):
         return None
-    return found[0] if kinds & set(UNIT_KINDS.values()) else None
+    read = f"the probe is {distance * UNITS[unit]:.4g} m from the robot when read in {unit}"
+    for other, metres in UNITS.items():
+        if other != unit and _NEAREST <= distance * metres <= reach:
+            return Fault(UNIT_KINDS[other], f"{read}; the position is likely in {other}", FIELDS[2])
+    return Fault(Kind.OUT_OF_REACH, f"{read}; its reach is {reach:g} m", FIELDS[2])
+
+
+def backward(times: Sequence[float], allow_repeats: bool) -> list[int]:
+    """Return the fewest frames without which the clock only runs forwards.
+
+    All but a longest increasing run: one wrong time costs one frame, wherever it lies. With
+    `allow_repeats` the clock may stand still.
+    Patience sorting: Aldous and Diaconis, Longest increasing subsequences, 1999.
+    """
+    find = bisect_right if allow_repeats else bisect_left
+    tails: list[float] = []
+    places: list[int] = []
+    before: list[int] = []
+    for index, time in enumerate(times):
+        pile = find(tails, time)
+        before.append(places[pile - 1] if pile else -1)
+        tails[pile : pile + 1] = [time]
+        places[pile : pile + 1] = [index]
+    lost = set(range(len(times)))
+    index = places[-1] if places else -1
+    while index >= 0:
+        lost.remove(index)
+        index = before[index]
+    return sorted(lost)

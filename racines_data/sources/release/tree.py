@@ -8,14 +8,15 @@ A folder is a session, an image folder a trajectory, `Full` a random scan.
 """
 
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 from racines_data.errors import RacinesError
-from racines_data.sources.base import Finding
-from racines_data.sources.release.kinds import Kind, flagged, refused
+from racines_data.sources.folder import Report
+from racines_data.sources.images import Kind
 from racines_data.views import RANDOM
 
 FULL = "Full"
@@ -30,8 +31,7 @@ _JUNK = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class SweepFolder:
+class SweepFolder(NamedTuple):
     """One image folder and its logs."""
 
     id: str
@@ -39,12 +39,9 @@ class SweepFolder:
     target_view: str
     images: Path
     logs: Path
-    where: str
-    """The image folder, relative to the release."""
 
 
-@dataclass(frozen=True)
-class Pair:
+class Pair(NamedTuple):
     """One frame: its number and the names of its two files."""
 
     number: int
@@ -64,31 +61,38 @@ def entries(folder: Path) -> list[Path]:
     return sorted(found, key=lambda path: natural(path.name))
 
 
-def find_recordings(root: Path, views: Sequence[str], report: list[Finding]) -> list[SweepFolder]:
+def find_recordings(views: Sequence[str], report: Report) -> list[SweepFolder]:
     """Return the image folders of a release in order; add what is odd about folders to `report`.
 
     Raises:
         RacinesError: no session folder is there, or two folders stand for one trajectory.
     """
+    root = report.root
     names = {view.lower(): view for view in views} | {FULL.lower(): RANDOM}
     sessions = {path: _SESSION.fullmatch(path.name) for path in entries(root)}
     if not any(sessions.values()):
         raise RacinesError(f"{root}: holds no `Folder 1`, `Folder 2` …{_nearby(root)}")
     recordings: list[SweepFolder] = []
-    _flag_unknown(root, root, [path for path, match in sessions.items() if not match], report)
+    _flag_unknown(root, [path for path, match in sessions.items() if not match], report)
     for folder, match in sessions.items():
         if match is None or not folder.is_dir():
             continue
         inside = {path: names.get(path.name.lower()) for path in entries(folder)}
-        _flag_unknown(root, folder, [path for path, view in inside.items() if not view], report)
+        _flag_unknown(folder, [path for path, view in inside.items() if not view], report)
         if not any(inside.values()):
-            _report_empty(root, folder, report)
+            _refuse_empty(folder, report)
         for path, view in inside.items():
             if view and path.is_dir():
                 session = f"folder-{int(match[1])}"
                 name = f"{session}-{path.name.lower()}"
-                recordings += _view_recordings(root, path, (name, session, view), report)
-    _check_names(recordings)
+                recordings += _view_recordings(path, name, session, view, report)
+    seen: dict[str, str] = {}
+    for recording in recordings:
+        where = report.place(recording.images)
+        if seen.setdefault(recording.id, where) != where:
+            raise RacinesError(
+                f"{where} and {seen[recording.id]} both stand for {recording.id}: rename one"
+            )
     return recordings
 
 
@@ -99,21 +103,10 @@ def _nearby(root: Path) -> str:
     return "; give the folder that holds them"
 
 
-def _check_names(recordings: Sequence[SweepFolder]) -> None:
-    seen: dict[str, str] = {}
-    for recording in recordings:
-        if seen.setdefault(recording.id, recording.where) != recording.where:
-            raise RacinesError(
-                f"{recording.where} and {seen[recording.id]} both stand for {recording.id}: "
-                "rename one"
-            )
-
-
 def _view_recordings(
-    root: Path, folder: Path, names: tuple[str, str, str], report: list[Finding]
+    folder: Path, name: str, session: str, view: str, report: Report
 ) -> Iterator[SweepFolder]:
     """Yield the recordings of a view's folder: `images`, `images_2` …, then `1/images` …."""
-    name, session, view = names
     sides: dict[tuple[str, str], Path] = {}
     unknown: list[Path] = []
     parts: list[Path] = []
@@ -125,125 +118,108 @@ def _view_recordings(
             parts.append(path)
         else:
             unknown.append(path)
-    _flag_unknown(root, folder, unknown, report)
+    _flag_unknown(folder, unknown, report)
     if not sides and not parts:
-        _report_empty(root, folder, report)
+        _refuse_empty(folder, report)
     for number in sorted({number for _, number in sides}, key=natural):
         images, logs = (sides.get((side, number)) for side in ("images", "logs"))
-        suffix = f"-{int(number)}" if number else ""
-        if images is None or logs is None:
-            report += _one_sided(root, images, logs)
-        else:
-            yield SweepFolder(f"{name}{suffix}", session, view, images, logs, _place(root, images))
+        if images and logs:
+            whole = f"{name}-{int(number)}" if number else name
+            yield SweepFolder(whole, session, view, images, logs)
+        elif images:
+            _refuse_lonely(Kind.MISSING_LOG, images, _IMAGE, ("images", "logs"), report)
+        elif logs:
+            _refuse_lonely(Kind.MISSING_IMAGE, logs, _LOG, ("logs", "images"), report)
     for part in parts:
-        inner = f"{name}-part{int(part.name)}"
-        yield from _view_recordings(root, part, (inner, session, view), report)
+        yield from _view_recordings(part, f"{name}-part{int(part.name)}", session, view, report)
 
 
-def _one_sided(root: Path, images: Path | None, logs: Path | None) -> list[Finding]:
+def _refuse_lonely(
+    kind: Kind, folder: Path, pattern: re.Pattern[str], sides: tuple[str, str], report: Report
+) -> None:
     """Report a whole folder of images without logs, or of logs without images."""
-    folder = images or logs
-    assert folder is not None
-    kind, pattern = (Kind.MISSING_LOG, _IMAGE) if images else (Kind.MISSING_IMAGE, _LOG)
-    other = folder.name.lower()
-    other = other.replace("images", "logs") if images else other.replace("logs", "images")
     count = sum(bool(pattern.fullmatch(path.name)) for path in entries(folder))
-    if not count:
-        return [refused(Kind.EMPTY_FOLDER, _place(root, folder), "it holds no frame", frames=0)]
-    detail = f"there is no folder {other} beside it, for {count} frames"
-    return [refused(kind, _place(root, folder), detail, frames=count)]
+    if count:
+        detail = f"there is no folder {folder.name.lower().replace(*sides)} beside it, for {count}"
+        report.refuse(kind, folder, f"{detail} frames", frames=count)
+    else:
+        _refuse_empty(folder, report)
 
 
-def pair_files(root: Path, recording: SweepFolder, report: list[Finding]) -> list[Pair]:
+def pair_files(recording: SweepFolder, report: Report) -> list[Pair]:
     """Return the frames of a recording in order of their numbers; add the others to `report`.
 
     Two files of one number and equal bytes count as one; if they differ, neither is used. Numbers
     that are skipped are flagged.
     """
-    images = _numbered(root, recording.images, _IMAGE, report)
-    logs = _numbered(root, recording.logs, _LOG, report)
+    images = _numbered(recording.images, _IMAGE, report)
+    logs = _numbered(recording.logs, _LOG, report)
+    numbers = sorted({*images, *logs})
     pairs: list[Pair] = []
-    for number in sorted(images.keys() | logs.keys()):
-        image = _single(root, recording.images, number, images.get(number, []), report)
-        log = _single(root, recording.logs, number, logs.get(number, []), report)
+    for number in numbers:
+        image = _single(number, images.get(number, []), report)
+        log = _single(number, logs.get(number, []), report)
         if number not in logs:
-            file = f"{recording.where}/{images[number][0].name}"
-            wanted = f"{recording.logs.name}/PA_{number}.txt"
-            report.append(refused(Kind.MISSING_LOG, file, f"there is no {wanted}"))
+            detail = f"there is no {recording.logs.name}/PA_{number}.txt"
+            report.refuse(Kind.MISSING_LOG, images[number][0], detail)
         elif number not in images:
-            file = f"{_place(root, recording.logs)}/{logs[number][0].name}"
-            wanted = f"{recording.images.name}/img{number}.png"
-            report.append(refused(Kind.MISSING_IMAGE, file, f"there is no {wanted}"))
+            detail = f"there is no {recording.images.name}/img{number}.png"
+            report.refuse(Kind.MISSING_IMAGE, logs[number][0], detail)
         elif image and log:
             pairs.append(Pair(number, image.name, log.name))
-    if not images and not logs:
-        _report_empty(root, recording.images, report)
-    report += _gaps(recording, sorted(images.keys() | logs.keys()))
+    if not numbers:
+        _refuse_empty(recording.images, report)
+    _flag_gaps(recording.images, numbers, report)
     return pairs
 
 
-def _numbered(
-    root: Path, folder: Path, pattern: re.Pattern[str], report: list[Finding]
-) -> dict[int, list[Path]]:
+def _numbered(folder: Path, pattern: re.Pattern[str], report: Report) -> dict[int, list[Path]]:
     """Return the files of each number, the one named without leading zeros first."""
-    numbered: dict[int, list[Path]] = {}
+    numbered: dict[int, list[Path]] = defaultdict(list)
     unknown: list[Path] = []
     for path in entries(folder):
         match = pattern.fullmatch(path.name)
-        if match:
-            numbered.setdefault(int(match[1]), []).append(path)
-        else:
-            unknown.append(path)
-    _flag_unknown(root, folder, unknown, report)
-    return {number: sorted(paths, key=_plainness) for number, paths in numbered.items()}
+        (numbered[int(match[1])] if match else unknown).append(path)
+    _flag_unknown(folder, unknown, report)
+    for paths in numbered.values():
+        paths.sort(key=lambda path: (len(path.name), path.name))
+    return numbered
 
 
-def _plainness(path: Path) -> tuple[int, str]:
-    return len(path.name), path.name
-
-
-def _single(
-    root: Path, folder: Path, number: int, paths: Sequence[Path], report: list[Finding]
-) -> Path | None:
+def _single(number: int, paths: Sequence[Path], report: Report) -> Path | None:
     if len(paths) < 2:
         return paths[0] if paths else None
     names = " and ".join(path.name for path in paths)
     equal = len({path.read_bytes() for path in paths}) == 1
+    verdict = "are equal, one is used" if equal else "differ, none is used"
     for path in paths[1:] if equal else paths:
-        verdict = "are equal, one is used" if equal else "differ, none is used"
         detail = f"{names} all have number {number}; they {verdict}"
         frames = int(not equal and path is paths[0])
-        file = f"{_place(root, folder)}/{path.name}"
-        report.append(refused(Kind.DUPLICATE_NUMBER, file, detail, frames=frames))
+        report.refuse(Kind.DUPLICATE_NUMBER, path, detail, frames=frames)
     return paths[0] if equal else None
 
 
-def _gaps(recording: SweepFolder, numbers: Sequence[int]) -> list[Finding]:
+def _flag_gaps(folder: Path, numbers: Sequence[int], report: Report) -> None:
     """Flag each run of numbers that is skipped between the first and the last."""
     jumps = [(one, two) for one, two in pairwise(numbers) if two - one > 1]
     if len(jumps) > _MOST_GAPS:
         skipped = sum(two - one - 1 for one, two in jumps)
         detail = f"{skipped} numbers are skipped in {len(jumps)} places; the others are kept"
-        return [flagged(Kind.GAP, recording.where, detail, frames=0)]
-    found = []
+        report.flag(Kind.GAP, folder, detail, frames=0)
+        return
     for one, two in jumps:
         skipped = f"{one + 1}" if two - one == 2 else f"{one + 1}-{two - 1}"
         detail = f"no frame has number {skipped}; the others are kept"
-        found.append(flagged(Kind.GAP, recording.where, detail, skipped, frames=0))
-    return found
+        report.flag(Kind.GAP, folder, detail, skipped, frames=0)
 
 
-def _report_empty(root: Path, folder: Path, report: list[Finding]) -> None:
-    report.append(refused(Kind.EMPTY_FOLDER, _place(root, folder), "it holds no frame", frames=0))
+def _refuse_empty(folder: Path, report: Report) -> None:
+    report.refuse(Kind.EMPTY_FOLDER, folder, "it holds no frame", frames=0)
 
 
-def _flag_unknown(root: Path, folder: Path, paths: Sequence[Path], report: list[Finding]) -> None:
+def _flag_unknown(folder: Path, paths: Sequence[Path], report: Report) -> None:
     if paths:
         names = ", ".join(path.name for path in paths[:3])
         more = f" and {len(paths) - 3} more" if len(paths) > 3 else ""
         detail = f"{names}{more}: not of the published layout, left out"
-        report.append(flagged(Kind.UNKNOWN, _place(root, folder), detail, frames=0))
-
-
-def _place(root: Path, path: Path) -> str:
-    return path.relative_to(root).as_posix()
+        report.flag(Kind.UNKNOWN, folder, detail, frames=0)

@@ -13,7 +13,6 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
@@ -21,6 +20,14 @@ from racines_data.errors import RacinesError
 
 _FRAME = re.compile(r"Seq_Frame(\d+)_(\w+)")
 _CHUNK = 1 << 20
+_READ = {
+    "ObjectType": "Image",
+    "NDims": "3",
+    "ElementType": "MET_UCHAR",
+    "ElementNumberOfChannels": "1",
+    "ElementDataFile": "LOCAL",
+}
+"""What a header has to say for its frames to be read."""
 
 
 @dataclass(frozen=True)
@@ -65,15 +72,9 @@ def read_header(path: Path) -> Recording:
 def _sequence(
     path: Path, fields: dict[str, str], by_frame: dict[int, dict[str, str]], offset: int
 ) -> Recording:
-    wanted = {
-        "ObjectType": "Image",
-        "NDims": "3",
-        "ElementType": "MET_UCHAR",
-        "ElementNumberOfChannels": "1",
-        "ElementDataFile": "LOCAL",
-    }
-    for key, value in wanted.items():
-        if fields.get(key, value if key == "ElementNumberOfChannels" else "") != value:
+    fields.setdefault("ElementNumberOfChannels", "1")
+    for key, value in _READ.items():
+        if fields.get(key) != value:
             raise RacinesError(
                 f"{path}: {key} is {fields.get(key, 'missing')}, only {value} is read; convert it"
             )
@@ -83,15 +84,10 @@ def _sequence(
         raise RacinesError(f"{path}: DimSize is missing or not three numbers") from error
     if min(width, height, count) < 1 or any(index >= count for index in by_frame):
         raise RacinesError(f"{path}: DimSize {fields['DimSize']} does not fit the frames' fields")
-    return Recording(
-        path=path,
-        width=width,
-        height=height,
-        compressed=fields.get("CompressedData", "False") == "True",
-        orientation=fields.get("UltrasoundImageOrientation", ""),
-        offset=offset,
-        frames=[by_frame.get(index, {}) for index in range(count)],
-    )
+    compressed = fields.get("CompressedData", "False") == "True"
+    orientation = fields.get("UltrasoundImageOrientation", "")
+    frames = [by_frame.get(index, {}) for index in range(count)]
+    return Recording(path, width, height, compressed, orientation, offset, frames)
 
 
 def read_frames(recording: Recording) -> Iterator[np.ndarray]:
@@ -100,18 +96,14 @@ def read_frames(recording: Recording) -> Iterator[np.ndarray]:
     Raises:
         RacinesError: the data ends early or cannot be unpacked.
     """
-    size = recording.width * recording.height
-    with recording.path.open("rb") as file:
-        file.seek(recording.offset)
-        pending = bytearray()
-        read = 0
-        for block in _blocks(file, recording):
-            pending += block
-            while len(pending) >= size and read < len(recording.frames):
-                image = np.frombuffer(bytes(pending[:size]), np.uint8)
-                del pending[:size]
-                read += 1
-                yield image.reshape(recording.height, recording.width)
+    size, pending, read = recording.width * recording.height, bytearray(), 0
+    for block in _blocks(recording):
+        pending += block
+        while len(pending) >= size and read < len(recording.frames):
+            image = np.frombuffer(bytes(pending[:size]), np.uint8)
+            del pending[:size]
+            read += 1
+            yield image.reshape(recording.height, recording.width)
     if read < len(recording.frames):
         raise RacinesError(
             f"{recording.path}: truncated: {read} of {len(recording.frames)} frames are there; "
@@ -119,31 +111,30 @@ def read_frames(recording: Recording) -> Iterator[np.ndarray]:
         )
 
 
-def _blocks(file: BinaryIO, recording: Recording) -> Iterator[bytes]:
+def _blocks(recording: Recording) -> Iterator[bytes]:
+    """Yield the data, unpacked where they are compressed."""
     unpack = zlib.decompressobj() if recording.compressed else None
-    for block in iter(lambda: file.read(_CHUNK), b""):
-        if unpack is None:
-            yield block
-            continue
-        try:
-            yield unpack.decompress(block, _CHUNK)
-            while unpack.unconsumed_tail:
-                yield unpack.decompress(unpack.unconsumed_tail, _CHUNK)
-        except zlib.error as error:
-            raise RacinesError(f"{recording.path}: damaged image data ({error})") from error
+    with recording.path.open("rb") as file:
+        file.seek(recording.offset)
+        for block in iter(lambda: file.read(_CHUNK), b""):
+            if unpack is None:
+                yield block
+                continue
+            try:
+                yield unpack.decompress(block, _CHUNK)
+                while unpack.unconsumed_tail:
+                    yield unpack.decompress(unpack.unconsumed_tail, _CHUNK)
+            except zlib.error as error:
+                raise RacinesError(f"{recording.path}: damaged image data ({error})") from error
     if unpack is not None:
         yield unpack.flush()
 
 
 def upright(image: np.ndarray, orientation: str) -> np.ndarray:
-    """Return an image with the marked side of the probe at the right and depth downwards.
-
-    Args:
-        image: (H, W) as stored.
-        orientation: The header's letters; see `Recording.orientation`.
+    """Return an (H, W) image with the marked side of the probe at the right and depth downwards.
 
     Raises:
-        RacinesError: an orientation that is not that of a B-mode image.
+        RacinesError: an orientation (see `Recording`) that is not that of a B-mode image.
     """
     if not re.fullmatch("[MU][FN][AD]?", orientation):
         raise RacinesError(

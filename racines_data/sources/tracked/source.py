@@ -6,60 +6,51 @@ into contiguous segments that stand as trajectories, so that splits by trajector
 """
 
 import dataclasses
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_data.geometry import Pose, pose_to_parameters
-from racines_data.schema import CONTROLS, Trajectory
+from racines_data.schema import Trajectory
 from racines_data.sources.base import Finding, Unit
 from racines_data.sources.card import SourceCard
+from racines_data.sources.folder import UNITS, parameters_of, recorded
 from racines_data.sources.images import square
 from racines_data.sources.tracked.mha import Recording, read_frames, read_header, upright
 from racines_data.views import RANDOM
 
 READER = 1
 """Version of what this reader makes of a file; part of the recipe."""
-UNITS = {"mm": 1e-3, "m": 1.0}
 FARTHEST = 10.0
 """No tracker sees a probe from farther away, m."""
 NEAREST = 0.01
 """No tracker has a whole sweep nearer to its origin, m."""
 
 CARD = SourceCard(
-    origin=("tracked freehand ultrasound, imported; poses of the tracked probe, no forces"),
+    origin="tracked freehand ultrasound, imported; poses of the tracked probe, no forces",
     rights="As the recordings imported. This import adds no rights.",
     labelled=False,
-    collection=(
-        "Freehand sweeps with a tracked probe, imported; poses are those of the probe marker."
-    ),
+    collection="Freehand sweeps with a tracked probe, imported; poses are those of the probe "
+    "marker.",
     collection_type="Direct measurement",
     annotation="None: there are no views and no grades.",
     biases="As the recordings; a few sweeps of one subject are the rule.",
-    limitations=(
-        "Segments of one sweep stand as trajectories, so scores on the splits are optimistic. "
-        "There are no forces, views or grades, and the marker's pose is not the image "
-        "plane's."
-    ),
-    personal=(
-        "Depends on the recordings: whoever imports sweeps of persons is answerable for "
-        "consent and de-identification. Only pixels, poses and times are kept; other header "
-        "fields are not."
-    ),
-    limits=(
-        "A recording is one sweep. It is cut into contiguous segments, which stand as "
-        "trajectories so that splits exist; frames on both sides of a cut are neighbours in "
-        "time, so scores on such splits are optimistic. Poses are those of the tracked probe "
-        "marker in the tracker's frame, not of the image plane; there are no forces, views or "
-        "grades."
-    ),
+    limitations="Segments of one sweep stand as trajectories, so scores on the splits are "
+    "optimistic. There are no forces, views or grades, and the marker's pose is not the image "
+    "plane's.",
+    personal="Depends on the recordings: whoever imports sweeps of persons is answerable for "
+    "consent and de-identification. Only pixels, poses and times are kept; other header fields "
+    "are not.",
+    limits="A recording is one sweep. It is cut into contiguous segments, which stand as "
+    "trajectories so that splits exist; frames on both sides of a cut are neighbours in time, so "
+    "scores on such splits are optimistic. Poses are those of the tracked probe marker in the "
+    "tracker's frame, not of the image plane; there are no forces, views or grades.",
 )
 
 
@@ -132,20 +123,17 @@ class TrackedSource:
         self.report = []
         units: list[TrackedUnit] = []
         for path in self.inputs:
+            frames = 1
             try:
                 recording = read_header(path)
-            except RacinesError as error:
-                self._refuse(path, "", str(error), 1)
-                continue
-            try:
+                frames = len(recording.frames)
                 kept = self._check(recording)
             except RacinesError as error:
-                self._refuse(path, "", str(error), len(recording.frames))
+                self._refuse(path, "", str(error), frames)
                 continue
             segments = np.array_split(np.array(kept, int), min(self.config.segments, len(kept)))
             for number, indices in enumerate(segments):
-                name = f"{_stem(path)}-{number:02d}"
-                members = tuple(int(index) for index in indices)
+                name, members = f"{_stem(path)}-{number:02d}", tuple(indices.tolist())
                 unit = TrackedUnit(name, _stem(path), RANDOM, len(members), path, members)
                 units.append(unit)
         return units
@@ -161,32 +149,21 @@ class TrackedSource:
             for index, image in enumerate(read_frames(recording))
             if index in wanted
         ]
-        matrices = np.stack([self._matrix(recording.frames[index]) for index in unit.indices])
-        times = [float(recording.frames[index]["Timestamp"]) for index in unit.indices]
-        count = len(images)
-        return Trajectory(
-            id=unit.id,
-            session=unit.session,
-            target_view=unit.target_view,
-            images=np.stack(images),
-            parameters=_parameters(matrices),
-            timestamps=np.array(times),
-            controls=np.full((count, len(CONTROLS)), np.nan, np.float32),
-            views=np.full(count, -1),
-            grades=np.full(count, np.nan, np.float32),
-        )
+        fields = [recording.frames[index] for index in unit.indices]
+        matrices = np.stack([self._matrix(each) for each in fields])
+        times = np.array([float(each["Timestamp"]) for each in fields])
+        return recorded(unit, images, parameters=parameters_of(matrices), timestamps=times)
 
     def _refuse(self, path: Path, item: str, reason: str, frames: int = 1) -> None:
         self.report.append(Finding(path.name, item, True, reason, frames))
 
     def _check(self, recording: Recording) -> list[int]:
-        """Return the frames to keep; report the others.
-
-        Raises:
-            RacinesError: the file as a whole is unusable.
-        """
+        """Return the frames to keep and report the others; refuse a file that is unusable."""
         upright(np.zeros((1, 1), np.uint8), self.config.orientation or recording.orientation)
-        self._check_name(recording)
+        names = {key for fields in recording.frames for key in fields if key.endswith("Transform")}
+        if f"{self.config.transform}Transform" not in names:
+            known = ", ".join(sorted(name.removesuffix("Transform") for name in names)) or "none"
+            raise RacinesError(f"no transform {self.config.transform}; the file has {known}")
         for _ in read_frames(recording):
             pass  # a truncated file is found before anything is made of it
         kept: list[int] = []
@@ -202,12 +179,6 @@ class TrackedSource:
             self._check_unit(np.stack([self._matrix(recording.frames[i]) for i in kept]))
         self._flag_tools(recording)
         return kept
-
-    def _check_name(self, recording: Recording) -> None:
-        names = {key for fields in recording.frames for key in fields if key.endswith("Transform")}
-        if f"{self.config.transform}Transform" not in names:
-            known = ", ".join(sorted(name.removesuffix("Transform") for name in names)) or "none"
-            raise RacinesError(f"no transform {self.config.transform}; the file has {known}")
 
     def _wrong(self, fields: dict[str, str], previous: float) -> str:
         """Return why a frame cannot be used, or nothing."""
@@ -232,21 +203,22 @@ class TrackedSource:
         return ""
 
     def _check_unit(self, matrices: np.ndarray) -> None:
-        distance = np.linalg.norm(matrices[:, :3, 3], axis=-1)
-        for other, ok in (("mm", distance.max() <= FARTHEST), ("m", distance.max() >= NEAREST)):
-            if not ok:
-                raise RacinesError(
-                    f"translations reach {distance.max():.3g} m when read in {self.config.unit}; "
-                    f"they are likely in {other}: set unit to {other}"
-                )
+        reach = np.linalg.norm(matrices[:, :3, 3], axis=-1).max()
+        if not NEAREST <= reach <= FARTHEST:
+            other = "m" if reach < NEAREST else "mm"
+            raise RacinesError(
+                f"translations reach {reach:.3g} m when read in {self.config.unit}; "
+                f"they are likely in {other}: set unit to {other}"
+            )
 
     def _flag_tools(self, recording: Recording) -> None:
         own = f"{self.config.transform}TransformStatus"
-        bad: dict[str, int] = {}
-        for fields in recording.frames:
-            for key, value in fields.items():
-                if key.endswith("TransformStatus") and key != own and value != "OK":
-                    bad[key] = bad.get(key, 0) + 1
+        bad = Counter(
+            key
+            for fields in recording.frames
+            for key, value in fields.items()
+            if key.endswith("TransformStatus") and key != own and value != "OK"
+        )
         for key, count in sorted(bad.items()):
             reason = f"not OK in {count} of {len(recording.frames)} frames; the frames are kept"
             self.report.append(Finding(recording.path.name, key, False, reason, count))
@@ -261,11 +233,3 @@ class TrackedSource:
 
 def _stem(path: Path) -> str:
     return path.name.removesuffix(".mha").removesuffix(".igs")
-
-
-def _parameters(matrices: np.ndarray) -> np.ndarray:
-    """Return (T, 12) float32 parameters of (T, 4, 4) poses; forces NaN."""
-    tensor = torch.from_numpy(matrices)
-    pose = Pose(tensor[:, :3, 3], tensor[:, :3, :3])
-    absent = torch.full((len(tensor), 6), torch.nan, dtype=torch.float64)
-    return pose_to_parameters(pose, absent).to(torch.float32).numpy()

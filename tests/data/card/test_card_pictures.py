@@ -11,8 +11,7 @@ from PIL import Image
 
 from racines_data.build.dataset import DataConfig, build
 from racines_data.card.frames import read_frames
-from racines_data.card.pictures import write_pictures
-from racines_data.card.samples import samples_figure
+from racines_data.card.pictures import samples_figure, write_pictures
 from racines_data.manifest import STORE, read_manifest
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Unit

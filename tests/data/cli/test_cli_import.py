@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from racines_data.manifest import read_manifest
-from racines_data.sources.release.kinds import Kind
+from racines_data.sources.images import Kind
 from tests.conftest import ROOT, command
 from tests.data.release_tree import FRAMES, write_release
 from tests.data.sources.test_cactus import PER_VIEW, write_cactus

@@ -10,9 +10,8 @@ from PIL import Image
 from racines_data import RacinesError, open_store
 from racines_data.build.dataset import DataConfig, build
 from racines_data.records import check_trajectory
-from racines_data.sources.cactus.files import Kind
-from racines_data.sources.cactus.source import CactusSource
-from racines_data.sources.crop import sector_box
+from racines_data.sources.cactus.source import CactusSource, sector_box
+from racines_data.sources.images import Kind
 from racines_data.validate.run import validate
 from racines_data.views import LABELS
 

@@ -18,8 +18,7 @@ from racines_data.errors import RacinesError
 from racines_data.manifest import read_manifest
 from racines_data.phantom.config import PhantomConfig
 from racines_data.phantom.population import heart_config
-from racines_data.sources.multi_phantom import MultiPhantomSource
-from racines_data.sources.phantom import PhantomSource
+from racines_data.sources.phantom import MultiPhantomSource, PhantomSource
 from racines_data.store.frames import FrameStore
 from racines_data.views import LABELS
 from tests.data.build.test_build import files

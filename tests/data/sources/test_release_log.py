@@ -1,17 +1,17 @@
 import numpy as np
 import pytest
 
-from racines_data.sources.release.checks import backward
+from racines_data.sources.images import Fault as DamagedLog
 from racines_data.sources.release.log import (
     CONTROL,
     FIELDS,
     POSE,
     TIME,
     WRENCH,
-    DamagedLog,
     format_log,
     parse_log,
 )
+from racines_data.sources.release.survey import backward
 from tests.data.release_tree import log_text, matrix
 
 
