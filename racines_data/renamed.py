@@ -52,7 +52,9 @@ MOVED = {
     ),
     "racines_envs.driving": "keyboard terminal",
     "racines_envs.evaluation": (
-        "entries latency measures pictures runs=agent_specs trace_recording"
+        "entries=agent_specs evaluation.entries=agent_specs evaluation.latency=measures "
+        "evaluation.trace_recording=run latency=measures measures pictures runs=agent_specs "
+        "trace_recording=run"
     ),
     "racines_envs.explain": (
         "explain_figure=figure explain_maps=maps explain_scores=scores explain_truth=truth"

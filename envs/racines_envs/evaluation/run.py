@@ -4,26 +4,33 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.imaging import ImageSource
+from racines_data.files import write_json
 from racines_data.world import World
 from racines_envs.agents import load_agent, sees
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import Episodes, rollout
-from racines_envs.agents.trace_agent import TraceAgent
-from racines_envs.evaluation.latency import decision_times, latency_figure
-from racines_envs.evaluation.measures import Figures, measure, measure_by_seed
+from racines_envs.agents.trace_agent import ActionRecorder, TraceAgent
+from racines_envs.agents.trace_file import circumstances, read_trace, write_trace
+from racines_envs.evaluation.measures import (
+    Figures,
+    decision_times,
+    latency_figure,
+    measure,
+    measure_by_seed,
+)
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
+from racines_envs.task.tasks import Task
 from racines_envs.worlds.backends import make_grader
 from racines_envs.worlds.making import (
     WorldLike,
@@ -75,6 +82,11 @@ class EvaluationConfig:
         """The start sets in use."""
         return tuple(self.seeds) if self.seed is None else (self.seed,)
 
+    @property
+    def start_set(self) -> dict[str, Any]:
+        """The starts, as documents name them."""
+        return {"seeds": list(self.sets), "starts": self.starts}
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -86,8 +98,7 @@ class Evaluation:
     pictured: int
 
 
-@dataclass(frozen=True)
-class Prepared:
+class Prepared(NamedTuple):
     """An agent before its starts."""
 
     agent: Agent
@@ -125,8 +136,7 @@ def evaluate(
     """
     began = time.perf_counter()
     config = on_device(config)
-    ready = prepare(name, run_dir, config, phantom, grader, agent)
-    agent, core, seeds, grader = ready.agent, ready.core, ready.seeds, ready.grader
+    agent, core, seeds, grader = prepare(name, run_dir, config, phantom, grader, agent)
     episodes = rollout(core, agent, seeds.to(core.device))
     if isinstance(agent, TraceAgent):
         agent.check_ended(episodes)
@@ -135,16 +145,19 @@ def evaluate(
     if grader is not None:
         metrics |= _graded(core, grader)
     if config.latency and not isinstance(agent, TraceAgent):
-        alone = _core(config, agent, core.phantom, grader, 1, core.images)
+        alone = core_for(  # what draws its images is not loaded again
+            agent, config.view, 1, backend=core.images, reward=core.reward, phantom=core.phantom,
+            grader=core.grader, device=config.device,
+        )  # fmt: skip
         times = decision_times(alone, agent, seeds.to(core.device), config.latency)
         metrics["latency"] = latency_figure(times, config.resamples)
     by_seed = measure_by_seed(episodes, steps, config.sets, config.resamples)
-    scores = _document(run_dir, config, core, agent, metrics, by_seed)
-    scores |= {"extractors": _extractors(agent, grader)}
-    scores |= {"agent": run or scores["submission"]} | ({"board": board} if board else {})
-    return Evaluation(
-        scores | {"seconds": time.perf_counter() - began}, episodes, core, config.pictured
-    )
+    figures = {"metrics": metrics, "by_seed": by_seed}
+    scores = _document(run_dir, config, core, agent, figures)
+    scores |= {"extractors": _extractors(agent, grader), "agent": run or agent.name}
+    scores |= {"board": board} if board else {}
+    scores["seconds"] = time.perf_counter() - began
+    return Evaluation(scores, episodes, core, config.pictured)
 
 
 def prepare(
@@ -165,7 +178,49 @@ def prepare(
     if grader is None and config.grader:
         grader = make_grader(config.grader, config.device)
     check_grader(grader, task)
-    return Prepared(agent, _core(config, agent, world, grader, len(seeds)), seeds, grader)
+    core = core_for(
+        agent,
+        config.view,
+        len(seeds),
+        backend=config.backend,
+        generator=config.generator or None,
+        reward=config.reward,
+        phantom=world,
+        grader=grader if get_reward(config.reward).needs_judge else None,
+        device=config.device,
+        data=config.data or None,
+    )
+    return Prepared(agent, core, seeds, grader)
+
+
+def record_trace(
+    name: str,
+    run_dir: Path,
+    config: EvaluationConfig,
+    path: Path,
+    phantom: WorldLike = None,
+    grader: Judge | None = None,
+    agent: Agent | None = None,
+) -> dict[str, Any]:
+    """Let an agent act from the starts that it is judged on, and write what it did to a file.
+
+    All but `path`, that file, is as of `evaluate`, and so are the errors.
+
+    Returns:
+        Path, episodes, steps.
+    """
+    agent, core, seeds, _ = prepare(name, run_dir, config, phantom, grader, agent)
+    recorded: Any = ActionRecorder(agent)
+    episodes = rollout(core, recorded, seeds.to(core.device))
+    told = {
+        "agent": agent.name,
+        "observation": getattr(agent, "seen", agent.observation),
+        "start_set": config.start_set,
+    }
+    told |= circumstances(core, config.backend)
+    steps = write_trace(path, told, recorded.episodes(episodes.final["steps"]))
+    read_trace(path)
+    return {"out": str(path), "episodes": len(seeds), "steps": steps}
 
 
 def start_seeds(starts: int, sets: Sequence[int]) -> Tensor:
@@ -196,28 +251,10 @@ def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
         )
 
 
-def _core(
-    config: EvaluationConfig,
-    agent: Agent,
-    phantom: World,
-    grader: Judge | None,
-    rows: int,
-    images: ImageSource | None = None,
-) -> ScanCore:
-    """Return the environment; with `images`, what draws them is not loaded again."""
-    return make_core(
-        config.view,
-        rows,
-        backend=images or config.backend,
-        generator=config.generator or None,
-        observation=agent.observation,
-        reward=config.reward,
-        phantom=phantom,
-        grader=grader if get_reward(config.reward).needs_judge else None,
-        device=config.device,
-        encoder=getattr(agent, "encoder", None),
-        data=config.data or None,
-    )
+def core_for(agent: Agent, view: str | Task, rows: int, **settings: Any) -> ScanCore:
+    """Return the environment of a view as an agent looks at it; settings as of `make_core`."""
+    encoder = getattr(agent, "encoder", None)
+    return make_core(view, rows, observation=agent.observation, encoder=encoder, **settings)
 
 
 def reference_steps(view: str, seeds: Tensor, phantom: World, device: str) -> np.ndarray:
@@ -246,53 +283,47 @@ def _extractors(agent: Agent, grader: Judge | None) -> dict[str, dict[str, Any]]
 
 
 def _document(
-    run_dir: Path,
-    config: EvaluationConfig,
-    core: ScanCore,
-    agent: Agent,
-    metrics: Figures,
-    by_seed: dict[str, Figures],
+    run_dir: Path, config: EvaluationConfig, core: ScanCore, agent: Agent, figures: dict[str, Any]
 ) -> dict[str, Any]:
-    from racines_models.provenance import code_version, environment, weights_sha256
+    from racines_models.provenance import code_version, environment
 
-    task = core.task
-    weights = weights_sha256(run_dir) if hasattr(agent, "view") and run_dir.is_dir() else {}
-    if isinstance(agent, (OnnxPolicyAgent, TraceAgent)):
-        weights = {agent.path.name: agent.sha256}
     return {
         "schema": SCHEMA,
         "agent": agent.name,
         "submission": agent.name,
         "sees": sees(agent),
         "task": {
-            "view": task.view,
+            "view": core.task.view,
             "backend": config.backend,
             "observation": getattr(agent, "seen", agent.observation),
             "reward": config.reward,
-            "start_set": {"seeds": list(config.sets), "starts": config.starts},
-            "definition": asdict(task),
+            "start_set": config.start_set,
+            "definition": asdict(core.task),
         },
         "phantom": phantom_recipe(core.phantom),
-        "metrics": metrics,
-        "by_seed": by_seed,
+        **figures,
         "seeds": list(config.sets),
-        "weights": _named(weights),
+        "weights": _weights(agent, run_dir),
         "code": code_version(),
         "environment": environment(str(core.device)),
     }
 
 
-def _named(weights: dict[str, str]) -> dict[str, Any] | None:
-    if not weights:
+def _weights(agent: Agent, run_dir: Path) -> dict[str, Any] | None:
+    """Return the hashes of an agent's files and the one that stands for all, if one does."""
+    from racines_models.provenance import weights_sha256
+
+    files = weights_sha256(run_dir) if hasattr(agent, "view") and run_dir.is_dir() else {}
+    if isinstance(agent, (OnnxPolicyAgent, TraceAgent)):
+        files = {agent.path.name: agent.sha256}
+    if not files:
         return None
-    only = next(iter(weights.values())) if len(weights) == 1 else None
-    return {"sha256": weights.get("policy.safetensors", only), "files": weights}
+    only = next(iter(files.values())) if len(files) == 1 else None
+    return {"sha256": files.get("policy.safetensors", only), "files": files}
 
 
 def write_evaluation(evaluation: Evaluation, scores: Path, picture: Path | None) -> None:
     """Write the scores JSON and, where wanted, the picture of trajectories."""
-    from racines_data.files import write_json
-
     write_json(scores, evaluation.scores)
     if picture is not None:
         from racines_envs.evaluation.pictures import draw_trajectories

@@ -20,10 +20,7 @@ PANELS = {
     "validation/return": "mean return of validations",
     "train/return": "mean return while training",
 }
-_PAPERS = {
-    "validation/steps": "steps",
-    "validation/return": "return",
-}
+_PAPERS = {"validation/steps": "steps", "validation/return": "return"}
 """Which of the paper's levels belongs into which panel."""
 
 

@@ -100,10 +100,7 @@ class ScanCore:
     # -- reset ---------------------------------------------------------------------------------
 
     def reset(
-        self,
-        seed: int | Tensor | None = None,
-        mask: Tensor | None = None,
-        pose: Pose | None = None,
+        self, seed: int | Tensor | None = None, mask: Tensor | None = None, pose: Pose | None = None
     ) -> dict[str, Tensor]:
         """Start episodes and return the observations of all rows.
 

@@ -58,12 +58,7 @@ def _grid(steps: int, device: torch.device) -> Tensor:
 
 
 def _best(
-    world: World,
-    pose: Pose,
-    target: Pose,
-    label: int,
-    units: tuple[float, float],
-    shares: Tensor,
+    world: World, pose: Pose, target: Pose, label: int, units: tuple[float, float], shares: Tensor
 ) -> Tensor:
     """Return each row's (2,) shares, of its (K, 2), that cost least and show the view.
 

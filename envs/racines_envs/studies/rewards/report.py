@@ -12,12 +12,7 @@ from racines_data.world import World
 from racines_envs.evaluation.agent_specs import Run, common_view
 from racines_envs.evaluation.measures import RETURN_OF_A_HIT
 from racines_envs.evaluation.run import check_view, start_seeds
-from racines_envs.studies.rewards.settlement import (
-    ScoredSteps,
-    Settled,
-    run_scored,
-    settle,
-)
+from racines_envs.studies.rewards.settlement import ScoredSteps, Settled, run_scored, settle
 from racines_envs.task.rewards import REWARDS, Reward, RewardConfig, follows_paper, get_reward
 from racines_envs.task.tasks import TERMINATIONS, Task
 from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike
