@@ -9,18 +9,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from racines_data.errors import RacinesError
-from racines_envs.apis.gym_env import (
-    RENDER_FPS,
-    Renderer,
-    check_render_mode,
-    edge_info,
-    observation_space,
-    read_actions,
-    read_pose,
-    to_numpy,
-)
+from racines_envs.apis.gym_env import GymScanEnv, Scan, read_actions
 from racines_envs.task.actions import ACTIONS
-from racines_envs.worlds.making import make_core
 
 
 def read_seeds(seed: Any, count: int) -> int | torch.Tensor | None:
@@ -45,27 +35,18 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
     default: so one step draws one image a row and the last observation is never lost).
     """
 
-    metadata: dict[str, Any] = {
-        "render_modes": ["rgb_array"],
-        "render_fps": RENDER_FPS,
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
-    }
+    metadata = GymScanEnv.metadata | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
         self, view: str, num_envs: int = 1, render_mode: str | None = None, **settings: Any
     ) -> None:
         """Build N rows of a view's task; settings as for `racines_envs.worlds.making.make_core`."""
-        self.render_mode = check_render_mode(render_mode)
-        if num_envs < 1:
-            raise RacinesError(f"num_envs is {num_envs}: give at least 1")
-        self.num_envs = num_envs
-        self.single_observation_space = observation_space(settings.get("observation", "image"))
+        self._scan = Scan(view, num_envs, render_mode, settings)
+        self.core, self.render_mode, self.num_envs = self._scan.core, render_mode, num_envs
+        self.single_observation_space = self._scan.space()
         self.single_action_space = spaces.Discrete(len(ACTIONS))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.core = make_core(view, num_envs, **settings)
-        self._renderer = Renderer(self.core, render_mode)
-        self._seeded = False
 
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
@@ -77,12 +58,7 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         """
         seeds = read_seeds(seed, self.num_envs)
         super().reset(seed=seeds if isinstance(seeds, int) else None)
-        if seeds is None and not self._seeded:
-            seeds = int(self.np_random.integers(2**31))
-        seen = self.core.reset(seeds, pose=read_pose(options, self.num_envs))
-        self._seeded = True
-        self._renderer.note()
-        return to_numpy(self.core, seen), self._infos()
+        return self._scan.reset(self, seeds, options), self._infos()
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Take (N,) actions.
@@ -90,16 +66,9 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         Raises:
             RacinesError: wrong shape or type, or an action outside 0-12.
         """
-        action = read_actions(actions).to(self.core.device)
-        seen, reward, ended, cut = self.core.step(action, autoreset=True)
-        self._renderer.note(action)
-        return (
-            to_numpy(self.core, seen),
-            reward.double().cpu().numpy(),
-            ended.cpu().numpy(),
-            cut.cpu().numpy(),
-            self._infos(),
-        )
+        seen, reward, *ends = self._scan.step(read_actions(actions), autoreset=True)
+        ended, cut = (value.cpu().numpy() for value in ends)
+        return seen, reward.double().cpu().numpy(), ended, cut, self._infos()
 
     def render(self) -> tuple[Any, ...] | None:
         """Return N pictures of `racines_envs.apis.rendering.compose`, (540, 960, 3) uint8 each.
@@ -107,17 +76,18 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         Raises:
             RacinesError: there has been no reset.
         """
-        return self._renderer.draw()
+        return self._scan.draw()
 
     def _infos(self) -> dict[str, Any]:
         """Return the infos with Gymnasium's masks of presence."""
         told = self.core.info(view_error=False)
         infos = {name: value.cpu().numpy().copy() for name, value in told.items()}
         infos |= {f"_{name}": np.ones(self.num_envs, dtype=np.bool_) for name in told}
-        edge, rows = edge_info(self.core)
+        edge, rows = self._scan.edge_info()
+        present = np.zeros(self.num_envs, dtype=np.bool_)
+        present[rows.cpu().numpy()] = True
         for name, values in edge.items():
             infos[name] = np.zeros(self.num_envs)
-            infos[f"_{name}"] = np.zeros(self.num_envs, dtype=np.bool_)
-            infos[name][rows.cpu().numpy()] = values.cpu().numpy()
-            infos[f"_{name}"][rows.cpu().numpy()] = True
+            infos[name][present] = values.cpu().numpy()
+            infos[f"_{name}"] = present.copy()
         return infos

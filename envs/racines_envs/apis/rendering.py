@@ -70,14 +70,11 @@ class History:
 
         A row at step 0 begins anew; a row that has ended and was not reset stays as it is.
         """
-        columns = [
-            core.state.steps, core.state.position, core.score.probability, core.score.grade,
-        ]  # fmt: skip
+        state, score = core.state, core.score
+        columns = [state.steps, state.position, score.probability, score.grade]
         chosen = [None] * core.num_envs if actions is None else actions.tolist()
-        for steps, action, values in zip(
-            self._rows, chosen, zip(*(c.tolist() for c in columns), strict=True), strict=True
-        ):
-            count, position, probability, grade = values
+        rows = zip(self._rows, chosen, *(column.tolist() for column in columns), strict=True)
+        for steps, action, count, position, probability, grade in rows:
             if count == 0:
                 for entries in vars(steps).values():
                     entries.clear()
@@ -104,18 +101,13 @@ def compose(core: ScanCore, row: int = 0, history: History | None = None) -> np.
     picture = Image.new("RGB", (WIDTH, HEIGHT), _BACK)
     gray = Image.fromarray(core.picture()[row].cpu().numpy())
     picture.paste(gray.resize((IMAGE, IMAGE), Image.Resampling.BILINEAR), (0, 0))
-    picture.paste(_view(core, row, steps, (0, 1), "from above"), _ABOVE)
-    picture.paste(_view(core, row, steps, (0, 2), "from the front"), _FRONT)
+    for view, place in zip(block_views(core, row, steps), (_ABOVE, _FRONT), strict=True):
+        picture.paste(view, place)
     draw = ImageDraw.Draw(picture)
     _draw_trace(draw, core, steps)
     for line, (text, colour) in enumerate(_words(core, row, steps)):
         draw.text((12, IMAGE + 10 + 24 * line), text, colour, _font(16))
     return np.asarray(picture)
-
-
-def compose_all(core: ScanCore, history: History | None = None) -> tuple[np.ndarray, ...]:
-    """Draw every row of a core; see `compose`."""
-    return tuple(compose(core, row, history) for row in range(core.num_envs))
 
 
 def block_views(
@@ -153,23 +145,19 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
     info = {name: value[row].item() for name, value in core.info(view_error=False).items()}
     task, action = core.task, steps.actions[-1] if steps.actions else None
     moved = "start" if action is None else ACTIONS[action]
-    force = info["force"]
-    refused = info["workspace_hits"] + info["force_hits"]
-    seen = view_names(core)[int(info["view"])]
+    force, refused = info["force"], info["workspace_hits"] + info["force_hits"]
+    away, turned = info["position_error"] * 1e3, math.degrees(info["rotation_error"])
     found = _GOAL if info["success"] else _TEXT
+    pressed = _WARN if force > 0.9 * task.force_limit else _TEXT
     rows = [
         (f"{task.id}    step {info['steps']:.0f} / {task.max_steps}    {moved}", _TEXT),
-        (f"true view {seen}, grade {info['grade']:.1f}", found),
+        (f"true view {view_names(core)[int(info['view'])]}, grade {info['grade']:.1f}", found),
         (f"p {info['probability']:.2f}    grade as {task.view} {info['score']:.1f}", _TEXT),
         (
             f"force {force:.1f} N of {task.force_limit:.0f} N    refused steps {refused:.0f}",
-            _WARN if force > 0.9 * task.force_limit else _TEXT,
+            pressed,
         ),
-        (
-            f"to nominal {info['position_error'] * 1e3:.0f} mm, "
-            f"{math.degrees(info['rotation_error']):.0f} deg    return {info['return']:.1f}",
-            _TEXT,
-        ),
+        (f"to nominal {away:.0f} mm, {turned:.0f} deg    return {info['return']:.1f}", _TEXT),
     ]
     if info.get("out_of_support"):
         rows.append(("nothing was recorded near this pose", _WARN))
@@ -181,43 +169,48 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
 # --- the probe over the block --------------------------------------------------------------------
 
 
-def _bounds(core: ScanCore) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(core: ScanCore) -> np.ndarray:
     """Return the block's least and greatest corner, m; from the workspace where no block is."""
     if core.phantom.config is not None:
         block = core.phantom.config.block
-        return np.array(block.minimum), np.array(block.maximum)
-    workspace = core.phantom.workspace
-    low, high = workspace.position_min.cpu().numpy(), workspace.position_max.cpu().numpy()
+        return np.array([block.minimum, block.maximum])
+    low, high = _workspace(core)
     height = core.phantom.surface_height
     top = float(low[2] if height is None else height)
-    return np.append(low[:2] - _MARGIN, top - _DEEP), np.append(high[:2] + _MARGIN, top)
+    return np.stack([np.append(low[:2] - _MARGIN, top - _DEEP), np.append(high[:2] + _MARGIN, top)])
+
+
+def _workspace(core: ScanCore) -> np.ndarray:
+    space = core.phantom.workspace
+    return torch.stack([space.position_min, space.position_max]).cpu().numpy()
 
 
 def _view(
-    core: ScanCore, row: int, steps: Steps, axes: tuple[int, int], title: str,
-    goal: bool = True, zoom: int = 1,
-) -> Image.Image:  # fmt: skip
+    core: ScanCore, row: int, steps: Steps, axes: tuple[int, int], title: str, goal: bool, zoom: int
+) -> Image.Image:
     """Draw block, workspace, sector, path, nominal pose and probe, projected on two axes."""
-    low, high = _bounds(core)
+    block = _bounds(core)
     panel = Image.new("RGB", (_SIDE[0] * zoom, _SIDE[1] * zoom), _PANEL)
     draw = ImageDraw.Draw(panel)
-    to_pixels = _projection(low, high + np.array([0.0, 0.0, _BODY + 0.02]), axes, zoom)
-    draw.rectangle(_corners(to_pixels, low, high), outline=_LINE, fill=_BLOCK)
-    workspace = core.phantom.workspace
-    space = workspace.position_min.cpu().numpy(), workspace.position_max.cpu().numpy()
-    position = core.state.position[row].cpu().numpy()
-    rotation = core.state.rotation[row].cpu().numpy()
-    draw.polygon(to_pixels(_fan(core, position, rotation)), outline=_PROBE, fill=_SECTOR)
-    draw.rectangle(_corners(to_pixels, *space), outline=_SPACE)
+    to_pixels = _projection(block[0], block[1] + np.array([0.0, 0.0, _BODY + 0.02]), axes, zoom)
+
+    def box(corners: np.ndarray) -> tuple[float, ...]:
+        (left, bottom), (right, top) = to_pixels(corners)
+        return left, top, right, bottom
+
+    probe = ProbeConfig() if core.phantom.config is None else core.phantom.config.probe
+    pose = [x[row].cpu().numpy() for x in core.state.pose]
+    draw.rectangle(box(block), outline=_LINE, fill=_BLOCK)
+    draw.polygon(to_pixels(_fan(probe, *pose)), outline=_PROBE, fill=_SECTOR)
+    draw.rectangle(box(_workspace(core)), outline=_SPACE)
     if goal:
         target = (x[0].cpu().numpy() for x in core.target)
-        _draw_probe(draw, to_pixels, core, *target, colour=_GOAL, width=zoom)
+        _draw_probe(draw, to_pixels, probe, *target, colour=_GOAL, width=zoom)
     if len(steps.positions) > 1:
         path = to_pixels(np.array(steps.positions))
         draw.line(path, fill=_PATH, width=2 * zoom)
-        (x, y), radius = path[0], 4 * zoom
-        draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=_PATH)
-    _draw_probe(draw, to_pixels, core, position, rotation, colour=_PROBE, width=3 * zoom)
+        draw.circle(path[0], 4 * zoom, fill=_PATH)
+    _draw_probe(draw, to_pixels, probe, *pose, colour=_PROBE, width=3 * zoom)
     across, up = ("xyz"[axis] for axis in axes)
     label, font = f"{title}    {across} to the right, {up} up", _font(13 * zoom)
     draw.text((8 * zoom, 6 * zoom), label, _TEXT, font)
@@ -229,7 +222,7 @@ def _view(
     return panel
 
 
-def _projection(low: np.ndarray, high: np.ndarray, axes: tuple[int, int], zoom: int = 1) -> Any:
+def _projection(low: np.ndarray, high: np.ndarray, axes: tuple[int, int], zoom: int) -> Any:
     """Return a function from (n, 3) m to a list of pixels: one scale, centred, upwards."""
     a, size = list(axes), (high - low)[list(axes)]
     scale = zoom * min((_SIDE[0] - 30) / size[0], (_SIDE[1] - 62) / size[1])
@@ -242,44 +235,26 @@ def _projection(low: np.ndarray, high: np.ndarray, axes: tuple[int, int], zoom: 
     return to_pixels
 
 
-def _corners(to_pixels: Any, low: np.ndarray, high: np.ndarray) -> tuple[float, ...]:
-    (x0, y0), (x1, y1) = to_pixels(np.stack([low, high]))
-    return min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)
-
-
-def _probe(core: ScanCore) -> ProbeConfig:
-    """Return the probe, the usual one where none is known."""
-    return ProbeConfig() if core.phantom.config is None else core.phantom.config.probe
-
-
-def _fan(core: ScanCore, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def _fan(probe: ProbeConfig, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Return the outline of the image plane's sector, (n, 3) m."""
-    probe = _probe(core)
-    half, depth = probe.half_angle, probe.depth
-    angle = np.linspace(-half, half, 9)
-    rim = np.stack([np.sin(angle), np.zeros(9), np.cos(angle)], 1) * depth
+    angle = np.linspace(-probe.half_angle, probe.half_angle, 9)
+    rim = np.stack([np.sin(angle), np.zeros(9), np.cos(angle)], 1) * probe.depth
     return np.concatenate([np.zeros((1, 3)), rim]) @ rotation.T + position
 
 
 def _draw_probe(
-    draw: ImageDraw.ImageDraw,
-    to_pixels: Any,
-    core: ScanCore,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    colour: str,
-    width: int = 1,
-) -> None:
+    draw: ImageDraw.ImageDraw, to_pixels: Any, probe: ProbeConfig, position: np.ndarray,
+    rotation: np.ndarray, colour: str, width: int,
+) -> None:  # fmt: skip
     """Draw the probe's body behind its face, and a mark at the image's right side."""
-    x, y = _probe(core).aperture / 2, _probe(core).thickness / 2
+    x, y = probe.aperture / 2, probe.thickness / 2
     face = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
     body = np.array([[-x, 0, 0], [-x, 0, -_BODY], [x, 0, -_BODY], [x, 0, 0]])
     for outline in (body, face):
         points = to_pixels(outline @ rotation.T + position)
         draw.line([*points, points[0]], fill=colour, width=width, joint="curve")
-    px, py = to_pixels(np.array([1.3 * x, 0, 0]) @ rotation.T + position)[0]
-    radius = width + 1
-    draw.ellipse((px - radius, py - radius, px + radius, py + radius), fill=colour)
+    mark = to_pixels(np.array([1.3 * x, 0, 0]) @ rotation.T + position)[0]
+    draw.circle(mark, width + 1, fill=colour)
 
 
 # --- the trace -----------------------------------------------------------------------------------
@@ -308,8 +283,7 @@ def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None
         if len(points) > 1:
             draw.line(points, fill=colour, width=2, joint="curve")
         if points:
-            x, y = points[-1]
-            draw.ellipse((x - 3, y - 3, x + 3, y + 3), fill=colour)
+            draw.circle(points[-1], 3, fill=colour)
         end, anchor = (left - 6, "rm") if name == "p" else (right + 6, "lm")
         for share in (0.0, 0.5, 1.0):
             draw.text((end, at(0, share)[1]), f"{share * full:g}", colour, _font(12), anchor=anchor)
