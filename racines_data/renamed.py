@@ -68,7 +68,7 @@ MOVED = {
     "racines_envs.task": "actions core names rewards sensing starts state tasks view_error",
     "racines_envs.worlds": (
         "backends backends_replay=replay_images data_versions exploration forces making "
-        "pose_index recorded=recorded_world"
+        "pose_index=replay_images recorded=recorded_world worlds.pose_index=replay_images"
     ),
     "racines_leaderboard.audit": "audit.compare=numbers audit.figures=metrics",
     "racines_leaderboard.board": "chart collect groups pages rank recompute table",

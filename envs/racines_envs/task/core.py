@@ -10,6 +10,8 @@ A row's result depends on its own seed and actions alone, never on the rows besi
 has ended stays as it is until it is reset (`reset`, or `step` with `autoreset`).
 """
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -60,17 +62,15 @@ class ScanCore:
         """Join a task, a phantom (truth, limits) and a source of images.
 
         An `encoder` looks once at each image; what it says is observed as `features`. Forces come
-        from `forces`, or else from the source of images if it has a `wrench(pose)`, or else from
-        the phantom's contact.
+        from `forces`, else from the source of images if it has a `wrench(pose)`, else from the
+        phantom's contact.
 
         Raises:
-            RacinesError: an unknown observation or reward, or a reward that needs a grader
-                without one.
+            RacinesError: an unknown observation or reward, or one that needs a grader without one.
         """
         if observation not in OBSERVATIONS:
-            raise RacinesError(
-                f"unknown observation {observation!r}: choose one of {', '.join(OBSERVATIONS)}"
-            )
+            known = ", ".join(OBSERVATIONS)
+            raise RacinesError(f"unknown observation {observation!r}: choose one of {known}")
         self.reward = get_reward(reward)
         if self.reward.needs_judge and grader is None:
             raise RacinesError(
@@ -88,27 +88,22 @@ class ScanCore:
         self.forces: ForceSource = own if forces is None else forces
         self.table = ActionTable.make(task.step_translation, task.step_rotation, self.device)
         self.target = phantom.target(task.view).to(self.device)
-        workspace = phantom.workspace
-        self._centre = ((workspace.position_max + workspace.position_min) / 2).to(self.device)
-        self._half = ((workspace.position_max - workspace.position_min) / 2).to(self.device)
+        low, high = phantom.workspace.position_min, phantom.workspace.position_max
+        self._centre = ((high + low) / 2).to(self.device)
+        self._half = ((high - low) / 2).to(self.device)
         self.renders = observation != "params" or self.reward.needs_judge
-        self._env_seed = torch.arange(num_envs, dtype=torch.int64, device=self.device)
-        self._episode = torch.full_like(self._env_seed, -1)
+        self._seed(0)
         self._sensed: dict[str, Tensor] = {}
         self.state: State
-
-    # -- reset ---------------------------------------------------------------------------------
 
     def reset(
         self, seed: int | Tensor | None = None, mask: Tensor | None = None, pose: Pose | None = None
     ) -> dict[str, Tensor]:
         """Start episodes and return the observations of all rows.
 
-        Args:
-            seed: One integer (row i gets seed + i) or (N,) int64; without it each row goes on to
-                the next episode of its seed.
-            mask: (N,) bool, the rows to reset; all by default, and at the first reset.
-            pose: (N,) start poses instead of drawn ones.
+        Row i gets `seed` + i, or its own of (N,) int64; without it each row goes on to the next
+        episode of its seed. Only rows of the (N,) bool `mask` are reset; all by default, and at the
+        first reset. An episode starts at its `pose` instead of a drawn one.
 
         Raises:
             RacinesError: a given pose lies outside the workspace.
@@ -125,11 +120,13 @@ class ScanCore:
         return self.observe()
 
     def _seed(self, seed: int | Tensor) -> None:
-        index = torch.arange(self.num_envs, dtype=torch.int64, device=self.device)
-        given = seed.to(self.device, torch.int64) if isinstance(seed, Tensor) else index + seed
+        if isinstance(seed, Tensor):
+            given = seed.to(self.device, torch.int64)
+        else:
+            given = torch.arange(self.num_envs, dtype=torch.int64, device=self.device) + seed
         if given.shape != (self.num_envs,):
             raise RacinesError(f"seeds have shape {tuple(given.shape)}: give ({self.num_envs},)")
-        self._env_seed, self._episode = given, torch.full_like(index, -1)
+        self._env_seed, self._episode = given, torch.full_like(given, -1)
 
     def _begin(self, rows: Tensor, pose: Pose | None = None) -> State:
         """Return fresh states of (K,) rows, each at the next episode of its seed."""
@@ -138,14 +135,12 @@ class ScanCore:
         if pose is None:
             pose = draw_starts(self.task, self.phantom, self.target, seed)
         else:
-            pose = check_starts(pose, self.num_envs, self.phantom.workspace, self.device)
-            pose = Pose(*(x[rows] for x in pose))
+            given = check_starts(pose, self.num_envs, self.phantom.workspace, self.device)
+            pose = Pose(*(x[rows] for x in given))
         wrench = self.wrench(pose)
         none, zero = torch.zeros_like(seed), torch.zeros_like(wrench[:, 0])
         done = torch.zeros_like(seed, dtype=torch.bool)
         return State(*pose, wrench, seed, none, none, none, none, -wrench[:, 2], zero, zero, done)
-
-    # -- step ----------------------------------------------------------------------------------
 
     def step(
         self,
@@ -159,8 +154,7 @@ class ScanCore:
         With `autoreset`, a row that ended in the step before ignores its action and starts its next
         episode instead (Gymnasium's NEXT_STEP): reward 0, neither terminated nor truncated.
 
-        Only the (K,) `rows` are looked at, by default all: a caller that knows which have ended
-        need not have them drawn again, since they look as they did.
+        Only the (K,) `rows` are looked at, by default all: what has ended need not be drawn again.
 
         Raises:
             RacinesError: actions of the wrong shape or type, or out of range; no reset before; an
@@ -193,19 +187,16 @@ class ScanCore:
         free = inside & soft & live
         wrench = torch.where(free[:, None], wrench, state.wrench)
         force = -wrench[:, 2]
-        return State(
+        return replace(
+            state,
             position=torch.where(free[:, None], candidate.position, state.position),
             rotation=torch.where(free[:, None, None], candidate.rotation, state.rotation),
             wrench=wrench,
-            seed=state.seed,
             steps=state.steps + live,
-            streak=state.streak,
             workspace_hits=state.workspace_hits + (live & ~inside),
             force_hits=state.force_hits + (live & inside & ~soft),
             peak_force=torch.maximum(state.peak_force, force),
             force_sum=state.force_sum + force * live,
-            total=state.total,
-            done=state.done,
         )
 
     def wrench(self, pose: Pose) -> Tensor:
@@ -237,14 +228,12 @@ class ScanCore:
         state.done = state.done | terminated | truncated
         return Transition(self.observe(), reward, terminated, truncated)
 
-    # -- senses --------------------------------------------------------------------------------
-
     def _sense(self, rows: Tensor | None = None) -> None:
         """Look at the rows (all by default): parameters, truth, and image and scores if needed."""
         state = self.state
         pose, wrench, seeds = state.pose, state.wrench, derive(state.seed, state.steps)
         if rows is not None:
-            pose = Pose(pose.position[rows], pose.rotation[rows])
+            pose = Pose(*(x[rows] for x in pose))
             wrench, seeds = wrench[rows], seeds[rows]
         parameters = pose_to_parameters(pose, wrench)
         truth = self.phantom.judge_alike(pose)
@@ -256,8 +245,7 @@ class ScanCore:
             "oracle_g": truth.view_grade[:, self.task.target],
         }
         if self.renders:
-            drawn = self.images.generate(parameters, seeds)
-            sensed["image"] = check_drawn(drawn, len(seeds), self.images)
+            sensed["image"] = self._draw(parameters, seeds)
         if self.encoder is not None:
             sensed["features"] = in_fixed_batches(self.encoder, sensed["image"])
         if self.reward.needs_judge and self.grader is not None:
@@ -287,17 +275,14 @@ class ScanCore:
         return metres, geodesic(self.state.rotation, self.target.rotation)
 
     def view_error(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Return m and rad to the nearest pose that truly shows the target view.
+        """Return m and rad from (K,) rows, or all, to the nearest pose that truly shows the view.
 
-        Of the (K,) rows, or of all. An upper bound, see `racines_envs.task.view_error`.
+        An upper bound, see `racines_envs.task.view_error`.
         """
-        position, rotation = self.state.pose
-        if rows is not None:
-            position, rotation = position[rows], rotation[rows]
-        pose = Pose(position, rotation)
+        pose = self.state.pose if rows is None else Pose(*(x[rows] for x in self.state.pose))
         units = self.task.step_translation, self.task.step_rotation
         near = nearest_showing(self.phantom, pose, self.target, self.task.target, units)
-        return (near.position - position).norm(dim=-1), geodesic(near.rotation, rotation)
+        return (near.position - pose.position).norm(dim=-1), geodesic(near.rotation, pose.rotation)
 
     def sees_target(self) -> Tensor:
         """Return (N,) bool: the true view is the target's, by the oracle."""
@@ -317,7 +302,10 @@ class ScanCore:
         if "image" in self._sensed:
             return self._sensed["image"]
         seeds = derive(self.state.seed, self.state.steps)
-        return check_drawn(self.images.generate(self.parameters, seeds), self.num_envs, self.images)
+        return self._draw(self.parameters, seeds)
+
+    def _draw(self, parameters: Tensor, seeds: Tensor) -> Tensor:
+        return check_drawn(self.images.generate(parameters, seeds), len(seeds), self.images)
 
     def observe(self) -> dict[str, Tensor]:
         """Return what an agent sees: `image` (N, 128, 128) uint8, `params` (N, 9) float32.
@@ -345,13 +333,12 @@ class ScanCore:
         out without `view_error`: they cost as much as some steps) to the nearest pose that truly
         shows the view. `out_of_support` is there if the source of images tells it.
         """
-        state, sensed = self.state, self._sensed
+        state, sensed, success = self.state, self._sensed, self.sees_target()
         metres, radians = self.pose_error()
-        success = self.sees_target()
         further: dict[str, Tensor] = {}
         if view_error:
-            near = self.view_error()
-            further |= {"view_position_error": near[0], "view_rotation_error": near[1]}
+            names = ("view_position_error", "view_rotation_error")
+            further |= dict(zip(names, self.view_error(), strict=True))
         if isinstance(self.images, KnowsSupport):
             further["out_of_support"] = self.images.out_of_support(self.parameters)
         return further | {

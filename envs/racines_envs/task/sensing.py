@@ -54,10 +54,8 @@ def check_drawn(images: object, count: int, source: object) -> Tensor:
         raise RacinesError(f"{who}: generate gave {type(images).__name__}: give a torch.Tensor")
     if images.dtype != torch.uint8:
         nan = images.is_floating_point() and not bool(torch.isfinite(images).all())
-        raise RacinesError(
-            f"{who}: generate gave {images.dtype}{' with NaN or infinity' if nan else ''}: give "
-            "uint8 gray levels 0-255"
-        )
+        kind = f"{images.dtype}{' with NaN or infinity' if nan else ''}"
+        raise RacinesError(f"{who}: generate gave {kind}: give uint8 gray levels 0-255")
     if images.shape != (count, IMAGE_SIZE, IMAGE_SIZE):
         raise RacinesError(
             f"{who}: generate gave shape {tuple(images.shape)} for {count} poses: give "
@@ -89,9 +87,15 @@ def check_finite(values: Tensor, what: str) -> Tensor:
         RacinesError: NaN or infinity, by row.
     """
     finite = torch.isfinite(values)
-    if values.device.type != "cpu":
-        torch.ops.aten._assert_async(finite.all())
-    elif not bool(finite.all()):
+    if not all_hold(finite):
         row = int((~finite).nonzero()[0, 0])
         raise RacinesError(f"{what}: row {row} is NaN or infinite: give numbers")
     return values
+
+
+def all_hold(conditions: Tensor) -> bool:
+    """Return whether all are true; on an accelerator that is asserted there, and taken as true."""
+    if conditions.device.type == "cpu":
+        return bool(conditions.all())
+    torch.ops.aten._assert_async(conditions.all())
+    return True

@@ -49,11 +49,11 @@ def draw_starts(task: Task, world: World, target: Pose, seeds: Tensor) -> Pose:
     inside = workspace.contains(drawn)
     unseen = world.judge(drawn).membership[:, task.target] < 0.5
     worth = (2 * inside + (inside & unseen)).view(count, TRIES)
-    best, first = worth.max(1).values, _first_max(worth)
-    row = torch.arange(count, device=seeds.device) * TRIES + first
+    row = torch.arange(count, device=seeds.device) * TRIES + first_max(worth)
+    some = (worth > 0).any(1)
     return Pose(
-        torch.where((best > 0)[:, None], drawn.position[row], target.position),
-        torch.where((best > 0)[:, None, None], drawn.rotation[row], target.rotation),
+        torch.where(some[:, None], drawn.position[row], target.position),
+        torch.where(some[:, None, None], drawn.rotation[row], target.rotation),
     )
 
 
@@ -67,8 +67,7 @@ def check_starts(pose: Pose, count: int, workspace: Workspace, device: torch.dev
     if pose.position.shape != (count, 3):
         shape = tuple(pose.position.shape)
         raise RacinesError(f"start positions have shape {shape}: give ({count}, 3)")
-    finite = torch.isfinite(pose.position).all() & torch.isfinite(pose.rotation).all()
-    if not bool(finite):
+    if not all(bool(torch.isfinite(x).all()) for x in pose):
         raise RacinesError("a start pose is not finite: every value must be a number")
     outside = ~workspace.contains(pose)
     if bool(outside.any()):
@@ -83,10 +82,11 @@ def check_starts(pose: Pose, count: int, workspace: Workspace, device: torch.dev
     return pose
 
 
-def _first_max(worth: Tensor) -> Tensor:
-    """Return the index of the first maximum of each row; argmax alone may give any of them."""
-    index = torch.arange(worth.shape[1], device=worth.device)
-    return torch.where(worth == worth.max(1, keepdim=True).values, index, worth.shape[1]).amin(1)
+def first_max(values: Tensor) -> Tensor:
+    """Return the (N,) index of each row's first maximum; argmax alone may give any of them."""
+    index = torch.arange(values.shape[1], device=values.device)
+    greatest = values.max(1, keepdim=True).values
+    return torch.where(values == greatest, index, values.shape[1]).amin(1)
 
 
 def _offsets(task: Task, u: Tensor) -> tuple[Tensor, Tensor]:

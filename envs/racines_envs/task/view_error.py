@@ -12,6 +12,7 @@ from torch import Tensor
 
 from racines_data.geometry import Pose, geodesic, orthonormalise
 from racines_data.world import World
+from racines_envs.task.starts import first_max
 
 COARSE, FINE = 8, 4
 """Shares judged of the shift and of the turn: 9 × 9, then 5 × 5 within a step of the first grid, so
@@ -35,44 +36,35 @@ def nearest_showing(
     own = world.own_nearest(pose, label, units)
     if own is not None:
         return own
-    starts = range(0, len(pose.position), ROWS)
-    parts = [
-        _search(world, Pose(*(x[i : i + ROWS] for x in pose)), target, label, units) for i in starts
-    ]
-    return Pose(*(torch.cat(column) for column in zip(*parts, strict=True)))
+    parts = zip(*(x.split(ROWS) for x in pose), strict=True)
+    found = [_search(world, Pose(*part), target, label, units) for part in parts]
+    return Pose(*(torch.cat(column) for column in zip(*found, strict=True)))
 
 
 def _search(world: World, pose: Pose, target: Pose, label: int, units: tuple[float, float]) -> Pose:
     device = pose.position.device
-    shares = _grid(COARSE, device).expand(len(pose.position), -1, -1)
-    best = _best(world, pose, target, label, units, shares)
-    finer = best[:, None] - _grid(FINE, device) / COARSE
-    best = _best(world, pose, target, label, units, finer.clamp_min(0.0))
-    return _between(pose, target, best[:, None])
+    metres = (target.position - pose.position).norm(dim=-1, keepdim=True)
+    radians = geodesic(pose.rotation, target.rotation)[:, None]
+
+    def best(shares: Tensor) -> Tensor:
+        """Return each row's (2,) shares, of its (K, 2), that cost least and show the view.
+
+        Where none shows it: those that cost most, the nominal pose of a grid that goes all the way.
+        """
+        shown = world.judge(_between(pose, target, shares)).view.view(shares.shape[:2]) == label
+        cost = shares[..., 0] * (metres / units[0]) + shares[..., 1] * (radians / units[1])
+        chosen = first_max(-torch.where(shown, cost, 1e6 - cost))
+        return shares.gather(1, chosen[:, None, None].expand(-1, 1, 2)).squeeze(1)
+
+    coarse = best(_grid(COARSE, device).expand(len(pose.position), -1, -1))
+    finer = coarse[:, None] - _grid(FINE, device) / COARSE
+    return _between(pose, target, best(finer.clamp_min(0.0))[:, None])
 
 
 def _grid(steps: int, device: torch.device) -> Tensor:
     """Return ((steps + 1)², 2) shares of shift and turn."""
     line = torch.linspace(0.0, 1.0, steps + 1, device=device)
     return torch.cartesian_prod(line, line)
-
-
-def _best(
-    world: World, pose: Pose, target: Pose, label: int, units: tuple[float, float], shares: Tensor
-) -> Tensor:
-    """Return each row's (2,) shares, of its (K, 2), that cost least and show the view.
-
-    Where none shows it: those that cost most, the nominal pose of a grid that goes all the way.
-    """
-    count, options = shares.shape[:2]
-    shown = world.judge(_between(pose, target, shares)).view.view(count, options) == label
-    metres = (target.position - pose.position).norm(dim=-1, keepdim=True)
-    radians = geodesic(pose.rotation, target.rotation)[:, None]
-    cost = shares[..., 0] * (metres / units[0]) + shares[..., 1] * (radians / units[1])
-    cost = torch.where(shown, cost, 1e6 - cost)
-    index = torch.arange(options, device=shares.device)
-    first = torch.where(cost == cost.amin(1, keepdim=True), index, options).amin(1)
-    return shares.gather(1, first[:, None, None].expand(-1, 1, 2)).squeeze(1)
 
 
 def _between(pose: Pose, target: Pose, shares: Tensor) -> Pose:

@@ -38,11 +38,8 @@ class PhantomImages:
 def open_source(spec: str | Path, device: torch.device | str = "cpu") -> ImageSource:
     """Return the generator that a spec names, whichever way it comes.
 
-    Args:
-        spec: A registered name or `module:Class` (its run in models/runs/NAME), either with
-            `@FOLDER` for a run elsewhere; the folder of a run, which says whose it is; or
-            `FILE.onnx`.
-        device: Where it draws.
+    A spec is a registered name or `module:Class` (its run in models/runs/NAME), either with
+    `@FOLDER` for a run elsewhere; the folder of a run, which says whose it is; or `FILE.onnx`.
 
     Raises:
         RacinesError: unknown, absent or refused, by name or file.
@@ -91,13 +88,10 @@ def make_backend(
     generator: ImageSource | str | Path | None,
     device: torch.device | str,
 ) -> ImageSource:
-    """Return the source of images; an object that satisfies `ImageSource` is taken as it is.
+    """Return the source of images: that of `phantom` or `generator` (recordings are open by now).
 
-    Args:
-        backend: `phantom`, `generator`, or an object (recordings are opened before this).
-        phantom: What `phantom` renders.
-        generator: Of `generator`: an object, or what `open_source` opens.
-        device: Where it draws.
+    An object that satisfies `ImageSource` is taken as it is; so is a generator, which else is what
+    `open_source` opens.
 
     Raises:
         RacinesError: an unknown backend, or a generator that is not there.
@@ -124,9 +118,9 @@ def make_grader(grader: Judge | Path | str, device: torch.device | str) -> Judge
     Raises:
         RacinesError: no grader has been trained there, or an object that is no `Judge`.
     """
+    if isinstance(grader, Judge):
+        return grader
     if not isinstance(grader, (str, Path)):
-        if isinstance(grader, Judge):
-            return grader
         raise RacinesError(f"grader {grader!r}: inherit from racines_models.protocol.Judge")
     folder = Path(grader)
     if not (folder / "grader.safetensors").is_file():

@@ -14,9 +14,8 @@ _SHORTEST = 8
 def trained_on(part: Any) -> dict[str, Any] | None:
     """Return the source, version and digests of the dataset that a part was made from, if it says.
 
-    Args:
-        part: A generator (its `data`, or the card in its ONNX file), a store's manifest, or the
-            run folder of a grader.
+    A part is a generator (its `data`, or the card in its ONNX file), a store's manifest, or the run
+    folder of a grader.
     """
     if isinstance(part, dict):
         return part if part.get("digest") else None
@@ -32,11 +31,8 @@ def trained_on(part: Any) -> dict[str, Any] | None:
 def check_datasets(parts: dict[str, dict[str, Any] | None], wanted: str | None = None) -> None:
     """Check that the parts come from one dataset: equal digests, or equal recipes.
 
-    Args:
-        parts: What each is called, and its dataset; None where it does not say, which passes
-            unless a version is wanted.
-        wanted: The dataset that all have to come from: a version, a tag, or the first eight or
-            more characters of a digest; `any` to check nothing.
+    `parts` names each one's dataset; None, where it does not say, passes unless one is `wanted`, by
+    a version, a tag, or eight or more of a digest's first characters; `any` checks nothing.
 
     Raises:
         RacinesError: two parts come from different datasets, or one not from the wanted.
@@ -44,19 +40,18 @@ def check_datasets(parts: dict[str, dict[str, Any] | None], wanted: str | None =
     if wanted == ANY:
         return
     hint = f"train on one dataset, or let it pass: data_version={ANY!r}"
-    told = {name: data for name, data in parts.items() if data is not None}
     if wanted is not None:
         for name, data in parts.items():
             if data is None:
                 raise RacinesError(f"{name} does not say which dataset it is from: {hint}")
             if not _named(data, wanted):
                 raise RacinesError(f"{name} is from {_title(data)}, not {wanted}: {hint}")
-    names = list(told)
-    for name in names[1:]:
-        if not _same(told[names[0]], told[name]):
+    told = [(name, data) for name, data in parts.items() if data is not None]
+    for name, data in told[1:]:
+        first, known = told[0]
+        if not _same(known, data):
             raise RacinesError(
-                f"{names[0]} is from {_title(told[names[0]])} and {name} from "
-                f"{_title(told[name])}: {hint}"
+                f"{first} is from {_title(known)} and {name} from {_title(data)}: {hint}"
             )
 
 
@@ -70,9 +65,8 @@ def _named(data: dict[str, Any], wanted: str) -> bool:
     version = data.get("version")
     names = (version, f"v{version}", f"{data.get('source')}-v{version}")
     digests = (data["digest"], data.get("recipe_digest") or "")
-    return wanted in names or (
-        len(wanted) >= _SHORTEST and any(digest.startswith(wanted) for digest in digests)
-    )
+    begun = any(digest.startswith(wanted) for digest in digests)
+    return wanted in names or (len(wanted) >= _SHORTEST and begun)
 
 
 def _title(data: dict[str, Any]) -> str:

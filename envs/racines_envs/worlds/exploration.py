@@ -27,6 +27,7 @@ from racines_data.geometry import (
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.randomness import derive, normal, uniform
+from racines_data.schema import SPLITS
 from racines_data.store.frames import Batch, FrameStore
 from racines_data.store.memory import BatchMemory
 from racines_data.views import HEART, labels_of
@@ -84,8 +85,7 @@ class ExploredFrames(FrameStore):
         self.labels = labels
         self._memory = BatchMemory()
         ends = [0, int(TRAIN * count), int(VALIDATION * count), count]
-        names = ("train", "validation", "test")
-        self._splits = {name: ends[i : i + 2] for i, name in enumerate(names)}
+        self._splits = {name: ends[i : i + 2] for i, name in enumerate(SPLITS)}
 
     def take(self, index: Tensor, out: Tensor | None = None) -> Batch:
         """Return the frames of (B,) rows."""
@@ -96,10 +96,7 @@ class ExploredFrames(FrameStore):
 def explore(config: ExplorationConfig, phantom: World, seed: int) -> ExploredFrames:
     """Draw frames of poses between the starts and the targets of all tasks of an anatomy.
 
-    Args:
-        config: The settings.
-        phantom: The phantom to scan.
-        seed: Of poses and electronic noise.
+    The seed is of poses and electronic noise.
 
     Raises:
         RacinesError: no such generator, or none of the settings.
@@ -155,6 +152,6 @@ def train_encoder(config: ExplorationConfig, run: Run, phantom: WorldLike = None
     world = make_phantom(phantom, "cpu", config.anatomy)
     store = explore(config, world, run.seed)
     metrics = train_pose(store, config.pose, run)
-    metrics |= {"exploration": asdict(config) | {"kept": len(store.parameters)}}
+    metrics["exploration"] = asdict(config) | {"kept": len(store.parameters)}
     write_json(run.folder / "metrics.json", metrics)
     return metrics

@@ -85,9 +85,9 @@ class FittedForces:
     def wrench(self, pose: Pose) -> Tensor:
         """Return the (B, 6) wrench at (B,) poses, N and N·m, in the probe's axes."""
         scaled = (self._raw(pose).to(self._mean.dtype) - self._mean) / self._std
-        x = self._features(torch.minimum(torch.maximum(scaled, self._low), self._high))
+        x = self._features(scaled.clamp(self._low, self._high))
         wrench = (x.unsqueeze(1) * self._weights).sum(-1)
-        return torch.minimum(torch.maximum(wrench, self._least), self._most).to(torch.float32)
+        return wrench.clamp(self._least, self._most).to(torch.float32)
 
 
 def fit_forces(store: "FrameStore", config: ForceConfig | None = None) -> FittedForces:
@@ -127,13 +127,8 @@ def make_forces(
 ) -> ForceSource | None:
     """Return the source of forces that a setting names; None lets the environment choose.
 
-    Args:
-        forces: `auto` (the backend's own, or else the contact model), `contact`, `recorded`,
-            `fitted`, or an object with `wrench(pose)`.
-        images: The backend.
-        world: A phantom, or recordings in its place.
-        store: The dataset to fit on.
-        device: Where the tensors live.
+    `auto` is the backend's own, or else the contact model; `contact`, `recorded` and `fitted` (on
+    `store`) are asked for, and an object with `wrench(pose)` is taken as it is.
 
     Raises:
         RacinesError: an unknown name, or one that this backend or dataset cannot serve.

@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -26,7 +26,6 @@ from racines_models.protocol import Judge
 
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
-    from racines_envs.worlds.replay_images import Replay
 
 WorldLike = World | PhantomConfig | str | None
 """What names a world: itself, a phantom's settings, `recorded`, or None for the default."""
@@ -98,7 +97,6 @@ def make_core(
     store = _open_data(backend, forces, data, task)
     if store is not None:
         parts[f"dataset {store.root}"] = trained_on(store.manifest)
-    if store is not None and (backend == "replay" or _is_replay(backend)):
         backend, phantom = _recordings(store, backend, phantom, device, data_version)
     if phantom == RECORDED:
         raise RacinesError("phantom='recorded' needs the backend 'replay'")
@@ -117,12 +115,17 @@ def _open_data(
     backend: str | ImageSource, forces: ForceSource | str, data: Path | str | None, task: Task
 ) -> "FrameStore | None":
     """Open the dataset if the backend or the forces need it, and check whose views it has."""
-    opened = backend if _is_replay(backend) else None
-    if opened is None and backend != "replay" and forces != "fitted":
-        return None
-    from racines_data.store.frames import open_store
+    store = None
+    if not isinstance(backend, str):
+        from racines_envs.worlds.replay_images import Replay
 
-    store = opened.store if opened else open_store(data)
+        store = backend.store if isinstance(backend, Replay) else None
+    if store is None:
+        if backend != "replay" and forces != "fitted":
+            return None
+        from racines_data.store.frames import open_store
+
+        store = open_store(data)
     labels = labels_of(anatomy_views(task.anatomy))
     if store.labels != labels:
         raise RacinesError(
@@ -132,25 +135,17 @@ def _open_data(
     return store
 
 
-def _is_replay(backend: str | ImageSource) -> "TypeGuard[Replay]":
-    """Return whether a backend is recordings that are open already."""
-    if isinstance(backend, str):
-        return False
-    from racines_envs.worlds.replay_images import Replay
-
-    return isinstance(backend, Replay)
-
-
 def _recordings(
     store: "FrameStore",
     backend: str | ImageSource,
     phantom: WorldLike,
     device: torch.device | str,
     data_version: str | None,
-) -> tuple[ImageSource, WorldLike]:
+) -> tuple[str | ImageSource, WorldLike]:
     """Return the replay of a dataset, and the phantom it is of or the recordings in its place.
 
-    A phantom beside recordings of none is not asked.
+    Where no recordings are replayed, both as they are given. A phantom beside recordings of none is
+    not asked.
 
     Raises:
         RacinesError: another phantom than the dataset's, unless any dataset may pass.
@@ -158,10 +153,10 @@ def _recordings(
     from racines_envs.worlds.recorded_world import RecordedWorld
     from racines_envs.worlds.replay_images import Replay, source_phantom
 
-    replay, own = backend if isinstance(backend, Replay) else None, source_phantom(store)
-    replay = replay or Replay(store, device)
-    if isinstance(phantom, RecordedWorld):
+    replay = Replay(store, device) if backend == "replay" else backend
+    if not isinstance(replay, Replay) or isinstance(phantom, RecordedWorld):
         return replay, phantom
+    own = source_phantom(store)
     if phantom == RECORDED or own is None:
         return replay, RecordedWorld(replay, device)
     if config_of(phantom) not in (None, own) and data_version != ANY:

@@ -38,12 +38,8 @@ class RecordedWorld(World):
         position, rotation = self._pose
         tilt = torch.acos((-rotation[:, 2, 2]).clamp(-1.0, 1.0)).max()
         yaw = torch.atan2(rotation[:, 1, 0], rotation[:, 0, 0]).abs().max()
-        self.workspace = Workspace(
-            position.amin(0),
-            position.amax(0),
-            float(tilt) + _SLACK,
-            min(float(yaw) + _SLACK, math.pi),
-        )
+        lean, turn = float(tilt) + _SLACK, min(float(yaw) + _SLACK, math.pi)
+        self.workspace = Workspace(position.amin(0), position.amax(0), lean, turn)
 
     def target(self, view: str) -> Pose:
         """Return the pose of the best-graded frame of a view, a batch of one.
@@ -63,11 +59,11 @@ class RecordedWorld(World):
             )
         grade = torch.where(shows, self._grades, -1.0)
         best = (grade >= grade.max() - 1e-6).nonzero().squeeze(1)
-        position, rotation = self._pose.position[best], self._pose.rotation[best]
+        position, rotation = (x[best] for x in self._pose)
         away = (position - position.mean(0)).norm(dim=-1)
         turned = (rotation - rotation.mean(0)).flatten(1).norm(dim=-1)
         row = best[(away / 0.003 + turned / 0.06).argmin()]
-        return Pose(self._pose.position[row][None], self._pose.rotation[row][None])
+        return Pose(*(x[row][None] for x in self._pose))
 
     def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
         """Return the (B, 6) recorded wrench nearest to poses, N and N·m."""
@@ -90,11 +86,9 @@ class RecordedWorld(World):
     def own_nearest(self, pose: Pose, label: int, units: tuple[float, float]) -> Pose:
         """Return the nearest recorded poses labelled with a view, near in unit steps."""
         rows = (self._views == label).nonzero().squeeze(1)
-        shown = Pose(self._pose.position[rows], self._pose.rotation[rows])
+        shown = Pose(*(x[rows] for x in self._pose))
         found = []
-        for position, rotation in zip(
-            pose.position.split(64), pose.rotation.split(64), strict=True
-        ):
+        for position, rotation in zip(*(x.split(64) for x in pose), strict=True):
             steps = (position[:, None] - shown.position).norm(dim=-1) / units[0]
             found.append((steps + geodesic(rotation[:, None], shown.rotation) / units[1]).argmin(1))
         index = torch.cat(found)
@@ -106,18 +100,13 @@ class RecordedWorld(World):
         )
 
     def own_starts(
-        self,
-        label: int,
-        target: Pose,
-        seeds: Tensor,
-        distance: tuple[float, float],
+        self, label: int, target: Pose, seeds: Tensor, distance: tuple[float, float],
         angle: tuple[float, float],
-    ) -> Pose:
+    ) -> Pose:  # fmt: skip
         """Return (N,) recorded poses, each drawn by its own seed from those that may be starts.
 
-        Those are the frames that do not show the view and lie as far from the nominal pose as
-        asked for, along the block's top and in angle; where there is none, all that do not
-        show the view.
+        Those are the frames that do not show the view and lie as far from the nominal pose as asked
+        for, along the block's top and in angle; where there is none, all that do not show the view.
 
         Raises:
             RacinesError: every frame shows the view.
@@ -132,7 +121,7 @@ class RecordedWorld(World):
         if not len(rows):
             raise RacinesError(f"every recorded frame shows {self.views[label]}: there is no start")
         place = (uniform(seeds, 1, _STREAM).squeeze(1) * len(rows)).long().clamp_max(len(rows) - 1)
-        return Pose(position[rows[place]], rotation[rows[place]])
+        return Pose(*(x[rows[place]] for x in self._pose))
 
 
 def _labels(store: FrameStore, split: str) -> tuple[Tensor, Tensor, str]:

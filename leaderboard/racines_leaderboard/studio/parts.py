@@ -62,7 +62,7 @@ def load_index(place: Place) -> Any:
     """Return what finds the nearest frame of the dataset; None without a dataset or poses."""
     import torch
 
-    from racines_envs.worlds.pose_index import PoseIndex
+    from racines_envs.worlds.replay_images import PoseIndex
 
     store = load_store(place)
     if store is None or not bool(torch.isfinite(store.parameters[:, 6:]).all()):
