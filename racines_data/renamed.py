@@ -62,9 +62,13 @@ MOVED = {
     "racines_envs.recordings": "recorder=episode_writer replay=rerun",
     "racines_envs.studies": "curves forces_report=forces step_profile task_table",
     "racines_envs.studies.rewards": (
-        "reward_pages=pages reward_report=report reward_trace=settlement"
+        "reward_pages=pages reward_report=report reward_trace=report "
+        "studies.rewards.settlement=report"
     ),
-    "racines_envs.studies.transfer": "rank_correlation transfer=run transfer_pages=pages",
+    "racines_envs.studies.transfer": (
+        "rank_correlation=run studies.transfer.rank_correlation=run transfer=run "
+        "transfer_pages=pages"
+    ),
     "racines_envs.task": "actions core names rewards sensing starts state tasks view_error",
     "racines_envs.worlds": (
         "backends backends_replay=replay_images data_versions exploration forces making "

@@ -48,15 +48,36 @@ SCHEMA = "racines.agent-scores/1"
 
 
 @dataclass(frozen=True)
-class EvaluationConfig:
-    """On what, from where and how an agent is judged."""
+class StudyConfig:
+    """From where agents are let act, and how exactly they are told apart."""
 
-    view: str = "SC"
-    """The target view."""
+    view: str = ""
+    """The target view; that of the agents if empty."""
     starts: int = 100
     """Episodes from each start set: its first n."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Name the start sets."""
+    resamples: int = 2000
+    """Bootstrap resamples of each interval."""
+    device: str = "cpu"
+
+    @property
+    def sets(self) -> tuple[int, ...]:
+        """The start sets in use."""
+        return tuple(self.seeds)
+
+    @property
+    def start_set(self) -> dict[str, Any]:
+        """The starts, as documents name them."""
+        return {"seeds": list(self.sets), "starts": self.starts}
+
+
+@dataclass(frozen=True)
+class EvaluationConfig(StudyConfig):
+    """On what, from where and how an agent is judged."""
+
+    view: str = "SC"
+    """The target view."""
     seed: int | None = None
     """Names one start set, instead of `seeds`."""
     backend: str = "phantom"
@@ -71,21 +92,13 @@ class EvaluationConfig:
     """Run folder of a grader that judges the last image of each episode; none if empty."""
     latency: int = 60
     """Decisions that are timed one at a time, at least 50; 0 for none (times never repeat)."""
-    resamples: int = 2000
-    """Bootstrap resamples of each interval."""
     pictured: int = 4
     """Episodes in the picture of trajectories."""
-    device: str = "cpu"
 
     @property
     def sets(self) -> tuple[int, ...]:
         """The start sets in use."""
-        return tuple(self.seeds) if self.seed is None else (self.seed,)
-
-    @property
-    def start_set(self) -> dict[str, Any]:
-        """The starts, as documents name them."""
-        return {"seeds": list(self.sets), "starts": self.starts}
+        return super().sets if self.seed is None else (self.seed,)
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """How well the fitted forces hold on trajectories that they were not fitted on."""
 
+from dataclasses import asdict
 from typing import Any
 
 from torch import Tensor
@@ -28,8 +29,6 @@ def force_report(
     Raises:
         RacinesError: no frame with a pose and a force in one of the splits.
     """
-    import dataclasses
-
     from racines_models.provenance import code_version, dataset_card
 
     config = config or ForceConfig()
@@ -50,7 +49,7 @@ def force_report(
         "dataset": dataset_card(store),
         "split": split,
         "frames": {"train": min(len(trained), config.frames), split: len(truth)},
-        "config": dataclasses.asdict(config),
+        "config": asdict(config),
         "errors": {name: _errors(p - wrench) for name, p in predicted.items()},
         "code": code_version(),
     }

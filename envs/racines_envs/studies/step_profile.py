@@ -116,10 +116,6 @@ def attach(core: ScanCore, watch: Stopwatch) -> None:
 def step_speed(config: SpeedConfig, phantom: WorldLike = None) -> dict[str, Any]:
     """Time random agents in the Gymnasium vector environment, at each batch size.
 
-    Args:
-        config: What is timed.
-        phantom: A phantom or its configuration; the shared one by default.
-
     Returns:
         What `racines study speed --json` prints: a run a batch size with `steps_per_second` (median
         of the rounds, all rows counted), its least and greatest round, `shares` of the time by
@@ -133,35 +129,23 @@ def step_speed(config: SpeedConfig, phantom: WorldLike = None) -> dict[str, Any]
         name: getattr(config, name)
         for name in ("observation", "reward", "backend", "generator", "grader", "device")
     }
-    runs = []
-    for rows in config.num_envs:
-        env = VectorScanEnv(config.view, rows, phantom=phantom, **settings)
-        runs.append(_time(env, config))
-    return {
-        "schema": SCHEMA,
-        "view": config.view,
-        **settings,
-        "steps": config.steps,
-        "rounds": config.rounds,
-        "machine": machine(torch.device(config.device)),
-        "runs": runs,
-    }
-
-
-def machine(device: torch.device) -> dict[str, Any]:
-    """Return what a speed depends on beside the code."""
-    return {
+    envs = (VectorScanEnv(config.view, n, phantom=phantom, **settings) for n in config.num_envs)
+    runs = [_time(env, config) for env in envs]
+    device = torch.device(config.device)
+    machine = {
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
         "cores": os.cpu_count(),
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
     }
+    timed = {"steps": config.steps, "rounds": config.rounds, "machine": machine, "runs": runs}
+    return {"schema": SCHEMA, "view": config.view, **settings, **timed}
 
 
 def _time(env: VectorScanEnv, config: SpeedConfig) -> dict[str, Any]:
     watch = Stopwatch(env.core.device)
-    rates = [_round(env, config.steps, seed, watch) for seed in range(config.rounds)]
-    speeds = [config.steps * env.num_envs / seconds for seconds in rates]
+    rounds = [_round(env, config.steps, seed, watch) for seed in range(config.rounds)]
+    speeds = [config.steps * env.num_envs / seconds for seconds in rounds]
     operations = _operations(env, config.operations) if config.operations else []
     attach(env.core, watch)
     whole = _round(env, config.steps, 0, watch)
@@ -179,9 +163,8 @@ def _time(env: VectorScanEnv, config: SpeedConfig) -> dict[str, Any]:
 
 def _round(env: VectorScanEnv, steps: int, seed: int, watch: Stopwatch) -> float:
     """Return the seconds of so many random steps from a fresh start; resets are not timed."""
-    actions = np.random.default_rng(seed).integers(
-        len(ACTIONS), size=(WARM_UP + steps, env.num_envs)
-    )
+    size = (WARM_UP + steps, env.num_envs)
+    actions = np.random.default_rng(seed).integers(len(ACTIONS), size=size)
     env.reset(seed=seed)
     for action in actions[:WARM_UP]:
         env.step(action)
@@ -196,22 +179,15 @@ def _operations(env: VectorScanEnv, count: int) -> list[dict[str, Any]]:
     """Return the operations that three steps spend most time in, by their own time."""
     from torch.profiler import ProfilerActivity, profile
 
-    kinds = [ProfilerActivity.CPU]
     accelerated = env.core.device.type == "cuda"
-    if accelerated:
-        kinds.append(ProfilerActivity.CUDA)
+    kinds = [ProfilerActivity.CPU, *([ProfilerActivity.CUDA] if accelerated else [])]
     env.reset(seed=0)
-    action = np.zeros(env.num_envs, dtype=np.int64)
-
-    def trace() -> Any:
+    for _ in range(2):  # the profiler's own start falls into the first
         with profile(activities=kinds) as told:
             for _ in range(3):
-                env.step(action)
-        return told.key_averages()
-
-    trace()  # the profiler's own start falls into the first
+                env.step(np.zeros(env.num_envs, dtype=np.int64))
     own = "self_device_time_total" if accelerated else "self_cpu_time_total"
-    times = {event.key: getattr(event, own) for event in trace()}
+    times = {event.key: getattr(event, own) for event in told.key_averages()}
     whole = sum(times.values())
     longest = sorted(times, key=lambda name: -times[name])[:count]
     return [{"name": name, "share": times[name] / whole} for name in longest]

@@ -4,10 +4,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from racines_data.tables import markdown_table
 from racines_envs.evaluation.pictures import save
-from racines_envs.studies.rewards.settlement import Settled
+from racines_envs.studies.rewards.report import Settled
 
 Key = tuple[str, str, str]
 
@@ -43,9 +44,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
     figures = row["metrics"]
     rates = ("success_true", "success_graded", "high_return_without_success")
     return [
-        row["agent"],
-        row["reward"],
-        row["termination"],
+        *(row[name] for name in ("agent", "reward", "termination")),
         _ranged(figures["return"], 1.0, ".1f"),
         *(_ranged(figures[name], 100.0, ".1f", " %") for name in rates),
         *(f"{figures[name]['value']:.1f}" for name in ("episode_steps", "hovered")),
@@ -69,9 +68,9 @@ def arithmetic(row: dict[str, Any], numbers: dict[str, float]) -> str:
 def _of_the_paper(content: dict[str, Any]) -> str:
     numbers, hits, most = content["numbers"], content["hits_in_a_row"], content["max_steps"]
     told, steps = (content["paper"][name]["image"] for name in ("return", "steps"))
-    cost = numbers["step"] * steps
-    once, often = numbers["hit"] + 1 + cost, numbers["hit"] * hits + 1 + cost
-    ever = numbers["hit"] * (most - steps) + numbers["step"] * most
+    hit, cost = numbers["hit"], numbers["step"] * steps
+    once, often = hit + 1 + cost, hit * hits + 1 + cost
+    ever = hit * (most - steps) + numbers["step"] * most
     return (
         f"The paper reports a mean return of about {told:g} at about {steps:g} steps (image, SC) "
         "and not what ends an episode. An episode that succeeds in "
@@ -86,16 +85,10 @@ def draw_returns(episodes: dict[Key, Settled], view: str, path: Path) -> None:
 
     An episode right of the line has a high return; below 0 it does not show the view.
     """
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot as plt
-
     agents, rewards, rules = (list(dict.fromkeys(key[i] for key in episodes)) for i in range(3))
     size = (2.9 * len(rules) + 1.0, 2.5 * len(rewards) + 0.9)
-    figure, grid = plt.subplots(
-        len(rewards), len(rules), figsize=size, sharey=True, squeeze=False, layout="constrained"
-    )
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.subplots(len(rewards), len(rules), sharey=True, squeeze=False)
     for (row, column), axes in np.ndenumerate(grid):
         for number, agent in enumerate(agents):
             episode = episodes[agent, rewards[row], rules[column]]

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from racines_data.tables import markdown_table
 from racines_envs.evaluation.pictures import save
@@ -11,8 +12,7 @@ from racines_envs.evaluation.pictures import save
 
 def transfer_markdown(content: dict[str, Any]) -> str:
     """Return the matrix and the correlations as Markdown tables."""
-    backends, cells = content["backends"], _cells(content)
-    starts = content["start_set"]
+    backends, cells, starts = content["backends"], _cells(content), content["start_set"]
     rows = [
         [
             agent["label"],
@@ -30,23 +30,24 @@ def transfer_markdown(content: dict[str, Any]) -> str:
     ]
     if content["correlations"]:
         head = ["backends", "figure", "Spearman's ρ (95 %)", "Kendall's τ (95 %)"]
-        lines += ["", markdown_table(head, map(_correlation, content["correlations"]))]
+        rows = [
+            [" and ".join(map(_short, found["backends"])), found["figure"]]
+            + [_interval(found[name]) for name in ("spearman", "kendall")]
+            for found in content["correlations"]
+        ]
+        lines += ["", markdown_table(head, rows)]
     return "\n".join(lines) + "\n"
 
 
 def draw_transfer(content: dict[str, Any], path: Path) -> None:
     """Draw true success as a heat map, steps and grade written into its cells; PNG."""
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot as plt
-
     backends, agents, cells = content["backends"], content["agents"], _cells(content)
     values = np.array(
         [[cells[a["label"], b]["success_true"]["value"] * 100 for b in backends] for a in agents]
     )
     size = (2.6 + 1.9 * len(backends), 1.7 + 0.75 * len(agents))
-    figure, axes = plt.subplots(figsize=size, layout="constrained")
+    figure = Figure(figsize=size, layout="constrained")
+    axes = figure.subplots()
     image = axes.imshow(values, cmap="viridis", vmin=0, vmax=100, aspect="auto")
     for (row, column), value in np.ndenumerate(values):
         metrics = cells[agents[row]["label"], backends[column]]
@@ -55,7 +56,9 @@ def draw_transfer(content: dict[str, Any], path: Path) -> None:
         colour = "black" if value > 60 else "white"
         axes.text(column, row, text, ha="center", va="center", color=colour, fontsize=8.5)
     axes.set_xticks(range(len(backends)), [_short(backend) for backend in backends])
-    axes.set_yticks(range(len(agents)), [_named(agent) for agent in agents])
+    places = [f"\n({_short(a['trained_in'])})" if a["trained_in"] else "" for a in agents]
+    names = [f"{a['label']}{place}" for a, place in zip(agents, places, strict=True)]
+    axes.set_yticks(range(len(agents)), names)
     axes.set(xlabel="evaluated in", title=f"True success on {content['view']}")
     figure.colorbar(image, label="true success, %")
     save(figure, path)
@@ -72,25 +75,14 @@ def _judges(judged_by: dict[str, str]) -> str:
     return ", ".join(f"{judge} ({_short(backend)})" for backend, judge in judged_by.items())
 
 
-def _named(agent: dict[str, Any]) -> str:
-    trained = agent["trained_in"]
-    return f"{agent['label']}\n({_short(trained)})" if trained else agent["label"]
-
-
 def _short(backend: str) -> str:
     """Return a backend without the folders of its path."""
     kind, _, what = backend.partition(":")
     return f"{kind}:{Path(what).name}" if what else kind
 
 
-def _correlation(found: dict[str, Any]) -> list[str]:
-    both = (_interval(found[name]) for name in ("spearman", "kendall"))
-    return [" and ".join(map(_short, found["backends"])), found["figure"], *both]
-
-
 def _outcome(metrics: dict[str, Any]) -> str:
-    success = metrics["success_true"]
-    rate, low, high = (100 * success[key] for key in ("value", "low", "high"))
+    rate, low, high = (100 * metrics["success_true"][key] for key in ("value", "low", "high"))
     steps, grade = metrics["steps"]["value"], metrics["final_grade"]["value"]
     return f"{rate:.1f} % ({low:.1f}–{high:.1f}), {_number(steps, '.1f')}, {grade:.2f}"
 

@@ -10,35 +10,34 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from scipy.stats import rankdata
 
 from racines_data.errors import RacinesError
 from racines_envs.agents.rollout import rollout
 from racines_envs.evaluation.agent_specs import Run, common_view
 from racines_envs.evaluation.measures import path_length_score
-from racines_envs.evaluation.run import check_view, reference_steps, start_seeds
-from racines_envs.studies.transfer.rank_correlation import correlate
-from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
+from racines_envs.evaluation.run import (
+    StudyConfig,
+    check_view,
+    core_for,
+    reference_steps,
+    start_seeds,
+)
+from racines_envs.worlds.making import WorldLike, find_task, make_phantom, phantom_recipe
 from racines_envs.worlds.recorded_world import RecordedWorld
 from racines_models import statistics
 from racines_models.devices import on_device
 
 SCHEMA = "racines.agent-transfer/1"
 COMPARED = ("success_true", "episode_steps", "spl", "final_grade")
+LEVEL = 0.95
+Scores = dict[tuple[str, str], dict[str, np.ndarray]]
+"""(n,) of each compared figure, by agent and backend."""
 
 
 @dataclass(frozen=True)
-class TransferConfig:
+class TransferConfig(StudyConfig):
     """Which starts, and how exactly."""
-
-    view: str = ""
-    """The target view; that of the agents if empty."""
-    starts: int = 100
-    """Episodes from each start set."""
-    seeds: tuple[int, ...] = (0, 1, 2)
-    """Name the start sets."""
-    resamples: int = 2000
-    """Bootstrap resamples of each interval."""
-    device: str = "cpu"
 
 
 def backend_arguments(spec: str) -> dict[str, Any]:
@@ -76,72 +75,58 @@ def transfer(
     seeds, view = start_seeds(config.starts, config.seeds), common_view(runs, config.view)
     phantom = make_phantom(phantom, config.device, find_task(view, phantom).anatomy)
     shortest = reference_steps(view, seeds, phantom, config.device)
-    finals: dict[tuple[str, str], dict[str, np.ndarray]] = {}
+    scores: Scores = {}
     judges: dict[str, str] = {}
-    for backend, given in zip(backends, arguments, strict=True):
-        images = None
+    for backend, drawn_by in zip(backends, arguments, strict=True):
         for run in runs:
             agent = run.load(config.device)
             check_view(agent, view, run.agent, run.folder)
-            drawn_by: dict[str, Any] = given if images is None else {"backend": images}
-            core = make_core(
-                view,
-                len(seeds),
-                **drawn_by,
-                observation=agent.observation,
-                reward="oracle",
-                phantom=phantom,
-                encoder=getattr(agent, "encoder", None),
+            core = core_for(
+                agent, view, len(seeds), **drawn_by, reward="oracle", phantom=phantom,
                 device=config.device,
-            )
-            images = core.images  # loaded once for all agents
+            )  # fmt: skip
+            drawn_by = {"backend": core.images}  # loaded once for all agents
             recorded = isinstance(core.phantom, RecordedWorld)
             judges[backend] = "the recorded labels" if recorded else "the phantom's truth"
             final = rollout(core, agent, seeds.to(core.device)).final
-            alone = (
-                core.phantom is not phantom
-            )  # recordings of no phantom, with starts of their own
-            steps = reference_steps(view, seeds, core.phantom, config.device) if alone else shortest
-            finals[run.label, backend] = _scores(final, steps)
+            steps = shortest
+            if core.phantom is not phantom:  # recordings of no phantom, with starts of their own
+                steps = reference_steps(view, seeds, core.phantom, config.device)
+            scores[run.label, backend] = {
+                "success_true": final["success"],
+                "episode_steps": final["steps"],
+                "spl": path_length_score(final["success"], final["steps"], steps),
+                "final_grade": final["grade"],
+            }
     return {
         "schema": SCHEMA,
         "view": view,
-        "start_set": {"seeds": list(config.seeds), "starts": config.starts},
+        "start_set": config.start_set,
         "phantom": phantom_recipe(phantom),
         "agents": [_describe(run) for run in runs],
         "backends": list(backends),
         "judged_by": judges,
         "cells": [
             {"agent": run.label, "backend": backend}
-            | {"metrics": _figures(finals[run.label, backend], config.resamples)}
+            | {"metrics": _figures(scores[run.label, backend], config.resamples)}
             for run in runs
             for backend in backends
         ],
-        "correlations": _correlations(runs, backends, finals, config.resamples),
-    }
-
-
-def _scores(final: dict[str, np.ndarray], shortest: np.ndarray) -> dict[str, np.ndarray]:
-    """Return (n,) of each compared figure."""
-    success, steps = final["success"], final["steps"]
-    return {
-        "success_true": success,
-        "episode_steps": steps,
-        "spl": path_length_score(success, steps, shortest),
-        "final_grade": final["grade"],
+        "correlations": _correlations(runs, backends, scores, config.resamples),
     }
 
 
 def _figures(scores: dict[str, np.ndarray], resamples: int) -> dict[str, Any]:
+    def mean(values: np.ndarray, unit: str | None = None) -> dict[str, Any]:
+        return statistics.mean(values, unit, resamples)
+
     success, steps = scores["success_true"], scores["episode_steps"]
     return {
         "success_true": statistics.wilson(success),
-        "steps": statistics.mean(
-            steps[success], "steps of the episodes with true success", resamples
-        ),
-        "episode_steps": statistics.mean(steps, "steps", resamples),
-        "spl": statistics.mean(scores["spl"], None, resamples),
-        "final_grade": statistics.mean(scores["final_grade"], None, resamples),
+        "steps": mean(steps[success], "steps of the episodes with true success"),
+        "episode_steps": mean(steps, "steps"),
+        "spl": mean(scores["spl"]),
+        "final_grade": mean(scores["final_grade"]),
     }
 
 
@@ -156,20 +141,69 @@ def _describe(run: Run) -> dict[str, Any]:
 
 
 def _correlations(
-    runs: Sequence[Run],
-    backends: Sequence[str],
-    finals: dict[tuple[str, str], dict[str, np.ndarray]],
-    resamples: int,
+    runs: Sequence[Run], backends: Sequence[str], scores: Scores, resamples: int
 ) -> list[dict[str, Any]]:
     found = []
-    if len(runs) < 2:
-        return found
-    for first, second in combinations(backends, 2):
+    for pair in combinations(backends, 2) if len(runs) > 1 else ():
         for figure in COMPARED:
             x, y = (
-                np.stack([finals[run.label, backend][figure] for run in runs]).astype(np.float64)
-                for backend in (first, second)
+                np.stack([scores[run.label, backend][figure] for run in runs]).astype(np.float64)
+                for backend in pair
             )
-            pair = {"backends": [first, second], "figure": figure}
-            found.append(pair | correlate(x, y, resamples))
+            found.append({"backends": list(pair), "figure": figure} | correlate(x, y, resamples))
     return found
+
+
+def correlate(x: np.ndarray, y: np.ndarray, resamples: int) -> dict[str, dict[str, Any]]:
+    """Return both correlations of A agents' means over n starts, between two backends.
+
+    Both hold (A, n) a score an agent and start. The interval is a percentile bootstrap over starts;
+    one draw of starts serves all agents and both backends, since they share them. Draws in which a
+    backend tells no agents apart have no correlation; they are left out and counted.
+    """
+    starts = x.shape[1]
+    rows = np.random.default_rng(0).integers(0, starts, (resamples, starts))
+    # Counting how often a start is drawn is one product, and no (A, resamples, n) array.
+    weights = np.stack([np.bincount(row, minlength=starts) for row in rows]) / starts
+    drawn = [np.round(weights @ values.T, 12) for values in (x, y)]
+    whole = [np.round(values.mean(1), 12) for values in (x, y)]
+    return {
+        name: _figure(float(rule(*whole)), rule(*drawn), len(x))
+        for name, rule in (("spearman", spearman), ("kendall", kendall))
+    }
+
+
+def spearman(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return Spearman's ρ of (…, A) and (…, A) scores, ties at their mean rank; NaN if one is flat.
+
+    Spearman, The Proof and Measurement of Association between Two Things, 1904.
+    """
+    ranks = [rankdata(values, axis=-1) for values in (x, y)]
+    return _cosine(*(each - each.mean(-1, keepdims=True) for each in ranks), axes=-1)
+
+
+def kendall(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return Kendall's τ-b of (…, A) and (…, A) scores; NaN if one is flat.
+
+    Kendall, The Treatment of Ties in Ranking Problems, 1945.
+    """
+    orders = [np.sign(values[..., :, None] - values[..., None, :]) for values in (x, y)]
+    return _cosine(*orders, axes=(-2, -1))
+
+
+def _cosine(a: np.ndarray, b: np.ndarray, axes: int | tuple[int, int]) -> np.ndarray:
+    scale = np.sqrt((a * a).sum(axes) * (b * b).sum(axes))
+    return np.where(scale > 0, (a * b).sum(axes) / np.where(scale > 0, scale, 1.0), np.nan)
+
+
+def _figure(value: float, drawn: np.ndarray, agents: int) -> dict[str, Any]:
+    defined = drawn[np.isfinite(drawn)]
+    figure: dict[str, Any] = {"value": None, "low": None, "high": None, "n": agents}
+    if np.isfinite(value):
+        low, high = np.quantile(defined, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
+        figure |= {"value": value, "low": float(low), "high": float(high)}
+    settings = {
+        "interval": f"percentile bootstrap over starts, {len(drawn)} resamples",
+        "undefined": len(drawn) - len(defined),
+    }
+    return figure | {"unit": "agents compared", "settings": settings}
