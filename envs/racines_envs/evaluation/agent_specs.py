@@ -39,9 +39,8 @@ class Run:
     folder: Path
     """The run folder; not read for agents without weights."""
     config: dict[str, Any] = field(default_factory=dict)
-    """The training's settings; empty for agents without weights."""
+    """The training's settings; empty for agents without weights, as is its seed."""
     seed: int | None = None
-    """Of the training."""
 
     def load(self, device: torch.device | str = "cpu") -> Agent:
         """Return the agent."""
@@ -57,8 +56,7 @@ def split_label(spec: str) -> tuple[str | None, str]:
 def find_run(spec: str) -> Run:
     """Return what `[LABEL=]NAME` or `[LABEL=]FOLDER` names; a name's folder is envs/runs/NAME.
 
-    Raises:
-        RacinesError: a folder without config.json, or one that does not say which agent it holds.
+    A folder that has no config.json, or whose one does not say which agent it holds, is refused.
     """
     label, where = split_label(spec)
     given = Path(where).is_dir()
@@ -76,11 +74,7 @@ def find_run(spec: str) -> Run:
 
 
 def find_runs(specs: Sequence[str]) -> list[Run]:
-    """Return several agents, each under a label of its own.
-
-    Raises:
-        RacinesError: none given, or two of one label.
-    """
+    """Return several agents, one at least, each under a label of its own."""
     runs = [find_run(spec) for spec in specs]
     if not runs:
         raise RacinesError("no agent given: name agents or run folders")
@@ -92,11 +86,7 @@ def find_runs(specs: Sequence[str]) -> list[Run]:
 
 
 def common_view(runs: Sequence[Run], view: str = "") -> str:
-    """Return the view that all were trained for; `view`, or SC, for agents without weights.
-
-    Raises:
-        RacinesError: they were trained for different views, or not for the one asked for.
-    """
+    """Return the one view that all were trained for; `view`, or SC, for agents without weights."""
     trained = {run.label: run.config["view"] for run in runs if "view" in run.config}
     wanted = view or next(iter(trained.values()), "SC")
     for label, its in trained.items():
@@ -108,11 +98,7 @@ def common_view(runs: Sequence[Run], view: str = "") -> str:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file.
-
-    Raises:
-        RacinesError: missing or damaged.
-    """
+    """Read a JSON file; one that is missing or damaged is named in the error."""
     try:
         return json.loads(path.read_text())
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
@@ -148,13 +134,10 @@ class Entry:
 
 
 def find_entry(settings: dict[str, Any], spec: str, name: str | None = None) -> Entry:
-    """Return the run that a spec names: an entry of the section `agents`, or else an agent.
+    """Return the run that a spec names, in all sections' settings; called `name`, if given.
 
-    Args:
-        settings: All sections.
-        spec: An entry's name; or a registered agent, `module:Class` or `FILE.onnx`, whose entry is
-            the one of its own name, if there is one.
-        name: What to call the run, instead.
+    A spec is the name of an entry of the section `agents`; or a registered agent, `module:Class` or
+    `FILE.onnx`, whose entry is the one of its own name, if there is one.
 
     Raises:
         RacinesError: no such entry or agent, or an entry that is no mapping.

@@ -122,15 +122,10 @@ class Prepared(NamedTuple):
 
 
 def evaluate(
-    name: str,
-    run_dir: Path,
-    config: EvaluationConfig,
-    phantom: WorldLike = None,
-    grader: Judge | None = None,
-    agent: Agent | None = None,
-    run: str | None = None,
+    name: str, run_dir: Path, config: EvaluationConfig, phantom: WorldLike = None,
+    grader: Judge | None = None, agent: Agent | None = None, run: str | None = None,
     board: str | None = None,
-) -> Evaluation:
+) -> Evaluation:  # fmt: skip
     """Run the agent that lies in `run_dir` and score it; all episodes of all sets at once.
 
     Args:
@@ -174,13 +169,9 @@ def evaluate(
 
 
 def prepare(
-    name: str,
-    run_dir: Path,
-    config: EvaluationConfig,
-    phantom: WorldLike = None,
-    grader: Judge | None = None,
-    agent: Agent | None = None,
-) -> Prepared:
+    name: str, run_dir: Path, config: EvaluationConfig, phantom: WorldLike = None,
+    grader: Judge | None = None, agent: Agent | None = None,
+) -> Prepared:  # fmt: skip
     """Return an agent and the environment that it is judged in; arguments as of `evaluate`."""
     config = on_device(config)
     task = find_task(config.view, phantom)  # an unknown view is refused before anything is loaded
@@ -192,44 +183,26 @@ def prepare(
         grader = make_grader(config.grader, config.device)
     check_grader(grader, task)
     core = core_for(
-        agent,
-        config.view,
-        len(seeds),
-        backend=config.backend,
-        generator=config.generator or None,
-        reward=config.reward,
-        phantom=world,
-        grader=grader if get_reward(config.reward).needs_judge else None,
+        agent, config.view, len(seeds), backend=config.backend,
+        generator=config.generator or None, data=config.data or None, reward=config.reward,
+        grader=grader if get_reward(config.reward).needs_judge else None, phantom=world,
         device=config.device,
-        data=config.data or None,
-    )
+    )  # fmt: skip
     return Prepared(agent, core, seeds, grader)
 
 
 def record_trace(
-    name: str,
-    run_dir: Path,
-    config: EvaluationConfig,
-    path: Path,
-    phantom: WorldLike = None,
-    grader: Judge | None = None,
-    agent: Agent | None = None,
-) -> dict[str, Any]:
+    name: str, run_dir: Path, config: EvaluationConfig, path: Path, phantom: WorldLike = None,
+    grader: Judge | None = None, agent: Agent | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Let an agent act from the starts that it is judged on, and write what it did to a file.
 
-    All but `path`, that file, is as of `evaluate`, and so are the errors.
-
-    Returns:
-        Path, episodes, steps.
+    All but `path` is as of `evaluate`; what comes back is that path, and counts.
     """
     agent, core, seeds, _ = prepare(name, run_dir, config, phantom, grader, agent)
     recorded: Any = ActionRecorder(agent)
     episodes = rollout(core, recorded, seeds.to(core.device))
-    told = {
-        "agent": agent.name,
-        "observation": getattr(agent, "seen", agent.observation),
-        "start_set": config.start_set,
-    }
+    told = {"agent": agent.name, "observation": _shown(agent), "start_set": config.start_set}
     told |= circumstances(core, config.backend)
     steps = write_trace(path, told, recorded.episodes(episodes.final["steps"]))
     read_trace(path)
@@ -237,11 +210,7 @@ def record_trace(
 
 
 def start_seeds(starts: int, sets: Sequence[int]) -> Tensor:
-    """Return (sets × starts,) episode seeds, one set after the other.
-
-    Raises:
-        RacinesError: no starts, no sets, or a set named twice.
-    """
+    """Return (sets × starts,) episode seeds, one set after the other; none may be named twice."""
     if starts < 1:
         raise RacinesError(f"evaluation.starts is {starts}: give at least 1")
     whole = all(isinstance(seed, int) and not isinstance(seed, bool) for seed in sets)
@@ -251,11 +220,7 @@ def start_seeds(starts: int, sets: Sequence[int]) -> Tensor:
 
 
 def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
-    """Check that an agent that was trained for a view is asked for that one.
-
-    Raises:
-        RacinesError: it was trained for another.
-    """
+    """Check that an agent that was trained for a view is asked for that one."""
     trained = getattr(agent, "view", view)
     if trained != view:
         raise RacinesError(
@@ -295,6 +260,10 @@ def _extractors(agent: Agent, grader: Judge | None) -> dict[str, dict[str, Any]]
     return {kind: settings for kind, settings in told.items() if settings is not None}
 
 
+def _shown(agent: Agent) -> str:
+    return getattr(agent, "seen", agent.observation)
+
+
 def _document(
     run_dir: Path, config: EvaluationConfig, core: ScanCore, agent: Agent, figures: dict[str, Any]
 ) -> dict[str, Any]:
@@ -308,7 +277,7 @@ def _document(
         "task": {
             "view": core.task.view,
             "backend": config.backend,
-            "observation": getattr(agent, "seen", agent.observation),
+            "observation": _shown(agent),
             "reward": config.reward,
             "start_set": config.start_set,
             "definition": asdict(core.task),

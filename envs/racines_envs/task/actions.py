@@ -41,12 +41,9 @@ class ActionTable(NamedTuple):
 
 
 def check_actions(action: Tensor, count: int) -> Tensor:
-    """Return (count,) int64 actions in 0-12.
+    """Return (count,) int64 actions, if they are integers in 0-12.
 
     On an accelerator the range is asserted on the device, without waiting for it.
-
-    Raises:
-        RacinesError: wrong shape, a type that is no integer (so NaN too), or out of range.
     """
     if action.shape != (count,):
         raise RacinesError(f"actions have shape {tuple(action.shape)}: give ({count},)")

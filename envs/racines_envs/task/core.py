@@ -46,19 +46,11 @@ class ScanCore:
     """N environments of one task."""
 
     def __init__(
-        self,
-        task: Task,
-        phantom: World,
-        images: ImageSource,
-        grader: Judge | None = None,
-        observation: str = "params",
-        reward: str | Reward = "oracle",
-        rewards: RewardConfig | None = None,
-        num_envs: int = 1,
-        device: torch.device | str = "cpu",
-        encoder: Encoder | None = None,
-        forces: ForceSource | None = None,
-    ) -> None:
+        self, task: Task, phantom: World, images: ImageSource, grader: Judge | None = None,
+        observation: str = "params", reward: str | Reward = "oracle",
+        rewards: RewardConfig | None = None, num_envs: int = 1, device: torch.device | str = "cpu",
+        encoder: Encoder | None = None, forces: ForceSource | None = None,
+    ) -> None:  # fmt: skip
         """Join a task, a phantom (truth, limits) and a source of images.
 
         An `encoder` looks once at each image; what it says is observed as `features`. Forces come
@@ -103,10 +95,7 @@ class ScanCore:
 
         Row i gets `seed` + i, or its own of (N,) int64; without it each row goes on to the next
         episode of its seed. Only rows of the (N,) bool `mask` are reset; all by default, and at the
-        first reset. An episode starts at its `pose` instead of a drawn one.
-
-        Raises:
-            RacinesError: a given pose lies outside the workspace.
+        first reset. An episode may start at a given `pose`, in the workspace, not at a drawn one.
         """
         if seed is not None:
             self._seed(seed)
@@ -143,12 +132,9 @@ class ScanCore:
         return State(*pose, wrench, seed, none, none, none, none, -wrench[:, 2], zero, zero, done)
 
     def step(
-        self,
-        action: Tensor,
-        autoreset: bool = False,
-        rows: Tensor | None = None,
+        self, action: Tensor, autoreset: bool = False, rows: Tensor | None = None,
         strict: bool = False,
-    ) -> Transition:
+    ) -> Transition:  # fmt: skip
         """Move every row by one of the 13 actions, (N,) integers.
 
         With `autoreset`, a row that ended in the step before ignores its action and starts its next
@@ -157,9 +143,8 @@ class ScanCore:
         Only the (K,) `rows` are looked at, by default all: what has ended need not be drawn again.
 
         Raises:
-            RacinesError: actions of the wrong shape or type, or out of range; no reset before; an
-                image, a judgement or a force that is not what it has to be; with `strict`, a step
-                of a row that has ended (which waits for the device).
+            RacinesError: no reset before; wrong actions; an image, a judgement or a force that is
+                not what it has to be; with `strict` (which waits for the device), a row has ended.
         """
         if not self._sensed:
             raise RacinesError("step before reset: call reset first")
@@ -202,9 +187,9 @@ class ScanCore:
     def wrench(self, pose: Pose) -> Tensor:
         """Return the (B, 6) wrench, N and N·m, of probes at rest at any poses."""
         wrench = self.forces.wrench(pose)
-        if self.forces is self.phantom:
-            return wrench
-        return check_finite(wrench, f"forces of {type(self.forces).__name__}")
+        if self.forces is not self.phantom:
+            check_finite(wrench, f"forces of {type(self.forces).__name__}")
+        return wrench
 
     def limits(self, pose: Pose, wrench: Tensor, force: Tensor) -> tuple[Tensor, Tensor]:
         """Return whether poses lie in the workspace, and whether they press within the limit.
@@ -235,8 +220,7 @@ class ScanCore:
         if rows is not None:
             pose = Pose(*(x[rows] for x in pose))
             wrench, seeds = wrench[rows], seeds[rows]
-        parameters = pose_to_parameters(pose, wrench)
-        truth = self.phantom.judge_alike(pose)
+        parameters, truth = pose_to_parameters(pose, wrench), self.phantom.judge_alike(pose)
         sensed = {
             "parameters": parameters,
             "view": truth.view,
@@ -259,8 +243,7 @@ class ScanCore:
 
     def scored_by(self, source: str) -> Score:
         """Return the scores of all rows by the `oracle` or, where one looks, the `grader`."""
-        p, g = self._sensed[f"{source}_p"], self._sensed[f"{source}_g"]
-        return Score(p, g, self._distance())
+        return Score(self._sensed[f"{source}_p"], self._sensed[f"{source}_g"], self._distance())
 
     def _distance(self) -> Tensor:
         """Return (N,) unit steps to the nominal pose, or zeros where the reward has no use."""
@@ -294,7 +277,7 @@ class ScanCore:
         return self._sensed["parameters"]
 
     def decision_seeds(self) -> Tensor:
-        """Return (N,) int64 seeds for an agent that draws its action at this step."""
+        """Return (N,) int64 seeds for agents that draw their actions at this step."""
         return derive(self.state.seed, self.state.steps, 7)
 
     def picture(self) -> Tensor:
@@ -312,11 +295,9 @@ class ScanCore:
 
         With an encoder also `features`, what it says of the images.
         """
-        seen: dict[str, Tensor] = {}
-        if self.observation != "params":
-            seen["image"] = self._sensed["image"]
-        if self.encoder is not None:
-            seen["features"] = self._sensed["features"]
+        names = [] if self.observation == "params" else ["image"]
+        names += [] if self.encoder is None else ["features"]
+        seen = {name: self._sensed[name] for name in names}
         if self.observation != "image":
             position = (self.state.position - self._centre) / self._half
             encoded = torch.cat([position, rotation_6d(self.state.rotation)], -1)
@@ -328,10 +309,9 @@ class ScanCore:
 
         `view` and `grade` are the oracle's; `success` is the true view being the target's,
         `success_graded` also a true grade of at least 5. `probability` and `score` are p and g by
-        the reward's own source. Forces in N, errors in m and rad: `position_error` and
-        `rotation_error` to the nominal pose, `view_position_error` and `view_rotation_error` (left
-        out without `view_error`: they cost as much as some steps) to the nearest pose that truly
-        shows the view. `out_of_support` is there if the source of images tells it.
+        the reward's own source. Forces in N, errors in m and rad: to the nominal pose, and those of
+        the view (left out without `view_error`: they cost as much as some steps) to the nearest
+        pose that truly shows it. `out_of_support` is there if the source of images tells it.
         """
         state, sensed, success = self.state, self._sensed, self.sees_target()
         metres, radians = self.pose_error()

@@ -30,12 +30,11 @@ def validation_seeds(count: int, seed: int = 0) -> Tensor:
 def draw_starts(task: Task, world: World, target: Pose, seeds: Tensor) -> Pose:
     """Draw one start a seed, (N,), inside the workspace and outside the target view.
 
-    The offset along the block's top has a uniform distance and direction, and is mirrored along
-    an axis on which it would leave the workspace; the height is uniform, and the rotation has a
-    uniform angle about a uniform axis. The first of eight such draws that lies in the workspace and
-    does not show the view is taken; else the first in the workspace; else the nominal pose.
-
-    A world that knows where it can start, as recordings do, draws the starts itself.
+    A world that knows where it can start, as recordings do, draws the starts itself. Else the
+    offset along the block's top has a uniform distance and direction, and is mirrored along an axis
+    on which it would leave the workspace; the height is uniform, and the rotation has a uniform
+    angle about a uniform axis. The first of eight such draws that lies in the workspace and does
+    not show the view is taken; else the first in the workspace; else the nominal pose.
     """
     own = world.own_starts(task.target, target, seeds, task.start_distance, task.start_angle)
     if own is not None:
@@ -58,23 +57,19 @@ def draw_starts(task: Task, world: World, target: Pose, seeds: Tensor) -> Pose:
 
 
 def check_starts(pose: Pose, count: int, workspace: Workspace, device: torch.device | str) -> Pose:
-    """Return (count,) given start poses on the device, if all lie in the workspace.
-
-    Raises:
-        RacinesError: another number of poses, one that is not finite, or one outside.
-    """
+    """Return (count,) given start poses on the device, if all are finite and in the workspace."""
     pose = pose.to(device)
-    if pose.position.shape != (count, 3):
-        shape = tuple(pose.position.shape)
+    shape = tuple(pose.position.shape)
+    if shape != (count, 3):
         raise RacinesError(f"start positions have shape {shape}: give ({count}, 3)")
     if not all(bool(torch.isfinite(x).all()) for x in pose):
         raise RacinesError("a start pose is not finite: every value must be a number")
     outside = ~workspace.contains(pose)
     if bool(outside.any()):
         row = int(outside.nonzero()[0])
+        edges = (workspace.position_min, workspace.position_max)
+        low, high = (", ".join(f"{x:.3f}" for x in edge.tolist()) for edge in edges)
         where = ", ".join(f"{x:.4f}" for x in pose.position[row].tolist())
-        low = ", ".join(f"{x:.3f}" for x in workspace.position_min.tolist())
-        high = ", ".join(f"{x:.3f}" for x in workspace.position_max.tolist())
         raise RacinesError(
             f"start pose {row} at ({where}) m is outside the workspace: positions from ({low}) "
             f"to ({high}) m, and its tilt and yaw limits"

@@ -24,9 +24,8 @@ class State:
     streak: Tensor
     """Hits in a row."""
     workspace_hits: Tensor
-    """Steps that would have left the workspace and became idle."""
     force_hits: Tensor
-    """Steps that would have pressed over the limit and became idle."""
+    """Steps that would have left the workspace, or pressed over the limit, and became idle."""
     peak_force: Tensor
     """Greatest normal force of the episode, N."""
     force_sum: Tensor
@@ -47,8 +46,8 @@ class State:
 
     def replaced(self, rows: Tensor, other: "State") -> "State":
         """Return the state with the (K,) rows of another of K rows put in."""
-        names = [field.name for field in fields(self)]
-        return State(**{n: getattr(self, n).index_copy(0, rows, getattr(other, n)) for n in names})
+        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+        return State(*(old.index_copy(0, rows, new) for old, new in pairs))
 
 
 class Transition(NamedTuple):

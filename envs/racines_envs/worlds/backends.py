@@ -40,9 +40,7 @@ def open_source(spec: str | Path, device: torch.device | str = "cpu") -> ImageSo
 
     A spec is a registered name or `module:Class` (its run in models/runs/NAME), either with
     `@FOLDER` for a run elsewhere; the folder of a run, which says whose it is; or `FILE.onnx`.
-
-    Raises:
-        RacinesError: unknown, absent or refused, by name or file.
+    What is unknown, absent or refused is said by name or file.
     """
     from racines_models.registry import is_file, open_generator, run_folder
 
@@ -83,18 +81,13 @@ def _whose(folder: Path) -> str:
 
 
 def make_backend(
-    backend: str | ImageSource,
-    phantom: World,
-    generator: ImageSource | str | Path | None,
+    backend: str | ImageSource, phantom: World, generator: ImageSource | str | Path | None,
     device: torch.device | str,
-) -> ImageSource:
+) -> ImageSource:  # fmt: skip
     """Return the source of images: that of `phantom` or `generator` (recordings are open by now).
 
     An object that satisfies `ImageSource` is taken as it is; so is a generator, which else is what
     `open_source` opens.
-
-    Raises:
-        RacinesError: an unknown backend, or a generator that is not there.
     """
     if not isinstance(backend, str):
         if not isinstance(backend, ImageSource):
@@ -113,11 +106,7 @@ def make_backend(
 
 
 def make_grader(grader: Judge | Path | str, device: torch.device | str) -> Judge:
-    """Load the grader from its run folder, or take an object.
-
-    Raises:
-        RacinesError: no grader has been trained there, or an object that is no `Judge`.
-    """
+    """Load the grader that was trained in a run folder, or take a `Judge` as it is."""
     if isinstance(grader, Judge):
         return grader
     if not isinstance(grader, (str, Path)):

@@ -7,8 +7,7 @@ from racines_data.errors import RacinesError
 
 ANY = "any"
 """The `data_version` that lets everything pass."""
-_SHORTEST = 8
-"""Fewest characters of a digest that names a dataset."""
+_SHORTEST = 8  # characters of a digest that name a dataset
 
 
 def trained_on(part: Any) -> dict[str, Any] | None:
@@ -33,9 +32,6 @@ def check_datasets(parts: dict[str, dict[str, Any] | None], wanted: str | None =
 
     `parts` names each one's dataset; None, where it does not say, passes unless one is `wanted`, by
     a version, a tag, or eight or more of a digest's first characters; `any` checks nothing.
-
-    Raises:
-        RacinesError: two parts come from different datasets, or one not from the wanted.
     """
     if wanted == ANY:
         return

@@ -97,9 +97,6 @@ def explore(config: ExplorationConfig, phantom: World, seed: int) -> ExploredFra
     """Draw frames of poses between the starts and the targets of all tasks of an anatomy.
 
     The seed is of poses and electronic noise.
-
-    Raises:
-        RacinesError: no such generator, or none of the settings.
     """
     source = open_source(config.generator) if config.generator else None
     views = anatomy_views(config.anatomy)

@@ -46,7 +46,7 @@ class FittedForces:
 
     def __init__(self, parameters: Tensor, config: ForceConfig | None = None) -> None:
         """Fit on (M, 12) parameters with finite forces, on the CPU, in double precision."""
-        self.config = config or ForceConfig()
+        config = config or ForceConfig()
         raw = self._raw(parameters_to_pose(parameters.double()))
         self._mean, std = raw.mean(0), raw.std(0, correction=0)
         self._std = torch.where(std > 1e-9, std, 1.0)
@@ -55,15 +55,15 @@ class FittedForces:
         self._low, self._high = scaled.amin(0), scaled.amax(0)
         width = raw.shape[1]
         products = [
-            (*combination, *[width] * (self.config.degree - degree))
-            for degree in range(self.config.degree + 1)
+            (*combination, *[width] * (config.degree - degree))
+            for degree in range(config.degree + 1)
             for combination in combinations_with_replacement(range(width), degree)
         ]
         self._products = torch.tensor(products, dtype=torch.int64).view(len(products), -1)
         wrench = parameters[:, :6].double()
         self._least, self._most = wrench.amin(0), wrench.amax(0)
         x = self._features(scaled)
-        gram = x.T @ x + self.config.penalty * len(x) * torch.eye(x.shape[1], dtype=x.dtype)
+        gram = x.T @ x + config.penalty * len(x) * torch.eye(x.shape[1], dtype=x.dtype)
         self._weights = torch.linalg.solve(gram, x.T @ wrench).T.contiguous()
 
     @staticmethod
@@ -91,11 +91,7 @@ class FittedForces:
 
 
 def fit_forces(store: "FrameStore", config: ForceConfig | None = None) -> FittedForces:
-    """Fit on the train split of a dataset; deterministic.
-
-    Raises:
-        RacinesError: no frame of the split has poses and forces.
-    """
+    """Fit on the train split of a dataset; deterministic."""
     config = config or ForceConfig()
     parameters = measured(store, "train")
     keep = min(len(parameters), config.frames)
@@ -119,19 +115,13 @@ def measured(store: "FrameStore", split: str) -> Tensor:
 
 
 def make_forces(
-    forces: ForceSource | str,
-    images: ImageSource,
-    world: World,
-    store: "FrameStore | None",
+    forces: ForceSource | str, images: ImageSource, world: World, store: "FrameStore | None",
     device: torch.device | str,
-) -> ForceSource | None:
+) -> ForceSource | None:  # fmt: skip
     """Return the source of forces that a setting names; None lets the environment choose.
 
     `auto` is the backend's own, or else the contact model; `contact`, `recorded` and `fitted` (on
-    `store`) are asked for, and an object with `wrench(pose)` is taken as it is.
-
-    Raises:
-        RacinesError: an unknown name, or one that this backend or dataset cannot serve.
+    `store`) are refused where there is none; an object with `wrench(pose)` is taken as it is.
     """
     if not isinstance(forces, str):
         if not isinstance(forces, ForceSource):

@@ -136,19 +136,13 @@ def _open_data(
 
 
 def _recordings(
-    store: "FrameStore",
-    backend: str | ImageSource,
-    phantom: WorldLike,
-    device: torch.device | str,
-    data_version: str | None,
-) -> tuple[str | ImageSource, WorldLike]:
+    store: "FrameStore", backend: str | ImageSource, phantom: WorldLike,
+    device: torch.device | str, data_version: str | None,
+) -> tuple[str | ImageSource, WorldLike]:  # fmt: skip
     """Return the replay of a dataset, and the phantom it is of or the recordings in its place.
 
     Where no recordings are replayed, both as they are given. A phantom beside recordings of none is
-    not asked.
-
-    Raises:
-        RacinesError: another phantom than the dataset's, unless any dataset may pass.
+    not asked; another phantom than the dataset's is refused, unless any dataset may pass.
     """
     from racines_envs.worlds.recorded_world import RecordedWorld
     from racines_envs.worlds.replay_images import Replay, source_phantom
@@ -185,11 +179,7 @@ def find_task(view: str | Task, phantom: WorldLike = None, anatomy: str | None =
 
 
 def check_grader(grader: Judge | None, task: Task) -> None:
-    """Check that a grader, if there is one, knows the views of a task's anatomy.
-
-    Raises:
-        RacinesError: it was trained for other views.
-    """
+    """Check that a grader, if there is one, knows the views of a task's anatomy."""
     if grader is not None:
         grader.check_labels(labels_of(anatomy_views(task.anatomy)), f"the {task.anatomy}")
 
@@ -197,11 +187,7 @@ def check_grader(grader: Judge | None, task: Task) -> None:
 def make_phantom(
     phantom: WorldLike, device: torch.device | str = "cpu", anatomy: str = HEART
 ) -> World:
-    """Return a world: the one given, or the shared phantom of a configuration (baked once).
-
-    Raises:
-        RacinesError: neither.
-    """
+    """Return a world: the one given, or the shared phantom of a configuration (baked once)."""
     if phantom is None or isinstance(phantom, PhantomConfig):
         return shared_phantom(phantom or PhantomConfig(anatomy=anatomy), str(device))
     if not isinstance(phantom, World):

@@ -14,18 +14,15 @@ from racines_data.world import Truth, Workspace, World
 from racines_envs.worlds.replay_images import Replay
 
 _STREAM = 102
-_SLACK = 1e-4
-"""Added to the recorded tilt and yaw, rad: a recorded pose lies within its own limits."""
+_SLACK = 1e-4  # rad, added to tilt and yaw: a recorded pose lies within its own limits
 
 
 class RecordedWorld(World):
     """What an environment asks a phantom, answered by the frames of a `Replay`.
 
     The truth at a pose is the label and the grade of the nearest recorded frame, `Random` and 0 out
-    of support. Labels and grades are the dataset's own, or a grader's where it has none.
-
-    Raises:
-        RacinesError: the frames have neither.
+    of support. Labels and grades are the dataset's own, or a grader's where it has none; frames
+    with neither are refused.
     """
 
     def __init__(self, replay: Replay, device: torch.device | str = "cpu") -> None:
@@ -42,12 +39,9 @@ class RecordedWorld(World):
         self.workspace = Workspace(position.amin(0), position.amax(0), lean, turn)
 
     def target(self, view: str) -> Pose:
-        """Return the pose of the best-graded frame of a view, a batch of one.
+        """Return the pose of the best-graded frame that shows a view, a batch of one.
 
         Of equally good ones, the one nearest to where they all are on average.
-
-        Raises:
-            RacinesError: no frame shows the view.
         """
         if view not in self.views:
             raise RacinesError(f"unknown view {view!r}: choose one of {', '.join(self.views)}")
@@ -107,9 +101,6 @@ class RecordedWorld(World):
 
         Those are the frames that do not show the view and lie as far from the nominal pose as asked
         for, along the block's top and in angle; where there is none, all that do not show the view.
-
-        Raises:
-            RacinesError: every frame shows the view.
         """
         position, rotation = self._pose
         other = self._views != label
