@@ -69,10 +69,13 @@ MOVED = {
         "rank_correlation=run studies.transfer.rank_correlation=run transfer=run "
         "transfer_pages=pages"
     ),
-    "racines_envs.task": "actions core names rewards sensing starts state tasks view_error",
+    "racines_envs.task": (
+        "actions core names rewards sensing starts state=core task.state=core tasks view_error"
+    ),
     "racines_envs.worlds": (
-        "backends backends_replay=replay_images data_versions exploration forces making "
-        "pose_index=replay_images recorded=recorded_world worlds.pose_index=replay_images"
+        "backends backends_replay=replay_images data_versions=making exploration forces making "
+        "pose_index=replay_images recorded=recorded_world worlds.data_versions=making "
+        "worlds.pose_index=replay_images"
     ),
     "racines_leaderboard.audit": "audit.compare=numbers audit.figures=metrics",
     "racines_leaderboard.board": "chart collect groups pages rank recompute table",

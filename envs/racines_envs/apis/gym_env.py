@@ -12,17 +12,12 @@ from racines_data.geometry import Pose, euler_to_matrix
 from racines_data.imaging import IMAGE_SIZE
 from racines_envs.apis.rendering import History, compose
 from racines_envs.task.actions import ACTIONS
-from racines_envs.task.core import PARAMS_SIZE
-from racines_envs.task.state import Transition
+from racines_envs.task.core import PARAMS_SIZE, Transition
 from racines_envs.worlds.making import make_core
 
 
 def read_actions(actions: Any) -> torch.Tensor:
-    """Turn actions of any kind of sequence into a tensor of integers.
-
-    Raises:
-        RacinesError: they are not integers.
-    """
+    """Turn actions of any kind of sequence into a tensor, if they are integers."""
     try:
         array = np.asarray(actions)
     except ValueError as error:
@@ -33,11 +28,7 @@ def read_actions(actions: Any) -> torch.Tensor:
 
 
 def read_pose(options: dict[str, Any] | None, count: int) -> Pose | None:
-    """Read `options["pose"]`: (6,) or (count, 6) position m and extrinsic xyz angles rad.
-
-    Raises:
-        RacinesError: an unknown option, or values of another shape.
-    """
+    """Read `options["pose"]`, the one option: (6,) or (count, 6) m and extrinsic xyz angles rad."""
     options = options or {}
     unknown = set(options) - {"pose"}
     if unknown:
@@ -100,8 +91,7 @@ class Scan:
     def edge_info(self) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
         """Return the infos that stand at the first and the last observation of an episode alone.
 
-        Returns:
-            (K,) values of the K rows that are there, none where no row is; and those rows.
+        They are (K,) values of the K rows that are there, none where no row is; and those rows.
         """
         rows = (self.core.state.done | (self.core.state.steps == 0)).nonzero().squeeze(1)
         if not len(rows):
@@ -110,11 +100,7 @@ class Scan:
         return {"view_position_error": metres, "view_rotation_error": radians}, rows
 
     def draw(self) -> tuple[np.ndarray, ...] | None:
-        """Return a (540, 960, 3) uint8 picture a row; None without a render mode.
-
-        Raises:
-            RacinesError: there has been no reset.
-        """
+        """Return a (540, 960, 3) uint8 picture a row; None without a render mode."""
         if self._mode is None:
             return None
         if self._history is None:
@@ -169,11 +155,7 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         return _only(seen), reward, ended, cut, self._info()
 
     def render(self) -> Any:
-        """Return the picture of `racines_envs.apis.rendering.compose`, (540, 960, 3) uint8.
-
-        Raises:
-            RacinesError: there has been no reset.
-        """
+        """Return the picture of `racines_envs.apis.rendering.compose`, (540, 960, 3) uint8."""
         frames = self._scan.draw()
         return None if frames is None else frames[0]
 

@@ -14,11 +14,7 @@ from racines_envs.task.actions import ACTIONS
 
 
 def read_seeds(seed: Any, count: int) -> int | torch.Tensor | None:
-    """Turn Gymnasium's seed of a vector environment into one integer or (count,) int64.
-
-    Raises:
-        RacinesError: anything else.
-    """
+    """Turn Gymnasium's seed of a vector environment into one integer or (count,) int64."""
     if seed is None:
         return None
     array = np.asarray(seed)
@@ -51,11 +47,7 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start N episodes, of seeds s, s + 1, … for an integer s, or of one seed a row.
-
-        Raises:
-            RacinesError: seeds that are no integers or not one a row, or bad options.
-        """
+        """Start N episodes, of seeds s, s + 1, … for an integer s, or of one seed a row."""
         seeds = read_seeds(seed, self.num_envs)
         super().reset(seed=seeds if isinstance(seeds, int) else None)
         return self._scan.reset(self, seeds, options), self._infos()
@@ -71,11 +63,7 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         return seen, reward.double().cpu().numpy(), ended, cut, self._infos()
 
     def render(self) -> tuple[Any, ...] | None:
-        """Return N pictures of `racines_envs.apis.rendering.compose`, (540, 960, 3) uint8 each.
-
-        Raises:
-            RacinesError: there has been no reset.
-        """
+        """Return N pictures of `racines_envs.apis.rendering.compose`, (540, 960, 3) uint8 each."""
         return self._scan.draw()
 
     def _infos(self) -> dict[str, Any]:

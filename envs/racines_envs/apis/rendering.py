@@ -37,22 +37,22 @@ _BLOCK, _SPACE, _GOAL, _PATH, _PROBE = "#2f3942", "#7d8a96", "#4ade80", "#facc15
 _SECTOR, _WARN = "#1e4a63", "#f87171"
 
 _SIDE = 286, 318
-"""Size of a view of the block."""
 _ABOVE, _FRONT = (IMAGE + 2, 0), (IMAGE + 290, 0)
+"""Size and places of the views of the block."""
 _TRACE = IMAGE + 2, 320, WIDTH, HEIGHT
 
 
 @dataclass
 class Steps:
-    """What one row has done since its reset; entry 0 is the start."""
+    """What one row has done since its reset; entry 0 is the start, where the action is None.
+
+    Positions are in m; probabilities and grades are p and g by the reward's own source.
+    """
 
     actions: list[int | None] = field(default_factory=list)
-    """None at the start."""
     positions: list[list[float]] = field(default_factory=list)
-    """m."""
     probabilities: list[float] = field(default_factory=list)
     grades: list[float] = field(default_factory=list)
-    """g by the reward's own source."""
 
 
 class History:
@@ -62,7 +62,6 @@ class History:
         self._rows = [Steps() for _ in range(rows)]
 
     def __getitem__(self, row: int) -> Steps:
-        """Return the steps of a row."""
         return self._rows[row]
 
     def note(self, core: ScanCore, actions: Tensor | None = None) -> None:
@@ -89,10 +88,7 @@ class History:
 def compose(core: ScanCore, row: int = 0, history: History | None = None) -> np.ndarray:
     """Draw a row of a core as (540, 960, 3) uint8.
 
-    Args:
-        core: After a reset.
-        row: Which of its rows.
-        history: Its steps so far; without it the path and the trace hold the present alone.
+    Without a history of its steps the path and the trace hold the present alone.
     """
     if history is None:
         history = History(core.num_envs)
@@ -113,14 +109,9 @@ def compose(core: ScanCore, row: int = 0, history: History | None = None) -> np.
 def block_views(
     core: ScanCore, row: int, steps: Steps, goal: bool = True, zoom: int = 1
 ) -> tuple[Image.Image, Image.Image]:
-    """Draw the probe over the block, from above and from the front.
+    """Draw the probe over the block, from above and from the front; `zoom` × 286 × 318 pixels.
 
-    Args:
-        core: After a reset.
-        row: Which of its rows.
-        steps: What it has done.
-        goal: Draw the nominal pose, which an agent is not told.
-        zoom: Size of the pictures, in units of 286 x 318 pixels.
+    With `goal` the nominal pose is drawn, which an agent is not told.
     """
     above = _view(core, row, steps, (0, 1), "from above", goal, zoom)
     return above, _view(core, row, steps, (0, 2), "from the front", goal, zoom)
@@ -164,9 +155,6 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
     if bool(core.state.done[row]):
         rows.append(("the episode has ended", found))
     return rows
-
-
-# --- the probe over the block --------------------------------------------------------------------
 
 
 def _bounds(core: ScanCore) -> np.ndarray:
@@ -257,9 +245,6 @@ def _draw_probe(
     draw.circle(mark, width + 1, fill=colour)
 
 
-# --- the trace -----------------------------------------------------------------------------------
-
-
 def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None:
     """Draw p and g / 10 over the steps, with the thresholds of a hit."""
     left, top, right, bottom = _TRACE[0] + 44, _TRACE[1] + 30, _TRACE[2] - 44, _TRACE[3] - 28
@@ -275,9 +260,8 @@ def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None
         ("grade", steps.grades, core.rewards.grade, 10.0, _PATH),
     )
     for name, values, threshold, full, colour in curves:
-        level = threshold / full
+        _, y = at(0, threshold / full)
         for x in range(left, right, 8):
-            y = at(0, level)[1]
             draw.line((x, y, x + 3, y), fill=colour)
         points = [at(i, min(max(v / full, 0.0), 1.0)) for i, v in enumerate(values)]
         if len(points) > 1:
@@ -293,7 +277,7 @@ def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None
     draw.text((offset, top - 20), "p (left)", _PROBE, _font(13))
     draw.text((offset + 60, top - 20), "grade (right)", _PATH, _font(13))
     draw.text((offset + 160, top - 20), "dashed: what a hit needs", _SPACE, _font(13))
-    for share in (0.0, 0.5, 1.0):
+    for share in (0.0, 0.5, 0.75, 1.0):
         place = (left + (right - left) * share, bottom + 6)
-        draw.text(place, f"{count * share:.0f}", _TEXT, _font(12), anchor="ma")
-    draw.text((left + (right - left) * 0.75, bottom + 6), "steps", _TEXT, _font(12), anchor="ma")
+        text = "steps" if share == 0.75 else f"{count * share:.0f}"
+        draw.text(place, text, _TEXT, _font(12), anchor="ma")

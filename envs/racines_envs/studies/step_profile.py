@@ -51,11 +51,10 @@ class SpeedConfig:
 
     def __post_init__(self) -> None:
         """Refuse what measures nothing."""
-        least = min(self.steps, self.rounds, *self.num_envs, 1)
-        if not self.num_envs or least < 1 or self.operations < 0:
-            raise RacinesError(
-                "speed: num_envs, steps and rounds are 1 or more, operations 0 or more"
-            )
+        least = min(self.steps, self.rounds, *(self.num_envs or (0,)))
+        if least < 1 or self.operations < 0:
+            told = "speed: num_envs, steps and rounds are 1 or more, operations 0 or more"
+            raise RacinesError(told)
 
 
 class Stopwatch:
@@ -120,9 +119,6 @@ def step_speed(config: SpeedConfig, phantom: WorldLike = None) -> dict[str, Any]
         What `racines study speed --json` prints: a run a batch size with `steps_per_second` (median
         of the rounds, all rows counted), its least and greatest round, `shares` of the time by
         phase, and the longest `operations` with their shares.
-
-    Raises:
-        RacinesError: a setting that no environment can be made of.
     """
     config = on_device(config)
     settings: dict[str, Any] = {
@@ -146,19 +142,15 @@ def _time(env: VectorScanEnv, config: SpeedConfig) -> dict[str, Any]:
     watch = Stopwatch(env.core.device)
     rounds = [_round(env, config.steps, seed, watch) for seed in range(config.rounds)]
     speeds = [config.steps * env.num_envs / seconds for seconds in rounds]
+    told = {"num_envs": env.num_envs, "steps_per_second": statistics.median(speeds)}
+    told |= {"low": min(speeds), "high": max(speeds)}
     operations = _operations(env, config.operations) if config.operations else []
     attach(env.core, watch)
     whole = _round(env, config.steps, 0, watch)
     phases = watch.seconds
     phases["rest"] = whole - sum(phases.values())
-    return {
-        "num_envs": env.num_envs,
-        "steps_per_second": statistics.median(speeds),
-        "low": min(speeds),
-        "high": max(speeds),
-        "shares": {phase: seconds / whole for phase, seconds in phases.items()},
-        "operations": operations,
-    }
+    shares = {phase: seconds / whole for phase, seconds in phases.items()}
+    return told | {"shares": shares, "operations": operations}
 
 
 def _round(env: VectorScanEnv, steps: int, seed: int, watch: Stopwatch) -> float:

@@ -10,7 +10,8 @@ A row's result depends on its own seed and actions alone, never on the rows besi
 has ended stays as it is until it is reset (`reset`, or `step` with `autoreset`).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -31,7 +32,6 @@ from racines_envs.task.sensing import (
     check_judged,
 )
 from racines_envs.task.starts import check_starts, draw_starts
-from racines_envs.task.state import State, Transition
 from racines_envs.task.tasks import Task
 from racines_envs.task.view_error import nearest_showing
 from racines_models.networks.batching import in_fixed_batches
@@ -40,6 +40,57 @@ from racines_models.protocol import Judge
 OBSERVATIONS = ("image", "params", "multimodal")
 PARAMS_SIZE = 9
 """Position in the workspace's box (3), then the continuous rotation (6)."""
+
+
+@dataclass
+class State:
+    """The state of N rows; every field has N rows."""
+
+    position: Tensor
+    """(N, 3) m."""
+    rotation: Tensor
+    """(N, 3, 3)."""
+    wrench: Tensor
+    """(N, 6) N and N·m, of the probe at rest."""
+    seed: Tensor
+    """int64 seed of the episode."""
+    steps: Tensor
+    streak: Tensor
+    """Hits in a row."""
+    workspace_hits: Tensor
+    force_hits: Tensor
+    """Steps that would have left the workspace, or pressed over the limit, and became idle."""
+    peak_force: Tensor
+    """Greatest normal force of the episode, N."""
+    force_sum: Tensor
+    """Sum of the normal force over the steps, N."""
+    total: Tensor
+    """Return of the episode, undiscounted."""
+    done: Tensor
+
+    @property
+    def pose(self) -> Pose:
+        """The poses."""
+        return Pose(self.position, self.rotation)
+
+    @property
+    def force(self) -> Tensor:
+        """(N,) normal force, N."""
+        return -self.wrench[:, 2]
+
+    def replaced(self, rows: Tensor, other: "State") -> "State":
+        """Return the state with the (K,) rows of another of K rows put in."""
+        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+        return State(*(old.index_copy(0, rows, new) for old, new in pairs))
+
+
+class Transition(NamedTuple):
+    """What a step gave; N rows each."""
+
+    observation: dict[str, Tensor]
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor
 
 
 class ScanCore:

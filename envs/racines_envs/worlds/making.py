@@ -19,7 +19,6 @@ from racines_envs.task.rewards import Reward, RewardConfig, get_reward
 from racines_envs.task.sensing import Encoder, ForceSource
 from racines_envs.task.tasks import Task, get_task
 from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike, make_backend, make_grader
-from racines_envs.worlds.data_versions import ANY, check_datasets, trained_on
 from racines_envs.worlds.forces import make_forces
 from racines_models.devices import resolve_device
 from racines_models.protocol import Judge
@@ -31,6 +30,9 @@ WorldLike = World | PhantomConfig | str | None
 """What names a world: itself, a phantom's settings, `recorded`, or None for the default."""
 RECORDED = "recorded"
 """The `phantom` that stands for the recordings themselves."""
+ANY = "any"
+"""The `data_version` that lets everything pass."""
+_SHORTEST = 8  # characters of a digest that name a dataset
 
 
 def make_core(
@@ -76,7 +78,7 @@ def make_core(
         forces: `auto` (recorded ones when recordings are replayed, else the contact model),
             `contact`, `recorded`, `fitted` (on `data`), or an object with `wrench(pose)`.
         data_version: The dataset that generator, grader and recordings have to come from; they have
-            to agree in any case, unless it is `any`. See `racines_envs.worlds.data_versions`.
+            to agree in any case, unless it is `any`. See `check_datasets`.
 
     Raises:
         RacinesError: any name that is unknown or any artefact that is not there.
@@ -212,3 +214,62 @@ def phantom_recipe(phantom: WorldLike) -> dict[str, Any] | None:
         return None
     recipe = {"version": PHANTOM_VERSION, "config": dataclasses.asdict(config)}
     return {"version": PHANTOM_VERSION, "recipe_digest": recipe_digest(recipe)}
+
+
+def trained_on(part: Any) -> dict[str, Any] | None:
+    """Return the source, version and digests of the dataset that a part was made from, if it says.
+
+    A part is a generator (its `data`, or the card in its ONNX file), a store's manifest, or the run
+    folder of a grader.
+    """
+    if isinstance(part, dict):
+        return part if part.get("digest") else None
+    if isinstance(part, (str, Path)):
+        from racines_models.judges.grader.model import read_config
+
+        return trained_on(read_config(Path(part)).get("dataset") or {})
+    card = getattr(getattr(part, "interface", None), "card", None)
+    told = card.get("data") if isinstance(card, dict) else getattr(part, "data", None)
+    return trained_on(told) if isinstance(told, dict) else None
+
+
+def check_datasets(parts: dict[str, dict[str, Any] | None], wanted: str | None = None) -> None:
+    """Check that the parts come from one dataset: equal digests, or equal recipes.
+
+    `parts` names each one's dataset; None, where it does not say, passes unless one is `wanted`, by
+    a version, a tag, or eight or more of a digest's first characters; `any` checks nothing.
+    """
+    if wanted == ANY:
+        return
+    hint = f"train on one dataset, or let it pass: data_version={ANY!r}"
+    if wanted is not None:
+        for name, data in parts.items():
+            if data is None:
+                raise RacinesError(f"{name} does not say which dataset it is from: {hint}")
+            if not _named(data, wanted):
+                raise RacinesError(f"{name} is from {_title(data)}, not {wanted}: {hint}")
+    told = [(name, data) for name, data in parts.items() if data is not None]
+    for name, data in told[1:]:
+        first, known = told[0]
+        if not _same(known, data):
+            raise RacinesError(
+                f"{first} is from {_title(known)} and {name} from {_title(data)}: {hint}"
+            )
+
+
+def _same(a: dict[str, Any], b: dict[str, Any]) -> bool:
+    """A rebuild of one recipe on another processor is the same version."""
+    recipe = a.get("recipe_digest")
+    return a["digest"] == b["digest"] or (recipe is not None and recipe == b.get("recipe_digest"))
+
+
+def _named(data: dict[str, Any], wanted: str) -> bool:
+    version = data.get("version")
+    names = (version, f"v{version}", f"{data.get('source')}-v{version}")
+    digests = (data["digest"], data.get("recipe_digest") or "")
+    begun = any(digest.startswith(wanted) for digest in digests)
+    return wanted in names or (len(wanted) >= _SHORTEST and begun)
+
+
+def _title(data: dict[str, Any]) -> str:
+    return f"{data.get('source')} {data.get('version')} ({data['digest'][:_SHORTEST]}…)"

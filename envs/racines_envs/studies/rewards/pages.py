@@ -8,9 +8,7 @@ from matplotlib.figure import Figure
 
 from racines_data.tables import markdown_table
 from racines_envs.evaluation.pictures import save
-from racines_envs.studies.rewards.report import Settled
-
-Key = tuple[str, str, str]
+from racines_envs.studies.rewards.report import Outcomes, Settled
 
 
 def reward_markdown(content: dict[str, Any]) -> str:
@@ -45,8 +43,8 @@ def _cells(row: dict[str, Any]) -> list[str]:
     rates = ("success_true", "success_graded", "high_return_without_success")
     return [
         *(row[name] for name in ("agent", "reward", "termination")),
-        _ranged(figures["return"], 1.0, ".1f"),
-        *(_ranged(figures[name], 100.0, ".1f", " %") for name in rates),
+        _ranged(figures["return"]),
+        *(_ranged(figures[name], 100.0, " %") for name in rates),
         *(f"{figures[name]['value']:.1f}" for name in ("episode_steps", "hovered")),
     ]
 
@@ -80,7 +78,7 @@ def _of_the_paper(content: dict[str, Any]) -> str:
     )
 
 
-def draw_returns(episodes: dict[Key, Settled], view: str, path: Path) -> None:
+def draw_returns(episodes: Outcomes, view: str, path: Path) -> None:
     """Draw return against true grade at the end, a panel a reward and rule; PNG.
 
     An episode right of the line has a high return; below 0 it does not show the view.
@@ -113,9 +111,7 @@ def _scatter(axes: Any, episode: Settled, agent: str, number: int, agents: int) 
     axes.set_yticks([-0.45 - 0.45 * agents, 0, 5, 10], ["not\nseen", "0", "5", "10"])
 
 
-def _ranged(figure: dict[str, Any], scale: float, form: str, unit: str = "") -> str:
-    value, low, high = (
-        "–" if figure[key] is None else format(figure[key] * scale, form)
-        for key in ("value", "low", "high")
-    )
+def _ranged(figure: dict[str, Any], scale: float = 1.0, unit: str = "") -> str:
+    numbers = (figure[key] for key in ("value", "low", "high"))
+    value, low, high = ("–" if x is None else f"{x * scale:.1f}" for x in numbers)
     return f"{value}{unit} ({low} to {high})"

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.world import World
 from racines_envs.agents.protocol import Agent
 from racines_envs.evaluation.agent_specs import Run, common_view
 from racines_envs.evaluation.measures import RETURN_OF_A_HIT
@@ -28,7 +27,7 @@ from racines_envs.task.rewards import (
     get_reward,
     is_hit,
 )
-from racines_envs.task.tasks import TERMINATIONS, Task
+from racines_envs.task.tasks import TERMINATIONS
 from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom, phantom_recipe
 from racines_models import statistics
@@ -84,9 +83,8 @@ class Settled:
     grade: np.ndarray
     """True grade as the target view at the end, 0 where that is not seen."""
     hits: np.ndarray
-    """Steps that were hits, by the reward's source."""
     seen: np.ndarray
-    """Steps that showed the view confidently and were no hits, by the reward's source."""
+    """Steps that were hits, or none but showed the view confidently, by the reward's source."""
     probability: np.ndarray
     """p at the end less p at the start."""
 
@@ -96,16 +94,18 @@ class Settled:
         return self.hits + self.seen
 
 
+Outcomes = dict[tuple[str, str, str], Settled]
+"""Episodes by agent, reward and rule."""
+
+
 def reward_report(
-    runs: Sequence[Run],
-    config: RewardReportConfig,
-    phantom: WorldLike = None,
+    runs: Sequence[Run], config: RewardReportConfig, phantom: WorldLike = None,
     grader: JudgeLike = None,
-) -> tuple[dict[str, Any], dict[tuple[str, str, str], Settled]]:
+) -> tuple[dict[str, Any], Outcomes]:  # fmt: skip
     """Let every agent act to the last step, and settle its episodes under every reward and rule.
 
     Returns:
-        The document, and the episodes by (agent, reward, rule) for a picture.
+        The document, and the episodes for a picture.
 
     Raises:
         RacinesError: an unknown reward or rule, no grader for one that needs it, or agents that do
@@ -117,14 +117,21 @@ def reward_report(
     task = find_task(view, phantom)
     phantom = make_phantom(phantom, config.device, task.anatomy)
     grader = grader or config.grader or GRADER_FOLDER
-    episodes: dict[tuple[str, str, str], Settled] = {}
+    episodes: Outcomes = {}
     for run in runs:
         traces: dict[bool, ScoredSteps] = {}
         for reward in config.rewards:
             judged = get_reward(reward).needs_judge
             if judged not in traces:
-                judge = grader if judged else None
-                traces[judged] = _trace(run, task, seeds, phantom, judge, config)
+                agent = run.load(config.device)
+                check_view(agent, view, run.agent, run.folder)
+                # All that any reward may look at is recorded; what this one would pay is not.
+                watched = Reward("watched", "", get_reward("oracle").pay, judged, True)
+                core = core_for(
+                    agent, replace(task, termination="timeout"), len(seeds), reward=watched,
+                    phantom=phantom, grader=grader if judged else None, device=config.device,
+                )  # fmt: skip
+                traces[judged] = run_scored(core, agent, seeds.to(core.device))
             for rule in config.terminations:
                 needed = replace(task, termination=rule).hits_to_end
                 settled = settle(traces[judged], reward, needed, RewardConfig())
@@ -153,30 +160,10 @@ def _check(config: RewardReportConfig) -> None:
         ("rewards", config.rewards, REWARDS.names()),
         ("terminations", config.terminations, TERMINATIONS),
     ):
-        unknown = [value for value in given if value not in known]
-        if unknown or not given or len(set(given)) != len(given):
+        if not given or set(given) - set(known) or len(set(given)) != len(given):
             raise RacinesError(
                 f"{name} are {', '.join(given) or 'none'}: choose of {', '.join(known)}, each once"
             )
-
-
-def _trace(
-    run: Run,
-    task: Task,
-    seeds: Tensor,
-    phantom: World,
-    grader: JudgeLike,
-    config: RewardReportConfig,
-) -> ScoredSteps:
-    agent = run.load(config.device)
-    # All that any reward may look at is recorded; what this one would pay is not.
-    watched = Reward("watched", "", get_reward("oracle").pay, grader is not None, True)
-    check_view(agent, task.view, run.agent, run.folder)
-    core = core_for(
-        agent, replace(task, termination="timeout"), len(seeds), reward=watched, phantom=phantom,
-        grader=grader, device=config.device,
-    )  # fmt: skip
-    return run_scored(core, agent, seeds.to(core.device))
 
 
 @torch.no_grad()
