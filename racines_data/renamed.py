@@ -70,7 +70,8 @@ MOVED = {
         "transfer_pages=pages"
     ),
     "racines_envs.task": (
-        "actions core names rewards sensing starts state=core task.state=core tasks view_error"
+        "actions core names rewards sensing starts state=core task.state=core "
+        "task.view_error=starts tasks view_error=starts"
     ),
     "racines_envs.worlds": (
         "backends backends_replay=replay_images data_versions=making exploration forces making "

@@ -55,13 +55,13 @@ class Scan:
     """A core behind a Gymnasium environment, single or of many rows, and its pictures."""
 
     def __init__(
-        self, view: str, rows: int, render_mode: str | None, settings: dict[str, Any]
+        self, view: str, rows: int | None, render_mode: str | None, settings: dict[str, Any]
     ) -> None:
-        """Build the core; settings: those of `racines_envs.worlds.making.make_core`."""
+        """Build the core, of one row without a number of rows; settings as of `make_core`."""
         if render_mode not in (None, "rgb_array"):
             raise RacinesError(f"unknown render_mode {render_mode!r}: use 'rgb_array'")
-        self.core = make_core(view, rows, **settings)
-        self._mode, self._seeded = render_mode, False
+        self.core = make_core(view, 1 if rows is None else rows, **settings)
+        self._alone, self._mode, self._seeded = rows is None, render_mode, False
         self._history: History | None = None
 
     def space(self) -> spaces.Space[Any]:
@@ -115,10 +115,12 @@ class Scan:
             self._history.note(self.core, actions)
 
     def _arrays(self, seen: dict[str, torch.Tensor]) -> Any:
-        """Turn observations of N rows into (copied) arrays as the vector space wants them."""
+        """Turn observations into (copied) arrays as the space wants them."""
         arrays = {name: value.cpu().numpy().copy() for name, value in seen.items()}
         if "image" in arrays:
             arrays["image"] = arrays["image"][..., None]
+        if self._alone:
+            arrays = {name: values[0] for name, values in arrays.items()}
         return arrays if self.core.observation == "multimodal" else arrays[self.core.observation]
 
 
@@ -129,7 +131,7 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
 
     def __init__(self, view: str, render_mode: str | None = None, **settings: Any) -> None:
         """Build the task of a view; settings: those of `racines_envs.worlds.making.make_core`."""
-        self._scan = Scan(view, 1, render_mode, settings)
+        self._scan = Scan(view, None, render_mode, settings)
         self.core, self.render_mode = self._scan.core, render_mode
         self.observation_space = self._scan.space()
         self.action_space = spaces.Discrete(len(ACTIONS))
@@ -142,7 +144,7 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         With a seed this is the first episode of that seed; without, the next one.
         """
         super().reset(seed=seed)
-        return _only(self._scan.reset(self, seed, options)), self._info()
+        return self._scan.reset(self, seed, options), self._info()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take one of the 13 actions.
@@ -152,7 +154,7 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         """
         seen, *told = self._scan.step(read_actions(action).reshape(-1), strict=True)
         reward, ended, cut = (value.item() for value in told)
-        return _only(seen), reward, ended, cut, self._info()
+        return seen, reward, ended, cut, self._info()
 
     def render(self) -> Any:
         """Return the picture of `racines_envs.apis.rendering.compose`, (540, 960, 3) uint8."""
@@ -162,10 +164,3 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
     def _info(self) -> dict[str, Any]:
         told = self.core.info(view_error=False) | self._scan.edge_info()[0]
         return {name: value.item() for name, value in told.items()}
-
-
-def _only(arrays: Any) -> Any:
-    """Return the one row of an observation."""
-    if isinstance(arrays, dict):
-        return {name: value[0] for name, value in arrays.items()}
-    return arrays[0]

@@ -31,9 +31,8 @@ from racines_envs.task.sensing import (
     check_finite,
     check_judged,
 )
-from racines_envs.task.starts import check_starts, draw_starts
+from racines_envs.task.starts import check_starts, draw_starts, nearest_showing
 from racines_envs.task.tasks import Task
-from racines_envs.task.view_error import nearest_showing
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.protocol import Judge
 
@@ -256,8 +255,7 @@ class ScanCore:
         state, needed = self.state, self.task.hits_to_end
         streak = (state.streak + 1) * is_hit(self.score, self.rewards)
         state.streak = torch.where(live, streak, state.streak)
-        ended = state.streak >= needed if needed else torch.zeros_like(live)
-        terminated = live & ended
+        terminated = live & (state.streak >= needed) if needed else torch.zeros_like(live)
         truncated = live & ~terminated & (state.steps >= self.task.max_steps)
         reward = self._reward(before, self.score, terminated, self.rewards) * live
         state.total = state.total + reward
@@ -309,10 +307,7 @@ class ScanCore:
         return metres, geodesic(self.state.rotation, self.target.rotation)
 
     def view_error(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Return m and rad from (K,) rows, or all, to the nearest pose that truly shows the view.
-
-        An upper bound, see `racines_envs.task.view_error`.
-        """
+        """Return m and rad, at most, from (K,) rows or all to a pose that truly shows the view."""
         pose = self.state.pose if rows is None else Pose(*(x[rows] for x in self.state.pose))
         units = self.task.step_translation, self.task.step_rotation
         near = nearest_showing(self.phantom, pose, self.target, self.task.target, units)
@@ -335,8 +330,7 @@ class ScanCore:
         """Return the (N, 128, 128) images at the present poses, drawn now if no step drew them."""
         if "image" in self._sensed:
             return self._sensed["image"]
-        seeds = derive(self.state.seed, self.state.steps)
-        return self._draw(self.parameters, seeds)
+        return self._draw(self.parameters, derive(self.state.seed, self.state.steps))
 
     def _draw(self, parameters: Tensor, seeds: Tensor) -> Tensor:
         return check_drawn(self.images.generate(parameters, seeds), len(seeds), self.images)

@@ -1,4 +1,4 @@
-"""Where episodes start: poses around a task's nominal pose, drawn from one seed each."""
+"""Poses around a task's nominal pose: where episodes start, and the nearest that shows the view."""
 
 import math
 
@@ -6,12 +6,17 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3
+from racines_data.geometry import Pose, axis_angle_to_matrix, geodesic, matmul3, orthonormalise
 from racines_data.randomness import derive, uniform
 from racines_data.world import Workspace, World
 from racines_envs.task.tasks import Task
 
 TRIES = 8
+COARSE, FINE = 8, 4
+"""Shares judged of the shift and of the turn: 9 × 9, then 5 × 5 within a step of the first grid, so
+that each share is known to 1/32."""
+ROWS = 64
+"""Poses searched from at a time: bounds the memory."""
 _STREAM = 101
 _EVALUATION = 0x5EED
 _VALIDATION = 0x7A11
@@ -97,3 +102,60 @@ def _offsets(task: Task, u: Tensor) -> tuple[Tensor, Tensor]:
     sin = (1.0 - cos.square()).clamp_min(0.0).sqrt()
     axis = torch.stack([sin * turn.cos(), sin * turn.sin(), cos], -1)
     return shift, axis_angle_to_matrix(axis * between(task.start_angle, u[:, 5]).unsqueeze(-1))
+
+
+def nearest_showing(
+    world: World, pose: Pose, target: Pose, label: int, units: tuple[float, float]
+) -> Pose:
+    """Return (N,) poses that show a view, each near, in `units` of m and rad, to one of (N,) poses.
+
+    An oracle says whether a pose shows a view, not how far off it is. So poses between a pose and
+    the nominal one (`target`, a batch of one), which shows the view, are judged: any share of the
+    shift with any share of the turn, on a grid, then on a finer one about the nearest that shows
+    the view. What is found shows the view, so its distance is an upper bound: a pose that no such
+    share makes may be nearer; docs/environments.md says how much. A world may know better, by its
+    `own_nearest`.
+    """
+    own = world.own_nearest(pose, label, units)
+    if own is not None:
+        return own
+    parts = zip(*(x.split(ROWS) for x in pose), strict=True)
+    found = [_search(world, Pose(*part), target, label, units) for part in parts]
+    return Pose(*(torch.cat(column) for column in zip(*found, strict=True)))
+
+
+def _search(world: World, pose: Pose, target: Pose, label: int, units: tuple[float, float]) -> Pose:
+    device = pose.position.device
+    metres = (target.position - pose.position).norm(dim=-1, keepdim=True)
+    radians = geodesic(pose.rotation, target.rotation)[:, None]
+
+    def best(shares: Tensor) -> Tensor:
+        """Return each row's (2,) shares, of its (K, 2), that cost least and show the view.
+
+        Where none shows it: those that cost most, the nominal pose of a grid that goes all the way.
+        """
+        shown = world.judge(_between(pose, target, shares)).view.view(shares.shape[:2]) == label
+        cost = shares[..., 0] * (metres / units[0]) + shares[..., 1] * (radians / units[1])
+        chosen = first_max(-torch.where(shown, cost, 1e6 - cost))
+        return shares.gather(1, chosen[:, None, None].expand(-1, 1, 2)).squeeze(1)
+
+    coarse = best(_grid(COARSE, device).expand(len(pose.position), -1, -1))
+    finer = coarse[:, None] - _grid(FINE, device) / COARSE
+    return _between(pose, target, best(finer.clamp_min(0.0))[:, None])
+
+
+def _grid(steps: int, device: torch.device) -> Tensor:
+    """Return ((steps + 1)², 2) shares of shift and turn."""
+    line = torch.linspace(0.0, 1.0, steps + 1, device=device)
+    return torch.cartesian_prod(line, line)
+
+
+def _between(pose: Pose, target: Pose, shares: Tensor) -> Pose:
+    """Return the (N × K) poses at (N, K, 2) shares of the shift and of the turn to the target."""
+    shift, turn = shares[..., 0, None], shares[..., 1, None, None]
+    position = pose.position[:, None] + shift * (target.position - pose.position)[:, None]
+    # Along the chord between the matrices: near enough to the shortest turn, and never undefined
+    # but at exactly half a turn.
+    turned = pose.rotation[:, None] + turn * (target.rotation - pose.rotation)[:, None]
+    turned = torch.where(turn > 0.0, orthonormalise(turned), pose.rotation[:, None])
+    return Pose(position.flatten(0, 1), turned.flatten(0, 1))
