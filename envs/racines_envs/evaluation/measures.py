@@ -88,11 +88,13 @@ def path_length_score(
 
 
 @torch.no_grad()
-def decision_times(core: ScanCore, agent: Agent, seeds: Tensor, decisions: int) -> np.ndarray:
-    """Return (decisions,) ms that policy and step took, one probe at a time, after a warm-up.
+def latency(
+    core: ScanCore, agent: Agent, seeds: Tensor, decisions: int, resamples: int
+) -> dict[str, Any]:
+    """Return the median ms that policy and step took, one probe at a time, the paper's beside it.
 
     The core has one row. When one of the (E,) episodes ends the next begins, and that reset is not
-    timed.
+    timed; nor is a warm-up.
 
     Raises:
         RacinesError: fewer decisions than make a median worth reading.
@@ -111,17 +113,12 @@ def decision_times(core: ScanCore, agent: Agent, seeds: Tensor, decisions: int) 
         observation = core.step(agent.act(observation, core.decision_seeds())).observation
         bool(core.state.done)  # waits for the device
         times.append((time.perf_counter() - began) * 1e3)
-    return np.asarray(times[WARM_UP:])
-
-
-def latency_figure(times: np.ndarray, resamples: int) -> dict[str, Any]:
-    """Return the median of (n,) ms, as scores files hold it, the paper's beside it."""
-    figure = statistics.median(times, "ms", resamples)
-    settings = figure["settings"] | {
+    figure = statistics.median(np.asarray(times[WARM_UP:]), "ms", resamples)
+    figure["settings"] |= {
         "interval": f"percentile bootstrap over decisions, {resamples} resamples",
         "batch": 1,
         "counts": "policy and environment step",
         "threads": torch.get_num_threads(),
         "paper_ms": PAPER_MS,
     }
-    return figure | {"settings": settings}
+    return figure

@@ -20,13 +20,7 @@ from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import Episodes, rollout
 from racines_envs.agents.trace_agent import ActionRecorder, TraceAgent
 from racines_envs.agents.trace_file import circumstances, read_trace, write_trace
-from racines_envs.evaluation.measures import (
-    Figures,
-    decision_times,
-    latency_figure,
-    measure,
-    measure_by_seed,
-)
+from racines_envs.evaluation.measures import Figures, latency, measure, measure_by_seed
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
@@ -157,8 +151,8 @@ def evaluate(
             agent, config.view, 1, backend=core.images, reward=core.reward, phantom=core.phantom,
             grader=core.grader, device=config.device,
         )  # fmt: skip
-        times = decision_times(alone, agent, seeds.to(core.device), config.latency)
-        metrics["latency"] = latency_figure(times, config.resamples)
+        timed = latency(alone, agent, seeds.to(core.device), config.latency, config.resamples)
+        metrics["latency"] = timed
     by_seed = measure_by_seed(episodes, steps, config.sets, config.resamples)
     figures = {"metrics": metrics, "by_seed": by_seed}
     scores = _document(run_dir, config, core, agent, figures)

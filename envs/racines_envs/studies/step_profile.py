@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from racines_data.errors import RacinesError
-from racines_envs.apis.gym_vector import VectorScanEnv
+from racines_envs.apis.gym_env import VectorScanEnv
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 from racines_envs.worlds.making import WorldLike
@@ -50,7 +50,6 @@ class SpeedConfig:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        """Refuse what measures nothing."""
         least = min(self.steps, self.rounds, *(self.num_envs or (0,)))
         if least < 1 or self.operations < 0:
             told = "speed: num_envs, steps and rounds are 1 or more, operations 0 or more"

@@ -38,7 +38,6 @@ class Task:
     """Whose view it is: a registered anatomy, or `module:function`."""
 
     def __post_init__(self) -> None:
-        """Check names and signs."""
         views = anatomy_views(self.anatomy)
         if self.view not in views:
             raise RacinesError(f"unknown view {self.view!r}: choose one of {', '.join(views)}")

@@ -67,7 +67,6 @@ class ExplorationConfig:
     )
 
     def __post_init__(self) -> None:
-        """Refuse too few frames to hold some out."""
         if self.frames < 200:
             raise RacinesError(f"encoder.frames is {self.frames}: give 200 or more")
 

@@ -11,15 +11,16 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.evaluation import run as evaluation
 from racines_envs.evaluation.agent_specs import Run, common_view, find_run, find_runs
-from racines_envs.studies.transfer.pages import draw_transfer, transfer_markdown
-from racines_envs.studies.transfer.run import (
+from racines_envs.studies.transfer import (
     COMPARED,
     TransferConfig,
     backend_arguments,
     correlate,
+    draw_transfer,
     kendall,
     spearman,
     transfer,
+    transfer_markdown,
 )
 from racines_envs.task.actions import IDLE
 from racines_envs.worlds.making import make_core
