@@ -25,14 +25,9 @@ class ScanEnv(EnvBase):
     """
 
     def __init__(
-        self,
-        view: str | Task,
-        num_envs: int = 1,
-        *,
-        seed: int = 0,
-        device: torch.device | str = "cpu",
-        **settings: Any,
-    ) -> None:
+        self, view: str | Task, num_envs: int = 1, *, seed: int = 0,
+        device: torch.device | str = "cpu", **settings: Any,
+    ) -> None:  # fmt: skip
         """Build N rows of a task; settings as for `racines_envs.worlds.making.make_core`."""
         device = resolve_device(device)
         super().__init__(device=torch.device(device), batch_size=torch.Size([num_envs]))

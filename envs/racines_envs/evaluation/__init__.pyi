@@ -1,8 +1,8 @@
+from .agent_specs import check_view as check_view
 from .run import SCHEMA as SCHEMA
 from .run import Evaluation as Evaluation
 from .run import EvaluationConfig as EvaluationConfig
 from .run import Prepared as Prepared
-from .run import check_view as check_view
 from .run import evaluate as evaluate
 from .run import prepare as prepare
 from .run import record_trace as record_trace

@@ -42,9 +42,21 @@ class Run:
     """The training's settings; empty for agents without weights, as is its seed."""
     seed: int | None = None
 
-    def load(self, device: torch.device | str = "cpu") -> Agent:
-        """Return the agent."""
-        return load_agent(self.agent, self.folder, device)
+    def load(self, view: str, device: torch.device | str = "cpu") -> Agent:
+        """Return the agent, if it was not trained for another view."""
+        agent = load_agent(self.agent, self.folder, device)
+        check_view(agent, view, self.agent, self.folder)
+        return agent
+
+
+def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
+    """Check that an agent that was trained for a view is asked for that one."""
+    trained = getattr(agent, "view", view)
+    if trained != view:
+        raise RacinesError(
+            f"{run_dir}: this policy was trained for {trained}, not {view}: train one with "
+            f"`racines train agent {name} --view {view}`, or evaluate --view {trained}"
+        )
 
 
 def split_label(spec: str) -> tuple[str | None, str]:

@@ -20,20 +20,14 @@ from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import Episodes, rollout
 from racines_envs.agents.trace_agent import ActionRecorder, TraceAgent
 from racines_envs.agents.trace_file import circumstances, read_trace, write_trace
+from racines_envs.evaluation.agent_specs import check_view
 from racines_envs.evaluation.measures import Figures, latency, measure, measure_by_seed
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.task.tasks import Task
-from racines_envs.worlds.backends import make_grader
-from racines_envs.worlds.making import (
-    WorldLike,
-    check_grader,
-    find_task,
-    make_core,
-    make_phantom,
-    phantom_recipe,
-)
+from racines_envs.worlds.backends import check_grader, make_grader
+from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
 from racines_models import statistics
 from racines_models.devices import on_device
 from racines_models.protocol import Judge
@@ -211,16 +205,6 @@ def start_seeds(starts: int, sets: Sequence[int]) -> Tensor:
     if not sets or not whole or len(set(sets)) != len(sets):
         raise RacinesError(f"evaluation.seeds is {list(sets)}: give different integers")
     return torch.cat([evaluation_seeds(starts, seed) for seed in sets])
-
-
-def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
-    """Check that an agent that was trained for a view is asked for that one."""
-    trained = getattr(agent, "view", view)
-    if trained != view:
-        raise RacinesError(
-            f"{run_dir}: this policy was trained for {trained}, not {view}: train one with "
-            f"`racines train agent {name} --view {view}`, or evaluate --view {trained}"
-        )
 
 
 def core_for(agent: Agent, view: str | Task, rows: int, **settings: Any) -> ScanCore:

@@ -106,7 +106,8 @@ def draw_curves(content: dict[str, Any], path: Path, paper: bool = True) -> None
         for number, label in enumerate(labels):
             same = [run["curves"] for run in runs if run["label"] == label]
             curves = [each[name] for each in same if name in each]
-            _draw_line(axes, curves, label, f"C{number}")
+            if curves:
+                _draw_line(axes, curves, label, f"C{number}")
         if paper:
             _draw_paper(axes, name, runs)
         axes.set(xlabel="environment steps", title=PANELS[name])
@@ -122,8 +123,6 @@ def draw_curves(content: dict[str, Any], path: Path, paper: bool = True) -> None
 
 
 def _draw_line(axes: Any, curves: list[Any], label: str, colour: str) -> None:
-    if not curves:
-        return
     steps, mean, low, high = joined(curves)
     name = label if len(curves) == 1 else f"{label}, {len(curves)} seeds: mean, range"
     axes.plot(steps, mean, marker="." if len(steps) < 40 else "", color=colour, label=name)

@@ -20,13 +20,7 @@ from racines_envs.agents.rollout import rollout
 from racines_envs.evaluation.agent_specs import Run, common_view
 from racines_envs.evaluation.measures import path_length_score
 from racines_envs.evaluation.pictures import save
-from racines_envs.evaluation.run import (
-    StudyConfig,
-    check_view,
-    core_for,
-    reference_steps,
-    start_seeds,
-)
+from racines_envs.evaluation.run import StudyConfig, core_for, reference_steps, start_seeds
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom, phantom_recipe
 from racines_envs.worlds.recorded_world import RecordedWorld
 from racines_models import statistics
@@ -83,8 +77,7 @@ def transfer(
     judges: dict[str, str] = {}
     for backend, drawn_by in zip(backends, arguments, strict=True):
         for run in runs:
-            agent = run.load(config.device)
-            check_view(agent, view, run.agent, run.folder)
+            agent = run.load(view, config.device)
             core = core_for(
                 agent, view, len(seeds), **drawn_by, reward="oracle", phantom=phantom,
                 device=config.device,

@@ -21,16 +21,9 @@ from racines_data.geometry import Pose, geodesic, pose_to_parameters, rotation_6
 from racines_data.imaging import ImageSource
 from racines_data.randomness import derive
 from racines_data.world import World
+from racines_envs.task import sensing
 from racines_envs.task.actions import ActionTable, check_actions
 from racines_envs.task.rewards import Reward, RewardConfig, Score, get_reward, is_hit
-from racines_envs.task.sensing import (
-    Encoder,
-    ForceSource,
-    KnowsSupport,
-    check_drawn,
-    check_finite,
-    check_judged,
-)
 from racines_envs.task.starts import check_starts, draw_starts, nearest_showing
 from racines_envs.task.tasks import Task
 from racines_models.networks.batching import in_fixed_batches
@@ -43,28 +36,25 @@ PARAMS_SIZE = 9
 
 @dataclass
 class State:
-    """The state of N rows; every field has N rows."""
+    """The state of N rows; every field has N rows.
+
+    Position (N, 3), m; rotation (N, 3, 3); wrench (N, 6), N and N·m, of the probe at rest; int64
+    seed of the episode; hits in a row; steps that would have left the workspace, or pressed over
+    the limit, and became idle; greatest normal force of the episode, N, and its sum over the steps;
+    undiscounted return.
+    """
 
     position: Tensor
-    """(N, 3) m."""
     rotation: Tensor
-    """(N, 3, 3)."""
     wrench: Tensor
-    """(N, 6) N and N·m, of the probe at rest."""
     seed: Tensor
-    """int64 seed of the episode."""
     steps: Tensor
     streak: Tensor
-    """Hits in a row."""
     workspace_hits: Tensor
     force_hits: Tensor
-    """Steps that would have left the workspace, or pressed over the limit, and became idle."""
     peak_force: Tensor
-    """Greatest normal force of the episode, N."""
     force_sum: Tensor
-    """Sum of the normal force over the steps, N."""
     total: Tensor
-    """Return of the episode, undiscounted."""
     done: Tensor
 
     @property
@@ -99,7 +89,7 @@ class ScanCore:
         self, task: Task, phantom: World, images: ImageSource, grader: Judge | None = None,
         observation: str = "params", reward: str | Reward = "oracle",
         rewards: RewardConfig | None = None, num_envs: int = 1, device: torch.device | str = "cpu",
-        encoder: Encoder | None = None, forces: ForceSource | None = None,
+        encoder: sensing.Encoder | None = None, forces: sensing.ForceSource | None = None,
     ) -> None:  # fmt: skip
         """Join a task, a phantom (truth, limits) and a source of images.
 
@@ -126,8 +116,8 @@ class ScanCore:
         self.rewards, self._reward = rewards or RewardConfig(), self.reward.pay
         self.num_envs, self.device = num_envs, torch.device(device)
         self.encoder = encoder if observation != "params" else None
-        own = images if isinstance(images, ForceSource) else phantom
-        self.forces: ForceSource = own if forces is None else forces
+        own = images if isinstance(images, sensing.ForceSource) else phantom
+        self.forces: sensing.ForceSource = own if forces is None else forces
         self.table = ActionTable.make(task.step_translation, task.step_rotation, self.device)
         self.target = phantom.target(task.view).to(self.device)
         low, high = phantom.workspace.position_min, phantom.workspace.position_max
@@ -238,7 +228,7 @@ class ScanCore:
         """Return the (B, 6) wrench, N and N·m, of probes at rest at any poses."""
         wrench = self.forces.wrench(pose)
         if self.forces is not self.phantom:
-            check_finite(wrench, f"forces of {type(self.forces).__name__}")
+            sensing.check_finite(wrench, f"forces of {type(self.forces).__name__}")
         return wrench
 
     def limits(self, pose: Pose, wrench: Tensor, force: Tensor) -> tuple[Tensor, Tensor]:
@@ -283,7 +273,7 @@ class ScanCore:
             sensed["features"] = in_fixed_batches(self.encoder, sensed["image"])
         if self.reward.needs_judge and self.grader is not None:
             p, g = self.grader.probabilities_and_grade(sensed["image"])
-            check_judged(p, g, len(seeds), truth.membership.shape[1] + 1, self.grader)
+            sensing.check_judged(p, g, len(seeds), truth.membership.shape[1] + 1, self.grader)
             sensed |= {"grader_p": p[:, self.task.target].float(), "grader_g": g.float()}
         if rows is not None:
             sensed = {k: self._sensed[k].index_copy(0, rows, v) for k, v in sensed.items()}
@@ -333,7 +323,7 @@ class ScanCore:
         return self._draw(self.parameters, derive(self.state.seed, self.state.steps))
 
     def _draw(self, parameters: Tensor, seeds: Tensor) -> Tensor:
-        return check_drawn(self.images.generate(parameters, seeds), len(seeds), self.images)
+        return sensing.check_drawn(self.images.generate(parameters, seeds), len(seeds), self.images)
 
     def observe(self) -> dict[str, Tensor]:
         """Return what an agent sees: `image` (N, 128, 128) uint8, `params` (N, 9) float32.
@@ -364,7 +354,7 @@ class ScanCore:
         if view_error:
             names = ("view_position_error", "view_rotation_error")
             further |= dict(zip(names, self.view_error(), strict=True))
-        if isinstance(self.images, KnowsSupport):
+        if isinstance(self.images, sensing.KnowsSupport):
             further["out_of_support"] = self.images.out_of_support(self.parameters)
         return further | {
             "view": sensed["view"],

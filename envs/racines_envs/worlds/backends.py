@@ -13,8 +13,11 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
 from racines_data.imaging import ImageSource
+from racines_data.phantom.anatomy import anatomy_views
 from racines_data.randomness import sample_seeds
+from racines_data.views import labels_of
 from racines_data.world import World
+from racines_envs.task.tasks import Task
 from racines_models.protocol import Judge
 
 GRADER_FOLDER = Path("models/runs/grader")
@@ -105,18 +108,28 @@ def make_backend(
     return generator if isinstance(generator, ImageSource) else open_source(generator, device)
 
 
-def make_grader(grader: Judge | Path | str, device: torch.device | str) -> Judge:
-    """Load the grader that was trained in a run folder, or take a `Judge` as it is."""
-    if isinstance(grader, Judge):
-        return grader
-    if not isinstance(grader, (str, Path)):
-        raise RacinesError(f"grader {grader!r}: inherit from racines_models.protocol.Judge")
-    folder = Path(grader)
-    if not (folder / "grader.safetensors").is_file():
-        raise RacinesError(
-            f"{folder}: no trained grader (grader.safetensors): run `racines train grader`, or do "
-            "without one: reward='oracle'"
-        )
-    from racines_models.judges.grader.model import Grader
+def make_grader(
+    grader: Judge | Path | str, device: torch.device | str, task: Task | None = None
+) -> Judge:
+    """Load the grader that was trained in a run folder, or take a `Judge`, that knows a task."""
+    if not isinstance(grader, Judge):
+        if not isinstance(grader, (str, Path)):
+            raise RacinesError(f"grader {grader!r}: inherit from racines_models.protocol.Judge")
+        folder = Path(grader)
+        if not (folder / "grader.safetensors").is_file():
+            raise RacinesError(
+                f"{folder}: no trained grader (grader.safetensors): run `racines train grader`, or "
+                "do without one: reward='oracle'"
+            )
+        from racines_models.judges.grader.model import Grader
 
-    return Grader.load(folder, str(device))
+        grader = Grader.load(folder, str(device))
+    if task is not None:
+        check_grader(grader, task)
+    return grader
+
+
+def check_grader(grader: Judge | None, task: Task) -> None:
+    """Check that a grader, if there is one, knows the views of a task's anatomy."""
+    if grader is not None:
+        grader.check_labels(labels_of(anatomy_views(task.anatomy)), f"the {task.anatomy}")

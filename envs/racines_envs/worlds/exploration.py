@@ -45,10 +45,8 @@ CHUNK = 512
 STREAM = 211
 NEARER = 0.7
 """Exponent on a uniform share of the way from target to start: more frames far off than near."""
-JITTER = (0.004, 0.004, 0.0015)
-"""Standard deviation of a frame's place about the straight way, m: agents take other ways."""
-TURN = 0.05
-"""And of its rotation, rad."""
+JITTER, TURN = (0.004, 0.004, 0.0015), 0.05
+"""Standard deviations of a frame about the straight way, m and rad: agents take other ways."""
 TRAIN, VALIDATION = 0.95, 0.975
 """Where the splits end, as shares of the frames."""
 

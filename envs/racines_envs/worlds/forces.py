@@ -15,7 +15,6 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.imaging import ImageSource
-from racines_data.schema import PARAMETERS
 from racines_data.tables import markdown_table
 from racines_data.world import World
 from racines_envs.task.sensing import ForceSource
@@ -25,9 +24,9 @@ if TYPE_CHECKING:
 
 SOURCES = ("auto", "contact", "recorded", "fitted")
 SCHEMA = "racines.forces/1"
-AXES = PARAMETERS[:6]
 KINDS = ("rmse", "mae")
-UNITS = ("N", "N", "N", "N·m", "N·m", "N·m")
+UNITS = {f"{what}_{x}": unit for what, unit in (("force", "N"), ("torque", "N·m")) for x in "xyz"}
+"""By axis, in the order of the first six parameters."""
 
 
 @dataclass(frozen=True)
@@ -191,10 +190,10 @@ def force_report(
 
 
 def _errors(error: Tensor) -> dict[str, dict[str, Any]]:
-    rmse, mae = error.square().mean(0).sqrt(), error.abs().mean(0)
+    rmse, mae = error.square().mean(0).sqrt().tolist(), error.abs().mean(0).tolist()
     return {
-        axis: {"rmse": float(rmse[i]), "mae": float(mae[i]), "n": len(error), "unit": unit}
-        for i, (axis, unit) in enumerate(zip(AXES, UNITS, strict=True))
+        axis: {"rmse": rmse[i], "mae": mae[i], "n": len(error), "unit": unit}
+        for i, (axis, unit) in enumerate(UNITS.items())
     }
 
 
@@ -204,6 +203,6 @@ def forces_markdown(report: dict[str, Any]) -> str:
     head = ["axis", *(f"{name} {kind.upper()}" for name in errors for kind in KINDS)]
     rows = [
         (f"{axis}, {unit}", *(f"{e[axis][kind]:.3f}" for e in errors.values() for kind in KINDS))
-        for axis, unit in zip(AXES, UNITS, strict=True)
+        for axis, unit in UNITS.items()
     ]
     return markdown_table(head, rows, right=1)

@@ -21,7 +21,6 @@ from racines_envs.task.tasks import Task, get_task
 from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike, make_backend, make_grader
 from racines_envs.worlds.forces import make_forces
 from racines_models.devices import resolve_device
-from racines_models.protocol import Judge
 
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
@@ -90,12 +89,9 @@ def make_core(
     parts: dict[str, Any] = {}
     if get_reward(reward).needs_judge and grader is None:
         grader = GRADER_FOLDER
-    if grader is not None:
-        known = grader if isinstance(grader, (str, Path)) else None
-        grader = make_grader(grader, device)
-        check_grader(grader, task)
-        if known is not None:
-            parts["the grader"] = trained_on(known)
+    judge = None if grader is None else make_grader(grader, device, task)
+    if judge is not grader:
+        parts["the grader"] = trained_on(grader)
     store = _open_data(backend, forces, data, task)
     if store is not None:
         parts[f"dataset {store.root}"] = trained_on(store.manifest)
@@ -108,7 +104,7 @@ def make_core(
         parts["the generator"] = trained_on(images)
     check_datasets(parts, data_version)
     return ScanCore(
-        task, phantom, images, grader, observation, reward, rewards, num_envs, device, encoder,
+        task, phantom, images, judge, observation, reward, rewards, num_envs, device, encoder,
         make_forces(forces, images, phantom, store, device),
     )  # fmt: skip
 
@@ -178,12 +174,6 @@ def find_task(view: str | Task, phantom: WorldLike = None, anatomy: str | None =
             f"phantom=PhantomConfig(anatomy={task.anatomy!r})"
         )
     return task
-
-
-def check_grader(grader: Judge | None, task: Task) -> None:
-    """Check that a grader, if there is one, knows the views of a task's anatomy."""
-    if grader is not None:
-        grader.check_labels(labels_of(anatomy_views(task.anatomy)), f"the {task.anatomy}")
 
 
 def make_phantom(

@@ -16,7 +16,7 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.protocol import Agent
 from racines_envs.evaluation.agent_specs import Run, common_view
 from racines_envs.evaluation.measures import RETURN_OF_A_HIT
-from racines_envs.evaluation.run import StudyConfig, check_view, core_for, start_seeds
+from racines_envs.evaluation.run import StudyConfig, core_for, start_seeds
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import (
     REWARDS,
@@ -59,34 +59,33 @@ class RewardReportConfig(StudyConfig):
 
 @dataclass(frozen=True)
 class ScoredSteps:
-    """T steps of n rows."""
+    """T steps of n rows, (T + 1, n) each; the first is the start."""
 
     score: Score
-    """(T + 1, n) each: p, g and distance by the reward's source; the first is the start's."""
+    """p, g and distance by the reward's source."""
     sees: Tensor
-    """(T + 1, n) bool, the true view is the target's."""
+    """bool, the true view is the target's."""
     grade: Tensor
-    """(T + 1, n) true grade as the target view, 0 where that is not seen."""
+    """True grade as the target view, 0 where that is not seen."""
 
 
 @dataclass(frozen=True)
 class Settled:
-    """What n episodes came to under one reward and one rule; (n,) each."""
+    """What n episodes came to under one reward and one rule; (n,) each.
+
+    The return; at the end, whether the true view is the target's, and its true grade that of a hit,
+    the grade as the target view, 0 where that is not seen; by the reward's source, the steps that
+    were hits, those that showed the view confidently and were none, and p's change since the start.
+    """
 
     total: np.ndarray
-    """The return."""
     steps: np.ndarray
     success: np.ndarray
-    """The true view at the end is the target's."""
     graded: np.ndarray
-    """And its true grade is that of a hit."""
     grade: np.ndarray
-    """True grade as the target view at the end, 0 where that is not seen."""
     hits: np.ndarray
     seen: np.ndarray
-    """Steps that were hits, or none but showed the view confidently, by the reward's source."""
     probability: np.ndarray
-    """p at the end less p at the start."""
 
     @property
     def hovered(self) -> np.ndarray:
@@ -123,8 +122,7 @@ def reward_report(
         for reward in config.rewards:
             judged = get_reward(reward).needs_judge
             if judged not in traces:
-                agent = run.load(config.device)
-                check_view(agent, view, run.agent, run.folder)
+                agent = run.load(view, config.device)
                 # All that any reward may look at is recorded; what this one would pay is not.
                 watched = Reward("watched", "", get_reward("oracle").pay, judged, True)
                 core = core_for(
