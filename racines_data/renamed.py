@@ -72,10 +72,10 @@ MOVED = {
         "task.view_error=starts tasks view_error=starts"
     ),
     "racines_envs.worlds": (
-        "backends backends_replay=replay_images data_versions=making exploration forces "
-        "forces_report=forces making "
-        "pose_index=replay_images recorded=recorded_world worlds.data_versions=making "
-        "studies.forces=forces worlds.pose_index=replay_images"
+        "backends backends_replay=replay data_versions=making exploration forces "
+        "forces_report=forces making pose_index=replay recorded=replay studies.forces=forces "
+        "worlds.data_versions=making worlds.pose_index=replay worlds.recorded_world=replay "
+        "worlds.replay_images=replay"
     ),
     "racines_leaderboard.audit": "audit.compare=numbers audit.figures=metrics",
     "racines_leaderboard.board": "chart collect groups pages rank recompute table",

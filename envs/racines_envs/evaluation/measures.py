@@ -94,10 +94,7 @@ def latency(
     """Return the median ms that policy and step took, one probe at a time, the paper's beside it.
 
     The core has one row. When one of the (E,) episodes ends the next begins, and that reset is not
-    timed; nor is a warm-up.
-
-    Raises:
-        RacinesError: fewer decisions than make a median worth reading.
+    timed; nor is a warm-up. The decisions have to be enough for a median worth reading.
     """
     if decisions < LEAST:
         raise RacinesError(

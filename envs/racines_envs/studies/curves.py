@@ -28,10 +28,7 @@ def read_curves(specs: Sequence[str]) -> dict[str, Any]:
     """Read the curves of `[LABEL=]FOLDER`s; runs of one label are training seeds of one thing.
 
     A finished run's validations come from metrics.json; all else, and a run under way, from
-    DVCLive's tables.
-
-    Raises:
-        RacinesError: no run, or one that holds no validations by environment steps.
+    DVCLive's tables. A run without validations by environment steps is refused.
     """
     if not specs:
         raise RacinesError("no run given: name run folders of trained agents")

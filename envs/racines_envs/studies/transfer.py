@@ -22,13 +22,12 @@ from racines_envs.evaluation.measures import path_length_score
 from racines_envs.evaluation.pictures import save
 from racines_envs.evaluation.run import StudyConfig, core_for, reference_steps, start_seeds
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom, phantom_recipe
-from racines_envs.worlds.recorded_world import RecordedWorld
+from racines_envs.worlds.replay import RecordedWorld
 from racines_models import statistics
 from racines_models.devices import on_device
 
 SCHEMA = "racines.agent-transfer/1"
 COMPARED = ("success_true", "episode_steps", "spl", "final_grade")
-LEVEL = 0.95
 Scores = dict[tuple[str, str], dict[str, np.ndarray]]
 """(n,) of each compared figure, by agent and backend."""
 
@@ -39,11 +38,7 @@ class TransferConfig(StudyConfig):
 
 
 def backend_arguments(spec: str) -> dict[str, Any]:
-    """Return what `make_core` needs for `phantom`, `generator:NAME` or `replay:FOLDER`.
-
-    Raises:
-        RacinesError: another kind, or one without what it needs.
-    """
+    """Return what `make_core` needs for `phantom`, `generator:NAME` or `replay:FOLDER`."""
     kind, _, what = spec.partition(":")
     given = {"phantom": {}, "generator": {"generator": what}, "replay": {"data": what}}.get(kind)
     if given is None or (kind == "phantom") != (not what):
@@ -62,9 +57,6 @@ def transfer(
     Returns:
         The document: `cells`, one an agent and backend, and `correlations`, one a pair of backends
         and figure.
-
-    Raises:
-        RacinesError: unknown backends, agents of different views, or artefacts that are not there.
     """
     if len(set(backends)) != len(backends) or not backends:
         raise RacinesError(f"backends are {', '.join(backends) or 'none'}: name each once")
@@ -197,7 +189,7 @@ def _figure(value: float, drawn: np.ndarray, agents: int) -> dict[str, Any]:
     defined = drawn[np.isfinite(drawn)]
     figure: dict[str, Any] = {"value": None, "low": None, "high": None, "n": agents}
     if np.isfinite(value):
-        low, high = np.quantile(defined, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
+        low, high = np.quantile(defined, [0.5 - statistics.LEVEL / 2, 0.5 + statistics.LEVEL / 2])
         figure |= {"value": value, "low": float(low), "high": float(high)}
     settings = {
         "interval": f"percentile bootstrap over starts, {len(drawn)} resamples",

@@ -28,7 +28,7 @@ from racines_data.imaging import IMAGE_SIZE
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.randomness import derive, normal, uniform
 from racines_data.schema import SPLITS
-from racines_data.store.frames import Batch, FrameStore
+from racines_data.store.frames import FrameStore
 from racines_data.store.memory import BatchMemory
 from racines_data.views import HEART, labels_of
 from racines_data.world import World
@@ -80,14 +80,9 @@ class ExploredFrames(FrameStore):
         self.grades = torch.full((count,), torch.nan)
         self.trajectory_index = torch.arange(count)
         self.labels = labels
-        self._memory = BatchMemory()
+        self._memory, self._words = BatchMemory(), images.flatten(1).view(torch.int64)
         ends = [0, int(TRAIN * count), int(VALIDATION * count), count]
         self._splits = {name: ends[i : i + 2] for i, name in enumerate(SPLITS)}
-
-    def take(self, index: Tensor, out: Tensor | None = None) -> Batch:
-        """Return the frames of (B,) rows."""
-        images, parameters = self.images[index], self.parameters[index]
-        return Batch(images, parameters, self.views[index], self.grades[index], index)
 
 
 def explore(config: ExplorationConfig, phantom: World, seed: int) -> ExploredFrames:

@@ -103,11 +103,7 @@ def fit_forces(store: "FrameStore", config: ForceConfig | None = None) -> Fitted
 
 
 def measured(store: "FrameStore", split: str) -> Tensor:
-    """Return the (M, 12) parameters of a split's frames that have a pose and a force.
-
-    Raises:
-        RacinesError: there are none.
-    """
+    """Return the (M, 12) parameters of a split's frames with pose and force, if there are any."""
     parameters = store.parameters[slice(*store.bounds(split))]
     parameters = parameters[torch.isfinite(parameters).all(1)]
     if not len(parameters):
@@ -158,11 +154,9 @@ def force_report(
 
     Beside them those of predicting the mean of the train split and, of a phantom's dataset, of its
     contact model at rest: it knows the pose exactly as the regressor does, and no velocity either.
-
-    Raises:
-        RacinesError: no frame with a pose and a force in one of the splits.
     """
-    from racines_envs.worlds.replay_images import source_phantom
+    from racines_data.phantom import contact
+    from racines_envs.worlds.replay import source_phantom
     from racines_models.provenance import code_version, dataset_card
 
     config = config or ForceConfig()
@@ -174,10 +168,8 @@ def force_report(
     }
     phantom = source_phantom(store)
     if phantom is not None:
-        from racines_data.phantom import contact
-
-        surface = phantom.block.maximum[2]
-        predicted["contact"] = contact.wrench(pose, None, surface, phantom.contact)
+        top = phantom.block.maximum[2]
+        predicted["contact"] = contact.wrench(pose, None, top, phantom.contact)
     return {
         "schema": SCHEMA,
         "dataset": dataset_card(store),

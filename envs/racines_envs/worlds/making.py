@@ -115,7 +115,7 @@ def _open_data(
     """Open the dataset if the backend or the forces need it, and check whose views it has."""
     store = None
     if not isinstance(backend, str):
-        from racines_envs.worlds.replay_images import Replay
+        from racines_envs.worlds.replay import Replay
 
         store = backend.store if isinstance(backend, Replay) else None
     if store is None:
@@ -142,8 +142,7 @@ def _recordings(
     Where no recordings are replayed, both as they are given. A phantom beside recordings of none is
     not asked; another phantom than the dataset's is refused, unless any dataset may pass.
     """
-    from racines_envs.worlds.recorded_world import RecordedWorld
-    from racines_envs.worlds.replay_images import Replay, source_phantom
+    from racines_envs.worlds.replay import RecordedWorld, Replay, source_phantom
 
     replay = Replay(store, device) if backend == "replay" else backend
     if not isinstance(replay, Replay) or isinstance(phantom, RecordedWorld):
@@ -162,8 +161,7 @@ def _recordings(
 def find_task(view: str | Task, phantom: WorldLike = None, anatomy: str | None = None) -> Task:
     """Return the task of a view: of an anatomy, or else of that of a phantom or its configuration.
 
-    Raises:
-        RacinesError: no such view, or a task of another anatomy than the phantom's.
+    A task of another anatomy than the phantom's is refused.
     """
     config = config_of(phantom)
     held = config and config.anatomy

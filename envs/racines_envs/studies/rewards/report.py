@@ -105,10 +105,6 @@ def reward_report(
 
     Returns:
         The document, and the episodes for a picture.
-
-    Raises:
-        RacinesError: an unknown reward or rule, no grader for one that needs it, or agents that do
-            not fit.
     """
     _check(config)
     config = on_device(config)
