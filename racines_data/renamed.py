@@ -61,11 +61,8 @@ MOVED = {
     ),
     "racines_envs.recordings": "recorder=episode_writer replay=rerun",
     "racines_envs.studies": (
-        "curves rank_correlation=transfer step_profile task_table transfer transfer_pages=transfer"
-    ),
-    "racines_envs.studies.rewards": (
-        "reward_pages=pages reward_report=report reward_trace=report "
-        "studies.rewards.settlement=report"
+        "curves rank_correlation=transfer reward_pages=rewards reward_report=rewards "
+        "reward_trace=rewards step_profile task_table transfer transfer_pages=transfer"
     ),
     "racines_envs.task": (
         "actions core names rewards sensing starts state=core task.state=core "

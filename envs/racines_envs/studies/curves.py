@@ -12,7 +12,7 @@ from matplotlib.ticker import EngFormatter, MaxNLocator
 from racines_data.errors import RacinesError
 from racines_envs.evaluation.agent_specs import read_json, split_label
 from racines_envs.evaluation.pictures import save
-from racines_envs.studies.rewards.report import PAPER
+from racines_envs.studies.rewards import PAPER
 from racines_envs.task.rewards import follows_paper
 
 SCHEMA = "racines.agent-curves/1"
