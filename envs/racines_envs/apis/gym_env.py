@@ -80,9 +80,8 @@ class Scan:
         """Return the space of one row's observation; images are (128, 128, 1), channels last."""
         image = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 1), np.uint8)
         params = spaces.Box(-1.0, 1.0, (PARAMS_SIZE,), np.float32)
-        if self.core.observation == "multimodal":
-            return spaces.Dict({"image": image, "params": params})
-        return image if self.core.observation == "image" else params
+        both = spaces.Dict({"image": image, "params": params})
+        return both if self.core.observation == "multimodal" else both[self.core.observation]
 
     def reset(self, env: Any, seed: Any, options: dict[str, Any] | None) -> Any:
         """Start episodes and return what is seen; without any seed yet, `env` draws one."""
@@ -159,11 +158,7 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         return self._scan.reset(self, seed, options), self._info()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Take one of the 13 actions.
-
-        Raises:
-            RacinesError: the action is not an integer 0-12, or the episode has ended.
-        """
+        """Take one of the 13 actions, an integer 0-12; refused when the episode has ended."""
         seen, *told = self._scan.step(read_actions(action).reshape(-1), strict=True)
         reward, ended, cut = (value.item() for value in told)
         return seen, reward, ended, cut, self._info()
@@ -191,7 +186,7 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
     def __init__(
         self, view: str, num_envs: int = 1, render_mode: str | None = None, **settings: Any
     ) -> None:
-        """Build N rows of a view's task; settings as for `racines_envs.worlds.making.make_core`."""
+        """Build N rows of a view's task; settings as for `GymScanEnv`."""
         self._scan = Scan(view, num_envs, render_mode, settings)
         self.core, self.render_mode, self.num_envs = self._scan.core, render_mode, num_envs
         self.single_observation_space = self._scan.space()
@@ -208,11 +203,7 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         return self._scan.reset(self, seeds, options), self._infos()
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Take (N,) actions.
-
-        Raises:
-            RacinesError: wrong shape or type, or an action outside 0-12.
-        """
+        """Take (N,) actions, integers 0-12."""
         seen, reward, *ends = self._scan.step(read_actions(actions), autoreset=True)
         ended, cut = (value.cpu().numpy() for value in ends)
         return seen, reward.double().cpu().numpy(), ended, cut, self._infos()

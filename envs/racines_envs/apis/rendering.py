@@ -26,12 +26,10 @@ from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 
 WIDTH, HEIGHT = 960, 540
-IMAGE = 384
-"""Height and width of the ultrasound image in the picture, pixels."""
+IMAGE = 384  # pixels, height and width of the ultrasound image in the picture
 _MARGIN, _DEEP = 0.012, 0.14
 """Where a block of unknown size ends: about the workspace, and below the top, m."""
-_BODY = 0.06
-"""Length of the probe's body as drawn, m."""
+_BODY = 0.06  # m, length of the probe's body as drawn
 _BACK, _PANEL, _LINE, _TEXT = "#101418", "#1a2026", "#5b6670", "#e6e9ec"
 _BLOCK, _SPACE, _GOAL, _PATH, _PROBE = "#2f3942", "#7d8a96", "#4ade80", "#facc15", "#38bdf8"
 _SECTOR, _WARN = "#1e4a63", "#f87171"

@@ -148,11 +148,8 @@ class Entry:
 def find_entry(settings: dict[str, Any], spec: str, name: str | None = None) -> Entry:
     """Return the run that a spec names, in all sections' settings; called `name`, if given.
 
-    A spec is the name of an entry of the section `agents`; or a registered agent, `module:Class` or
-    `FILE.onnx`, whose entry is the one of its own name, if there is one.
-
-    Raises:
-        RacinesError: no such entry or agent, or an entry that is no mapping.
+    A spec is the name of an entry, a mapping, of the section `agents`; or a registered agent,
+    `module:Class` or `FILE.onnx`, whose entry is the one of its own name, if there is one.
     """
     entries = section(settings, "agents")
     own = spec if spec in entries else agent_class(spec).name

@@ -14,8 +14,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from racines_data.files import write_atomic
 from racines_envs.task.core import ScanCore
 
-MARGIN = 6.0
-"""Shown around the paths, mm."""
+MARGIN = 6.0  # mm, shown around the paths
 
 
 def draw_trajectories(evaluation: Any, path: Path) -> None:

@@ -21,7 +21,7 @@ from racines_envs.agents.rollout import Episodes, rollout
 from racines_envs.agents.trace_agent import ActionRecorder, TraceAgent
 from racines_envs.agents.trace_file import circumstances, read_trace, write_trace
 from racines_envs.evaluation.agent_specs import check_view
-from racines_envs.evaluation.measures import Figures, latency, measure, measure_by_seed
+from racines_envs.evaluation.measures import latency, measure, measure_by_seed
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
@@ -116,15 +116,10 @@ def evaluate(
 ) -> Evaluation:  # fmt: skip
     """Run the agent that lies in `run_dir` and score it; all episodes of all sets at once.
 
-    Args:
-        name: Registered agent, `module:Class`, `FILE.onnx`, or a trace, `FILE.json`.
-        run_dir: What its training left; not read for agents without weights.
-        config: The evaluation.
-        phantom: A phantom or its configuration; the shared default by default.
-        grader: Instead of the folder in the config.
-        agent: One that is open already, instead of the one that name and folder say.
-        run: What the scores call it; the agent's name by default.
-        board: The board that the scores are for, if they are for one.
+    `name` is a registered agent, `module:Class`, `FILE.onnx`, or a trace, `FILE.json`; `run_dir`,
+    what its training left, is not read for agents without weights. A `phantom` is the shared one by
+    default; a `grader` and an `agent` that are open already stand for those that settings and name
+    say. The scores call it `run`, or else by the agent's name, and tell the `board` they are for.
 
     Raises:
         RacinesError: unknown names, missing weights, an agent that was trained for another view, or
@@ -138,8 +133,10 @@ def evaluate(
         agent.check_ended(episodes)
     steps = reference_steps(config.view, seeds, core.phantom, config.device)
     metrics = measure(episodes, steps, config.resamples)
-    if grader is not None:
-        metrics |= _graded(core, grader)
+    if grader is not None:  # is asked about the last image of each episode
+        p, g = grader.probabilities_and_grade(core.picture())
+        hit = (p[:, core.task.target] >= core.rewards.probability) & (g >= core.rewards.grade)
+        metrics["success_grader"] = statistics.wilson(hit.cpu().numpy())
     if config.latency and not isinstance(agent, TraceAgent):
         alone = core_for(  # what draws its images is not loaded again
             agent, config.view, 1, backend=core.images, reward=core.reward, phantom=core.phantom,
@@ -221,18 +218,8 @@ def reference_steps(view: str, seeds: Tensor, phantom: World, device: str) -> np
     return rollout(core, PlannerAgent(), seeds.to(core.device)).final["steps"]
 
 
-def _graded(core: ScanCore, grader: Judge) -> Figures:
-    """Ask the grader about the last image of each episode."""
-    p, g = grader.probabilities_and_grade(core.picture())
-    hit = (p[:, core.task.target] >= core.rewards.probability) & (g >= core.rewards.grade)
-    return {"success_grader": statistics.wilson(hit.cpu().numpy())}
-
-
 def _extractors(agent: Agent, grader: Judge | None) -> dict[str, dict[str, Any]]:
-    """Return the settings of the graders that had a say, with their hashes.
-
-    `grader` judged the last images; `guide` is the one whose opinion the agent went by.
-    """
+    """Return the settings, with hashes, of what judged the last images and of the agent's guide."""
     graders = {"grader": grader, "guide": getattr(agent, "guide", None)}
     told = {kind: each.settings for kind, each in graders.items() if each is not None}
     return {kind: settings for kind, settings in told.items() if settings is not None}

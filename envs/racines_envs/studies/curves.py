@@ -114,8 +114,8 @@ def draw_curves(content: dict[str, Any], path: Path, paper: bool = True) -> None
         axes.grid(alpha=0.25)
         if name == "validation/success":
             axes.set_ylim(-0.03, 1.03)
-    handles, names = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=8)
+    shown = grid[0, 0].get_legend_handles_labels()
+    figure.legend(*shown, loc="outside lower center", ncols=4, fontsize=8)
     save(figure, path)
 
 

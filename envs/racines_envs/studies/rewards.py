@@ -110,7 +110,13 @@ def reward_report(
     Returns:
         The document, and the episodes for a picture.
     """
-    _check(config)
+    lists = {"rewards": (config.rewards, REWARDS.names())}
+    lists["terminations"] = (config.terminations, TERMINATIONS)
+    for name, (given, known) in lists.items():
+        if not given or set(given) - set(known) or len(set(given)) != len(given):
+            raise RacinesError(
+                f"{name} are {', '.join(given) or 'none'}: choose of {', '.join(known)}, each once"
+            )
     config = on_device(config)
     seeds, view = start_seeds(config.starts, config.seeds), common_view(runs, config.view)
     task = find_task(view, phantom)
@@ -151,17 +157,6 @@ def reward_report(
         ],
     }
     return document, episodes
-
-
-def _check(config: RewardReportConfig) -> None:
-    for name, given, known in (
-        ("rewards", config.rewards, REWARDS.names()),
-        ("terminations", config.terminations, TERMINATIONS),
-    ):
-        if not given or set(given) - set(known) or len(set(given)) != len(given):
-            raise RacinesError(
-                f"{name} are {', '.join(given) or 'none'}: choose of {', '.join(known)}, each once"
-            )
 
 
 @torch.no_grad()

@@ -95,10 +95,7 @@ class ScanCore:
 
         An `encoder` looks once at each image; what it says is observed as `features`. Forces come
         from `forces`, else from the source of images if it has a `wrench(pose)`, else from the
-        phantom's contact.
-
-        Raises:
-            RacinesError: an unknown observation or reward, or one that needs a grader without one.
+        phantom's contact. A reward that needs a grader is refused without one.
         """
         if observation not in OBSERVATIONS:
             known = ", ".join(OBSERVATIONS)
@@ -149,10 +146,8 @@ class ScanCore:
         return self.observe()
 
     def _seed(self, seed: int | Tensor) -> None:
-        if isinstance(seed, Tensor):
-            given = seed.to(self.device, torch.int64)
-        else:
-            given = torch.arange(self.num_envs, dtype=torch.int64, device=self.device) + seed
+        index = torch.arange(self.num_envs, dtype=torch.int64, device=self.device)
+        given = seed.to(self.device, torch.int64) if isinstance(seed, Tensor) else index + seed
         if given.shape != (self.num_envs,):
             raise RacinesError(f"seeds have shape {tuple(given.shape)}: give ({self.num_envs},)")
         self._env_seed, self._episode = given, torch.full_like(given, -1)

@@ -15,8 +15,7 @@ TRIES = 8
 COARSE, FINE = 8, 4
 """Shares judged of the shift and of the turn: 9 × 9, then 5 × 5 within a step of the first grid, so
 that each share is known to 1/32."""
-ROWS = 64
-"""Poses searched from at a time: bounds the memory."""
+ROWS = 64  # poses searched from at a time: bounds the memory
 _STREAM = 101
 _EVALUATION = 0x5EED
 _VALIDATION = 0x7A11

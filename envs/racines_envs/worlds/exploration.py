@@ -40,8 +40,7 @@ from racines_models.judges.pose.regressor import PoseConfig, PoseTraining
 from racines_models.judges.pose.training import train_pose
 from racines_models.protocol import Run
 
-CHUNK = 512
-"""Frames drawn at once."""
+CHUNK = 512  # frames drawn at once
 STREAM = 211
 NEARER = 0.7
 """Exponent on a uniform share of the way from target to start: more frames far off than near."""
