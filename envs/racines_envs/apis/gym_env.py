@@ -100,10 +100,7 @@ class Scan:
         return given._replace(observation=self._arrays(given.observation))
 
     def edge_info(self) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
-        """Return the infos that stand at the first and the last observation of an episode alone.
-
-        They are (K,) values of the K rows that are there, none where no row is; and those rows.
-        """
+        """Return (K,) infos of an episode's first and last observation alone, and those K rows."""
         rows = (self.core.state.done | (self.core.state.steps == 0)).nonzero().squeeze(1)
         if not len(rows):
             return {}, rows

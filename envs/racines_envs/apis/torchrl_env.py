@@ -82,16 +82,12 @@ class ScanEnv(EnvBase):
 
     def _pack(self, values: dict[str, torch.Tensor]) -> TensorDictBase:
         """Join observations and info with (N,) entries, all as columns."""
-        core, seen = self.core, self.core.observe()
+        core, state, seen = self.core, self.core.state, self.core.observe()
         if core.encoder is not None:
             del seen["image"]
         elif "image" in seen:
             seen["image"] = seen["image"].unsqueeze(1)
-        told = {
-            "success": core.sees_target(),
-            "steps": core.state.steps,
-            "return": core.state.total,
-        }
+        told = {"success": core.sees_target(), "steps": state.steps, "return": state.total}
         columns, info = (
             {name: value.unsqueeze(-1) for name, value in rows.items()} for rows in (values, told)
         )

@@ -66,10 +66,7 @@ def split_label(spec: str) -> tuple[str | None, str]:
 
 
 def find_run(spec: str) -> Run:
-    """Return what `[LABEL=]NAME` or `[LABEL=]FOLDER` names; a name's folder is envs/runs/NAME.
-
-    A folder that has no config.json, or whose one does not say which agent it holds, is refused.
-    """
+    """Return what `[LABEL=]NAME` or `[LABEL=]FOLDER` names; a name's folder is envs/runs/NAME."""
     label, where = split_label(spec)
     given = Path(where).is_dir()
     folder = Path(where) if given else RUNS / where

@@ -145,8 +145,7 @@ def evaluate(
         timed = latency(alone, agent, seeds.to(core.device), config.latency, config.resamples)
         metrics["latency"] = timed
     by_seed = measure_by_seed(episodes, steps, config.sets, config.resamples)
-    figures = {"metrics": metrics, "by_seed": by_seed}
-    scores = _document(run_dir, config, core, agent, figures)
+    scores = _document(run_dir, config, core, agent, {"metrics": metrics, "by_seed": by_seed})
     scores |= {"extractors": _extractors(agent, grader), "agent": run or agent.name}
     scores |= {"board": board} if board else {}
     scores["seconds"] = time.perf_counter() - began

@@ -98,9 +98,8 @@ def draw_curves(content: dict[str, Any], path: Path, paper: bool = True) -> None
     panels = [name for name in PANELS if any(name in run["curves"] for run in runs)]
     figure = Figure(figsize=(4.1 * len(panels) + 0.4, 3.9), layout="constrained")
     grid = figure.subplots(1, len(panels), squeeze=False)
-    labels = list(dict.fromkeys(run["label"] for run in runs))
     for name, axes in zip(panels, grid[0], strict=True):
-        for number, label in enumerate(labels):
+        for number, label in enumerate(dict.fromkeys(run["label"] for run in runs)):
             same = [run["curves"] for run in runs if run["label"] == label]
             curves = [each[name] for each in same if name in each]
             if curves:

@@ -97,8 +97,7 @@ class Settled:
         return self.hits + self.seen
 
 
-Outcomes = dict[tuple[str, str, str], Settled]
-"""Episodes by agent, reward and rule."""
+Outcomes = dict[tuple[str, str, str], Settled]  # by agent, reward and rule
 
 
 def reward_report(

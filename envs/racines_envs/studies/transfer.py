@@ -28,8 +28,7 @@ from racines_models.devices import on_device
 
 SCHEMA = "racines.agent-transfer/1"
 COMPARED = ("success_true", "episode_steps", "spl", "final_grade")
-Scores = dict[tuple[str, str], dict[str, np.ndarray]]
-"""(n,) of each compared figure, by agent and backend."""
+Scores = dict[tuple[str, str], dict[str, np.ndarray]]  # (n,) a figure, by agent and backend
 
 
 @dataclass(frozen=True)

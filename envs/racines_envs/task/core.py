@@ -120,7 +120,6 @@ class ScanCore:
         low, high = phantom.workspace.position_min, phantom.workspace.position_max
         self._centre = ((high + low) / 2).to(self.device)
         self._half = ((high - low) / 2).to(self.device)
-        self.renders = observation != "params" or self.reward.needs_judge
         self._seed(0)
         self._sensed: dict[str, Tensor] = {}
         self.state: State
@@ -174,7 +173,6 @@ class ScanCore:
 
         With `autoreset`, a row that ended in the step before ignores its action and starts its next
         episode instead (Gymnasium's NEXT_STEP): reward 0, neither terminated nor truncated.
-
         Only the (K,) `rows` are looked at, by default all: what has ended need not be drawn again.
 
         Raises:
@@ -262,7 +260,7 @@ class ScanCore:
             "oracle_p": truth.membership[:, self.task.target],
             "oracle_g": truth.view_grade[:, self.task.target],
         }
-        if self.renders:
+        if self.observation != "params" or self.reward.needs_judge:
             sensed["image"] = self._draw(parameters, seeds)
         if self.encoder is not None:
             sensed["features"] = in_fixed_batches(self.encoder, sensed["image"])

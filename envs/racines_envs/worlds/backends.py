@@ -21,8 +21,7 @@ from racines_envs.task.tasks import Task
 from racines_models.protocol import Judge
 
 GRADER_FOLDER = Path("models/runs/grader")
-JudgeLike = Judge | Path | str | None
-"""What names a grader: itself, its run folder, or None for the default."""
+JudgeLike = Judge | Path | str | None  # a grader itself, its run folder, or None for the default
 BACKENDS = ("phantom", "generator", "replay")
 
 

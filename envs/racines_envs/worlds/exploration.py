@@ -8,7 +8,7 @@ Actor Critic for Image-Based Robot Learning, 2018, use the simulator's state in 
 agent that looks through the network is given images only.
 """
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
@@ -59,9 +59,7 @@ class ExplorationConfig:
     anatomy: str = HEART
     generator: str = ""
     """Who draws the images of these poses, as for the backend `generator`; the phantom if empty."""
-    pose: PoseConfig = field(
-        default_factory=lambda: PoseConfig(training=PoseTraining(images=480_000))
-    )
+    pose: PoseConfig = PoseConfig(training=PoseTraining(images=480_000))
 
     def __post_init__(self) -> None:
         if self.frames < 200:

@@ -27,10 +27,8 @@ if TYPE_CHECKING:
 
 WorldLike = World | PhantomConfig | str | None
 """What names a world: itself, a phantom's settings, `recorded`, or None for the default."""
-RECORDED = "recorded"
-"""The `phantom` that stands for the recordings themselves."""
-ANY = "any"
-"""The `data_version` that lets everything pass."""
+RECORDED = "recorded"  # the `phantom` that stands for the recordings themselves
+ANY = "any"  # the `data_version` that lets everything pass
 _SHORTEST = 8  # characters of a digest that name a dataset
 
 
@@ -159,10 +157,7 @@ def _recordings(
 
 
 def find_task(view: str | Task, phantom: WorldLike = None, anatomy: str | None = None) -> Task:
-    """Return the task of a view: of an anatomy, or else of that of a phantom or its configuration.
-
-    A task of another anatomy than the phantom's is refused.
-    """
+    """Return the task of a view: of an anatomy, or else of a phantom's; both have to agree."""
     config = config_of(phantom)
     held = config and config.anatomy
     task = view if isinstance(view, Task) else get_task(view, anatomy or held or HEART)

@@ -149,10 +149,7 @@ class RecordedWorld(World):
         self.workspace = Workspace(position.amin(0), position.amax(0), lean, turn)
 
     def target(self, view: str) -> Pose:
-        """Return the pose of the best-graded frame that shows a view, a batch of one.
-
-        Of equally good ones, the one nearest to where they all are on average.
-        """
+        """Return the pose of a view's best-graded frame, of equals the most central; one row."""
         if view not in self.views:
             raise RacinesError(f"unknown view {view!r}: choose one of {', '.join(self.views)}")
         shows = self._views == self.views.index(view)
