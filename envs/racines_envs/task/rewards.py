@@ -71,6 +71,7 @@ class Reward:
         return "grader" if self.needs_judge else "oracle"
 
     def __call__(self, before: Score, after: Score, ended: Tensor, config: RewardConfig) -> Tensor:
+        """Return what a step pays each row, (N,) float32."""
         return self.pay(before, after, ended, config)
 
 
