@@ -109,9 +109,10 @@ def reward_report(
     Returns:
         The document, and the episodes for a picture.
     """
-    lists = {"rewards": (config.rewards, REWARDS.names())}
-    lists["terminations"] = (config.terminations, TERMINATIONS)
-    for name, (given, known) in lists.items():
+    for name, given, known in (
+        ("rewards", config.rewards, REWARDS.names()),
+        ("terminations", config.terminations, TERMINATIONS),
+    ):
         if not given or set(given) - set(known) or len(set(given)) != len(given):
             raise RacinesError(
                 f"{name} are {', '.join(given) or 'none'}: choose of {', '.join(known)}, each once"
@@ -127,7 +128,7 @@ def reward_report(
         for reward in config.rewards:
             judged = get_reward(reward).needs_judge
             if judged not in traces:
-                agent = run.load(view, config.device)
+                agent = run.load(task.view, config.device)
                 # All that any reward may look at is recorded; what this one would pay is not.
                 watched = Reward("watched", "", get_reward("oracle").pay, judged, True)
                 core = core_for(
