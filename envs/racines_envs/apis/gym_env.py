@@ -92,7 +92,7 @@ class Scan:
         self._note()
         return self._arrays(seen)
 
-    def step(self, actions: torch.Tensor, **how: bool) -> Transition:
+    def step(self, actions: torch.Tensor, **how: Any) -> Transition:
         """Take (N,) actions, `how` being of `ScanCore.step`; what is seen is given as arrays."""
         actions = actions.to(self.core.device)
         given = self.core.step(actions, **how)
@@ -156,9 +156,9 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take one of the 13 actions, an integer 0-12; refused when the episode has ended."""
-        seen, *told = self._scan.step(read_actions(action).reshape(-1), strict=True)
-        reward, ended, cut = (value.item() for value in told)
-        return seen, reward, ended, cut, self._info()
+        row = read_actions(action).reshape(-1)
+        seen, reward, ended, cut = self._scan.step(row, strict=True)
+        return seen, float(reward), bool(ended), bool(cut), self._info()
 
     def render(self) -> Any:
         """Return the picture of `racines_envs.apis.rendering.compose`, (540, 960, 3) uint8."""

@@ -91,7 +91,8 @@ def _frame(axes: Any, points: np.ndarray, core: ScanCore) -> None:
 def _draw_plan(axes: Any, core: ScanCore, paths: list[np.ndarray], target: np.ndarray) -> None:
     """Draw the paths from above on the block's outline (a stand-in's workspace)."""
     low, high = _corners(core)
-    axes.add_patch(Rectangle(low[:2], *(high - low)[:2], facecolor="0.92", edgecolor="0.4"))
+    size = (high - low)[:2]
+    axes.add_patch(Rectangle((low[0], low[1]), *size, facecolor="0.92", edgecolor="0.4"))
     for number, path in enumerate(paths):
         axes.plot(path[:, 0], path[:, 1], color="0.3", linewidth=0.9)
         axes.text(path[0, 0], path[0, 1], str(number + 1), fontsize=7)

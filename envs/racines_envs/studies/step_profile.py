@@ -172,13 +172,14 @@ def _operations(env: VectorScanEnv, count: int) -> list[dict[str, Any]]:
 
     accelerated = env.core.device.type == "cuda"
     kinds = [ProfilerActivity.CPU, *([ProfilerActivity.CUDA] if accelerated else [])]
+    own = "self_device_time_total" if accelerated else "self_cpu_time_total"
+    times: dict[str, float] = {}
     env.reset(seed=0)
     for _ in range(2):  # the profiler's own start falls into the first
         with profile(activities=kinds) as told:
             for _ in range(3):
                 env.step(np.zeros(env.num_envs, dtype=np.int64))
-    own = "self_device_time_total" if accelerated else "self_cpu_time_total"
-    times = {event.key: getattr(event, own) for event in told.key_averages()}
+        times = {event.key: getattr(event, own) for event in told.key_averages()}
     whole = sum(times.values())
     longest = sorted(times, key=lambda name: -times[name])[:count]
     return [{"name": name, "share": times[name] / whole} for name in longest]
