@@ -50,28 +50,34 @@ MOVED = {
         "agents.onnx_policy_format=format"
     ),
     "racines_envs.agents.training": "agents.training_config=config agents.training_run=run",
-    "racines_envs.apis": "gym_env gym_vector rendering torchrl_env",
+    "racines_envs.apis": "apis.gym_vector=gym_env gym_env gym_vector=gym_env rendering torchrl_env",
     "racines_envs.cli": (
         "cli_drive=drive cli_encoder=train.encoder cli_eval=study.transfer cli_explain=explain "
         "cli_export=export cli_forces=study.forces cli_speed=study.speed settings"
     ),
     "racines_envs.driving": "keyboard terminal",
     "racines_envs.evaluation": (
-        "entries latency measures pictures runs=agent_specs trace_recording"
+        "entries=agent_specs evaluation.entries=agent_specs evaluation.latency=measures "
+        "evaluation.trace_recording=run latency=measures measures pictures runs=agent_specs "
+        "trace_recording=run"
     ),
     "racines_envs.explain": (
         "explain_figure=figure explain_maps=maps explain_scores=scores explain_truth=truth"
     ),
     "racines_envs.recordings": "recorder=episode_writer replay=rerun",
-    "racines_envs.studies": "curves forces_report=forces step_profile task_table",
-    "racines_envs.studies.rewards": (
-        "reward_pages=pages reward_report=report reward_trace=settlement"
+    "racines_envs.studies": (
+        "curves rank_correlation=transfer reward_pages=rewards reward_report=rewards "
+        "reward_trace=rewards step_profile task_table transfer transfer_pages=transfer"
     ),
-    "racines_envs.studies.transfer": "rank_correlation transfer=run transfer_pages=pages",
-    "racines_envs.task": "actions core names rewards sensing starts state tasks view_error",
+    "racines_envs.task": (
+        "actions core names rewards sensing starts state=core task.state=core "
+        "task.view_error=starts tasks view_error=starts"
+    ),
     "racines_envs.worlds": (
-        "backends backends_replay=replay_images data_versions exploration forces making "
-        "pose_index recorded=recorded_world"
+        "backends backends_replay=replay data_versions=making exploration forces "
+        "forces_report=forces making pose_index=replay recorded=replay studies.forces=forces "
+        "worlds.data_versions=making worlds.pose_index=replay worlds.recorded_world=replay "
+        "worlds.replay_images=replay"
     ),
     "racines_leaderboard.audit": "audit.compare=numbers audit.figures=metrics",
     "racines_leaderboard.board": "chart collect groups pages rank recompute table",

@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from racines_data.config import read_params
-from racines_envs.evaluation.entries import find_entry
+from racines_envs.evaluation.agent_specs import find_entry
 from racines_leaderboard.cli.command import COMMANDS
 from tests.conftest import ROOT
 from tests.modules import FOLDERS, closure, modules, says_only_what_it_offers

@@ -18,7 +18,7 @@ import yaml
 from racines_data.config import PROFILES, read_params
 from racines_data.views import VIEWS
 from racines_envs.agents import agent_names
-from racines_envs.evaluation.entries import find_entry
+from racines_envs.evaluation.agent_specs import find_entry
 from racines_models.registry import generator_names
 from tests.conftest import ROOT
 from tests.modules import closure, modules, says_only_what_it_offers

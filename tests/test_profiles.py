@@ -8,7 +8,7 @@ from racines_data.build.dataset import make_source, read_data_section
 from racines_data.config import PROFILES, fill, read_params, section
 from racines_data.phantom import PhantomConfig
 from racines_envs.agents import agent_class
-from racines_envs.evaluation.entries import find_entry
+from racines_envs.evaluation.agent_specs import find_entry
 from racines_envs.evaluation.run import EvaluationConfig
 from racines_envs.worlds.exploration import ExplorationConfig
 from racines_models.judges.grader.model import GraderConfig

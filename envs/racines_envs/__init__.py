@@ -35,7 +35,7 @@ def register_tasks(anatomy: str, views: Sequence[str] | None = None) -> list[str
         gymnasium.register(
             id=task_id(view, anatomy),
             entry_point="racines_envs.apis.gym_env:GymScanEnv",
-            vector_entry_point="racines_envs.apis.gym_vector:VectorScanEnv",
+            vector_entry_point="racines_envs.apis.gym_env:VectorScanEnv",
             kwargs={"view": view} | ({"anatomy": anatomy} if anatomy != HEART else {}),
         )
     return [task_id(view, anatomy) for view in views]

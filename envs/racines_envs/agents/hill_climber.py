@@ -20,8 +20,7 @@ from racines_envs.agents.protocol import SETTINGS, Untrained
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import RewardConfig
-from racines_envs.worlds.backends import GRADER_FOLDER, make_grader
-from racines_envs.worlds.making import check_grader
+from racines_envs.worlds.backends import GRADER_FOLDER, check_grader, make_grader
 from racines_models.devices import resolve_device
 from racines_models.protocol import Judge
 

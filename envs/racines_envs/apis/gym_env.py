@@ -1,4 +1,4 @@
-"""`racines/<VIEW>-v0` as one Gymnasium environment: a batch of one row of the core."""
+"""`racines/<VIEW>-v0` in Gymnasium: one environment, and N rows that take one step for all."""
 
 from typing import Any
 
@@ -6,48 +6,20 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, euler_to_matrix
 from racines_data.imaging import IMAGE_SIZE
-from racines_envs.apis.rendering import History, compose_all
+from racines_envs.apis.rendering import History, compose
 from racines_envs.task.actions import ACTIONS
-from racines_envs.task.core import OBSERVATIONS, PARAMS_SIZE, ScanCore
+from racines_envs.task.core import PARAMS_SIZE, Transition
 from racines_envs.worlds.making import make_core
-
-RENDER_FPS = 10
-
-
-def observation_space(observation: str) -> spaces.Space[Any]:
-    """Return the space of one observation; images are (128, 128, 1), channels last."""
-    image = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 1), np.uint8)
-    params = spaces.Box(-1.0, 1.0, (PARAMS_SIZE,), np.float32)
-    known: dict[str, spaces.Space[Any]] = {
-        "image": image,
-        "params": params,
-        "multimodal": spaces.Dict({"image": image, "params": params}),
-    }
-    if observation not in known:
-        raise RacinesError(
-            f"unknown observation {observation!r}: choose one of {', '.join(OBSERVATIONS)}"
-        )
-    return known[observation]
-
-
-def to_numpy(core: ScanCore, seen: dict[str, torch.Tensor]) -> Any:
-    """Turn observations of N rows into (copied) arrays as the vector space wants them."""
-    arrays = {name: value.cpu().numpy().copy() for name, value in seen.items()}
-    if "image" in arrays:
-        arrays["image"] = arrays["image"][..., None]
-    return arrays if core.observation == "multimodal" else arrays[core.observation]
 
 
 def read_actions(actions: Any) -> torch.Tensor:
-    """Turn actions of any kind of sequence into a tensor of integers.
-
-    Raises:
-        RacinesError: they are not integers.
-    """
+    """Turn actions of any kind of sequence into a tensor, if they are integers."""
     try:
         array = np.asarray(actions)
     except ValueError as error:
@@ -58,11 +30,7 @@ def read_actions(actions: Any) -> torch.Tensor:
 
 
 def read_pose(options: dict[str, Any] | None, count: int) -> Pose | None:
-    """Read `options["pose"]`: (6,) or (count, 6) position m and extrinsic xyz angles rad.
-
-    Raises:
-        RacinesError: an unknown option, or values of another shape.
-    """
+    """Read `options["pose"]`, the one option: (6,) or (count, 6) m and extrinsic xyz angles rad."""
     options = options or {}
     unknown = set(options) - {"pose"}
     if unknown:
@@ -85,66 +53,96 @@ def read_pose(options: dict[str, Any] | None, count: int) -> Pose | None:
     return Pose(values[:, :3], euler_to_matrix(values[:, 3:]))
 
 
-def check_render_mode(render_mode: str | None) -> str | None:
-    """Return the mode if it is `rgb_array` or none."""
-    if render_mode not in (None, "rgb_array"):
-        raise RacinesError(f"unknown render_mode {render_mode!r}: use 'rgb_array'")
-    return render_mode
+def read_seeds(seed: Any, count: int) -> int | torch.Tensor | None:
+    """Turn Gymnasium's seed of a vector environment into one integer or (count,) int64."""
+    if seed is None:
+        return None
+    array = np.asarray(seed)
+    if array.dtype.kind not in "iu" or array.shape not in ((), (count,)):
+        raise RacinesError(f"seed {seed!r}: give one integer, or a list of {count}, one a row")
+    return int(array) if array.ndim == 0 else torch.as_tensor(array.astype(np.int64))
 
 
-def edge_info(core: ScanCore) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
-    """Return the infos that stand at the first and the last observation of an episode alone.
+class Scan:
+    """A core behind a Gymnasium environment, single or of many rows, and its pictures."""
 
-    Returns:
-        (K,) values of the K rows that are there, none where no row is; and those rows.
-    """
-    rows = (core.state.done | (core.state.steps == 0)).nonzero().squeeze(1)
-    if not len(rows):
-        return {}, rows
-    metres, radians = core.view_error(rows)
-    return {"view_position_error": metres, "view_rotation_error": radians}, rows
-
-
-class Renderer:
-    """What `render()` of both Gymnasium environments does; idle without a render mode."""
-
-    def __init__(self, core: ScanCore, render_mode: str | None) -> None:
-        """Watch a core."""
-        self._core, self._mode = core, render_mode
+    def __init__(
+        self, view: str, rows: int | None, render_mode: str | None, settings: dict[str, Any]
+    ) -> None:
+        """Build the core, of one row without a number of rows; settings as of `make_core`."""
+        if render_mode not in (None, "rgb_array"):
+            raise RacinesError(f"unknown render_mode {render_mode!r}: use 'rgb_array'")
+        self.core = make_core(view, 1 if rows is None else rows, **settings)
+        self._alone, self._mode, self._seeded = rows is None, render_mode, False
         self._history: History | None = None
 
-    def note(self, actions: torch.Tensor | None = None) -> None:
-        """Remember the step or the reset that the core has just taken."""
-        if self._mode is not None:
-            self._history = self._history or History(self._core.num_envs)
-            self._history.note(self._core, actions)
+    def space(self) -> spaces.Space[Any]:
+        """Return the space of one row's observation; images are (128, 128, 1), channels last."""
+        image = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 1), np.uint8)
+        params = spaces.Box(-1.0, 1.0, (PARAMS_SIZE,), np.float32)
+        both = spaces.Dict({"image": image, "params": params})
+        return both if self.core.observation == "multimodal" else both[self.core.observation]
+
+    def reset(self, env: Any, seed: Any, options: dict[str, Any] | None) -> Any:
+        """Start episodes and return what is seen; without any seed yet, `env` draws one."""
+        if seed is None and not self._seeded:
+            seed = int(env.np_random.integers(2**31))
+        seen = self.core.reset(seed, pose=read_pose(options, self.core.num_envs))
+        self._seeded = True
+        self._note()
+        return self._arrays(seen)
+
+    def step(self, actions: torch.Tensor, **how: Any) -> Transition:
+        """Take (N,) actions, `how` being of `ScanCore.step`; what is seen is given as arrays."""
+        actions = actions.to(self.core.device)
+        given = self.core.step(actions, **how)
+        self._note(actions)
+        return given._replace(observation=self._arrays(given.observation))
+
+    def edge_info(self) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
+        """Return (K,) infos of an episode's first and last observation alone, and those K rows."""
+        rows = (self.core.state.done | (self.core.state.steps == 0)).nonzero().squeeze(1)
+        if not len(rows):
+            return {}, rows
+        metres, radians = self.core.view_error(rows)
+        return {"view_position_error": metres, "view_rotation_error": radians}, rows
 
     def draw(self) -> tuple[np.ndarray, ...] | None:
-        """Return a (540, 960, 3) uint8 picture a row; None without a render mode.
-
-        Raises:
-            RacinesError: there has been no reset.
-        """
+        """Return a (540, 960, 3) uint8 picture a row; None without a render mode."""
         if self._mode is None:
             return None
         if self._history is None:
             raise RacinesError("render before reset: call reset first")
-        return compose_all(self._core, self._history)
+        rows = range(self.core.num_envs)
+        return tuple(compose(self.core, row, self._history) for row in rows)
+
+    def _note(self, actions: torch.Tensor | None = None) -> None:
+        """Remember the step or the reset that the core has just taken, if it is to be drawn."""
+        if self._mode is not None:
+            self._history = self._history or History(self.core.num_envs)
+            self._history.note(self.core, actions)
+
+    def _arrays(self, seen: dict[str, torch.Tensor]) -> Any:
+        """Turn observations into (copied) arrays as the space wants them."""
+        arrays = {name: value.cpu().numpy().copy() for name, value in seen.items()}
+        if "image" in arrays:
+            arrays["image"] = arrays["image"][..., None]
+        if self._alone:
+            arrays = {name: values[0] for name, values in arrays.items()}
+        return arrays if self.core.observation == "multimodal" else arrays[self.core.observation]
 
 
 class GymScanEnv(gymnasium.Env[Any, np.int64]):
     """Find a standard view with one probe."""
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": RENDER_FPS}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
     def __init__(self, view: str, render_mode: str | None = None, **settings: Any) -> None:
         """Build the task of a view; settings: those of `racines_envs.worlds.making.make_core`."""
-        self.render_mode = check_render_mode(render_mode)
-        self.observation_space = observation_space(settings.get("observation", "image"))
+        self._scan = Scan(view, None, render_mode, settings)
+        self.core, self.render_mode = self._scan.core, render_mode
+        self.observation_space = self._scan.space()
         self.action_space = spaces.Discrete(len(ACTIONS))
-        self.core = make_core(view, 1, **settings)
-        self._renderer = Renderer(self.core, render_mode)
-        self._seeded = False
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -154,39 +152,73 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         With a seed this is the first episode of that seed; without, the next one.
         """
         super().reset(seed=seed)
-        if seed is None and not self._seeded:
-            seed = int(self.np_random.integers(2**31))
-        self._seeded = True
-        seen = self.core.reset(seed, pose=read_pose(options, 1))
-        self._renderer.note()
-        return self._first(seen), self._info()
+        return self._scan.reset(self, seed, options), self._info()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Take one of the 13 actions.
-
-        Raises:
-            RacinesError: the action is not an integer 0-12, or the episode has ended.
-        """
-        row = read_actions(action).reshape(-1).to(self.core.device)
-        seen, reward, ended, cut = self.core.step(row, strict=True)
-        self._renderer.note(row)
-        return self._first(seen), float(reward), bool(ended), bool(cut), self._info()
+        """Take one of the 13 actions, an integer 0-12; refused when the episode has ended."""
+        row = read_actions(action).reshape(-1)
+        seen, reward, ended, cut = self._scan.step(row, strict=True)
+        return seen, float(reward), bool(ended), bool(cut), self._info()
 
     def render(self) -> Any:
-        """Return the picture of `racines_envs.apis.rendering.compose`, (540, 960, 3) uint8.
-
-        Raises:
-            RacinesError: there has been no reset.
-        """
-        frames = self._renderer.draw()
+        """Return the picture of `racines_envs.apis.rendering.compose`, (540, 960, 3) uint8."""
+        frames = self._scan.draw()
         return None if frames is None else frames[0]
 
-    def _first(self, seen: dict[str, torch.Tensor]) -> Any:
-        arrays = to_numpy(self.core, seen)
-        if isinstance(arrays, dict):
-            return {name: value[0] for name, value in arrays.items()}
-        return arrays[0]
-
     def _info(self) -> dict[str, Any]:
-        info = {name: value.item() for name, value in self.core.info(view_error=False).items()}
-        return info | {name: value.item() for name, value in edge_info(self.core)[0].items()}
+        told = self.core.info(view_error=False) | self._scan.edge_info()[0]
+        return {name: value.item() for name, value in told.items()}
+
+
+class VectorScanEnv(VectorEnv[Any, Any, Any]):
+    """N probes on one phantom.
+
+    Row i with seed s is exactly `GymScanEnv` with seed s + i. A row that ends starts its next
+    episode in the next step, whose action it ignores (`AutoresetMode.NEXT_STEP`, Gymnasium's
+    default: so one step draws one image a row and the last observation is never lost).
+    """
+
+    metadata = GymScanEnv.metadata | {"autoreset_mode": AutoresetMode.NEXT_STEP}
+
+    def __init__(
+        self, view: str, num_envs: int = 1, render_mode: str | None = None, **settings: Any
+    ) -> None:
+        """Build N rows of a view's task; settings as for `GymScanEnv`."""
+        self._scan = Scan(view, num_envs, render_mode, settings)
+        self.core, self.render_mode, self.num_envs = self._scan.core, render_mode, num_envs
+        self.single_observation_space = self._scan.space()
+        self.single_action_space = spaces.Discrete(len(ACTIONS))
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+
+    def reset(
+        self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start N episodes, of seeds s, s + 1, … for an integer s, or of one seed a row."""
+        seeds = read_seeds(seed, self.num_envs)
+        super().reset(seed=seeds if isinstance(seeds, int) else None)
+        return self._scan.reset(self, seeds, options), self._infos()
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Take (N,) actions, integers 0-12."""
+        seen, reward, *ends = self._scan.step(read_actions(actions), autoreset=True)
+        ended, cut = (value.cpu().numpy() for value in ends)
+        return seen, reward.double().cpu().numpy(), ended, cut, self._infos()
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Return N pictures of `racines_envs.apis.rendering.compose`, (540, 960, 3) uint8 each."""
+        return self._scan.draw()
+
+    def _infos(self) -> dict[str, Any]:
+        """Return the infos with Gymnasium's masks of presence."""
+        told = self.core.info(view_error=False)
+        infos = {name: value.cpu().numpy().copy() for name, value in told.items()}
+        infos |= {f"_{name}": np.ones(self.num_envs, dtype=np.bool_) for name in told}
+        edge, rows = self._scan.edge_info()
+        present = np.zeros(self.num_envs, dtype=np.bool_)
+        present[rows.cpu().numpy()] = True
+        for name, values in edge.items():
+            infos[name] = np.zeros(self.num_envs)
+            infos[name][present] = values.cpu().numpy()
+            infos[f"_{name}"] = present.copy()
+        return infos

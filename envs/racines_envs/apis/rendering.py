@@ -26,33 +26,31 @@ from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 
 WIDTH, HEIGHT = 960, 540
-IMAGE = 384
-"""Height and width of the ultrasound image in the picture, pixels."""
+IMAGE = 384  # pixels, height and width of the ultrasound image in the picture
 _MARGIN, _DEEP = 0.012, 0.14
 """Where a block of unknown size ends: about the workspace, and below the top, m."""
-_BODY = 0.06
-"""Length of the probe's body as drawn, m."""
+_BODY = 0.06  # m, length of the probe's body as drawn
 _BACK, _PANEL, _LINE, _TEXT = "#101418", "#1a2026", "#5b6670", "#e6e9ec"
 _BLOCK, _SPACE, _GOAL, _PATH, _PROBE = "#2f3942", "#7d8a96", "#4ade80", "#facc15", "#38bdf8"
 _SECTOR, _WARN = "#1e4a63", "#f87171"
 
 _SIDE = 286, 318
-"""Size of a view of the block."""
 _ABOVE, _FRONT = (IMAGE + 2, 0), (IMAGE + 290, 0)
+"""Size and places of the views of the block."""
 _TRACE = IMAGE + 2, 320, WIDTH, HEIGHT
 
 
 @dataclass
 class Steps:
-    """What one row has done since its reset; entry 0 is the start."""
+    """What one row has done since its reset; entry 0 is the start, where the action is None.
+
+    Positions are in m; probabilities and grades are p and g by the reward's own source.
+    """
 
     actions: list[int | None] = field(default_factory=list)
-    """None at the start."""
     positions: list[list[float]] = field(default_factory=list)
-    """m."""
     probabilities: list[float] = field(default_factory=list)
     grades: list[float] = field(default_factory=list)
-    """g by the reward's own source."""
 
 
 class History:
@@ -62,7 +60,6 @@ class History:
         self._rows = [Steps() for _ in range(rows)]
 
     def __getitem__(self, row: int) -> Steps:
-        """Return the steps of a row."""
         return self._rows[row]
 
     def note(self, core: ScanCore, actions: Tensor | None = None) -> None:
@@ -70,14 +67,11 @@ class History:
 
         A row at step 0 begins anew; a row that has ended and was not reset stays as it is.
         """
-        columns = [
-            core.state.steps, core.state.position, core.score.probability, core.score.grade,
-        ]  # fmt: skip
+        state, score = core.state, core.score
+        columns = [state.steps, state.position, score.probability, score.grade]
         chosen = [None] * core.num_envs if actions is None else actions.tolist()
-        for steps, action, values in zip(
-            self._rows, chosen, zip(*(c.tolist() for c in columns), strict=True), strict=True
-        ):
-            count, position, probability, grade = values
+        rows = zip(self._rows, chosen, *(column.tolist() for column in columns), strict=True)
+        for steps, action, count, position, probability, grade in rows:
             if count == 0:
                 for entries in vars(steps).values():
                     entries.clear()
@@ -92,10 +86,7 @@ class History:
 def compose(core: ScanCore, row: int = 0, history: History | None = None) -> np.ndarray:
     """Draw a row of a core as (540, 960, 3) uint8.
 
-    Args:
-        core: After a reset.
-        row: Which of its rows.
-        history: Its steps so far; without it the path and the trace hold the present alone.
+    Without a history of its steps the path and the trace hold the present alone.
     """
     if history is None:
         history = History(core.num_envs)
@@ -104,8 +95,8 @@ def compose(core: ScanCore, row: int = 0, history: History | None = None) -> np.
     picture = Image.new("RGB", (WIDTH, HEIGHT), _BACK)
     gray = Image.fromarray(core.picture()[row].cpu().numpy())
     picture.paste(gray.resize((IMAGE, IMAGE), Image.Resampling.BILINEAR), (0, 0))
-    picture.paste(_view(core, row, steps, (0, 1), "from above"), _ABOVE)
-    picture.paste(_view(core, row, steps, (0, 2), "from the front"), _FRONT)
+    for view, place in zip(block_views(core, row, steps), (_ABOVE, _FRONT), strict=True):
+        picture.paste(view, place)
     draw = ImageDraw.Draw(picture)
     _draw_trace(draw, core, steps)
     for line, (text, colour) in enumerate(_words(core, row, steps)):
@@ -113,22 +104,12 @@ def compose(core: ScanCore, row: int = 0, history: History | None = None) -> np.
     return np.asarray(picture)
 
 
-def compose_all(core: ScanCore, history: History | None = None) -> tuple[np.ndarray, ...]:
-    """Draw every row of a core; see `compose`."""
-    return tuple(compose(core, row, history) for row in range(core.num_envs))
-
-
 def block_views(
     core: ScanCore, row: int, steps: Steps, goal: bool = True, zoom: int = 1
 ) -> tuple[Image.Image, Image.Image]:
-    """Draw the probe over the block, from above and from the front.
+    """Draw the probe over the block, from above and from the front; `zoom` × 286 × 318 pixels.
 
-    Args:
-        core: After a reset.
-        row: Which of its rows.
-        steps: What it has done.
-        goal: Draw the nominal pose, which an agent is not told.
-        zoom: Size of the pictures, in units of 286 x 318 pixels.
+    With `goal` the nominal pose is drawn, which an agent is not told.
     """
     above = _view(core, row, steps, (0, 1), "from above", goal, zoom)
     return above, _view(core, row, steps, (0, 2), "from the front", goal, zoom)
@@ -153,23 +134,19 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
     info = {name: value[row].item() for name, value in core.info(view_error=False).items()}
     task, action = core.task, steps.actions[-1] if steps.actions else None
     moved = "start" if action is None else ACTIONS[action]
-    force = info["force"]
-    refused = info["workspace_hits"] + info["force_hits"]
-    seen = view_names(core)[int(info["view"])]
+    force, refused = info["force"], info["workspace_hits"] + info["force_hits"]
+    away, turned = info["position_error"] * 1e3, math.degrees(info["rotation_error"])
     found = _GOAL if info["success"] else _TEXT
+    pressed = _WARN if force > 0.9 * task.force_limit else _TEXT
     rows = [
         (f"{task.id}    step {info['steps']:.0f} / {task.max_steps}    {moved}", _TEXT),
-        (f"true view {seen}, grade {info['grade']:.1f}", found),
+        (f"true view {view_names(core)[int(info['view'])]}, grade {info['grade']:.1f}", found),
         (f"p {info['probability']:.2f}    grade as {task.view} {info['score']:.1f}", _TEXT),
         (
             f"force {force:.1f} N of {task.force_limit:.0f} N    refused steps {refused:.0f}",
-            _WARN if force > 0.9 * task.force_limit else _TEXT,
+            pressed,
         ),
-        (
-            f"to nominal {info['position_error'] * 1e3:.0f} mm, "
-            f"{math.degrees(info['rotation_error']):.0f} deg    return {info['return']:.1f}",
-            _TEXT,
-        ),
+        (f"to nominal {away:.0f} mm, {turned:.0f} deg    return {info['return']:.1f}", _TEXT),
     ]
     if info.get("out_of_support"):
         rows.append(("nothing was recorded near this pose", _WARN))
@@ -178,46 +155,48 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
     return rows
 
 
-# --- the probe over the block --------------------------------------------------------------------
-
-
-def _bounds(core: ScanCore) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(core: ScanCore) -> np.ndarray:
     """Return the block's least and greatest corner, m; from the workspace where no block is."""
     if core.phantom.config is not None:
         block = core.phantom.config.block
-        return np.array(block.minimum), np.array(block.maximum)
-    workspace = core.phantom.workspace
-    low, high = workspace.position_min.cpu().numpy(), workspace.position_max.cpu().numpy()
+        return np.array([block.minimum, block.maximum])
+    low, high = _workspace(core)
     height = core.phantom.surface_height
     top = float(low[2] if height is None else height)
-    return np.append(low[:2] - _MARGIN, top - _DEEP), np.append(high[:2] + _MARGIN, top)
+    return np.stack([np.append(low[:2] - _MARGIN, top - _DEEP), np.append(high[:2] + _MARGIN, top)])
+
+
+def _workspace(core: ScanCore) -> np.ndarray:
+    space = core.phantom.workspace
+    return torch.stack([space.position_min, space.position_max]).cpu().numpy()
 
 
 def _view(
-    core: ScanCore, row: int, steps: Steps, axes: tuple[int, int], title: str,
-    goal: bool = True, zoom: int = 1,
-) -> Image.Image:  # fmt: skip
+    core: ScanCore, row: int, steps: Steps, axes: tuple[int, int], title: str, goal: bool, zoom: int
+) -> Image.Image:
     """Draw block, workspace, sector, path, nominal pose and probe, projected on two axes."""
-    low, high = _bounds(core)
+    block = _bounds(core)
     panel = Image.new("RGB", (_SIDE[0] * zoom, _SIDE[1] * zoom), _PANEL)
     draw = ImageDraw.Draw(panel)
-    to_pixels = _projection(low, high + np.array([0.0, 0.0, _BODY + 0.02]), axes, zoom)
-    draw.rectangle(_corners(to_pixels, low, high), outline=_LINE, fill=_BLOCK)
-    workspace = core.phantom.workspace
-    space = workspace.position_min.cpu().numpy(), workspace.position_max.cpu().numpy()
-    position = core.state.position[row].cpu().numpy()
-    rotation = core.state.rotation[row].cpu().numpy()
-    draw.polygon(to_pixels(_fan(core, position, rotation)), outline=_PROBE, fill=_SECTOR)
-    draw.rectangle(_corners(to_pixels, *space), outline=_SPACE)
+    to_pixels = _projection(block[0], block[1] + np.array([0.0, 0.0, _BODY + 0.02]), axes, zoom)
+
+    def box(corners: np.ndarray) -> tuple[float, ...]:
+        (left, bottom), (right, top) = to_pixels(corners)
+        return left, top, right, bottom
+
+    probe = ProbeConfig() if core.phantom.config is None else core.phantom.config.probe
+    pose = [x[row].cpu().numpy() for x in core.state.pose]
+    draw.rectangle(box(block), outline=_LINE, fill=_BLOCK)
+    draw.polygon(to_pixels(_fan(probe, *pose)), outline=_PROBE, fill=_SECTOR)
+    draw.rectangle(box(_workspace(core)), outline=_SPACE)
     if goal:
         target = (x[0].cpu().numpy() for x in core.target)
-        _draw_probe(draw, to_pixels, core, *target, colour=_GOAL, width=zoom)
+        _draw_probe(draw, to_pixels, probe, *target, colour=_GOAL, width=zoom)
     if len(steps.positions) > 1:
         path = to_pixels(np.array(steps.positions))
         draw.line(path, fill=_PATH, width=2 * zoom)
-        (x, y), radius = path[0], 4 * zoom
-        draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=_PATH)
-    _draw_probe(draw, to_pixels, core, position, rotation, colour=_PROBE, width=3 * zoom)
+        draw.circle(path[0], 4 * zoom, fill=_PATH)
+    _draw_probe(draw, to_pixels, probe, *pose, colour=_PROBE, width=3 * zoom)
     across, up = ("xyz"[axis] for axis in axes)
     label, font = f"{title}    {across} to the right, {up} up", _font(13 * zoom)
     draw.text((8 * zoom, 6 * zoom), label, _TEXT, font)
@@ -229,7 +208,7 @@ def _view(
     return panel
 
 
-def _projection(low: np.ndarray, high: np.ndarray, axes: tuple[int, int], zoom: int = 1) -> Any:
+def _projection(low: np.ndarray, high: np.ndarray, axes: tuple[int, int], zoom: int) -> Any:
     """Return a function from (n, 3) m to a list of pixels: one scale, centred, upwards."""
     a, size = list(axes), (high - low)[list(axes)]
     scale = zoom * min((_SIDE[0] - 30) / size[0], (_SIDE[1] - 62) / size[1])
@@ -242,47 +221,26 @@ def _projection(low: np.ndarray, high: np.ndarray, axes: tuple[int, int], zoom: 
     return to_pixels
 
 
-def _corners(to_pixels: Any, low: np.ndarray, high: np.ndarray) -> tuple[float, ...]:
-    (x0, y0), (x1, y1) = to_pixels(np.stack([low, high]))
-    return min(x0, x1), min(y0, y1), max(x0, x1), max(y0, y1)
-
-
-def _probe(core: ScanCore) -> ProbeConfig:
-    """Return the probe, the usual one where none is known."""
-    return ProbeConfig() if core.phantom.config is None else core.phantom.config.probe
-
-
-def _fan(core: ScanCore, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+def _fan(probe: ProbeConfig, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """Return the outline of the image plane's sector, (n, 3) m."""
-    probe = _probe(core)
-    half, depth = probe.half_angle, probe.depth
-    angle = np.linspace(-half, half, 9)
-    rim = np.stack([np.sin(angle), np.zeros(9), np.cos(angle)], 1) * depth
+    angle = np.linspace(-probe.half_angle, probe.half_angle, 9)
+    rim = np.stack([np.sin(angle), np.zeros(9), np.cos(angle)], 1) * probe.depth
     return np.concatenate([np.zeros((1, 3)), rim]) @ rotation.T + position
 
 
 def _draw_probe(
-    draw: ImageDraw.ImageDraw,
-    to_pixels: Any,
-    core: ScanCore,
-    position: np.ndarray,
-    rotation: np.ndarray,
-    colour: str,
-    width: int = 1,
-) -> None:
+    draw: ImageDraw.ImageDraw, to_pixels: Any, probe: ProbeConfig, position: np.ndarray,
+    rotation: np.ndarray, colour: str, width: int,
+) -> None:  # fmt: skip
     """Draw the probe's body behind its face, and a mark at the image's right side."""
-    x, y = _probe(core).aperture / 2, _probe(core).thickness / 2
+    x, y = probe.aperture / 2, probe.thickness / 2
     face = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]])
     body = np.array([[-x, 0, 0], [-x, 0, -_BODY], [x, 0, -_BODY], [x, 0, 0]])
     for outline in (body, face):
         points = to_pixels(outline @ rotation.T + position)
         draw.line([*points, points[0]], fill=colour, width=width, joint="curve")
-    px, py = to_pixels(np.array([1.3 * x, 0, 0]) @ rotation.T + position)[0]
-    radius = width + 1
-    draw.ellipse((px - radius, py - radius, px + radius, py + radius), fill=colour)
-
-
-# --- the trace -----------------------------------------------------------------------------------
+    mark = to_pixels(np.array([1.3 * x, 0, 0]) @ rotation.T + position)[0]
+    draw.circle(mark, width + 1, fill=colour)
 
 
 def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None:
@@ -300,16 +258,14 @@ def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None
         ("grade", steps.grades, core.rewards.grade, 10.0, _PATH),
     )
     for name, values, threshold, full, colour in curves:
-        level = threshold / full
+        _, y = at(0, threshold / full)
         for x in range(left, right, 8):
-            y = at(0, level)[1]
             draw.line((x, y, x + 3, y), fill=colour)
         points = [at(i, min(max(v / full, 0.0), 1.0)) for i, v in enumerate(values)]
         if len(points) > 1:
             draw.line(points, fill=colour, width=2, joint="curve")
         if points:
-            x, y = points[-1]
-            draw.ellipse((x - 3, y - 3, x + 3, y + 3), fill=colour)
+            draw.circle(points[-1], 3, fill=colour)
         end, anchor = (left - 6, "rm") if name == "p" else (right + 6, "lm")
         for share in (0.0, 0.5, 1.0):
             draw.text((end, at(0, share)[1]), f"{share * full:g}", colour, _font(12), anchor=anchor)
@@ -319,7 +275,7 @@ def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None
     draw.text((offset, top - 20), "p (left)", _PROBE, _font(13))
     draw.text((offset + 60, top - 20), "grade (right)", _PATH, _font(13))
     draw.text((offset + 160, top - 20), "dashed: what a hit needs", _SPACE, _font(13))
-    for share in (0.0, 0.5, 1.0):
+    for share in (0.0, 0.5, 0.75, 1.0):
         place = (left + (right - left) * share, bottom + 6)
-        draw.text(place, f"{count * share:.0f}", _TEXT, _font(12), anchor="ma")
-    draw.text((left + (right - left) * 0.75, bottom + 6), "steps", _TEXT, _font(12), anchor="ma")
+        text = "steps" if share == 0.75 else f"{count * share:.0f}"
+        draw.text(place, text, _TEXT, _font(12), anchor="ma")

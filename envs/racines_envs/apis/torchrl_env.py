@@ -14,8 +14,6 @@ from racines_envs.task.tasks import Task
 from racines_envs.worlds.making import make_core
 from racines_models.devices import resolve_device
 
-_INFO = {"success": torch.bool, "steps": torch.int64, "return": torch.float32}
-
 
 class ScanEnv(EnvBase):
     """N probes on one phantom; batch size (N,).
@@ -27,14 +25,9 @@ class ScanEnv(EnvBase):
     """
 
     def __init__(
-        self,
-        view: str | Task,
-        num_envs: int = 1,
-        *,
-        seed: int = 0,
-        device: torch.device | str = "cpu",
-        **settings: Any,
-    ) -> None:
+        self, view: str | Task, num_envs: int = 1, *, seed: int = 0,
+        device: torch.device | str = "cpu", **settings: Any,
+    ) -> None:  # fmt: skip
         """Build N rows of a task; settings as for `racines_envs.worlds.making.make_core`."""
         device = resolve_device(device)
         super().__init__(device=torch.device(device), batch_size=torch.Size([num_envs]))
@@ -45,32 +38,27 @@ class ScanEnv(EnvBase):
 
     def _make_specs(self, n: int) -> None:
         rows, column = torch.Size([n]), torch.Size([n, 1])
-        image = torch.Size([n, 1, IMAGE_SIZE, IMAGE_SIZE])
-        kinds: dict[str, Any] = {
-            "image": lambda: Bounded(0, 255, image, dtype=torch.uint8),
-            "params": lambda: Bounded(-1.0, 1.0, torch.Size([n, PARAMS_SIZE]), dtype=torch.float32),
-        }
-        names = list(kinds) if self.core.observation == "multimodal" else [self.core.observation]
-        if self.core.encoder is not None:
-            features = torch.Size([n, self.core.encoder.size])
-            kinds["features"] = lambda: Unbounded(features, dtype=torch.float32)
-            names = ["features", *names[1:]]
+        core, float32 = self.core, torch.float32
+        seen: dict[str, Any] = {}
+        if core.encoder is not None:
+            seen["features"] = Unbounded(torch.Size([n, core.encoder.size]), dtype=float32)
+        elif core.observation != "params":
+            image = torch.Size([n, 1, IMAGE_SIZE, IMAGE_SIZE])
+            seen["image"] = Bounded(0, 255, image, dtype=torch.uint8)
+        if core.observation != "image":
+            seen["params"] = Bounded(-1.0, 1.0, torch.Size([n, PARAMS_SIZE]), dtype=float32)
         info = {
-            key: Binary(1, column, dtype=kind)
-            if kind == torch.bool
-            else Unbounded(column, dtype=kind)
-            for key, kind in _INFO.items()
+            "success": Binary(1, column, dtype=torch.bool),
+            "steps": Unbounded(column, dtype=torch.int64),
+            "return": Unbounded(column, dtype=float32),
         }
-        self.observation_spec = Composite(
-            {name: kinds[name]() for name in names} | {"info": Composite(info, shape=rows)},
-            shape=rows,
-        )
+        seen["info"] = Composite(info, shape=rows)
+        self.observation_spec = Composite(seen, shape=rows)
         self.action_spec = Categorical(len(ACTIONS), rows, dtype=torch.int64)
         self.reward_spec = Unbounded(column)
         flag = Categorical(2, column, dtype=torch.bool)
-        self.done_spec = Composite(
-            {key: flag.clone() for key in ("done", "terminated", "truncated")}, shape=rows
-        )
+        flags = {key: flag.clone() for key in ("done", "terminated", "truncated")}
+        self.done_spec = Composite(flags, shape=rows)
         self.to(self.device)
 
     def _set_seed(self, seed: int | None) -> None:
@@ -83,34 +71,25 @@ class ScanEnv(EnvBase):
             mask = mask.reshape(self.batch_size)
         seed, self._start_seed = self._start_seed, None
         self.core.reset(seed, mask=None if seed is not None else mask)
-        done = self.core.state.done.unsqueeze(-1)
-        flags = {"done": done, "terminated": done, "truncated": done}
-        return self._pack(flags)
+        done = self.core.state.done
+        return self._pack({"done": done, "terminated": done, "truncated": done})
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         _, reward, terminated, truncated = self.core.step(tensordict["action"])
-        return self._pack(
-            {
-                "reward": reward.unsqueeze(-1),
-                "done": self.core.state.done.unsqueeze(-1),
-                "terminated": terminated.unsqueeze(-1),
-                "truncated": truncated.unsqueeze(-1),
-            }
-        )
+        done = self.core.state.done
+        flags = {"done": done, "terminated": terminated, "truncated": truncated}
+        return self._pack({"reward": reward} | flags)
 
-    def _pack(self, values: dict[str, Any]) -> TensorDictBase:
-        """Join observations and info with the given entries."""
-        seen = self.core.observe()
-        if self.core.encoder is not None:
+    def _pack(self, values: dict[str, torch.Tensor]) -> TensorDictBase:
+        """Join observations and info with (N,) entries, all as columns."""
+        core, state, seen = self.core, self.core.state, self.core.observe()
+        if core.encoder is not None:
             del seen["image"]
         elif "image" in seen:
             seen["image"] = seen["image"].unsqueeze(1)
-        info = {
-            "success": self.core.sees_target().unsqueeze(-1),
-            "steps": self.core.state.steps.unsqueeze(-1),
-            "return": self.core.state.total.unsqueeze(-1),
-        }
-        info = TensorDict(info, batch_size=self.batch_size, device=self.device)
-        return TensorDict(
-            {**seen, "info": info, **values}, batch_size=self.batch_size, device=self.device
+        told = {"success": core.sees_target(), "steps": state.steps, "return": state.total}
+        columns, info = (
+            {name: value.unsqueeze(-1) for name, value in rows.items()} for rows in (values, told)
         )
+        place: Any = {"batch_size": self.batch_size, "device": self.device}
+        return TensorDict({**seen, "info": TensorDict(info, **place), **columns}, **place)

@@ -39,7 +39,7 @@ def evaluate_agent(
     The policy is that of envs/runs/<run>, the scores go to envs/runs/scores/<run>.json.
     """
     from racines_data.config import fill, section
-    from racines_envs.evaluation.entries import find_entry
+    from racines_envs.evaluation.agent_specs import find_entry
     from racines_envs.evaluation.run import EvaluationConfig, evaluate, write_evaluation
     from racines_models.cli.output import show_metrics
 

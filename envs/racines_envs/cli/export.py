@@ -43,8 +43,7 @@ def export_trace(
     """Write the actions that an agent takes from the fixed starts, for others to take again."""
     from racines_data.config import fill, section
     from racines_envs.agents import agent_class
-    from racines_envs.evaluation.run import EvaluationConfig
-    from racines_envs.evaluation.trace_recording import record_trace
+    from racines_envs.evaluation.run import EvaluationConfig, record_trace
 
     check_ending(out, ".json")
     settings = read_settings(params, profile)

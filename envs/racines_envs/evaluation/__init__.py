@@ -1,7 +1,6 @@
 """How good an agent is: episodes from fixed sets of starts, judged by truth and by grader.
 
-`run` goes through them, `measures` computes the metrics, `entries` and `agent_specs` find what
-is judged.
+`run` goes through them, `measures` computes the metrics, `agent_specs` finds what is judged.
 """
 
 import lazy_loader

@@ -1,10 +1,11 @@
+from .agent_specs import check_view as check_view
 from .run import SCHEMA as SCHEMA
 from .run import Evaluation as Evaluation
 from .run import EvaluationConfig as EvaluationConfig
 from .run import Prepared as Prepared
-from .run import check_view as check_view
 from .run import evaluate as evaluate
 from .run import prepare as prepare
+from .run import record_trace as record_trace
 from .run import reference_steps as reference_steps
 from .run import start_seeds as start_seeds
 from .run import write_evaluation as write_evaluation
@@ -17,6 +18,7 @@ __all__ = [
     "check_view",
     "evaluate",
     "prepare",
+    "record_trace",
     "reference_steps",
     "start_seeds",
     "write_evaluation",

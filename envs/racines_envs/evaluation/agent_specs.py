@@ -1,15 +1,29 @@
-"""Agents as commands name them: `[LABEL=]NAME`, or the folder that a training left."""
+"""Agents as commands name them: `[LABEL=]NAME`, the folder that a training left, or an entry.
+
+The section `agents` of a params file holds an entry a run, under a name of its own:
+
+    agents:
+      ppo: {frames: 200000}         # the run `ppo` of the agent `ppo`
+      ppo-image-pl:                 # another run of that agent
+        agent: ppo
+        view: PL
+        observation: image
+        encoder: models/runs/encoder
+
+The run's name is that of its folder, of its scores and of its row on a board.
+"""
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from racines_data.config import section
 from racines_data.errors import RacinesError
-from racines_envs.agents import Agent, load_agent
+from racines_envs.agents import Agent, agent_class, load_agent
 
 RUNS = Path("envs/runs")
 
@@ -25,13 +39,24 @@ class Run:
     folder: Path
     """The run folder; not read for agents without weights."""
     config: dict[str, Any] = field(default_factory=dict)
-    """The training's settings; empty for agents without weights."""
+    """The training's settings; empty for agents without weights, as is its seed."""
     seed: int | None = None
-    """Of the training."""
 
-    def load(self, device: torch.device | str = "cpu") -> Agent:
-        """Return the agent."""
-        return load_agent(self.agent, self.folder, device)
+    def load(self, view: str, device: torch.device | str = "cpu") -> Agent:
+        """Return the agent, if it was not trained for another view."""
+        agent = load_agent(self.agent, self.folder, device)
+        check_view(agent, view, self.agent, self.folder)
+        return agent
+
+
+def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
+    """Check that an agent that was trained for a view is asked for that one."""
+    trained = getattr(agent, "view", view)
+    if trained != view:
+        raise RacinesError(
+            f"{run_dir}: this policy was trained for {trained}, not {view}: train one with "
+            f"`racines train agent {name} --view {view}`, or evaluate --view {trained}"
+        )
 
 
 def split_label(spec: str) -> tuple[str | None, str]:
@@ -41,40 +66,28 @@ def split_label(spec: str) -> tuple[str | None, str]:
 
 
 def find_run(spec: str) -> Run:
-    """Return what `[LABEL=]NAME` or `[LABEL=]FOLDER` names; a name's folder is envs/runs/NAME.
-
-    Raises:
-        RacinesError: a folder without config.json, or one that does not say which agent it holds.
-    """
+    """Return what `[LABEL=]NAME` or `[LABEL=]FOLDER` names; a name's folder is envs/runs/NAME."""
     label, where = split_label(spec)
-    folder = Path(where) if Path(where).is_dir() else RUNS / where
+    given = Path(where).is_dir()
+    folder = Path(where) if given else RUNS / where
     described = folder / "config.json"
     if not described.is_file():
-        if Path(where).is_dir():
+        if given:
             raise RacinesError(f"{described}: no such file: {where} is not an agent's run folder")
         return Run(label or Path(where).stem, where, folder)
-    content = read_json(described)
-    if "agent" not in content:
+    told = read_json(described)
+    if "agent" not in told:
         raise RacinesError(f"{described}: names no agent: {where} is not an agent's run folder")
-    return Run(
-        label or folder.resolve().name,
-        content["agent"],
-        folder,
-        content.get("config", {}),
-        content.get("seed"),
-    )
+    name = label or folder.resolve().name
+    return Run(name, told["agent"], folder, told.get("config", {}), told.get("seed"))
 
 
 def find_runs(specs: Sequence[str]) -> list[Run]:
-    """Return several agents, each under a label of its own.
-
-    Raises:
-        RacinesError: none given, or two of one label.
-    """
+    """Return several agents, one at least, each under a label of its own."""
     runs = [find_run(spec) for spec in specs]
-    labels = [run.label for run in runs]
     if not runs:
         raise RacinesError("no agent given: name agents or run folders")
+    labels = [run.label for run in runs]
     for label in labels:
         if labels.count(label) > 1:
             raise RacinesError(f"two agents are called {label!r}: name them, LABEL=RUN")
@@ -82,11 +95,7 @@ def find_runs(specs: Sequence[str]) -> list[Run]:
 
 
 def common_view(runs: Sequence[Run], view: str = "") -> str:
-    """Return the view that all were trained for; `view`, or SC, for agents without weights.
-
-    Raises:
-        RacinesError: they were trained for different views, or not for the one asked for.
-    """
+    """Return the one view that all were trained for; `view`, or SC, for agents without weights."""
     trained = {run.label: run.config["view"] for run in runs if "view" in run.config}
     wanted = view or next(iter(trained.values()), "SC")
     for label, its in trained.items():
@@ -98,12 +107,57 @@ def common_view(runs: Sequence[Run], view: str = "") -> str:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file.
-
-    Raises:
-        RacinesError: missing or damaged.
-    """
+    """Read a JSON file; one that is missing or damaged is named in the error."""
     try:
         return json.loads(path.read_text())
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise RacinesError(f"{path}: not readable as JSON: {error}") from error
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One run of an agent, as a params file has it."""
+
+    name: str
+    agent: str
+    """Registered name, `module:Class` or `FILE.onnx`."""
+    settings: dict[str, Any]
+    """For the agent's `Config`."""
+    view: str | None
+    """The target view, where the entry names one."""
+
+    @property
+    def where(self) -> str:
+        """The entry's place in the params file."""
+        return f"agents.{self.name}"
+
+    @property
+    def folder(self) -> Path:
+        """The run's folder."""
+        return RUNS / self.name
+
+    @property
+    def scores(self) -> Path:
+        """The run's scores."""
+        return RUNS / "scores" / f"{self.name}.json"
+
+
+def find_entry(settings: dict[str, Any], spec: str, name: str | None = None) -> Entry:
+    """Return the run that a spec names, in all sections' settings; called `name`, if given.
+
+    A spec is the name of an entry, a mapping, of the section `agents`; or a registered agent,
+    `module:Class` or `FILE.onnx`, whose entry is the one of its own name, if there is one.
+    """
+    entries = section(settings, "agents")
+    own = spec if spec in entries else agent_class(spec).name
+    values = section(settings, ("agents", own))
+    agent = values.get("agent", own)
+    if not isinstance(agent, str):
+        raise RacinesError(f"agents.{own}.agent: {agent!r}: give the name of an agent")
+    if spec not in entries:  # an entry of that name may be another agent's
+        values, agent = values if agent == own else section({}, "agents"), spec
+    known = {field.name for field in fields(agent_class(agent).Config)}
+    # What learns for a view has it among its settings; for others it is the evaluation's alone.
+    apart = {"agent"} if "view" in known else {"agent", "view"}
+    chosen = values.of(*(values.keys() - apart))
+    return Entry(name or own, agent, chosen, values.get("view"))

@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from racines_data.errors import RacinesError
 from racines_envs.evaluation.agent_specs import read_json, split_label
 from racines_envs.evaluation.pictures import save
-from racines_envs.studies.rewards.report import PAPER
+from racines_envs.studies.rewards import PAPER
 from racines_envs.task.rewards import follows_paper
 
 SCHEMA = "racines.agent-curves/1"
@@ -20,21 +22,13 @@ PANELS = {
     "validation/return": "mean return of validations",
     "train/return": "mean return while training",
 }
-_PAPERS = {
-    "validation/steps": "steps",
-    "validation/return": "return",
-}
-"""Which of the paper's levels belongs into which panel."""
 
 
 def read_curves(specs: Sequence[str]) -> dict[str, Any]:
     """Read the curves of `[LABEL=]FOLDER`s; runs of one label are training seeds of one thing.
 
     A finished run's validations come from metrics.json; all else, and a run under way, from
-    DVCLive's tables.
-
-    Raises:
-        RacinesError: no run, or one that holds no validations by environment steps.
+    DVCLive's tables. A run without validations by environment steps is refused.
     """
     if not specs:
         raise RacinesError("no run given: name run folders of trained agents")
@@ -47,31 +41,23 @@ def _read(label: str | None, folder: str) -> dict[str, Any]:
         raise RacinesError(f"{where}: no such run folder")
     described = where / "config.json"
     content = read_json(described) if described.is_file() else {}
-    curves = {name: _table(where, name) for name in PANELS}
     metrics = where / "metrics.json"
-    if metrics.is_file():
-        curves |= _history(read_json(metrics))
-    curves = {name: curve for name, curve in curves.items() if curve}
+    history = read_json(metrics).get("history", []) if metrics.is_file() else []
+    curves = {}
+    for name in PANELS:
+        told = [[row["frames"], row[name]] for row in history if "frames" in row and name in row]
+        table = _table(where, name)
+        if told or table:
+            curves[name] = told or table
     if not any(name.startswith("validation/") for name in curves):
         raise RacinesError(
             f"{where}: no validations by environment steps, in metrics.json or dvclive/: run "
             "`racines train agent`"
         )
     config = content.get("config", {})
-    told = {key: config.get(key) for key in ("view", "observation", "reward", "backend")}
-    return {
-        "label": label or where.resolve().name,
-        "folder": folder,
-        "seed": content.get("seed"),
-        **told,
-        "curves": curves,
-    }
-
-
-def _history(metrics: dict[str, Any]) -> dict[str, list[list[float]]]:
-    rows = [row for row in metrics.get("history", []) if "frames" in row]
-    found = {name: [[row["frames"], row[name]] for row in rows if name in row] for name in PANELS}
-    return {name: curve for name, curve in found.items() if curve}
+    settings = {key: config.get(key) for key in ("view", "observation", "reward", "backend")}
+    named = {"label": label or where.resolve().name, "folder": folder, "seed": content.get("seed")}
+    return {**named, **settings, "curves": curves}
 
 
 def _table(folder: Path, name: str) -> list[list[float]]:
@@ -105,28 +91,19 @@ def joined(curves: Sequence[Sequence[Sequence[float]]]) -> tuple[np.ndarray, ...
 def draw_curves(content: dict[str, Any], path: Path, paper: bool = True) -> None:
     """Draw one line a label: a run, or the mean of its training seeds and their range; PNG.
 
-    Args:
-        content: What `read_curves` returned.
-        path: The picture.
-        paper: Draw the paper's levels for SC, dashed: episode lengths, and returns where a run was
-            paid by the paper's formula.
+    `content` is what `read_curves` returned. With `paper` the paper's levels for SC are dashed:
+    episode lengths, and returns where a run was paid by the paper's formula.
     """
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot as plt
-    from matplotlib.ticker import EngFormatter, MaxNLocator
-
     runs = content["runs"]
     panels = [name for name in PANELS if any(name in run["curves"] for run in runs)]
-    size = (4.1 * len(panels) + 0.4, 3.9)
-    figure, grid = plt.subplots(1, len(panels), figsize=size, squeeze=False, layout="constrained")
-    labels = list(dict.fromkeys(run["label"] for run in runs))
+    figure = Figure(figsize=(4.1 * len(panels) + 0.4, 3.9), layout="constrained")
+    grid = figure.subplots(1, len(panels), squeeze=False)
     for name, axes in zip(panels, grid[0], strict=True):
-        for number, label in enumerate(labels):
+        for number, label in enumerate(dict.fromkeys(run["label"] for run in runs)):
             same = [run["curves"] for run in runs if run["label"] == label]
             curves = [each[name] for each in same if name in each]
-            _draw_line(axes, curves, label, f"C{number}")
+            if curves:
+                _draw_line(axes, curves, label, f"C{number}")
         if paper:
             _draw_paper(axes, name, runs)
         axes.set(xlabel="environment steps", title=PANELS[name])
@@ -136,14 +113,12 @@ def draw_curves(content: dict[str, Any], path: Path, paper: bool = True) -> None
         axes.grid(alpha=0.25)
         if name == "validation/success":
             axes.set_ylim(-0.03, 1.03)
-    handles, names = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4, fontsize=8)
+    shown = grid[0, 0].get_legend_handles_labels()
+    figure.legend(*shown, loc="outside lower center", ncols=4, fontsize=8)
     save(figure, path)
 
 
 def _draw_line(axes: Any, curves: list[Any], label: str, colour: str) -> None:
-    if not curves:
-        return
     steps, mean, low, high = joined(curves)
     name = label if len(curves) == 1 else f"{label}, {len(curves)} seeds: mean, range"
     axes.plot(steps, mean, marker="." if len(steps) < 40 else "", color=colour, label=name)
@@ -153,13 +128,13 @@ def _draw_line(axes: Any, curves: list[Any], label: str, colour: str) -> None:
 
 def _draw_paper(axes: Any, panel: str, runs: list[dict[str, Any]]) -> None:
     """Draw the paper's levels of the observations shown, where they can be compared."""
-    figure = _PAPERS.get(panel)
-    if figure is None:
+    figure = panel.removeprefix("validation/")
+    if figure not in PAPER:
         return
+    levels: dict[float, list[str]] = {}
     fit = [run for run in runs if run["view"] == "SC"]
     if figure == "return":
         fit = [run for run in fit if follows_paper(run["reward"])]
-    levels: dict[float, list[str]] = {}
     for seen in dict.fromkeys(run["observation"] for run in fit):
         levels.setdefault(PAPER[figure][seen], []).append(seen)
     for level, seen in levels.items():

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from racines_data.errors import RacinesError
-from racines_envs.apis.gym_vector import VectorScanEnv
+from racines_envs.apis.gym_env import VectorScanEnv
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 from racines_envs.worlds.making import WorldLike
@@ -50,12 +50,10 @@ class SpeedConfig:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        """Refuse what measures nothing."""
-        least = min(self.steps, self.rounds, *self.num_envs, 1)
-        if not self.num_envs or least < 1 or self.operations < 0:
-            raise RacinesError(
-                "speed: num_envs, steps and rounds are 1 or more, operations 0 or more"
-            )
+        least = min(self.steps, self.rounds, *(self.num_envs or (0,)))
+        if least < 1 or self.operations < 0:
+            told = "speed: num_envs, steps and rounds are 1 or more, operations 0 or more"
+            raise RacinesError(told)
 
 
 class Stopwatch:
@@ -116,72 +114,48 @@ def attach(core: ScanCore, watch: Stopwatch) -> None:
 def step_speed(config: SpeedConfig, phantom: WorldLike = None) -> dict[str, Any]:
     """Time random agents in the Gymnasium vector environment, at each batch size.
 
-    Args:
-        config: What is timed.
-        phantom: A phantom or its configuration; the shared one by default.
-
     Returns:
         What `racines study speed --json` prints: a run a batch size with `steps_per_second` (median
         of the rounds, all rows counted), its least and greatest round, `shares` of the time by
         phase, and the longest `operations` with their shares.
-
-    Raises:
-        RacinesError: a setting that no environment can be made of.
     """
     config = on_device(config)
     settings: dict[str, Any] = {
         name: getattr(config, name)
         for name in ("observation", "reward", "backend", "generator", "grader", "device")
     }
-    runs = []
-    for rows in config.num_envs:
-        env = VectorScanEnv(config.view, rows, phantom=phantom, **settings)
-        runs.append(_time(env, config))
-    return {
-        "schema": SCHEMA,
-        "view": config.view,
-        **settings,
-        "steps": config.steps,
-        "rounds": config.rounds,
-        "machine": machine(torch.device(config.device)),
-        "runs": runs,
-    }
-
-
-def machine(device: torch.device) -> dict[str, Any]:
-    """Return what a speed depends on beside the code."""
-    return {
+    envs = (VectorScanEnv(config.view, n, phantom=phantom, **settings) for n in config.num_envs)
+    runs = [_time(env, config) for env in envs]
+    device = torch.device(config.device)
+    machine = {
         "device": torch.cuda.get_device_name(device) if device.type == "cuda" else "cpu",
         "cores": os.cpu_count(),
         "threads": torch.get_num_threads(),
         "torch": torch.__version__,
     }
+    timed = {"steps": config.steps, "rounds": config.rounds, "machine": machine, "runs": runs}
+    return {"schema": SCHEMA, "view": config.view, **settings, **timed}
 
 
 def _time(env: VectorScanEnv, config: SpeedConfig) -> dict[str, Any]:
     watch = Stopwatch(env.core.device)
-    rates = [_round(env, config.steps, seed, watch) for seed in range(config.rounds)]
-    speeds = [config.steps * env.num_envs / seconds for seconds in rates]
+    rounds = [_round(env, config.steps, seed, watch) for seed in range(config.rounds)]
+    speeds = [config.steps * env.num_envs / seconds for seconds in rounds]
+    told = {"num_envs": env.num_envs, "steps_per_second": statistics.median(speeds)}
+    told |= {"low": min(speeds), "high": max(speeds)}
     operations = _operations(env, config.operations) if config.operations else []
     attach(env.core, watch)
     whole = _round(env, config.steps, 0, watch)
     phases = watch.seconds
     phases["rest"] = whole - sum(phases.values())
-    return {
-        "num_envs": env.num_envs,
-        "steps_per_second": statistics.median(speeds),
-        "low": min(speeds),
-        "high": max(speeds),
-        "shares": {phase: seconds / whole for phase, seconds in phases.items()},
-        "operations": operations,
-    }
+    shares = {phase: seconds / whole for phase, seconds in phases.items()}
+    return told | {"shares": shares, "operations": operations}
 
 
 def _round(env: VectorScanEnv, steps: int, seed: int, watch: Stopwatch) -> float:
     """Return the seconds of so many random steps from a fresh start; resets are not timed."""
-    actions = np.random.default_rng(seed).integers(
-        len(ACTIONS), size=(WARM_UP + steps, env.num_envs)
-    )
+    size = (WARM_UP + steps, env.num_envs)
+    actions = np.random.default_rng(seed).integers(len(ACTIONS), size=size)
     env.reset(seed=seed)
     for action in actions[:WARM_UP]:
         env.step(action)
@@ -196,22 +170,16 @@ def _operations(env: VectorScanEnv, count: int) -> list[dict[str, Any]]:
     """Return the operations that three steps spend most time in, by their own time."""
     from torch.profiler import ProfilerActivity, profile
 
-    kinds = [ProfilerActivity.CPU]
     accelerated = env.core.device.type == "cuda"
-    if accelerated:
-        kinds.append(ProfilerActivity.CUDA)
+    kinds = [ProfilerActivity.CPU, *([ProfilerActivity.CUDA] if accelerated else [])]
+    own = "self_device_time_total" if accelerated else "self_cpu_time_total"
+    times: dict[str, float] = {}
     env.reset(seed=0)
-    action = np.zeros(env.num_envs, dtype=np.int64)
-
-    def trace() -> Any:
+    for _ in range(2):  # the profiler's own start falls into the first
         with profile(activities=kinds) as told:
             for _ in range(3):
-                env.step(action)
-        return told.key_averages()
-
-    trace()  # the profiler's own start falls into the first
-    own = "self_device_time_total" if accelerated else "self_cpu_time_total"
-    times = {event.key: getattr(event, own) for event in trace()}
+                env.step(np.zeros(env.num_envs, dtype=np.int64))
+        times = {event.key: getattr(event, own) for event in told.key_averages()}
     whole = sum(times.values())
     longest = sorted(times, key=lambda name: -times[name])[:count]
     return [{"name": name, "share": times[name] / whole} for name in longest]

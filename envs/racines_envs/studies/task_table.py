@@ -24,7 +24,6 @@ def task_table(task: Task, phantom: Phantom) -> str:
     space = phantom.workspace
     low, high = (_list(1e3 * edge, 0) for edge in (space.position_min, space.position_max))
     title = phantom.titles.get(task.view) or VIEW_TITLES.get(task.view, "")
-    ends = _ENDS[task.termination].format(hits=task.hits)
     rows = [
         ("target", f"{task.view}, {title} (label {task.target})"),
         ("nominal pose", _pose(phantom.target(task.view))),
@@ -37,7 +36,7 @@ def task_table(task: Task, phantom: Phantom) -> str:
         ("workspace", f"from ({low}) to ({high}) mm"),
         ("lean and turn", f"at most {space.tilt_max:g} and {space.yaw_max:g} rad"),
         ("normal force", f"at most {task.force_limit:g} N"),
-        ("terminated", ends),
+        ("terminated", _ENDS[task.termination].format(hits=task.hits)),
         ("truncated", f"after {task.max_steps} steps"),
     ]
     return markdown_table((code(task.id), ""), rows)
@@ -45,7 +44,7 @@ def task_table(task: Task, phantom: Phantom) -> str:
 
 def task_tables(anatomy: str, phantom: Phantom) -> str:
     """Return the tables of all tasks of an anatomy."""
-    tasks = [task for task in TASKS.values() if task.anatomy == anatomy]
+    tasks = (task for task in TASKS.values() if task.anatomy == anatomy)
     return "\n\n".join(task_table(task, phantom) for task in tasks)
 
 

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3, orthonormalise, rotate
+from racines_envs.task.sensing import all_hold
 
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 ACTIONS = (*(f"{sign}{axis}" for axis in _AXES for sign in "+-"), "idle")
@@ -40,21 +41,16 @@ class ActionTable(NamedTuple):
 
 
 def check_actions(action: Tensor, count: int) -> Tensor:
-    """Return (count,) int64 actions in 0-12.
+    """Return (count,) int64 actions, if they are integers in 0-12.
 
     On an accelerator the range is asserted on the device, without waiting for it.
-
-    Raises:
-        RacinesError: wrong shape, a type that is no integer (so NaN too), or out of range.
     """
     if action.shape != (count,):
         raise RacinesError(f"actions have shape {tuple(action.shape)}: give ({count},)")
     if action.is_floating_point() or action.is_complex() or action.dtype == torch.bool:
         raise RacinesError(f"actions are {action.dtype}: give integers 0-{IDLE}")
-    inside = ((action >= 0) & (action <= IDLE)).all()
-    if action.device.type != "cpu":
-        torch.ops.aten._assert_async(inside)
-    elif not bool(inside):
-        bad = int(action[(action < 0) | (action > IDLE)][0])
+    inside = (action >= 0) & (action <= IDLE)
+    if not all_hold(inside):
+        bad = int(action[~inside][0])
         raise RacinesError(f"action {bad} is out of range: give integers 0-{IDLE}")
     return action.to(torch.int64)

@@ -10,6 +10,9 @@ A row's result depends on its own seed and actions alone, never on the rows besi
 has ended stays as it is until it is reset (`reset`, or `step` with `autoreset`).
 """
 
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -18,20 +21,11 @@ from racines_data.geometry import Pose, geodesic, pose_to_parameters, rotation_6
 from racines_data.imaging import ImageSource
 from racines_data.randomness import derive
 from racines_data.world import World
+from racines_envs.task import sensing
 from racines_envs.task.actions import ActionTable, check_actions
 from racines_envs.task.rewards import Reward, RewardConfig, Score, get_reward, is_hit
-from racines_envs.task.sensing import (
-    Encoder,
-    ForceSource,
-    KnowsSupport,
-    check_drawn,
-    check_finite,
-    check_judged,
-)
-from racines_envs.task.starts import check_starts, draw_starts
-from racines_envs.task.state import State, Transition
+from racines_envs.task.starts import check_starts, draw_starts, nearest_showing
 from racines_envs.task.tasks import Task
-from racines_envs.task.view_error import nearest_showing
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.protocol import Judge
 
@@ -40,37 +34,72 @@ PARAMS_SIZE = 9
 """Position in the workspace's box (3), then the continuous rotation (6)."""
 
 
+@dataclass
+class State:
+    """The state of N rows; every field has N rows.
+
+    Position (N, 3), m; rotation (N, 3, 3); wrench (N, 6), N and N·m, of the probe at rest; int64
+    seed of the episode; hits in a row; steps that would have left the workspace, or pressed over
+    the limit, and became idle; greatest normal force of the episode, N, and its sum over the steps;
+    undiscounted return.
+    """
+
+    position: Tensor
+    rotation: Tensor
+    wrench: Tensor
+    seed: Tensor
+    steps: Tensor
+    streak: Tensor
+    workspace_hits: Tensor
+    force_hits: Tensor
+    peak_force: Tensor
+    force_sum: Tensor
+    total: Tensor
+    done: Tensor
+
+    @property
+    def pose(self) -> Pose:
+        """The poses."""
+        return Pose(self.position, self.rotation)
+
+    @property
+    def force(self) -> Tensor:
+        """(N,) normal force, N."""
+        return -self.wrench[:, 2]
+
+    def replaced(self, rows: Tensor, other: "State") -> "State":
+        """Return the state with the (K,) rows of another of K rows put in."""
+        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
+        return State(*(old.index_copy(0, rows, new) for old, new in pairs))
+
+
+class Transition(NamedTuple):
+    """What a step gave; N rows each."""
+
+    observation: dict[str, Tensor]
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor
+
+
 class ScanCore:
     """N environments of one task."""
 
     def __init__(
-        self,
-        task: Task,
-        phantom: World,
-        images: ImageSource,
-        grader: Judge | None = None,
-        observation: str = "params",
-        reward: str | Reward = "oracle",
-        rewards: RewardConfig | None = None,
-        num_envs: int = 1,
-        device: torch.device | str = "cpu",
-        encoder: Encoder | None = None,
-        forces: ForceSource | None = None,
-    ) -> None:
+        self, task: Task, phantom: World, images: ImageSource, grader: Judge | None = None,
+        observation: str = "params", reward: str | Reward = "oracle",
+        rewards: RewardConfig | None = None, num_envs: int = 1, device: torch.device | str = "cpu",
+        encoder: sensing.Encoder | None = None, forces: sensing.ForceSource | None = None,
+    ) -> None:  # fmt: skip
         """Join a task, a phantom (truth, limits) and a source of images.
 
         An `encoder` looks once at each image; what it says is observed as `features`. Forces come
-        from `forces`, or else from the source of images if it has a `wrench(pose)`, or else from
-        the phantom's contact.
-
-        Raises:
-            RacinesError: an unknown observation or reward, or a reward that needs a grader
-                without one.
+        from `forces`, else from the source of images if it has a `wrench(pose)`, else from the
+        phantom's contact. A reward that needs a grader is refused without one.
         """
         if observation not in OBSERVATIONS:
-            raise RacinesError(
-                f"unknown observation {observation!r}: choose one of {', '.join(OBSERVATIONS)}"
-            )
+            known = ", ".join(OBSERVATIONS)
+            raise RacinesError(f"unknown observation {observation!r}: choose one of {known}")
         self.reward = get_reward(reward)
         if self.reward.needs_judge and grader is None:
             raise RacinesError(
@@ -84,37 +113,25 @@ class ScanCore:
         self.rewards, self._reward = rewards or RewardConfig(), self.reward.pay
         self.num_envs, self.device = num_envs, torch.device(device)
         self.encoder = encoder if observation != "params" else None
-        own = images if isinstance(images, ForceSource) else phantom
-        self.forces: ForceSource = own if forces is None else forces
+        own = images if isinstance(images, sensing.ForceSource) else phantom
+        self.forces: sensing.ForceSource = own if forces is None else forces
         self.table = ActionTable.make(task.step_translation, task.step_rotation, self.device)
         self.target = phantom.target(task.view).to(self.device)
-        workspace = phantom.workspace
-        self._centre = ((workspace.position_max + workspace.position_min) / 2).to(self.device)
-        self._half = ((workspace.position_max - workspace.position_min) / 2).to(self.device)
-        self.renders = observation != "params" or self.reward.needs_judge
-        self._env_seed = torch.arange(num_envs, dtype=torch.int64, device=self.device)
-        self._episode = torch.full_like(self._env_seed, -1)
+        low, high = phantom.workspace.position_min, phantom.workspace.position_max
+        self._centre = ((high + low) / 2).to(self.device)
+        self._half = ((high - low) / 2).to(self.device)
+        self._seed(0)
         self._sensed: dict[str, Tensor] = {}
         self.state: State
 
-    # -- reset ---------------------------------------------------------------------------------
-
     def reset(
-        self,
-        seed: int | Tensor | None = None,
-        mask: Tensor | None = None,
-        pose: Pose | None = None,
+        self, seed: int | Tensor | None = None, mask: Tensor | None = None, pose: Pose | None = None
     ) -> dict[str, Tensor]:
         """Start episodes and return the observations of all rows.
 
-        Args:
-            seed: One integer (row i gets seed + i) or (N,) int64; without it each row goes on to
-                the next episode of its seed.
-            mask: (N,) bool, the rows to reset; all by default, and at the first reset.
-            pose: (N,) start poses instead of drawn ones.
-
-        Raises:
-            RacinesError: a given pose lies outside the workspace.
+        Row i gets `seed` + i, or its own of (N,) int64; without it each row goes on to the next
+        episode of its seed. Only rows of the (N,) bool `mask` are reset; all by default, and at the
+        first reset. An episode may start at a given `pose`, in the workspace, not at a drawn one.
         """
         if seed is not None:
             self._seed(seed)
@@ -132,7 +149,7 @@ class ScanCore:
         given = seed.to(self.device, torch.int64) if isinstance(seed, Tensor) else index + seed
         if given.shape != (self.num_envs,):
             raise RacinesError(f"seeds have shape {tuple(given.shape)}: give ({self.num_envs},)")
-        self._env_seed, self._episode = given, torch.full_like(index, -1)
+        self._env_seed, self._episode = given, torch.full_like(given, -1)
 
     def _begin(self, rows: Tensor, pose: Pose | None = None) -> State:
         """Return fresh states of (K,) rows, each at the next episode of its seed."""
@@ -141,34 +158,26 @@ class ScanCore:
         if pose is None:
             pose = draw_starts(self.task, self.phantom, self.target, seed)
         else:
-            pose = check_starts(pose, self.num_envs, self.phantom.workspace, self.device)
-            pose = Pose(*(x[rows] for x in pose))
+            given = check_starts(pose, self.num_envs, self.phantom.workspace, self.device)
+            pose = Pose(*(x[rows] for x in given))
         wrench = self.wrench(pose)
         none, zero = torch.zeros_like(seed), torch.zeros_like(wrench[:, 0])
         done = torch.zeros_like(seed, dtype=torch.bool)
         return State(*pose, wrench, seed, none, none, none, none, -wrench[:, 2], zero, zero, done)
 
-    # -- step ----------------------------------------------------------------------------------
-
     def step(
-        self,
-        action: Tensor,
-        autoreset: bool = False,
-        rows: Tensor | None = None,
+        self, action: Tensor, autoreset: bool = False, rows: Tensor | None = None,
         strict: bool = False,
-    ) -> Transition:
+    ) -> Transition:  # fmt: skip
         """Move every row by one of the 13 actions, (N,) integers.
 
         With `autoreset`, a row that ended in the step before ignores its action and starts its next
         episode instead (Gymnasium's NEXT_STEP): reward 0, neither terminated nor truncated.
-
-        Only the (K,) `rows` are looked at, by default all: a caller that knows which have ended
-        need not have them drawn again, since they look as they did.
+        Only the (K,) `rows` are looked at, by default all: what has ended need not be drawn again.
 
         Raises:
-            RacinesError: actions of the wrong shape or type, or out of range; no reset before; an
-                image, a judgement or a force that is not what it has to be; with `strict`, a step
-                of a row that has ended (which waits for the device).
+            RacinesError: no reset before; wrong actions; an image, a judgement or a force that is
+                not what it has to be; with `strict` (which waits for the device), a row has ended.
         """
         if not self._sensed:
             raise RacinesError("step before reset: call reset first")
@@ -196,27 +205,24 @@ class ScanCore:
         free = inside & soft & live
         wrench = torch.where(free[:, None], wrench, state.wrench)
         force = -wrench[:, 2]
-        return State(
+        return replace(
+            state,
             position=torch.where(free[:, None], candidate.position, state.position),
             rotation=torch.where(free[:, None, None], candidate.rotation, state.rotation),
             wrench=wrench,
-            seed=state.seed,
             steps=state.steps + live,
-            streak=state.streak,
             workspace_hits=state.workspace_hits + (live & ~inside),
             force_hits=state.force_hits + (live & inside & ~soft),
             peak_force=torch.maximum(state.peak_force, force),
             force_sum=state.force_sum + force * live,
-            total=state.total,
-            done=state.done,
         )
 
     def wrench(self, pose: Pose) -> Tensor:
         """Return the (B, 6) wrench, N and N·m, of probes at rest at any poses."""
         wrench = self.forces.wrench(pose)
-        if self.forces is self.phantom:
-            return wrench
-        return check_finite(wrench, f"forces of {type(self.forces).__name__}")
+        if self.forces is not self.phantom:
+            sensing.check_finite(wrench, f"forces of {type(self.forces).__name__}")
+        return wrench
 
     def limits(self, pose: Pose, wrench: Tensor, force: Tensor) -> tuple[Tensor, Tensor]:
         """Return whether poses lie in the workspace, and whether they press within the limit.
@@ -232,25 +238,21 @@ class ScanCore:
         state, needed = self.state, self.task.hits_to_end
         streak = (state.streak + 1) * is_hit(self.score, self.rewards)
         state.streak = torch.where(live, streak, state.streak)
-        ended = state.streak >= needed if needed else torch.zeros_like(live)
-        terminated = live & ended
+        terminated = live & (state.streak >= needed) if needed else torch.zeros_like(live)
         truncated = live & ~terminated & (state.steps >= self.task.max_steps)
         reward = self._reward(before, self.score, terminated, self.rewards) * live
         state.total = state.total + reward
         state.done = state.done | terminated | truncated
         return Transition(self.observe(), reward, terminated, truncated)
 
-    # -- senses --------------------------------------------------------------------------------
-
     def _sense(self, rows: Tensor | None = None) -> None:
         """Look at the rows (all by default): parameters, truth, and image and scores if needed."""
         state = self.state
         pose, wrench, seeds = state.pose, state.wrench, derive(state.seed, state.steps)
         if rows is not None:
-            pose = Pose(pose.position[rows], pose.rotation[rows])
+            pose = Pose(*(x[rows] for x in pose))
             wrench, seeds = wrench[rows], seeds[rows]
-        parameters = pose_to_parameters(pose, wrench)
-        truth = self.phantom.judge_alike(pose)
+        parameters, truth = pose_to_parameters(pose, wrench), self.phantom.judge_alike(pose)
         sensed = {
             "parameters": parameters,
             "view": truth.view,
@@ -258,14 +260,13 @@ class ScanCore:
             "oracle_p": truth.membership[:, self.task.target],
             "oracle_g": truth.view_grade[:, self.task.target],
         }
-        if self.renders:
-            drawn = self.images.generate(parameters, seeds)
-            sensed["image"] = check_drawn(drawn, len(seeds), self.images)
+        if self.observation != "params" or self.reward.needs_judge:
+            sensed["image"] = self._draw(parameters, seeds)
         if self.encoder is not None:
             sensed["features"] = in_fixed_batches(self.encoder, sensed["image"])
         if self.reward.needs_judge and self.grader is not None:
             p, g = self.grader.probabilities_and_grade(sensed["image"])
-            check_judged(p, g, len(seeds), truth.membership.shape[1] + 1, self.grader)
+            sensing.check_judged(p, g, len(seeds), truth.membership.shape[1] + 1, self.grader)
             sensed |= {"grader_p": p[:, self.task.target].float(), "grader_g": g.float()}
         if rows is not None:
             sensed = {k: self._sensed[k].index_copy(0, rows, v) for k, v in sensed.items()}
@@ -274,8 +275,7 @@ class ScanCore:
 
     def scored_by(self, source: str) -> Score:
         """Return the scores of all rows by the `oracle` or, where one looks, the `grader`."""
-        p, g = self._sensed[f"{source}_p"], self._sensed[f"{source}_g"]
-        return Score(p, g, self._distance())
+        return Score(self._sensed[f"{source}_p"], self._sensed[f"{source}_g"], self._distance())
 
     def _distance(self) -> Tensor:
         """Return (N,) unit steps to the nominal pose, or zeros where the reward has no use."""
@@ -290,17 +290,11 @@ class ScanCore:
         return metres, geodesic(self.state.rotation, self.target.rotation)
 
     def view_error(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Return m and rad to the nearest pose that truly shows the target view.
-
-        Of the (K,) rows, or of all. An upper bound, see `racines_envs.task.view_error`.
-        """
-        position, rotation = self.state.pose
-        if rows is not None:
-            position, rotation = position[rows], rotation[rows]
-        pose = Pose(position, rotation)
+        """Return m and rad, at most, from (K,) rows or all to a pose that truly shows the view."""
+        pose = self.state.pose if rows is None else Pose(*(x[rows] for x in self.state.pose))
         units = self.task.step_translation, self.task.step_rotation
         near = nearest_showing(self.phantom, pose, self.target, self.task.target, units)
-        return (near.position - position).norm(dim=-1), geodesic(near.rotation, rotation)
+        return (near.position - pose.position).norm(dim=-1), geodesic(near.rotation, pose.rotation)
 
     def sees_target(self) -> Tensor:
         """Return (N,) bool: the true view is the target's, by the oracle."""
@@ -312,26 +306,26 @@ class ScanCore:
         return self._sensed["parameters"]
 
     def decision_seeds(self) -> Tensor:
-        """Return (N,) int64 seeds for an agent that draws its action at this step."""
+        """Return (N,) int64 seeds for agents that draw their actions at this step."""
         return derive(self.state.seed, self.state.steps, 7)
 
     def picture(self) -> Tensor:
         """Return the (N, 128, 128) images at the present poses, drawn now if no step drew them."""
         if "image" in self._sensed:
             return self._sensed["image"]
-        seeds = derive(self.state.seed, self.state.steps)
-        return check_drawn(self.images.generate(self.parameters, seeds), self.num_envs, self.images)
+        return self._draw(self.parameters, derive(self.state.seed, self.state.steps))
+
+    def _draw(self, parameters: Tensor, seeds: Tensor) -> Tensor:
+        return sensing.check_drawn(self.images.generate(parameters, seeds), len(seeds), self.images)
 
     def observe(self) -> dict[str, Tensor]:
         """Return what an agent sees: `image` (N, 128, 128) uint8, `params` (N, 9) float32.
 
         With an encoder also `features`, what it says of the images.
         """
-        seen: dict[str, Tensor] = {}
-        if self.observation != "params":
-            seen["image"] = self._sensed["image"]
-        if self.encoder is not None:
-            seen["features"] = self._sensed["features"]
+        names = [] if self.observation == "params" else ["image"]
+        names += [] if self.encoder is None else ["features"]
+        seen = {name: self._sensed[name] for name in names}
         if self.observation != "image":
             position = (self.state.position - self._centre) / self._half
             encoded = torch.cat([position, rotation_6d(self.state.rotation)], -1)
@@ -343,19 +337,17 @@ class ScanCore:
 
         `view` and `grade` are the oracle's; `success` is the true view being the target's,
         `success_graded` also a true grade of at least 5. `probability` and `score` are p and g by
-        the reward's own source. Forces in N, errors in m and rad: `position_error` and
-        `rotation_error` to the nominal pose, `view_position_error` and `view_rotation_error` (left
-        out without `view_error`: they cost as much as some steps) to the nearest pose that truly
-        shows the view. `out_of_support` is there if the source of images tells it.
+        the reward's own source. Forces in N, errors in m and rad: to the nominal pose, and those of
+        the view (left out without `view_error`: they cost as much as some steps) to the nearest
+        pose that truly shows it. `out_of_support` is there if the source of images tells it.
         """
-        state, sensed = self.state, self._sensed
+        state, sensed, success = self.state, self._sensed, self.sees_target()
         metres, radians = self.pose_error()
-        success = self.sees_target()
         further: dict[str, Tensor] = {}
         if view_error:
-            near = self.view_error()
-            further |= {"view_position_error": near[0], "view_rotation_error": near[1]}
-        if isinstance(self.images, KnowsSupport):
+            names = ("view_position_error", "view_rotation_error")
+            further |= dict(zip(names, self.view_error(), strict=True))
+        if isinstance(self.images, sensing.KnowsSupport):
             further["out_of_support"] = self.images.out_of_support(self.parameters)
         return further | {
             "view": sensed["view"],

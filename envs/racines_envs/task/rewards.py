@@ -99,29 +99,16 @@ def shaped(before: Score, after: Score, ended: Tensor, config: RewardConfig) -> 
 
 
 _PAPER = "50 (g' >= 5) or 20 where p' >= 0.9; + p' - p; + g' - g where p' >= 0.9; - 0.1"
+_SHAPED = "50 where hits end the episode; + d - 0.99 d' (d' = 0 at the end); - 0.1"
 PAPER = Reward("paper", _PAPER, paper, needs_judge=True)
 ORACLE = Reward("oracle", _PAPER, paper)
-SHAPED = Reward(
-    "shaped",
-    "50 where hits end the episode; + d - 0.99 d' (d' = 0 at the end); - 0.1",
-    shaped,
-    needs_distance=True,
-    rest="prize_and_potential",
-)
-REWARDS = Plugins(
-    "reward",
-    "racines.rewards",
-    ("name", "formula", "pay", "needs_judge", "needs_distance"),
-    "module:REWARD",
-)
+SHAPED = Reward("shaped", _SHAPED, shaped, needs_distance=True, rest="prize_and_potential")
+_NEEDED = ("name", "formula", "pay", "needs_judge", "needs_distance")
+REWARDS = Plugins("reward", "racines.rewards", _NEEDED, "module:REWARD")
 
 
 def get_reward(reward: str | Reward) -> Reward:
-    """Return a reward by name, by `module:REWARD`, or as it is given.
-
-    Raises:
-        RacinesError: no such reward.
-    """
+    """Return a reward by a known name, by `module:REWARD`, or as it is given."""
     return REWARDS.load(reward) if isinstance(reward, str) else reward
 
 

@@ -44,20 +44,14 @@ class KnowsSupport(Protocol):
 
 
 def check_drawn(images: object, count: int, source: object) -> Tensor:
-    """Return the images if they are (count, 128, 128) uint8.
-
-    Raises:
-        RacinesError: another type (so NaN, too) or shape; names the class that drew them.
-    """
+    """Return the images if they are (count, 128, 128) uint8; else refuse what `source` drew."""
     who = f"backend {type(source).__name__}"
     if not isinstance(images, Tensor):
         raise RacinesError(f"{who}: generate gave {type(images).__name__}: give a torch.Tensor")
     if images.dtype != torch.uint8:
         nan = images.is_floating_point() and not bool(torch.isfinite(images).all())
-        raise RacinesError(
-            f"{who}: generate gave {images.dtype}{' with NaN or infinity' if nan else ''}: give "
-            "uint8 gray levels 0-255"
-        )
+        kind = f"{images.dtype}{' with NaN or infinity' if nan else ''}"
+        raise RacinesError(f"{who}: generate gave {kind}: give uint8 gray levels 0-255")
     if images.shape != (count, IMAGE_SIZE, IMAGE_SIZE):
         raise RacinesError(
             f"{who}: generate gave shape {tuple(images.shape)} for {count} poses: give "
@@ -67,11 +61,7 @@ def check_drawn(images: object, count: int, source: object) -> Tensor:
 
 
 def check_judged(p: Tensor, grade: Tensor, count: int, labels: int, grader: object) -> None:
-    """Check that a grader gave (count, labels) probabilities and (count,) grades, all finite.
-
-    Raises:
-        RacinesError: other shapes, or NaN; names the grader's class.
-    """
+    """Check that a grader gave (count, labels) probabilities and (count,) grades, all finite."""
     who = f"grader {type(grader).__name__}"
     if p.shape != (count, labels) or grade.shape != (count,):
         raise RacinesError(
@@ -82,16 +72,17 @@ def check_judged(p: Tensor, grade: Tensor, count: int, labels: int, grader: obje
     check_finite(grade, f"{who}: grades")
 
 
-def check_finite(values: Tensor, what: str) -> Tensor:
-    """Return the values if all are finite; on an accelerator that is asserted on the device.
-
-    Raises:
-        RacinesError: NaN or infinity, by row.
-    """
+def check_finite(values: Tensor, what: str) -> None:
+    """Check that all values are finite, or name the first row with NaN or infinity."""
     finite = torch.isfinite(values)
-    if values.device.type != "cpu":
-        torch.ops.aten._assert_async(finite.all())
-    elif not bool(finite.all()):
+    if not all_hold(finite):
         row = int((~finite).nonzero()[0, 0])
         raise RacinesError(f"{what}: row {row} is NaN or infinite: give numbers")
-    return values
+
+
+def all_hold(conditions: Tensor) -> bool:
+    """Return whether all are true; on an accelerator that is asserted there, and taken as true."""
+    if conditions.device.type == "cpu":
+        return bool(conditions.all())
+    torch.ops.aten._assert_async(conditions.all())
+    return True

@@ -1,4 +1,4 @@
-"""Where episodes start: poses around a task's nominal pose, drawn from one seed each."""
+"""Poses around a task's nominal pose: where episodes start, and the nearest that shows the view."""
 
 import math
 
@@ -6,12 +6,16 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3
+from racines_data.geometry import Pose, axis_angle_to_matrix, geodesic, matmul3, orthonormalise
 from racines_data.randomness import derive, uniform
 from racines_data.world import Workspace, World
 from racines_envs.task.tasks import Task
 
 TRIES = 8
+COARSE, FINE = 8, 4
+"""Shares judged of the shift and of the turn: 9 × 9, then 5 × 5 within a step of the first grid, so
+that each share is known to 1/32."""
+ROWS = 64  # poses searched from at a time: bounds the memory
 _STREAM = 101
 _EVALUATION = 0x5EED
 _VALIDATION = 0x7A11
@@ -30,12 +34,11 @@ def validation_seeds(count: int, seed: int = 0) -> Tensor:
 def draw_starts(task: Task, world: World, target: Pose, seeds: Tensor) -> Pose:
     """Draw one start a seed, (N,), inside the workspace and outside the target view.
 
-    The offset along the block's top has a uniform distance and direction, and is mirrored along
-    an axis on which it would leave the workspace; the height is uniform, and the rotation has a
-    uniform angle about a uniform axis. The first of eight such draws that lies in the workspace and
-    does not show the view is taken; else the first in the workspace; else the nominal pose.
-
-    A world that knows where it can start, as recordings do, draws the starts itself.
+    A world that knows where it can start, as recordings do, draws the starts itself. Else the
+    offset along the block's top has a uniform distance and direction, and is mirrored along an axis
+    on which it would leave the workspace; the height is uniform, and the rotation has a uniform
+    angle about a uniform axis. The first of eight such draws that lies in the workspace and does
+    not show the view is taken; else the first in the workspace; else the nominal pose.
     """
     own = world.own_starts(task.target, target, seeds, task.start_distance, task.start_angle)
     if own is not None:
@@ -49,33 +52,28 @@ def draw_starts(task: Task, world: World, target: Pose, seeds: Tensor) -> Pose:
     inside = workspace.contains(drawn)
     unseen = world.judge(drawn).membership[:, task.target] < 0.5
     worth = (2 * inside + (inside & unseen)).view(count, TRIES)
-    best, first = worth.max(1).values, _first_max(worth)
-    row = torch.arange(count, device=seeds.device) * TRIES + first
+    row = torch.arange(count, device=seeds.device) * TRIES + first_max(worth)
+    some = (worth > 0).any(1)
     return Pose(
-        torch.where((best > 0)[:, None], drawn.position[row], target.position),
-        torch.where((best > 0)[:, None, None], drawn.rotation[row], target.rotation),
+        torch.where(some[:, None], drawn.position[row], target.position),
+        torch.where(some[:, None, None], drawn.rotation[row], target.rotation),
     )
 
 
 def check_starts(pose: Pose, count: int, workspace: Workspace, device: torch.device | str) -> Pose:
-    """Return (count,) given start poses on the device, if all lie in the workspace.
-
-    Raises:
-        RacinesError: another number of poses, one that is not finite, or one outside.
-    """
+    """Return (count,) given start poses on the device, if all are finite and in the workspace."""
     pose = pose.to(device)
-    if pose.position.shape != (count, 3):
-        shape = tuple(pose.position.shape)
+    shape = tuple(pose.position.shape)
+    if shape != (count, 3):
         raise RacinesError(f"start positions have shape {shape}: give ({count}, 3)")
-    finite = torch.isfinite(pose.position).all() & torch.isfinite(pose.rotation).all()
-    if not bool(finite):
+    if not all(bool(torch.isfinite(x).all()) for x in pose):
         raise RacinesError("a start pose is not finite: every value must be a number")
     outside = ~workspace.contains(pose)
     if bool(outside.any()):
         row = int(outside.nonzero()[0])
+        edges = (workspace.position_min, workspace.position_max)
+        low, high = (", ".join(f"{x:.3f}" for x in edge.tolist()) for edge in edges)
         where = ", ".join(f"{x:.4f}" for x in pose.position[row].tolist())
-        low = ", ".join(f"{x:.3f}" for x in workspace.position_min.tolist())
-        high = ", ".join(f"{x:.3f}" for x in workspace.position_max.tolist())
         raise RacinesError(
             f"start pose {row} at ({where}) m is outside the workspace: positions from ({low}) "
             f"to ({high}) m, and its tilt and yaw limits"
@@ -83,10 +81,11 @@ def check_starts(pose: Pose, count: int, workspace: Workspace, device: torch.dev
     return pose
 
 
-def _first_max(worth: Tensor) -> Tensor:
-    """Return the index of the first maximum of each row; argmax alone may give any of them."""
-    index = torch.arange(worth.shape[1], device=worth.device)
-    return torch.where(worth == worth.max(1, keepdim=True).values, index, worth.shape[1]).amin(1)
+def first_max(values: Tensor) -> Tensor:
+    """Return the (N,) index of each row's first maximum; argmax alone may give any of them."""
+    index = torch.arange(values.shape[1], device=values.device)
+    greatest = values.max(1, keepdim=True).values
+    return torch.where(values == greatest, index, values.shape[1]).amin(1)
 
 
 def _offsets(task: Task, u: Tensor) -> tuple[Tensor, Tensor]:
@@ -102,3 +101,60 @@ def _offsets(task: Task, u: Tensor) -> tuple[Tensor, Tensor]:
     sin = (1.0 - cos.square()).clamp_min(0.0).sqrt()
     axis = torch.stack([sin * turn.cos(), sin * turn.sin(), cos], -1)
     return shift, axis_angle_to_matrix(axis * between(task.start_angle, u[:, 5]).unsqueeze(-1))
+
+
+def nearest_showing(
+    world: World, pose: Pose, target: Pose, label: int, units: tuple[float, float]
+) -> Pose:
+    """Return (N,) poses that show a view, each near, in `units` of m and rad, to one of (N,) poses.
+
+    An oracle says whether a pose shows a view, not how far off it is. So poses between a pose and
+    the nominal one (`target`, a batch of one), which shows the view, are judged: any share of the
+    shift with any share of the turn, on a grid, then on a finer one about the nearest that shows
+    the view. What is found shows the view, so its distance is an upper bound: a pose that no such
+    share makes may be nearer; docs/environments.md says how much. A world may know better, by its
+    `own_nearest`.
+    """
+    own = world.own_nearest(pose, label, units)
+    if own is not None:
+        return own
+    parts = zip(*(x.split(ROWS) for x in pose), strict=True)
+    found = [_search(world, Pose(*part), target, label, units) for part in parts]
+    return Pose(*(torch.cat(column) for column in zip(*found, strict=True)))
+
+
+def _search(world: World, pose: Pose, target: Pose, label: int, units: tuple[float, float]) -> Pose:
+    device = pose.position.device
+    metres = (target.position - pose.position).norm(dim=-1, keepdim=True)
+    radians = geodesic(pose.rotation, target.rotation)[:, None]
+
+    def best(shares: Tensor) -> Tensor:
+        """Return each row's (2,) shares, of its (K, 2), that cost least and show the view.
+
+        Where none shows it: those that cost most, the nominal pose of a grid that goes all the way.
+        """
+        shown = world.judge(_between(pose, target, shares)).view.view(shares.shape[:2]) == label
+        cost = shares[..., 0] * (metres / units[0]) + shares[..., 1] * (radians / units[1])
+        chosen = first_max(-torch.where(shown, cost, 1e6 - cost))
+        return shares.gather(1, chosen[:, None, None].expand(-1, 1, 2)).squeeze(1)
+
+    coarse = best(_grid(COARSE, device).expand(len(pose.position), -1, -1))
+    finer = coarse[:, None] - _grid(FINE, device) / COARSE
+    return _between(pose, target, best(finer.clamp_min(0.0))[:, None])
+
+
+def _grid(steps: int, device: torch.device) -> Tensor:
+    """Return ((steps + 1)², 2) shares of shift and turn."""
+    line = torch.linspace(0.0, 1.0, steps + 1, device=device)
+    return torch.cartesian_prod(line, line)
+
+
+def _between(pose: Pose, target: Pose, shares: Tensor) -> Pose:
+    """Return the (N × K) poses at (N, K, 2) shares of the shift and of the turn to the target."""
+    shift, turn = shares[..., 0, None], shares[..., 1, None, None]
+    position = pose.position[:, None] + shift * (target.position - pose.position)[:, None]
+    # Along the chord between the matrices: near enough to the shortest turn, and never undefined
+    # but at exactly half a turn.
+    turned = pose.rotation[:, None] + turn * (target.rotation - pose.rotation)[:, None]
+    turned = torch.where(turn > 0.0, orthonormalise(turned), pose.rotation[:, None])
+    return Pose(position.flatten(0, 1), turned.flatten(0, 1))

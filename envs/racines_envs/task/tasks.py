@@ -38,14 +38,12 @@ class Task:
     """Whose view it is: a registered anatomy, or `module:function`."""
 
     def __post_init__(self) -> None:
-        """Check names and signs."""
         views = anatomy_views(self.anatomy)
         if self.view not in views:
             raise RacinesError(f"unknown view {self.view!r}: choose one of {', '.join(views)}")
         if self.termination not in TERMINATIONS:
-            raise RacinesError(
-                f"unknown termination {self.termination!r}: choose one of {', '.join(TERMINATIONS)}"
-            )
+            known = ", ".join(TERMINATIONS)
+            raise RacinesError(f"unknown termination {self.termination!r}: choose one of {known}")
         for name in ("step_translation", "step_rotation", "force_limit", "hits", "max_steps"):
             if not getattr(self, name) > 0:
                 raise RacinesError(f"task {self.view}: {name} must be positive")
@@ -75,10 +73,6 @@ TASKS = {
 
 
 def get_task(name: str, anatomy: str = HEART) -> Task:
-    """Return a task by its name, or by the name of a view of an anatomy.
-
-    Raises:
-        RacinesError: no such anatomy, or it has no such view.
-    """
+    """Return a task by its name, or by the name of a view that an anatomy has."""
     view = name.removeprefix(f"{anatomy}-")
     return TASKS.get(task_name(view, anatomy)) or Task(view, anatomy=anatomy)

@@ -1,7 +1,6 @@
 """What a task runs in: the phantom, a generator's images, or recorded frames.
 
-`making` puts a core together; `backends` and `replay_images` draw, `recorded_world`
-stands in for a phantom.
+`making` puts a core together; `backends` draw; `replay` does, and stands in for a phantom.
 """
 
 import lazy_loader

@@ -13,13 +13,15 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
 from racines_data.imaging import ImageSource
+from racines_data.phantom.anatomy import anatomy_views
 from racines_data.randomness import sample_seeds
+from racines_data.views import labels_of
 from racines_data.world import World
+from racines_envs.task.tasks import Task
 from racines_models.protocol import Judge
 
 GRADER_FOLDER = Path("models/runs/grader")
-JudgeLike = Judge | Path | str | None
-"""What names a grader: itself, its run folder, or None for the default."""
+JudgeLike = Judge | Path | str | None  # a grader itself, its run folder, or None for the default
 BACKENDS = ("phantom", "generator", "replay")
 
 
@@ -38,14 +40,9 @@ class PhantomImages:
 def open_source(spec: str | Path, device: torch.device | str = "cpu") -> ImageSource:
     """Return the generator that a spec names, whichever way it comes.
 
-    Args:
-        spec: A registered name or `module:Class` (its run in models/runs/NAME), either with
-            `@FOLDER` for a run elsewhere; the folder of a run, which says whose it is; or
-            `FILE.onnx`.
-        device: Where it draws.
-
-    Raises:
-        RacinesError: unknown, absent or refused, by name or file.
+    A spec is a registered name or `module:Class` (its run in models/runs/NAME), either with
+    `@FOLDER` for a run elsewhere; the folder of a run, which says whose it is; or `FILE.onnx`.
+    What is unknown, absent or refused is said by name or file.
     """
     from racines_models.registry import is_file, open_generator, run_folder
 
@@ -86,21 +83,13 @@ def _whose(folder: Path) -> str:
 
 
 def make_backend(
-    backend: str | ImageSource,
-    phantom: World,
-    generator: ImageSource | str | Path | None,
+    backend: str | ImageSource, phantom: World, generator: ImageSource | str | Path | None,
     device: torch.device | str,
-) -> ImageSource:
-    """Return the source of images; an object that satisfies `ImageSource` is taken as it is.
+) -> ImageSource:  # fmt: skip
+    """Return the source of images: that of `phantom` or `generator` (recordings are open by now).
 
-    Args:
-        backend: `phantom`, `generator`, or an object (recordings are opened before this).
-        phantom: What `phantom` renders.
-        generator: Of `generator`: an object, or what `open_source` opens.
-        device: Where it draws.
-
-    Raises:
-        RacinesError: an unknown backend, or a generator that is not there.
+    An object that satisfies `ImageSource` is taken as it is; so is a generator, which else is what
+    `open_source` opens.
     """
     if not isinstance(backend, str):
         if not isinstance(backend, ImageSource):
@@ -118,22 +107,28 @@ def make_backend(
     return generator if isinstance(generator, ImageSource) else open_source(generator, device)
 
 
-def make_grader(grader: Judge | Path | str, device: torch.device | str) -> Judge:
-    """Load the grader from its run folder, or take an object.
+def make_grader(
+    grader: Judge | Path | str, device: torch.device | str, task: Task | None = None
+) -> Judge:
+    """Load the grader that was trained in a run folder, or take a `Judge`, that knows a task."""
+    if not isinstance(grader, Judge):
+        if not isinstance(grader, (str, Path)):
+            raise RacinesError(f"grader {grader!r}: inherit from racines_models.protocol.Judge")
+        folder = Path(grader)
+        if not (folder / "grader.safetensors").is_file():
+            raise RacinesError(
+                f"{folder}: no trained grader (grader.safetensors): run `racines train grader`, or "
+                "do without one: reward='oracle'"
+            )
+        from racines_models.judges.grader.model import Grader
 
-    Raises:
-        RacinesError: no grader has been trained there, or an object that is no `Judge`.
-    """
-    if not isinstance(grader, (str, Path)):
-        if isinstance(grader, Judge):
-            return grader
-        raise RacinesError(f"grader {grader!r}: inherit from racines_models.protocol.Judge")
-    folder = Path(grader)
-    if not (folder / "grader.safetensors").is_file():
-        raise RacinesError(
-            f"{folder}: no trained grader (grader.safetensors): run `racines train grader`, or do "
-            "without one: reward='oracle'"
-        )
-    from racines_models.judges.grader.model import Grader
+        grader = Grader.load(folder, str(device))
+    if task is not None:
+        check_grader(grader, task)
+    return grader
 
-    return Grader.load(folder, str(device))
+
+def check_grader(grader: Judge | None, task: Task) -> None:
+    """Check that a grader, if there is one, knows the views of a task's anatomy."""
+    if grader is not None:
+        grader.check_labels(labels_of(anatomy_views(task.anatomy)), f"the {task.anatomy}")

@@ -8,7 +8,7 @@ Actor Critic for Image-Based Robot Learning, 2018, use the simulator's state in 
 agent that looks through the network is given images only.
 """
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
@@ -27,7 +27,8 @@ from racines_data.geometry import (
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.randomness import derive, normal, uniform
-from racines_data.store.frames import Batch, FrameStore
+from racines_data.schema import SPLITS
+from racines_data.store.frames import FrameStore
 from racines_data.store.memory import BatchMemory
 from racines_data.views import HEART, labels_of
 from racines_data.world import World
@@ -39,15 +40,12 @@ from racines_models.judges.pose.regressor import PoseConfig, PoseTraining
 from racines_models.judges.pose.training import train_pose
 from racines_models.protocol import Run
 
-CHUNK = 512
-"""Frames drawn at once."""
+CHUNK = 512  # frames drawn at once
 STREAM = 211
 NEARER = 0.7
 """Exponent on a uniform share of the way from target to start: more frames far off than near."""
-JITTER = (0.004, 0.004, 0.0015)
-"""Standard deviation of a frame's place about the straight way, m: agents take other ways."""
-TURN = 0.05
-"""And of its rotation, rad."""
+JITTER, TURN = (0.004, 0.004, 0.0015), 0.05
+"""Standard deviations of a frame about the straight way, m and rad: agents take other ways."""
 TRAIN, VALIDATION = 0.95, 0.975
 """Where the splits end, as shares of the frames."""
 
@@ -61,12 +59,9 @@ class ExplorationConfig:
     anatomy: str = HEART
     generator: str = ""
     """Who draws the images of these poses, as for the backend `generator`; the phantom if empty."""
-    pose: PoseConfig = field(
-        default_factory=lambda: PoseConfig(training=PoseTraining(images=480_000))
-    )
+    pose: PoseConfig = PoseConfig(training=PoseTraining(images=480_000))
 
     def __post_init__(self) -> None:
-        """Refuse too few frames to hold some out."""
         if self.frames < 200:
             raise RacinesError(f"encoder.frames is {self.frames}: give 200 or more")
 
@@ -82,27 +77,15 @@ class ExploredFrames(FrameStore):
         self.grades = torch.full((count,), torch.nan)
         self.trajectory_index = torch.arange(count)
         self.labels = labels
-        self._memory = BatchMemory()
+        self._memory, self._words = BatchMemory(), images.flatten(1).view(torch.int64)
         ends = [0, int(TRAIN * count), int(VALIDATION * count), count]
-        names = ("train", "validation", "test")
-        self._splits = {name: ends[i : i + 2] for i, name in enumerate(names)}
-
-    def take(self, index: Tensor, out: Tensor | None = None) -> Batch:
-        """Return the frames of (B,) rows."""
-        images, parameters = self.images[index], self.parameters[index]
-        return Batch(images, parameters, self.views[index], self.grades[index], index)
+        self._splits = {name: ends[i : i + 2] for i, name in enumerate(SPLITS)}
 
 
 def explore(config: ExplorationConfig, phantom: World, seed: int) -> ExploredFrames:
     """Draw frames of poses between the starts and the targets of all tasks of an anatomy.
 
-    Args:
-        config: The settings.
-        phantom: The phantom to scan.
-        seed: Of poses and electronic noise.
-
-    Raises:
-        RacinesError: no such generator, or none of the settings.
+    The seed is of poses and electronic noise.
     """
     source = open_source(config.generator) if config.generator else None
     views = anatomy_views(config.anatomy)
@@ -155,6 +138,6 @@ def train_encoder(config: ExplorationConfig, run: Run, phantom: WorldLike = None
     world = make_phantom(phantom, "cpu", config.anatomy)
     store = explore(config, world, run.seed)
     metrics = train_pose(store, config.pose, run)
-    metrics |= {"exploration": asdict(config) | {"kept": len(store.parameters)}}
+    metrics["exploration"] = asdict(config) | {"kept": len(store.parameters)}
     write_json(run.folder / "metrics.json", metrics)
     return metrics

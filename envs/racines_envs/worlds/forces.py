@@ -5,9 +5,9 @@ For recordings that no contact model describes. The regressor (Hoerl and Kennard
 the third degree. It is told the pose alone: what comes of motion (friction) it cannot know.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import combinations_with_replacement
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.imaging import ImageSource
+from racines_data.tables import markdown_table
 from racines_data.world import World
 from racines_envs.task.sensing import ForceSource
 
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
 
 SOURCES = ("auto", "contact", "recorded", "fitted")
+SCHEMA = "racines.forces/1"
+KINDS = ("rmse", "mae")
+UNITS = {f"{what}_{x}": unit for what, unit in (("force", "N"), ("torque", "N·m")) for x in "xyz"}
+"""By axis, in the order of the first six parameters."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +41,6 @@ class ForceConfig:
     """Most frames fitted on, evenly spread over the train split."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be fitted."""
         if self.degree < 1 or self.penalty <= 0 or self.frames < 1:
             raise RacinesError("forces: degree, penalty and frames are positive")
 
@@ -46,7 +50,7 @@ class FittedForces:
 
     def __init__(self, parameters: Tensor, config: ForceConfig | None = None) -> None:
         """Fit on (M, 12) parameters with finite forces, on the CPU, in double precision."""
-        self.config = config or ForceConfig()
+        config = config or ForceConfig()
         raw = self._raw(parameters_to_pose(parameters.double()))
         self._mean, std = raw.mean(0), raw.std(0, correction=0)
         self._std = torch.where(std > 1e-9, std, 1.0)
@@ -55,15 +59,15 @@ class FittedForces:
         self._low, self._high = scaled.amin(0), scaled.amax(0)
         width = raw.shape[1]
         products = [
-            (*combination, *[width] * (self.config.degree - degree))
-            for degree in range(self.config.degree + 1)
+            (*combination, *[width] * (config.degree - degree))
+            for degree in range(config.degree + 1)
             for combination in combinations_with_replacement(range(width), degree)
         ]
         self._products = torch.tensor(products, dtype=torch.int64).view(len(products), -1)
         wrench = parameters[:, :6].double()
         self._least, self._most = wrench.amin(0), wrench.amax(0)
         x = self._features(scaled)
-        gram = x.T @ x + self.config.penalty * len(x) * torch.eye(x.shape[1], dtype=x.dtype)
+        gram = x.T @ x + config.penalty * len(x) * torch.eye(x.shape[1], dtype=x.dtype)
         self._weights = torch.linalg.solve(gram, x.T @ wrench).T.contiguous()
 
     @staticmethod
@@ -85,17 +89,13 @@ class FittedForces:
     def wrench(self, pose: Pose) -> Tensor:
         """Return the (B, 6) wrench at (B,) poses, N and N·m, in the probe's axes."""
         scaled = (self._raw(pose).to(self._mean.dtype) - self._mean) / self._std
-        x = self._features(torch.minimum(torch.maximum(scaled, self._low), self._high))
+        x = self._features(scaled.clamp(self._low, self._high))
         wrench = (x.unsqueeze(1) * self._weights).sum(-1)
-        return torch.minimum(torch.maximum(wrench, self._least), self._most).to(torch.float32)
+        return wrench.clamp(self._least, self._most).to(torch.float32)
 
 
 def fit_forces(store: "FrameStore", config: ForceConfig | None = None) -> FittedForces:
-    """Fit on the train split of a dataset; deterministic.
-
-    Raises:
-        RacinesError: no frame of the split has poses and forces.
-    """
+    """Fit on the train split of a dataset; deterministic."""
     config = config or ForceConfig()
     parameters = measured(store, "train")
     keep = min(len(parameters), config.frames)
@@ -103,11 +103,7 @@ def fit_forces(store: "FrameStore", config: ForceConfig | None = None) -> Fitted
 
 
 def measured(store: "FrameStore", split: str) -> Tensor:
-    """Return the (M, 12) parameters of a split's frames that have a pose and a force.
-
-    Raises:
-        RacinesError: there are none.
-    """
+    """Return the (M, 12) parameters of a split's frames with pose and force, if there are any."""
     parameters = store.parameters[slice(*store.bounds(split))]
     parameters = parameters[torch.isfinite(parameters).all(1)]
     if not len(parameters):
@@ -119,24 +115,13 @@ def measured(store: "FrameStore", split: str) -> Tensor:
 
 
 def make_forces(
-    forces: ForceSource | str,
-    images: ImageSource,
-    world: World,
-    store: "FrameStore | None",
+    forces: ForceSource | str, images: ImageSource, world: World, store: "FrameStore | None",
     device: torch.device | str,
-) -> ForceSource | None:
+) -> ForceSource | None:  # fmt: skip
     """Return the source of forces that a setting names; None lets the environment choose.
 
-    Args:
-        forces: `auto` (the backend's own, or else the contact model), `contact`, `recorded`,
-            `fitted`, or an object with `wrench(pose)`.
-        images: The backend.
-        world: A phantom, or recordings in its place.
-        store: The dataset to fit on.
-        device: Where the tensors live.
-
-    Raises:
-        RacinesError: an unknown name, or one that this backend or dataset cannot serve.
+    `auto` is the backend's own, or else the contact model; `contact`, `recorded` and `fitted` (on
+    `store`) are refused where there is none; an object with `wrench(pose)` is taken as it is.
     """
     if not isinstance(forces, str):
         if not isinstance(forces, ForceSource):
@@ -160,3 +145,56 @@ def make_forces(
             "'fitted'"
         )
     return world
+
+
+def force_report(
+    store: "FrameStore", config: ForceConfig | None = None, split: str = "test"
+) -> dict[str, Any]:
+    """Return the errors of the fitted forces on a split that they have not seen, axis by axis.
+
+    Beside them those of predicting the mean of the train split and, of a phantom's dataset, of its
+    contact model at rest: it knows the pose exactly as the regressor does, and no velocity either.
+    """
+    from racines_data.phantom import contact
+    from racines_envs.worlds.replay import source_phantom
+    from racines_models.provenance import code_version, dataset_card
+
+    config = config or ForceConfig()
+    truth, trained = measured(store, split), measured(store, "train")
+    pose, wrench = parameters_to_pose(truth), truth[:, :6]
+    predicted = {
+        "fitted": fit_forces(store, config).to("cpu").wrench(pose),
+        "mean": trained[:, :6].mean(0).expand_as(wrench),
+    }
+    phantom = source_phantom(store)
+    if phantom is not None:
+        top = phantom.block.maximum[2]
+        predicted["contact"] = contact.wrench(pose, None, top, phantom.contact)
+    return {
+        "schema": SCHEMA,
+        "dataset": dataset_card(store),
+        "split": split,
+        "frames": {"train": min(len(trained), config.frames), split: len(truth)},
+        "config": asdict(config),
+        "errors": {name: _errors(p - wrench) for name, p in predicted.items()},
+        "code": code_version(),
+    }
+
+
+def _errors(error: Tensor) -> dict[str, dict[str, Any]]:
+    rmse, mae = error.square().mean(0).sqrt().tolist(), error.abs().mean(0).tolist()
+    return {
+        axis: {"rmse": rmse[i], "mae": mae[i], "n": len(error), "unit": unit}
+        for i, (axis, unit) in enumerate(UNITS.items())
+    }
+
+
+def forces_markdown(report: dict[str, Any]) -> str:
+    """Return the report as a table: one row an axis, RMSE and MAE of each prediction."""
+    errors = report["errors"]
+    head = ["axis", *(f"{name} {kind.upper()}" for name in errors for kind in KINDS)]
+    rows = [
+        (f"{axis}, {unit}", *(f"{e[axis][kind]:.3f}" for e in errors.values() for kind in KINDS))
+        for axis, unit in UNITS.items()
+    ]
+    return markdown_table(head, rows, right=1)

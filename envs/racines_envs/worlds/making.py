@@ -2,7 +2,7 @@
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -19,19 +19,17 @@ from racines_envs.task.rewards import Reward, RewardConfig, get_reward
 from racines_envs.task.sensing import Encoder, ForceSource
 from racines_envs.task.tasks import Task, get_task
 from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike, make_backend, make_grader
-from racines_envs.worlds.data_versions import ANY, check_datasets, trained_on
 from racines_envs.worlds.forces import make_forces
 from racines_models.devices import resolve_device
-from racines_models.protocol import Judge
 
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
-    from racines_envs.worlds.replay_images import Replay
 
 WorldLike = World | PhantomConfig | str | None
 """What names a world: itself, a phantom's settings, `recorded`, or None for the default."""
-RECORDED = "recorded"
-"""The `phantom` that stands for the recordings themselves."""
+RECORDED = "recorded"  # the `phantom` that stands for the recordings themselves
+ANY = "any"  # the `data_version` that lets everything pass
+_SHORTEST = 8  # characters of a digest that name a dataset
 
 
 def make_core(
@@ -77,7 +75,7 @@ def make_core(
         forces: `auto` (recorded ones when recordings are replayed, else the contact model),
             `contact`, `recorded`, `fitted` (on `data`), or an object with `wrench(pose)`.
         data_version: The dataset that generator, grader and recordings have to come from; they have
-            to agree in any case, unless it is `any`. See `racines_envs.worlds.data_versions`.
+            to agree in any case, unless it is `any`. See `check_datasets`.
 
     Raises:
         RacinesError: any name that is unknown or any artefact that is not there.
@@ -89,16 +87,12 @@ def make_core(
     parts: dict[str, Any] = {}
     if get_reward(reward).needs_judge and grader is None:
         grader = GRADER_FOLDER
-    if grader is not None:
-        known = grader if isinstance(grader, (str, Path)) else None
-        grader = make_grader(grader, device)
-        check_grader(grader, task)
-        if known is not None:
-            parts["the grader"] = trained_on(known)
+    judge = None if grader is None else make_grader(grader, device, task)
+    if judge is not grader:
+        parts["the grader"] = trained_on(grader)
     store = _open_data(backend, forces, data, task)
     if store is not None:
         parts[f"dataset {store.root}"] = trained_on(store.manifest)
-    if store is not None and (backend == "replay" or _is_replay(backend)):
         backend, phantom = _recordings(store, backend, phantom, device, data_version)
     if phantom == RECORDED:
         raise RacinesError("phantom='recorded' needs the backend 'replay'")
@@ -108,7 +102,7 @@ def make_core(
         parts["the generator"] = trained_on(images)
     check_datasets(parts, data_version)
     return ScanCore(
-        task, phantom, images, grader, observation, reward, rewards, num_envs, device, encoder,
+        task, phantom, images, judge, observation, reward, rewards, num_envs, device, encoder,
         make_forces(forces, images, phantom, store, device),
     )  # fmt: skip
 
@@ -117,12 +111,17 @@ def _open_data(
     backend: str | ImageSource, forces: ForceSource | str, data: Path | str | None, task: Task
 ) -> "FrameStore | None":
     """Open the dataset if the backend or the forces need it, and check whose views it has."""
-    opened = backend if _is_replay(backend) else None
-    if opened is None and backend != "replay" and forces != "fitted":
-        return None
-    from racines_data.store.frames import open_store
+    store = None
+    if not isinstance(backend, str):
+        from racines_envs.worlds.replay import Replay
 
-    store = opened.store if opened else open_store(data)
+        store = backend.store if isinstance(backend, Replay) else None
+    if store is None:
+        if backend != "replay" and forces != "fitted":
+            return None
+        from racines_data.store.frames import open_store
+
+        store = open_store(data)
     labels = labels_of(anatomy_views(task.anatomy))
     if store.labels != labels:
         raise RacinesError(
@@ -132,36 +131,21 @@ def _open_data(
     return store
 
 
-def _is_replay(backend: str | ImageSource) -> "TypeGuard[Replay]":
-    """Return whether a backend is recordings that are open already."""
-    if isinstance(backend, str):
-        return False
-    from racines_envs.worlds.replay_images import Replay
-
-    return isinstance(backend, Replay)
-
-
 def _recordings(
-    store: "FrameStore",
-    backend: str | ImageSource,
-    phantom: WorldLike,
-    device: torch.device | str,
-    data_version: str | None,
-) -> tuple[ImageSource, WorldLike]:
+    store: "FrameStore", backend: str | ImageSource, phantom: WorldLike,
+    device: torch.device | str, data_version: str | None,
+) -> tuple[str | ImageSource, WorldLike]:  # fmt: skip
     """Return the replay of a dataset, and the phantom it is of or the recordings in its place.
 
-    A phantom beside recordings of none is not asked.
-
-    Raises:
-        RacinesError: another phantom than the dataset's, unless any dataset may pass.
+    Where no recordings are replayed, both as they are given. A phantom beside recordings of none is
+    not asked; another phantom than the dataset's is refused, unless any dataset may pass.
     """
-    from racines_envs.worlds.recorded_world import RecordedWorld
-    from racines_envs.worlds.replay_images import Replay, source_phantom
+    from racines_envs.worlds.replay import RecordedWorld, Replay, source_phantom
 
-    replay, own = backend if isinstance(backend, Replay) else None, source_phantom(store)
-    replay = replay or Replay(store, device)
-    if isinstance(phantom, RecordedWorld):
+    replay = Replay(store, device) if backend == "replay" else backend
+    if not isinstance(replay, Replay) or isinstance(phantom, RecordedWorld):
         return replay, phantom
+    own = source_phantom(store)
     if phantom == RECORDED or own is None:
         return replay, RecordedWorld(replay, device)
     if config_of(phantom) not in (None, own) and data_version != ANY:
@@ -173,11 +157,7 @@ def _recordings(
 
 
 def find_task(view: str | Task, phantom: WorldLike = None, anatomy: str | None = None) -> Task:
-    """Return the task of a view: of an anatomy, or else of that of a phantom or its configuration.
-
-    Raises:
-        RacinesError: no such view, or a task of another anatomy than the phantom's.
-    """
+    """Return the task of a view: of an anatomy, or else of a phantom's; both have to agree."""
     config = config_of(phantom)
     held = config and config.anatomy
     task = view if isinstance(view, Task) else get_task(view, anatomy or held or HEART)
@@ -189,24 +169,10 @@ def find_task(view: str | Task, phantom: WorldLike = None, anatomy: str | None =
     return task
 
 
-def check_grader(grader: Judge | None, task: Task) -> None:
-    """Check that a grader, if there is one, knows the views of a task's anatomy.
-
-    Raises:
-        RacinesError: it was trained for other views.
-    """
-    if grader is not None:
-        grader.check_labels(labels_of(anatomy_views(task.anatomy)), f"the {task.anatomy}")
-
-
 def make_phantom(
     phantom: WorldLike, device: torch.device | str = "cpu", anatomy: str = HEART
 ) -> World:
-    """Return a world: the one given, or the shared phantom of a configuration (baked once).
-
-    Raises:
-        RacinesError: neither.
-    """
+    """Return a world: the one given, or the shared phantom of a configuration (baked once)."""
     if phantom is None or isinstance(phantom, PhantomConfig):
         return shared_phantom(phantom or PhantomConfig(anatomy=anatomy), str(device))
     if not isinstance(phantom, World):
@@ -231,3 +197,59 @@ def phantom_recipe(phantom: WorldLike) -> dict[str, Any] | None:
         return None
     recipe = {"version": PHANTOM_VERSION, "config": dataclasses.asdict(config)}
     return {"version": PHANTOM_VERSION, "recipe_digest": recipe_digest(recipe)}
+
+
+def trained_on(part: Any) -> dict[str, Any] | None:
+    """Return the source, version and digests of the dataset that a part was made from, if it says.
+
+    A part is a generator (its `data`, or the card in its ONNX file), a store's manifest, or the run
+    folder of a grader.
+    """
+    if isinstance(part, dict):
+        return part if part.get("digest") else None
+    if isinstance(part, (str, Path)):
+        from racines_models.judges.grader.model import read_config
+
+        return trained_on(read_config(Path(part)).get("dataset") or {})
+    card = getattr(getattr(part, "interface", None), "card", None)
+    told = card.get("data") if isinstance(card, dict) else getattr(part, "data", None)
+    return trained_on(told) if isinstance(told, dict) else None
+
+
+def check_datasets(parts: dict[str, dict[str, Any] | None], wanted: str | None = None) -> None:
+    """Check that the parts come from one dataset: equal digests, or equal recipes.
+
+    `parts` names each one's dataset; None, where it does not say, passes unless one is `wanted`, by
+    a version, a tag, or eight or more of a digest's first characters; `any` checks nothing.
+    """
+    if wanted == ANY:
+        return
+    hint = f"train on one dataset, or let it pass: data_version={ANY!r}"
+    if wanted is not None:
+        for name, data in parts.items():
+            if data is None:
+                raise RacinesError(f"{name} does not say which dataset it is from: {hint}")
+            if not _named(data, wanted):
+                raise RacinesError(f"{name} is from {_title(data)}, not {wanted}: {hint}")
+    told = [(name, data) for name, data in parts.items() if data is not None]
+    for name, data in told[1:]:
+        first, known = told[0]
+        # A rebuild of one recipe on another processor is the same version.
+        recipe = data.get("recipe_digest")
+        rebuilt = recipe is not None and recipe == known.get("recipe_digest")
+        if data["digest"] != known["digest"] and not rebuilt:
+            raise RacinesError(
+                f"{first} is from {_title(known)} and {name} from {_title(data)}: {hint}"
+            )
+
+
+def _named(data: dict[str, Any], wanted: str) -> bool:
+    version = data.get("version")
+    names = (version, f"v{version}", f"{data.get('source')}-v{version}")
+    digests = (data["digest"], data.get("recipe_digest") or "")
+    begun = any(digest.startswith(wanted) for digest in digests)
+    return wanted in names or (len(wanted) >= _SHORTEST and begun)
+
+
+def _title(data: dict[str, Any]) -> str:
+    return f"{data.get('source')} {data.get('version')} ({data['digest'][:_SHORTEST]}…)"

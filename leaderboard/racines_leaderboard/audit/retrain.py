@@ -76,7 +76,7 @@ def _train(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
 def _train_agent(record: Record, bench: Bench, folder: Path) -> None:
     from racines_envs.agents import agent_class
     from racines_envs.cli.settings import phantom_config
-    from racines_envs.evaluation.entries import find_entry
+    from racines_envs.evaluation.agent_specs import find_entry
 
     if not named(record):
         return

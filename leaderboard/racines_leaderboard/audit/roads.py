@@ -158,7 +158,7 @@ def score_agent(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
     """
     from racines_envs.agents import load_agent
     from racines_envs.cli.settings import phantom_config
-    from racines_envs.evaluation.entries import find_entry
+    from racines_envs.evaluation.agent_specs import find_entry
     from racines_envs.evaluation.run import EvaluationConfig, evaluate
     from racines_envs.worlds.backends import make_grader
 

@@ -35,7 +35,7 @@ class Trained:
 def load_phantom(place: Place, anatomy: str | None = None) -> Any:
     """Return the phantom of the dataset, or the default one of a named anatomy."""
     from racines_data.phantom import PhantomConfig, shared_phantom
-    from racines_envs.worlds.replay_images import source_phantom
+    from racines_envs.worlds.replay import source_phantom
 
     store = load_store(place) if anatomy is None else None
     config = source_phantom(store) if store is not None else None
@@ -62,7 +62,7 @@ def load_index(place: Place) -> Any:
     """Return what finds the nearest frame of the dataset; None without a dataset or poses."""
     import torch
 
-    from racines_envs.worlds.pose_index import PoseIndex
+    from racines_envs.worlds.replay import PoseIndex
 
     store = load_store(place)
     if store is None or not bool(torch.isfinite(store.parameters[:, 6:]).all()):

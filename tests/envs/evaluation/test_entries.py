@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
-from racines_envs.evaluation.entries import find_entry
+from racines_envs.evaluation.agent_specs import find_entry
 from racines_leaderboard.cli.command import app
 
 PARAMS = """

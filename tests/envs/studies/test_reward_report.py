@@ -10,9 +10,15 @@ from racines_data.errors import RacinesError
 from racines_envs.agents import load_agent
 from racines_envs.agents.rollout import rollout
 from racines_envs.evaluation.agent_specs import find_runs
-from racines_envs.studies.rewards.pages import arithmetic, draw_returns, reward_markdown
-from racines_envs.studies.rewards.report import RewardReportConfig, reward_report
-from racines_envs.studies.rewards.settlement import run_scored, settle
+from racines_envs.studies.rewards import (
+    RewardReportConfig,
+    arithmetic,
+    draw_returns,
+    reward_markdown,
+    reward_report,
+    run_scored,
+    settle,
+)
 from racines_envs.task.rewards import RewardConfig
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.task.tasks import TERMINATIONS, get_task

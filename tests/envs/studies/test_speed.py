@@ -8,7 +8,7 @@ import torch
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
-from racines_envs.apis.gym_vector import VectorScanEnv
+from racines_envs.apis.gym_env import VectorScanEnv
 from racines_envs.studies.step_profile import PHASES, SpeedConfig, Stopwatch, attach, step_speed
 from racines_envs.worlds.making import make_core
 from racines_leaderboard.cli.command import app

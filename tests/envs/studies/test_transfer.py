@@ -9,11 +9,19 @@ from scipy import stats
 
 from racines_data.errors import RacinesError
 from racines_envs.agents.planner import PlannerAgent
+from racines_envs.evaluation import run as evaluation
 from racines_envs.evaluation.agent_specs import Run, common_view, find_run, find_runs
-from racines_envs.studies.transfer import run as module
-from racines_envs.studies.transfer.pages import draw_transfer, transfer_markdown
-from racines_envs.studies.transfer.rank_correlation import correlate, kendall, spearman
-from racines_envs.studies.transfer.run import TransferConfig, backend_arguments, transfer
+from racines_envs.studies.transfer import (
+    COMPARED,
+    TransferConfig,
+    backend_arguments,
+    correlate,
+    draw_transfer,
+    kendall,
+    spearman,
+    transfer,
+    transfer_markdown,
+)
 from racines_envs.task.actions import IDLE
 from racines_envs.worlds.making import make_core
 
@@ -72,7 +80,7 @@ def test_agents_are_run_in_every_backend_and_judged_by_truth(phantom, monkeypatc
             backend = Darkness()
         return make_core(*names, backend=backend, **more)
 
-    monkeypatch.setattr(module, "make_core", make)
+    monkeypatch.setattr(evaluation, "make_core", make)
     runs = [Run("sighted", SEER, tmp_path), *find_runs(["planner", "random"])]
     content = transfer(runs, ["phantom", "generator:night"], FEW, phantom)
     success = {
@@ -84,7 +92,7 @@ def test_agents_are_run_in_every_backend_and_judged_by_truth(phantom, monkeypatc
     assert success["sighted", "generator:night"] == 0
     assert success["planner", "generator:night"] == 1
     found = content["correlations"]
-    assert [pair["figure"] for pair in found] == list(module.COMPARED)
+    assert [pair["figure"] for pair in found] == list(COMPARED)
     assert found[0]["backends"] == ["phantom", "generator:night"]
     assert found[0]["spearman"]["value"] == pytest.approx(
         0.5

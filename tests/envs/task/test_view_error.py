@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from racines_data.geometry import Pose, axis_angle_to_matrix, geodesic, matmul3
-from racines_envs.task.view_error import nearest_showing
+from racines_envs.task.starts import nearest_showing
 from racines_envs.worlds.making import make_core
 
 UNITS = (0.003, 0.06)

@@ -9,8 +9,7 @@ import torch
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.store.frames import open_store
-from racines_envs.studies.forces import force_report
-from racines_envs.worlds.forces import FittedForces, ForceConfig, fit_forces, measured
+from racines_envs.worlds.forces import FittedForces, ForceConfig, fit_forces, force_report, measured
 from racines_envs.worlds.making import make_core
 from tests.conftest import command
 

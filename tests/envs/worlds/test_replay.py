@@ -18,9 +18,7 @@ from racines_envs.agents.rollout import rollout
 from racines_envs.evaluation.run import EvaluationConfig, evaluate
 from racines_envs.task.tasks import get_task
 from racines_envs.worlds.making import make_core
-from racines_envs.worlds.pose_index import spacing
-from racines_envs.worlds.recorded_world import RecordedWorld
-from racines_envs.worlds.replay_images import Replay
+from racines_envs.worlds.replay import RecordedWorld, Replay, spacing
 from racines_models.generators.nearest_pose import NearestPose
 from racines_models.judges.grader.annotate import annotate
 from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork

@@ -13,8 +13,7 @@ from typer.testing import CliRunner
 from racines_data.store.frames import open_store
 from racines_data.views import LABELS
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
-from racines_envs.evaluation.run import EvaluationConfig, evaluate
-from racines_envs.evaluation.trace_recording import record_trace
+from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
 from racines_envs.worlds.making import make_phantom, phantom_recipe
 from racines_leaderboard.audit.bench import Bench, Places
 from racines_leaderboard.audit.numbers import compare_numbers

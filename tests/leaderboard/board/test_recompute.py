@@ -10,8 +10,7 @@ from typer.testing import CliRunner
 from racines_data.errors import RacinesError
 from racines_data.store.frames import open_store
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
-from racines_envs.evaluation.run import EvaluationConfig, evaluate
-from racines_envs.evaluation.trace_recording import record_trace
+from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
 from racines_envs.worlds.making import make_phantom, phantom_recipe
 from racines_leaderboard.board import recompute as module
 from racines_leaderboard.board.collect import read_board

@@ -18,7 +18,7 @@ def forces(
     from racines_data.errors import RacinesError
     from racines_data.files import write_json
     from racines_data.store.frames import open_store
-    from racines_envs.studies.forces import force_report, forces_markdown
+    from racines_envs.worlds.forces import force_report, forces_markdown
 
     if split == "train":
         raise RacinesError("--split train: the forces are fitted on it; choose validation or test")

@@ -32,8 +32,7 @@ def reward_audit(
     """
     from racines_data.config import fill, section
     from racines_envs.evaluation.agent_specs import find_runs
-    from racines_envs.studies.rewards import report as work
-    from racines_envs.studies.rewards.pages import draw_returns, reward_markdown
+    from racines_envs.studies import rewards as work
 
     settings = read_settings(params, profile)
     chosen = given(
@@ -43,6 +42,6 @@ def reward_audit(
     config = fill(work.RewardReportConfig, section(settings, "rewards") | chosen, "rewards")
     runs = find_runs(listed(agents))
     content, episodes = work.reward_report(runs, config, phantom_config(settings))
-    table = reward_markdown(content)
-    draw_returns(episodes, content["view"], out.with_suffix(".png"))
+    table = work.reward_markdown(content)
+    work.draw_returns(episodes, content["view"], out.with_suffix(".png"))
     publish(content, table, out, as_json)

@@ -32,14 +32,13 @@ def transfer(
     """
     from racines_data.config import fill, section
     from racines_envs.evaluation.agent_specs import find_runs
-    from racines_envs.studies.transfer import run as work
-    from racines_envs.studies.transfer.pages import draw_transfer, transfer_markdown
+    from racines_envs.studies import transfer as work
 
     settings = read_settings(params, profile)
     chosen = given(view=view, starts=starts, seeds=integers(seeds), device=device)
     config = fill(work.TransferConfig, section(settings, "transfer") | chosen, "transfer")
     runs = find_runs(listed(agents))
     content = work.transfer(runs, listed(backends), config, phantom_config(settings))
-    table = transfer_markdown(content)
-    draw_transfer(content, out.with_suffix(".png"))
+    table = work.transfer_markdown(content)
+    work.draw_transfer(content, out.with_suffix(".png"))
     publish(content, table, out, as_json)

@@ -35,7 +35,7 @@ def train_agent(
     """Train an agent into envs/runs/<run>, or --out; options override the settings."""
     from racines_data.config import fill
     from racines_envs.agents import agent_class
-    from racines_envs.evaluation.entries import find_entry
+    from racines_envs.evaluation.agent_specs import find_entry
 
     settings = read_settings(params, profile)
     entry = find_entry(settings, agent, name)

@@ -1,5 +1,0 @@
-"""What a reward pays for, beside what succeeds: the reward audit."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

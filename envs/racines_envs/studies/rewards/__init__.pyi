@@ -1,3 +1,0 @@
-from .report import RewardReportConfig as RewardReportConfig
-
-__all__ = ["RewardReportConfig"]

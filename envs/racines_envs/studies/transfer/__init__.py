@@ -1,5 +1,0 @@
-"""Trained in one backend, judged in the others, and whether their ranks agree."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,3 +1,0 @@
-from .run import TransferConfig as TransferConfig
-
-__all__ = ["TransferConfig"]
