@@ -104,11 +104,11 @@ MOVED = {
     "racines_models.exchange.predictions": "png predictions=file predictions_reader=reader",
     "racines_models.judges.grader": (
         "annotate grader=model grader_calibration=calibration grader_evaluation=evaluation "
-        "grader_loss=loss grader_plots=plots grader_report=report grader_training=training"
+        "grader_loss=training grader_plots=evaluation grader_report=report grader_training=training"
     ),
     "racines_models.judges.pose": "pose_regressor=regressor pose_training=training",
     "racines_models.judges.student": (
-        "student=model student_labels=labels student_report=report student_training=training"
+        "student=model student_labels=labels student_report=training student_training=training"
     ),
     "racines_models.networks": "conditioning onnx_module",
     "racines_models.networks.scene_field": (
@@ -116,11 +116,12 @@ MOVED = {
         "networks.scene_field_probe=probe"
     ),
     "racines_models.scores": (
-        "diversity features frechet gallery inception judge memorisation metrics prdc scoring"
+        "diversity features frechet=metrics gallery inception judge memorisation=diversity metrics "
+        "prdc scoring"
     ),
     "racines_models.studies": "conditioning_ablation=conditioning floor leakage",
     "racines_models.studies.ablation": (
-        "ablation=run ablation_hearts=hearts ablation_picture=picture ablation_variants=variants"
+        "ablation=run ablation_hearts=hearts ablation_picture=run ablation_variants=variants"
     ),
     "racines_models.studies.realism": "realism=report realism_figures=figures",
     "racines_models.training": (

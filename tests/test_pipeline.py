@@ -281,7 +281,7 @@ TOUCHED = [
     "racines_models.training.trainer",
     "racines_models.exchange.onnx.export",
     "racines_models.generators.flow",
-    "racines_models.judges.grader.loss",
+    "racines_models.judges.grader.report",
     "racines_models.judges.student.labels",
     "racines_models.judges.pose.regressor",
     "racines_models.scores.metrics",

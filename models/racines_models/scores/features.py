@@ -13,8 +13,7 @@ from torch import Tensor
 from racines_data.files import write_atomic
 from racines_models.judges.grader.model import Grader
 from racines_models.provenance import sha256_bytes
-
-Progress = Callable[[int], None]
+from racines_models.sample import Progress
 
 
 class Extractor(Protocol):

@@ -8,7 +8,6 @@ ratio, no half-pixel shift) and scaled as (x - 128) / 128.
 
 import functools
 import importlib.util
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +18,11 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_models.devices import resolve_device
 from racines_models.networks.batching import SIZE, in_fixed_batches
+from racines_models.sample import Progress
 
 INCEPTION_SHA256 = "7ff4a85c3a6378f0dfc8433ffd789663b01176bec0a683a435651739c091fa34"
 SIDE = 299
 """Height and width of the network's input, pixels."""
-DIMENSIONS = 2048
 
 
 class InceptionFeatures:
@@ -50,14 +49,14 @@ class InceptionFeatures:
         }
 
     @torch.inference_mode()
-    def __call__(self, images: Tensor, progress: Callable[[int], None] | None = None) -> Tensor:
+    def __call__(self, images: Tensor, progress: Progress | None = None) -> Tensor:
         """Return the features on the CPU; `progress` is told the images of each batch."""
         parts = []
         for batch in images.split(self.batch_size):
             parts.append(in_fixed_batches(self._features, batch.to(self.device)).cpu())
             if progress is not None:
                 progress(len(batch))
-        return torch.cat(parts) if parts else torch.empty(0, DIMENSIONS)
+        return torch.cat(parts)
 
     def _features(self, images: Tensor) -> Tensor:
         x = ((resize(images.to(torch.float32)) - 128.0) / 128.0).unsqueeze(1).expand(-1, 3, -1, -1)

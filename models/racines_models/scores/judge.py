@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from racines_models.judges.grader.report import compare
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.judges.pose.training import pose_errors
 from racines_models.sample import Progress, Sample
-from racines_models.scores import diversity, memorisation, metrics, prdc
+from racines_models.scores import diversity, metrics, prdc
 from racines_models.scores.features import Extractor, features_of_sets, kept, reference_features
 from racines_models.scores.plugin import Metric, installed_metrics
 from racines_models.statistics import (
@@ -54,7 +55,7 @@ class ScoresConfig:
     """Measure images a second at batch 1 and 64."""
 
 
-class Judge:
+class Scorer:
     """One sample, its truth, and the images drawn of it with each seed."""
 
     def __init__(
@@ -69,62 +70,52 @@ class Judge:
         self.config, self.store, self.sample, self.drawn = config, store, sample, drawn
         self.cache, self.progress = cache, progress
         self._key = [store.manifest["digest"], sample.digest]
+        self._sides = {"": drawn, "_truth": [sample.frames.images]}
+        """What is looked at, by the suffix of its figures: `…_truth` says what a network's own
+        errors allow."""
 
     def likeness(self) -> dict[str, Any]:
         """Return SSIM, MS-SSIM and PSNR against the frame at the same pose."""
-        truth = self.sample.frames.images
-
-        def told(
-            metric: Callable[[Tensor, Tensor], Tensor], settings: dict[str, Any], unit: str = ""
-        ) -> dict[str, Any]:
+        truth, figures = self.sample.frames.images, {}
+        for name, metric, settings, unit in (
+            ("ssim", metrics.ssim, metrics.SSIM_SETTINGS, None),
+            ("ms_ssim", metrics.ms_ssim, metrics.MS_SSIM_SETTINGS, None),
+            ("psnr", metrics.psnr, metrics.PSNR_SETTINGS, "dB"),
+        ):
             values = [metric(images, truth) for images in self.drawn]
-            sets = self._by_set([float(each.double().mean()) for each in values])
-            return self._mean(values).to_json(unit or None, **settings, **sets)
-
-        return {
-            "ssim": told(metrics.ssim, metrics.SSIM_SETTINGS),
-            "ms_ssim": told(metrics.ms_ssim, metrics.MS_SSIM_SETTINGS),
-            "psnr": told(metrics.psnr, metrics.PSNR_SETTINGS, "dB"),
-        }
+            means = [float(each.double().mean()) for each in values]
+            by_set = {"by_set": means} if len(means) > 1 else {}
+            figures[name] = self._mean(values).to_json(unit, **settings, **by_set)
+        return figures
 
     def distances(self, suffix: str, extractor: Extractor) -> dict[str, Any]:
         """Return FID, KID and PRDC between the sets of drawn and true images."""
-        name = extractor.settings["id"]
-        images = self.sample.frames.images
-        truth = reference_features(extractor, images, self._key, self.cache, self.progress)
-        drawn = features_of_sets(extractor, self.drawn, self.progress)
-        config = self.config
-
-        def fid(keep: np.ndarray) -> float:
-            rows = torch.from_numpy(keep)
-            return float(np.mean([metrics.fid(each[rows], truth[rows]) for each in drawn]))
-
+        name, config = extractor.settings["id"], self.config
+        truth, drawn = self._features(extractor)
         clusters, blocks = self.sample.trajectory, config.blocks
-        frechet = jackknife(fid, clusters, blocks, 0.0)
-        kernel = jackknife(self._kid(truth, drawn), clusters, blocks)
         subsets: dict[str, Any] = {"subset": config.kid_subset, "subsets": config.kid_subsets}
+        frechet = jackknife(_over_sets(metrics.fid, truth, drawn), clusters, blocks, 0.0)
+        kernel = jackknife(self._kid(truth, drawn), clusters, blocks)
         figures = {
             f"fid{suffix}": frechet.to_json(features=name),
             f"kid{suffix}": kernel.to_json(features=name, **metrics.KID_SETTINGS, **subsets),
         }
-        neighbours = self._neighbours(truth, drawn)
-        return figures | {
-            f"{key}{suffix}": each.to_json(features=name, **prdc.SETTINGS)
-            for key, each in neighbours.items()
-        }
+        for key, each in self._neighbours(truth, drawn).items():
+            figures[f"{key}{suffix}"] = each.to_json(features=name, **prdc.SETTINGS)
+        return figures
 
     def _kid(self, truth: Tensor, drawn: list[Tensor]) -> Callable[[np.ndarray], float]:
         subset, subsets = self.config.kid_subset, self.config.kid_subsets
-        if len(truth) <= subset:
-            sets = [metrics.KernelMatrices(truth, each) for each in drawn]
-            return lambda keep: float(np.mean([each.kid(keep) for each in sets]))
+        if len(truth) > subset:
+            return _over_sets(partial(metrics.kid, subset=subset, subsets=subsets), truth, drawn)
+        sets = [metrics.KernelMatrices(truth, each) for each in drawn]
+        return lambda keep: float(np.mean([each.kid(keep) for each in sets]))
 
-        def averaged(keep: np.ndarray) -> float:
-            rows = torch.from_numpy(keep)
-            pairs = [(each[rows], truth[rows]) for each in drawn]
-            return float(np.mean([metrics.kid(*pair, subset, subsets) for pair in pairs]))
-
-        return averaged
+    def _features(self, extractor: Extractor) -> tuple[Tensor, list[Tensor]]:
+        """Return the (N, D) features of the truth and of each drawn set."""
+        images = self.sample.frames.images
+        truth = reference_features(extractor, images, self._key, self.cache, self.progress)
+        return truth, features_of_sets(extractor, self.drawn, self.progress)
 
     def _neighbours(self, truth: Tensor, drawn: list[Tensor]) -> dict[str, Estimate]:
         if len(truth) <= prdc.NEIGHBOURS:
@@ -139,23 +130,17 @@ class Judge:
 
         trajectory = self.sample.trajectory[rows.numpy()]
         estimates = jackknife_all(statistics, trajectory, self.config.blocks, 0.0)
-        shares = {name for name in prdc.NAMES if name != "density"}
-        return {
-            name: dataclasses.replace(each, high=min(each.high, 1.0))
-            if name in shares and each.high is not None
-            else each
-            for name, each in estimates.items()
-        }
+        for name, each in estimates.items():
+            if name != "density" and each.high is not None:
+                estimates[name] = dataclasses.replace(each, high=min(each.high, 1.0))
+        return estimates
 
     def agreement(self, grader: Grader) -> dict[str, Any]:
-        """Return how the grader's view and grade of the drawn images agree with the truth.
-
-        The same figures of the true images (`…_truth`) say what the grader's own errors allow.
-        """
+        """Return how the grader's view and grade of the images agree with the truth."""
         frames, figures = self.sample.frames, {}
         grader.check_labels(self.store.labels, "the dataset")
         random = len(grader.labels) - 1
-        for suffix, sets in (("", self.drawn), ("_truth", [frames.images])):
+        for suffix, sets in self._sides.items():
             compared = [
                 compare(*grader.judge(images)[:2], frames.views, frames.grades, random)
                 for images in sets
@@ -166,15 +151,14 @@ class Judge:
         return figures
 
     def poses(self, regressor: PoseRegressor) -> dict[str, Any]:
-        """Return the median errors of the poses that a regressor reads from the drawn images.
+        """Return the median errors of the poses that a regressor reads from the images.
 
-        The same figures of the true images (`…_truth`) say what the regressor's own errors allow.
         `…_view` is over the frames of a view: there is something to be seen.
         """
         frames, figures = self.sample.frames, {}
         of_view = (frames.views >= 0) & (frames.views != len(self.store.labels) - 1)
         groups = {"": torch.ones_like(of_view), "_view": of_view}
-        for suffix, sets in (("", self.drawn), ("_truth", [frames.images])):
+        for suffix, sets in self._sides.items():
             found = [pose_errors(regressor.predict(images), frames.parameters) for images in sets]
             for group, chosen in groups.items():
                 if not bool(chosen.any()):
@@ -219,45 +203,38 @@ class Judge:
         """Return how far the nearest training image is, and the share of copies of one."""
         if not len(self.store.split_indices("train")):
             return {}
-        train = kept(
-            self.cache,
-            ["train summaries", self._key[0], memorisation.BLOCK],
-            lambda: memorisation.summarise_train(self.store).half(),
-        )
-        figures, truth = {}, self.sample.frames.images
-        for suffix, sets in (("", self.drawn), ("_truth", [truth])):
-            nearest = [memorisation.nearest_train(each, self.store, train) for each in sets]
-            median = self._median(nearest).to_json(
-                GRAY, rule="root mean square difference to the nearest training image, median"
-            )
-            copies = self._mean([(each < memorisation.COPY).double() for each in nearest])
-            rule = f"the nearest training image differs by less than {memorisation.COPY:g} {GRAY}"
-            figures |= {
-                f"nearest_train{suffix}": median,
-                f"copies{suffix}": copies.to_json(rule=rule),
-            }
+        key = ["train summaries", self._key[0], diversity.BLOCK]
+        train = kept(self.cache, key, lambda: diversity.summarise_train(self.store).half())
+        apart = "root mean square difference to the nearest training image, median"
+        same = f"the nearest training image differs by less than {diversity.COPY:g} {GRAY}"
+        figures = {}
+        for suffix, sets in self._sides.items():
+            nearest = [diversity.nearest_train(each, self.store, train) for each in sets]
+            copies = self._mean([(each < diversity.COPY).double() for each in nearest])
+            figures[f"nearest_train{suffix}"] = self._median(nearest).to_json(GRAY, rule=apart)
+            figures[f"copies{suffix}"] = copies.to_json(rule=same)
         return figures
 
     def plugged(self, extractor: Extractor, taken: Collection[str] = ()) -> dict[str, Any]:
-        """Return the metrics of installed packages.
-
-        Args:
-            extractor: What looks at images for those of features.
-            taken: Names that are no longer free.
+        """Return the metrics of installed packages; the extractor serves those of features.
 
         Raises:
-            RacinesError: a metric with the name of another, or without a value an image.
+            RacinesError: a metric whose name is taken, or without a value an image.
         """
         figures: dict[str, Any] = {}
         for metric in installed_metrics():
             if metric.name in taken:
                 raise RacinesError(f"metric {metric.name!r}: rename it, there is one of that name")
-            measured = self._of_features if metric.features else self._of_images
             told = {"rule": metric.rule} if metric.rule else {}
-            figures[metric.name] = measured(metric, extractor).to_json(metric.unit or None, **told)
+            if metric.features:
+                statistic = _over_sets(metric.measure, *self._features(extractor))
+                estimate = jackknife(statistic, self.sample.trajectory, self.config.blocks)
+            else:
+                estimate = self._of_images(metric)
+            figures[metric.name] = estimate.to_json(metric.unit or None, **told)
         return figures
 
-    def _of_images(self, metric: Metric, _: Extractor) -> Estimate:
+    def _of_images(self, metric: Metric) -> Estimate:
         frames = self.sample.frames
         values = [
             torch.as_tensor(metric.measure(frames._replace(images=images), frames))
@@ -267,40 +244,33 @@ class Judge:
             raise RacinesError(f"metric {metric.name!r}: it has to give one value an image")
         return self._mean(values)
 
-    def _of_features(self, metric: Metric, extractor: Extractor) -> Estimate:
-        images = self.sample.frames.images
-        truth = reference_features(extractor, images, self._key, self.cache, self.progress)
-        drawn = features_of_sets(extractor, self.drawn, self.progress)
-
-        def measured(keep: np.ndarray) -> float:
-            rows = torch.from_numpy(keep)
-            return float(
-                np.mean([float(metric.measure(each[rows], truth[rows])) for each in drawn])
-            )
-
-        return jackknife(measured, self.sample.trajectory, self.config.blocks)
-
-    @staticmethod
-    def _by_set(values: list[float]) -> dict[str, Any]:
-        """Return the figure of each set of images, where there are several."""
-        return {"by_set": values} if len(values) > 1 else {}
-
     def _mean(self, values: list[Tensor], places: Tensor | None = None) -> Estimate:
         average = torch.stack(values).double().mean(0).numpy()
-        trajectory = self.sample.trajectory
-        if places is not None:
-            trajectory = trajectory[places.numpy()]
+        trajectory = self._trajectory(places)
         return bootstrap_mean(average, trajectory, resamples=self.config.resamples)
 
     def _median(self, values: list[Tensor], chosen: Tensor | None = None) -> Estimate:
         """Return the median over frames and seeds together; n counts frames."""
-        trajectory = self.sample.trajectory
-        if chosen is not None:
-            trajectory = trajectory[chosen.numpy()]
+        trajectory = self._trajectory(chosen)
         pooled = torch.cat(values).double().numpy()
         clusters = np.tile(trajectory, len(values))
         median = bootstrap_median(pooled, clusters, resamples=self.config.resamples)
         return dataclasses.replace(median, n=len(trajectory))
+
+    def _trajectory(self, frames: Tensor | None) -> np.ndarray:
+        return self.sample.trajectory if frames is None else self.sample.trajectory[frames.numpy()]
+
+
+def _over_sets(
+    statistic: Callable[[Tensor, Tensor], Any], truth: Tensor, drawn: list[Tensor]
+) -> Callable[[np.ndarray], float]:
+    """Return the mean of a statistic over the drawn sets, as a function of the samples kept."""
+
+    def mean(keep: np.ndarray) -> float:
+        rows = torch.from_numpy(keep)
+        return float(np.mean([float(statistic(each[rows], truth[rows])) for each in drawn]))
+
+    return mean
 
 
 def plain(value: float, n: int, unit: str | None = None, **settings: Any) -> dict[str, Any]:

@@ -1,6 +1,8 @@
 """Image metrics: SSIM, MS-SSIM and PSNR per image (torchmetrics), FID and KID of features."""
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,7 +10,6 @@ import torch
 from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
-from racines_models.scores.frechet import frechet_distance
 
 DATA_RANGE = 255.0
 """Gray levels from black to white, for SSIM and PSNR."""
@@ -107,6 +108,87 @@ def fid(candidate: Tensor, reference: Tensor) -> float:
     return frechet_distance(reference, candidate)
 
 
+def frechet_distance(reference: Tensor, candidate: Tensor) -> float:
+    """Return the Fréchet distance between Gaussians fitted to (N, D) and (M, D) features, float64.
+
+    d² = |m₁ - m₂|² + tr Σ₁ + tr Σ₂ - 2 tr (Σ₁^½ Σ₂ Σ₁^½)^½ (Dowson and Landau, 1982; Heusel et al.,
+    2017). The usual code takes the root of the non-symmetric product Σ₁Σ₂; the eigenvalues of a
+    symmetric matrix take its place here. With fewer samples than dimensions the same trace is the
+    nuclear norm of the cross-Gram matrix X₁X₂ᵀ, exact for singular covariances and far smaller.
+
+    Raises:
+        RacinesError: fewer than two samples, or features that are not finite.
+    """
+    for features in (reference, candidate):
+        if len(features) < 2:
+            raise RacinesError(f"a Fréchet distance needs 2 images or more, got {len(features)}")
+    if min(len(reference), len(candidate)) > reference.shape[1]:
+        return Reference.of(reference).distance(candidate)
+    return _distance_by_gram(reference, candidate)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The Gaussian of a reference set, with the symmetric root of its covariance."""
+
+    mean: Tensor
+    """(D,) float64."""
+    root: Tensor
+    """(D, D) float64, symmetric, positive semidefinite."""
+    trace: float
+    """Trace of the covariance."""
+
+    @classmethod
+    def of(cls, features: Tensor) -> "Reference":
+        """Fit (N, D) features."""
+        mean, covariance = moments(features)
+        return cls(mean, symmetric_root(covariance), float(covariance.trace()))
+
+    def distance(self, features: Tensor) -> float:
+        """Return the Fréchet distance to (M, D) features."""
+        mean, covariance = moments(features)
+        product = self.root @ covariance @ self.root
+        eigenvalues = torch.linalg.eigvalsh((product + product.T) / 2)
+        shift = (self.mean - mean).square().sum()
+        return float(shift + self.trace + covariance.trace() - 2 * _root(eigenvalues).sum())
+
+
+def moments(features: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the (D,) mean and the unbiased (D, D) covariance of (N, D) features, float64."""
+    x = _checked(features)
+    mean = x.mean(0)
+    centred = x - mean
+    return mean, centred.T @ centred / (len(x) - 1)
+
+
+def symmetric_root(matrix: Tensor) -> Tensor:
+    """Return the positive semidefinite root of a symmetric positive semidefinite matrix."""
+    eigenvalues, vectors = torch.linalg.eigh(matrix)
+    return (vectors * _root(eigenvalues)) @ vectors.T
+
+
+def _root(eigenvalues: Tensor) -> Tensor:
+    # Eigenvalues at the level of rounding are zeros of a singular matrix: their roots, about
+    # 1e-8 each, would add up over thousands of dimensions.
+    noise = eigenvalues.max().clamp_min(0) * len(eigenvalues) * torch.finfo(torch.float64).eps
+    return torch.where(eigenvalues > noise, eigenvalues, 0.0).sqrt()
+
+
+def _distance_by_gram(reference: Tensor, candidate: Tensor) -> float:
+    x, y = _checked(reference), _checked(candidate)
+    shift = (x.mean(0) - y.mean(0)).square().sum()
+    x = (x - x.mean(0)) / (len(x) - 1) ** 0.5
+    y = (y - y.mean(0)) / (len(y) - 1) ** 0.5
+    nuclear = torch.linalg.svdvals(x @ y.T).sum()
+    return float(shift + x.square().sum() + y.square().sum() - 2 * nuclear)
+
+
+def _checked(features: Tensor) -> Tensor:
+    if not bool(torch.isfinite(features).all()):
+        raise RacinesError("features are not finite: an extractor met broken images")
+    return features.to(torch.float64)
+
+
 def kid(
     candidate: Tensor, reference: Tensor, subset: int = 1000, subsets: int = 100, seed: int = 0
 ) -> float:
@@ -154,7 +236,9 @@ class KernelMatrices:
         return float(within / (n * (n - 1)) - 2.0 * between / n**2)
 
 
-def _pairwise(metric: Any, images: Tensor, truth: Tensor, size: int = 256) -> Tensor:
+def _pairwise(
+    metric: Callable[[Tensor, Tensor], Tensor], images: Tensor, truth: Tensor, size: int = 256
+) -> Tensor:
     if images.shape != truth.shape:
         raise RacinesError(f"{tuple(images.shape)} images for {tuple(truth.shape)} true ones")
     parts = [

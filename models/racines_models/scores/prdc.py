@@ -36,19 +36,16 @@ class Neighbourhoods:
                 f"{len(drawn)}; raise scores.samples"
             )
         self._k = k
-        self._truth, self._drawn = _within(truth), _within(drawn)
-        self._between = distances(truth, drawn)
+        self._matrices = _within(truth), _within(drawn), distances(truth, drawn)
 
     def figures(self, keep: np.ndarray | None = None) -> dict[str, float]:
         """Return the four figures of all samples, or of those that a (N,) mask keeps."""
-        matrices = [self._truth, self._drawn, self._between]
+        truth, drawn, between = self._matrices
         if keep is not None and not keep.all():
             rows = torch.from_numpy(np.flatnonzero(keep))
-            matrices = [each[rows][:, rows] for each in matrices]
-        truth, drawn, between = matrices
+            truth, drawn, between = (each[rows][:, rows] for each in self._matrices)
         k = min(self._k, len(truth) - 1)
-        true_radius = truth.kthvalue(k, 1).values
-        drawn_radius = drawn.kthvalue(k, 1).values
+        true_radius, drawn_radius = (each.kthvalue(k, 1).values for each in (truth, drawn))
         in_true_ball = between <= true_radius.unsqueeze(1)
         return {
             "precision": float(in_true_ball.any(0).double().mean()),
@@ -61,8 +58,7 @@ class Neighbourhoods:
 def distances(a: Tensor, b: Tensor) -> Tensor:
     """Return the (N, M) float32 distances between (N, D) and (M, D) features, N in batches."""
     b = b.double()
-    parts = [torch.cdist(rows.double(), b).float() for rows in a.split(ROWS)]
-    return torch.cat(parts)
+    return torch.cat([torch.cdist(rows.double(), b).float() for rows in a.split(ROWS)])
 
 
 def _within(features: Tensor) -> Tensor:

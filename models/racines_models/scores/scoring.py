@@ -17,11 +17,15 @@ from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.sample import Progress, Sample, draw, speed, take_sample
 from racines_models.scores.features import Extractor, GraderFeatures
 from racines_models.scores.inception import InceptionFeatures
-from racines_models.scores.judge import Judge, ScoresConfig, plain
+from racines_models.scores.judge import Scorer, ScoresConfig, plain
 
 __all__ = ["Scores", "ScoresConfig", "score"]
 
 SCHEMA = "racines.generator-scores/1"
+NOTES = [
+    "FID is biased upwards by small n: compare only figures of equal n, extractor and dataset.",
+    "Intervals resample or leave out whole trajectories; none is given for one trajectory.",
+]
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,7 @@ def score(
     turns = take_turns(runs, seeds)
     seeds = tuple(seed for _, seed in turns)
     drawn = [draw(each, sample.frames, seed, progress) for each, seed in turns]
-    judge = Judge(config, store, sample, drawn, cache, progress)
+    judge = Scorer(config, store, sample, drawn, cache, progress)
     extractors: dict[str, Extractor] = {"inception": InceptionFeatures(device)}
     figures = judge.likeness() | judge.distances("", extractors["inception"])
     if grader is not None:
@@ -84,7 +88,10 @@ def score(
     figures |= judge.variety(runs[0], seeds, len(runs)) | judge.memory()
     figures |= judge.plugged(extractors["inception"], figures)
     if config.speed and hasattr(runs[0], "generate"):
-        figures |= {f"images_per_second_{n}": _rate(runs[0], sample, n) for n in (1, 64)}
+        for batch in (1, 64):
+            rate = round(speed(runs[0], sample.frames, batch), 1)
+            rule = f"best of 5 calls at batch {batch}"
+            figures[f"images_per_second_{batch}"] = plain(rate, batch, "images/s", rule=rule)
     content = {
         "schema": SCHEMA,
         "generator": name,
@@ -113,14 +120,3 @@ def take_turns(runs: Sequence[ImageSource], seeds: Sequence[int]) -> list[tuple[
     last = max(seeds)
     longer = [*seeds, *range(last + 1, last + 1 + wanted)][:wanted]
     return [(runs[k % len(runs)], seed) for k, seed in enumerate(longer)]
-
-
-NOTES = [
-    "FID is biased upwards by small n: compare only figures of equal n, extractor and dataset.",
-    "Intervals resample or leave out whole trajectories; none is given for one trajectory.",
-]
-
-
-def _rate(generator: ImageSource, sample: Sample, batch: int) -> dict[str, Any]:
-    rate = round(speed(generator, sample.frames, batch), 1)
-    return plain(rate, batch, "images/s", rule=f"best of 5 calls at batch {batch}")

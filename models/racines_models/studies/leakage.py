@@ -20,9 +20,10 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose, geodesic, parameters_to_pose
+from racines_data.geometry import parameters_to_pose
 from racines_data.store.frames import FrameStore
 from racines_models.generators.nearest_pose import NearestPose, NearestPoseConfig
+from racines_models.judges.pose.training import pose_errors
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.sample import Progress, Sample, spread_sample
 from racines_models.scores import metrics
@@ -31,6 +32,7 @@ from racines_models.statistics import bootstrap_mean
 SCHEMA = "racines.leakage/1"
 CHUNK = 256
 """Poses looked up between two steps of the progress bar."""
+UNITS = {"ssim": None, "psnr": "dB"}
 
 
 @dataclass(frozen=True)
@@ -74,11 +76,6 @@ def measure_leakage(
 
     Where the dataset holds out a session, under that split too, on frames of that session.
 
-    Args:
-        store: The dataset.
-        config: Number of frames, seed, intervals.
-        progress: Told of poses looked up, as they come.
-
     Raises:
         RacinesError: no poses, or an empty train or test split.
     """
@@ -100,7 +97,10 @@ def measure_leakage(
     }
     held = store.manifest.get("held_out_session")
     if held is not None:
-        retrievals["session"] = _retrieve(store, *_session(store, held, config), progress)
+        out = torch.tensor([session == held for session in store.sessions])[store.trajectory_index]
+        of_session = spread_sample(store, out.nonzero()[:, 0], config.samples)
+        others = (~out).nonzero()[:, 0]
+        retrievals["session"] = _retrieve(store, of_session, others, progress)
     content = {
         "schema": SCHEMA,
         "dataset": dataset_card(store),
@@ -120,13 +120,6 @@ def measure_leakage(
     return Leakage(content, retrievals)
 
 
-def _session(store: FrameStore, held: str, config: LeakageConfig) -> tuple[Sample, Tensor]:
-    """Return frames of the held-out session, evenly spread, and the rows of the others."""
-    out = torch.tensor([session == held for session in store.sessions])[store.trajectory_index]
-    sample = spread_sample(store, out.nonzero()[:, 0], config.samples)
-    return sample, (~out).nonzero()[:, 0]
-
-
 def _retrieve(
     store: FrameStore, sample: Sample, train: Tensor, progress: Progress | None
 ) -> Retrieval:
@@ -138,13 +131,15 @@ def _retrieve(
         if progress is not None:
             progress(len(queries))
     found = store.take(torch.cat(parts))
-    ours, theirs = (parameters_to_pose(x.parameters.double()) for x in (sample.frames, found))
+    asked = parameters_to_pose(sample.frames.parameters.double())
+    millimetres, degrees = pose_errors(asked, found.parameters)
     same = store.trajectory_index[sample.frames.index] == store.trajectory_index[found.index]
     apart = (store.timestamps[sample.frames.index] - store.timestamps[found.index]).abs()
     figures = {
         "ssim": metrics.ssim(found.images, sample.frames.images),
         "psnr": metrics.psnr(found.images, sample.frames.images),
-        **_distances(ours, theirs),
+        "position": millimetres,
+        "rotation": degrees,
         "same_trajectory": same,
         "seconds": torch.where(same, apart, torch.nan),
     }
@@ -152,20 +147,8 @@ def _retrieve(
     return Retrieval(sample, len(train), found.images, values)
 
 
-def _distances(ours: Pose, theirs: Pose) -> dict[str, Tensor]:
-    shift = (ours.position - theirs.position).norm(dim=-1)
-    turn = geodesic(ours.rotation, theirs.rotation)
-    return {"position": 1e3 * shift, "rotation": torch.rad2deg(turn)}
-
-
 def _summary(retrieval: Retrieval, config: LeakageConfig) -> dict[str, Any]:
     figures = retrieval.figures
-
-    def mean(name: str, unit: str | None = None) -> dict[str, Any]:
-        estimate = bootstrap_mean(
-            figures[name], retrieval.sample.trajectory, resamples=config.resamples
-        )
-        return estimate.to_json(unit)
 
     def median(name: str) -> float | None:
         present = figures[name][np.isfinite(figures[name])]
@@ -173,8 +156,7 @@ def _summary(retrieval: Retrieval, config: LeakageConfig) -> dict[str, Any]:
 
     return {
         "train": retrieval.train,
-        "ssim": mean("ssim"),
-        "psnr": mean("psnr", "dB"),
+        **{name: _mean(figures[name], retrieval, config, unit) for name, unit in UNITS.items()},
         "position_mm": median("position"),
         "rotation_deg": median("rotation"),
         "same_trajectory": float(figures["same_trajectory"].mean()),
@@ -185,11 +167,14 @@ def _summary(retrieval: Retrieval, config: LeakageConfig) -> dict[str, Any]:
 def _gain(retrievals: dict[str, Retrieval], config: LeakageConfig) -> dict[str, Any]:
     """Return what the frame split adds, frame by frame, with intervals by trajectory."""
     frame, trajectory = retrievals["frame"], retrievals["trajectory"]
-    gain = {}
-    for name, unit in (("ssim", None), ("psnr", "dB")):
-        difference = frame.figures[name] - trajectory.figures[name]
-        estimate = bootstrap_mean(
-            difference, trajectory.sample.trajectory, resamples=config.resamples
-        )
-        gain[name] = estimate.to_json(unit)
-    return gain
+    return {
+        name: _mean(frame.figures[name] - trajectory.figures[name], trajectory, config, unit)
+        for name, unit in UNITS.items()
+    }
+
+
+def _mean(
+    values: np.ndarray, retrieval: Retrieval, config: LeakageConfig, unit: str | None
+) -> dict[str, Any]:
+    clusters = retrieval.sample.trajectory
+    return bootstrap_mean(values, clusters, resamples=config.resamples).to_json(unit)

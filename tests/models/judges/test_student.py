@@ -11,11 +11,10 @@ from racines_data.randomness import sample_seeds
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.grader.training import train_grader
 from racines_models.judges.student import labels as student_labels
-from racines_models.judges.student import report as student_report
+from racines_models.judges.student import training as student_training
 from racines_models.judges.student.labels import ask_teacher, variants
 from racines_models.judges.student.model import Student, StudentConfig, StudentNetwork
-from racines_models.judges.student.report import speed
-from racines_models.judges.student.training import distillation_loss, train_student
+from racines_models.judges.student.training import distillation_loss, speed, train_student
 from racines_models.training.checkpoint import Checkpoint
 from racines_models.weights import publish
 from tests.models.judges.test_grader import CONFIG, Killed, run
@@ -37,7 +36,7 @@ EACH_STEP = replace(SHORT, checkpoint_seconds=0.0)
 @pytest.fixture(scope="module", autouse=True)
 def few_rounds():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(student_report, "ROUNDS", 2)
+        patch.setattr(student_training, "ROUNDS", 2)
         yield
 
 

@@ -37,8 +37,13 @@ def ablation(
     from racines_data.progress import image_counter
     from racines_models.cli.output import show_ablation
     from racines_models.scores.inception import InceptionFeatures
-    from racines_models.studies.ablation.picture import draw_ablation
-    from racines_models.studies.ablation.run import AblationConfig, Setting, ablate, merge_into
+    from racines_models.studies.ablation.run import (
+        AblationConfig,
+        Setting,
+        ablate,
+        draw_ablation,
+        merge_into,
+    )
     from racines_models.studies.ablation.variants import pick_variants
     from racines_models.studies.realism.report import read_real
 

@@ -10,7 +10,7 @@ digest; the card names the grader, so that no reader is served rows of before.
 import json
 import os
 import shutil
-from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,8 +40,7 @@ class _Shard(NamedTuple):
     """A file of `frames` and its rows of the store."""
 
     name: str
-    start: int
-    stop: int
+    rows: slice
 
 
 def annotate(
@@ -58,8 +57,8 @@ def annotate(
         progress: Told of images judged, as they come.
 
     Returns:
-        The manifest, whose `annotation` names the grader and, where views or grades are known, how
-        its opinion agrees with them by split.
+        The manifest; its `annotation` names the grader and how it agrees with known views and
+        grades, by split.
 
     Raises:
         RacinesError: no dataset, a damaged one, a grader of other labels or without weights on
@@ -67,13 +66,17 @@ def annotate(
     """
     root = Path(root).resolve()
     out = root if out is None else Path(out).resolve()
-    _check_out(out)
+    recover_folder(out)
+    if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
+        raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
     manifest, store = read_manifest(root), FrameStore(root)
     grader.check_labels(store.labels, "the dataset")
     if grader.sha256 is None:
         raise RacinesError("the grader has no weights on disk to be named by: save it first")
     shards = _shards(root, manifest, store)
-    with _staging(out, manifest, grader) as folder:
+    key = canonical_json([manifest["files"], grader.settings, str(out)])
+    busy = "it is being annotated already; wait for it"
+    with working_folder(out, "annotating", key, busy) as folder:
         opinions = _judge_all(store, grader, shards, folder / "opinions", progress)
         manifest["annotation"] = {
             "grader": grader.sha256,
@@ -82,10 +85,12 @@ def annotate(
             "agreement": agreement(store, opinions),
         }
         final = folder / "final"
-        _copy_others(root, final, manifest, shards, linked=out == root)
+        rewritten = {CARD, CROISSANT, *(shard.name for shard in shards)}
+        for name in sorted(manifest["files"].keys() - rewritten):
+            write_once(final / name, partial(_bring, (root / name).resolve(), out == root))
         for shard in shards:
-            rows = opinions[shard.start : shard.stop]
-            write_once(final / shard.name, _shard_writer(root / shard.name, rows))
+            write = partial(_write_shard, root / shard.name, opinions[shard.rows])
+            write_once(final / shard.name, write)
         _seal(final, manifest, shards)
         swap_folder(final, out)
     return manifest
@@ -109,12 +114,6 @@ def agreement(store: FrameStore, opinions: np.ndarray) -> dict[str, Any]:
     return found
 
 
-def _check_out(out: Path) -> None:
-    recover_folder(out)
-    if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
-        raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
-
-
 def _shards(root: Path, manifest: dict[str, Any], store: FrameStore) -> list[_Shard]:
     """Return the shards of `frames` in the order of the store."""
     names = [name for split in manifest["configs"]["frames"].values() for name in split]
@@ -122,23 +121,16 @@ def _shards(root: Path, manifest: dict[str, Any], store: FrameStore) -> list[_Sh
     check_files(root, manifest["files"], rebuild_hint(manifest))
     shards: list[_Shard] = []
     for name in names:
-        start = shards[-1].stop if shards else 0
+        start = shards[-1].rows.stop if shards else 0
         table = pq.read_table(root / name, columns=["trajectory", "frame"])
-        shard = _Shard(name, start, start + len(table))
-        rows = slice(shard.start, shard.stop)
+        rows = slice(start, start + len(table))
         ids = [store.trajectories[i] for i in store.trajectory_index[rows].tolist()]
         if table["trajectory"].to_pylist() != ids or not np.array_equal(
             table["frame"].to_numpy(), store.frame[rows].numpy()
         ):
             raise RacinesError(f"{root / name}: its rows are not those of the training store")
-        shards.append(shard)
+        shards.append(_Shard(name, rows))
     return shards
-
-
-def _staging(out: Path, manifest: dict[str, Any], grader: Grader) -> AbstractContextManager[Path]:
-    """Open the folder of the unfinished work, beside `out`; removed when the work is done."""
-    key = canonical_json([manifest["files"], grader.settings, str(out)])
-    return working_folder(out, "annotating", key, "it is being annotated already; wait for it")
 
 
 def _judge_all(
@@ -155,16 +147,16 @@ def _judge_all(
         write_once(path, lambda aside, shard=shard: _save(aside, _judge(store, grader, shard)))
         parts.append(np.load(path))
         if progress is not None:
-            progress(shard.stop - shard.start)
+            progress(len(parts[-1]))
     return np.concatenate(parts)
 
 
 def _judge(store: FrameStore, grader: Grader, shard: _Shard) -> np.ndarray:
-    images = store.images[shard.start : shard.stop]
-    parts = [grader.probabilities_and_grade(batch) for batch in images.split(BATCH)]
-    views = torch.cat([probabilities.argmax(-1).cpu() for probabilities, _ in parts])
-    grades = torch.cat([grade.float().cpu() for _, grade in parts])
-    return torch.stack([views.float(), grades], 1).numpy()
+    parts = []
+    for images in store.images[shard.rows].split(BATCH):
+        probabilities, grades = grader.probabilities_and_grade(images)
+        parts.append(torch.stack([probabilities.argmax(-1).float(), grades.float()], 1).cpu())
+    return torch.cat(parts).numpy()
 
 
 def _save(path: Path, values: np.ndarray) -> None:
@@ -172,18 +164,8 @@ def _save(path: Path, values: np.ndarray) -> None:
         np.save(file, values)
 
 
-def _copy_others(
-    root: Path, final: Path, manifest: dict[str, Any], shards: list[_Shard], linked: bool
-) -> None:
-    """Bring over the files that stay as they are; where the old folder goes, by links."""
-    new = {shard.name for shard in shards} | {CARD, CROISSANT}
-    for name in manifest["files"]:
-        if name not in new:
-            source = (root / name).resolve()
-            write_once(final / name, lambda aside, source=source: _bring(source, aside, linked))
-
-
-def _bring(source: Path, target: Path, linked: bool) -> None:
+def _bring(source: Path, linked: bool, target: Path) -> None:
+    """Bring over a file that stays as it is; by a link where the old folder goes."""
     target.unlink(missing_ok=True)
     if linked:
         try:
@@ -194,27 +176,22 @@ def _bring(source: Path, target: Path, linked: bool) -> None:
     shutil.copyfile(source, target)
 
 
-def _shard_writer(source: Path, opinions: np.ndarray) -> Any:
-    """Return what writes a shard anew, row group by row group, with the opinions in it."""
+def _write_shard(source: Path, opinions: np.ndarray, path: Path) -> None:
+    """Write a shard anew, row group by row group, with the opinions in it."""
     columns = {
         "view_predicted": pa.array(opinions[:, 0].astype(np.int64)),
         "grade_predicted": pa.array(opinions[:, 1], pa.float32()),
     }
-
-    def write(path: Path) -> None:
-        old = pq.ParquetFile(source)
-        start = 0
-        with pq.ParquetWriter(path, old.schema_arrow, compression="zstd") as writer:
-            for group in range(old.num_row_groups):
-                table = old.read_row_group(group)
-                for name, column in columns.items():
-                    place = table.schema.get_field_index(name)
-                    rows = column.slice(start, len(table))
-                    table = table.set_column(place, table.schema.field(place), rows)
-                writer.write_table(table, row_group_size=len(table))
-                start += len(table)
-
-    return write
+    old, start = pq.ParquetFile(source), 0
+    with pq.ParquetWriter(path, old.schema_arrow, compression="zstd") as writer:
+        for group in range(old.num_row_groups):
+            table = old.read_row_group(group)
+            for name, column in columns.items():
+                place = table.schema.get_field_index(name)
+                rows = column.slice(start, len(table))
+                table = table.set_column(place, table.schema.field(place), rows)
+            writer.write_table(table, row_group_size=len(table))
+            start += len(table)
 
 
 def _seal(final: Path, manifest: dict[str, Any], shards: list[_Shard]) -> None:

@@ -39,10 +39,7 @@ class Reliability(NamedTuple):
 
 
 def fit_temperature(logits: Tensor, views: Tensor) -> float:
-    """Return the temperature of least cross-entropy of (N, L) logits; views of -1 are left out.
-
-    Without any known view it is 1.
-    """
+    """Return the temperature of least cross-entropy of (N, L) logits over known views, else 1."""
     known = views >= 0
     logits, views = logits[known].double(), views[known]
     if not len(views):

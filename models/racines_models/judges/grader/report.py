@@ -1,6 +1,5 @@
-"""How the grader's labels and grades compare with the truth, on held-out trajectories."""
+"""How a grader's labels and grades compare with the truth, on held-out trajectories."""
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +14,7 @@ from racines_models.statistics import bootstrap_mean
 
 CLOSE = 1.0
 """Grades that differ by no more agree."""
+UNIT = "grades of 10"
 
 
 class Comparison(NamedTuple):
@@ -24,6 +24,11 @@ class Comparison(NamedTuple):
     """(N,) float64, NaN where the truth is unknown or the figure does not apply."""
     rule: str
     unit: str | None = None
+
+    def mean(self, trajectory: np.ndarray) -> dict[str, Any]:
+        """Return the figure as JSON, with its interval by (N,) trajectories."""
+        estimate = bootstrap_mean(self.values.numpy(), trajectory)
+        return estimate.to_json(self.unit, rule=self.rule)
 
 
 def compare(
@@ -37,18 +42,21 @@ def compare(
     target = known & (views != random)
     error = (grade - grades).abs().double()
     close = torch.where(error.isfinite(), (error <= CLOSE).double(), torch.nan)
-    unit = "grades of 10"
     compared = {
         "view_agreement": Comparison(
-            _where(known, (label == views).double()), "the grader's label is the true one"
+            torch.where(known, (label == views).double(), torch.nan),
+            "the grader's label is the true one",
         ),
         "grade_agreement": Comparison(
-            _where(target, close), f"grades differ by at most {CLOSE:g}, frames of a view"
+            torch.where(target, close, torch.nan),
+            f"grades differ by at most {CLOSE:g}, frames of a view",
         ),
         "grade_error": Comparison(
-            _where(target, error), "mean absolute difference, frames of a view", unit
+            torch.where(target, error, torch.nan),
+            "mean absolute difference, frames of a view",
+            UNIT,
         ),
-        "grade_error_all": Comparison(error, "mean absolute difference, all frames", unit),
+        "grade_error_all": Comparison(error, "mean absolute difference, all frames", UNIT),
     }
     return {k: each for k, each in compared.items() if bool(each.values.isfinite().any())}
 
@@ -57,8 +65,6 @@ class Examination(NamedTuple):
     """A grader's answers on a split, and what they come to."""
 
     reading: Reading
-    labels: Tensor
-    """(N,) labels given."""
     views: Tensor
     """(N,) true labels, -1 where unknown."""
     grades: Tensor
@@ -94,55 +100,43 @@ def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examinati
     label, trajectory = reading.logits.argmax(-1), store.trajectory_index[rows].numpy()
     random = len(store.labels) - 1
     compared = compare(label, reading.grades, frames.views, frames.grades, random)
+    names = {"view_agreement": "view_accuracy", "grade_error": "grade_mae"}
+    names |= {"grade_error_all": "grade_mae_all"}
     counts = confusion_counts(label, frames.views, len(store.labels))
     content = {
         "split": split,
-        "metrics": _metrics(compared, trajectory),
-        "views": _by_view(compared, frames, store.labels, trajectory),
-        "grades": _grades_by_view(reading.grades, frames, store.labels[:random], trajectory),
+        "metrics": {names.get(k, k): each.mean(trajectory) for k, each in compared.items()},
+        **_by_view(compared, reading.grades, frames, store.labels, trajectory),
         "calibration": _calibration(grader, reading, frames.views, trajectory),
         "confusion": {"labels": list(store.labels), "counts": counts},
     }
-    answers = (reading, label, frames.views, frames.grades)
+    answers = (reading, frames.views, frames.grades)
     return Examination(*answers, store.labels, grader.temperature, content)
 
 
-def _metrics(compared: dict[str, Comparison], trajectory: np.ndarray) -> dict[str, Any]:
-    names = {"view_agreement": "view_accuracy", "grade_error": "grade_mae"}
-    names |= {"grade_error_all": "grade_mae_all"}
-    return {
-        names.get(name, name): bootstrap_mean(each.values.numpy(), trajectory).to_json(
-            each.unit, rule=each.rule
-        )
-        for name, each in compared.items()
-    }
-
-
 def _by_view(
-    compared: dict[str, Comparison], frames: Batch, labels: Sequence[str], trajectory: np.ndarray
+    compared: dict[str, Comparison],
+    grades: Tensor,
+    frames: Batch,
+    labels: tuple[str, ...],
+    trajectory: np.ndarray,
 ) -> dict[str, Any]:
-    views = {}
+    """Return `views`, the accuracy by label, and `grades`, the errors by view."""
+    views, errors = {}, {}
+    difference, graded = (grades - frames.grades).double().numpy(), frames.grades.isfinite()
     for index, name in enumerate(labels):
-        chosen = (frames.views == index).numpy()
-        if chosen.any():
-            right = compared["view_agreement"].values.numpy()[chosen]
-            views[name] = bootstrap_mean(right, trajectory[chosen]).to_json()
-    return views
-
-
-def _grades_by_view(
-    grades: Tensor, frames: Batch, labels: Sequence[str], trajectory: np.ndarray
-) -> dict[str, Any]:
-    views, difference = {}, (grades - frames.grades).double().numpy()
-    for index, name in enumerate(labels):
-        chosen = ((frames.views == index) & frames.grades.isfinite()).numpy()
-        if chosen.any():
+        shown = frames.views == index
+        if bool(shown.any()):
+            right = compared["view_agreement"].values[shown].numpy()
+            views[name] = bootstrap_mean(right, trajectory[shown.numpy()]).to_json()
+        chosen = (shown & graded).numpy()
+        if chosen.any() and name != labels[-1]:
             signed, clusters = difference[chosen], trajectory[chosen]
-            views[name] = {
-                "mae": bootstrap_mean(np.abs(signed), clusters).to_json("grades of 10"),
-                "bias": bootstrap_mean(signed, clusters).to_json("grades of 10"),
+            errors[name] = {
+                "mae": bootstrap_mean(np.abs(signed), clusters).to_json(UNIT),
+                "bias": bootstrap_mean(signed, clusters).to_json(UNIT),
             }
-    return views
+    return {"views": views, "grades": errors}
 
 
 def _calibration(
@@ -161,7 +155,3 @@ def confusion_counts(label: Tensor, truth: Tensor, labels: int = len(LABELS)) ->
     known = truth >= 0
     pairs = truth[known] * labels + label[known]
     return torch.bincount(pairs, minlength=labels**2).view(labels, -1).tolist()
-
-
-def _where(chosen: Tensor, values: Tensor) -> Tensor:
-    return torch.where(chosen, values, torch.nan)

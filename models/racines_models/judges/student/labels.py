@@ -6,6 +6,7 @@ later, sees what the teacher saw. Variant 0 is the frame itself.
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from safetensors import SafetensorError
@@ -28,25 +29,20 @@ BATCH = 256
 def variants(
     x: Tensor, rows: Tensor, which: Tensor, seed: int, augmentation: Augmentation
 ) -> Tensor:
-    """Return the variants that `which` (B,) names of normalised (B, 1, S, S) images.
+    """Return the variants that `which` (B,) names of (B, 1, S, S) images as the teacher takes them.
 
-    Args:
-        x: Images as the teacher normalises them.
-        rows: (B,) rows of the frames in the store.
-        which: (B,) variants; 0 leaves the image as it is.
-        seed: Of the run.
-        augmentation: How strongly the others vary.
+    `rows` (B,) are those of the frames in the store; variant 0 leaves the image as it is.
     """
     seeds = derive(derive(torch.tensor(seed), VARIANT, rows), which).to(x.device)
     varied = augment(x, seeds, augmentation)
     return torch.where(which.to(x.device).view(-1, 1, 1, 1) == 0, x, varied)
 
 
-class SoftLabels:
+class SoftLabels(NamedTuple):
     """The teacher's (V, N, L) float32 `logits` and (V, N) `grades` of N frames in V variants."""
 
-    def __init__(self, logits: Tensor, grades: Tensor) -> None:
-        self.logits, self.grades = logits, grades
+    logits: Tensor
+    grades: Tensor
 
 
 def ask_teacher(
@@ -63,19 +59,20 @@ def ask_teacher(
     `folder` must belong to this teacher, dataset, augmentation and seed.
     """
     rows = store.split_indices("train")
-    logits, grades = [], []
+    parts = []
     for variant in range(count):
         for number, chunk in enumerate(rows.split(CHUNK)):
             path = folder / f"{variant:02d}-{number:04d}.safetensors"
-            answers = _read(path)
-            if answers is None:
+            try:
+                answers = load_file(path)
+            except (SafetensorError, OSError):  # not asked yet, or damaged
                 answers = _ask(teacher, store, augmentation, chunk, variant, seed)
                 save_weights(path, answers)
-            logits.append(answers["logits"])
-            grades.append(answers["grades"])
+            parts.append(answers)
             progress(len(chunk))
+    logits, grades = (torch.cat([part[key] for part in parts]) for key in ("logits", "grades"))
     shape = (count, len(rows))
-    return SoftLabels(torch.cat(logits).view(*shape, -1), torch.cat(grades).view(shape))
+    return SoftLabels(logits.view(*shape, -1), grades.view(shape))
 
 
 @torch.inference_mode()
@@ -94,12 +91,3 @@ def _ask(
         parts.append(teacher.answer(x))
     logits, grades = (torch.cat([part[i] for part in parts]).cpu() for i in (0, 1))
     return {"logits": logits, "grades": grades}
-
-
-def _read(path: Path) -> dict[str, Tensor] | None:
-    if not path.is_file():
-        return None
-    try:
-        return load_file(path)
-    except (SafetensorError, OSError):
-        return None  # asked again

@@ -7,7 +7,7 @@ Teacher Is Patient and Consistent (2022). Order, variants and rates are function
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -16,27 +16,26 @@ from torch.nn import functional
 from torch.optim import AdamW, Optimizer
 
 from racines_data.errors import RacinesError
+from racines_data.imaging import IMAGE_SIZE
 from racines_data.progress import image_counter
-from racines_data.randomness import derive
+from racines_data.randomness import derive, uniform
 from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
-from racines_models.judges.grader.calibration import calibrate
-from racines_models.judges.grader.evaluation import write_report
-from racines_models.judges.grader.loss import learning_rate
 from racines_models.judges.grader.model import Grader
-from racines_models.judges.grader.training import judge_training
+from racines_models.judges.grader.training import JudgeLearner, learning_rate
 from racines_models.judges.student.labels import ask_teacher, variants
 from racines_models.judges.student.model import Student, StudentConfig
-from racines_models.judges.student.report import agreement, speed
 from racines_models.protocol import Run
-from racines_models.provenance import code_version, dataset_card, environment
+from racines_models.statistics import bootstrap_mean
 from racines_models.training.checkpoint import FOLDER, Checkpoint, discard_checkpoint
-from racines_models.training.course import Course
 from racines_models.training.objective import Update
-from racines_models.training.trainer import train
 
 ORDER = 32
 """Random stream of an epoch's order."""
+BATCH = 64
+"""Images of a timed call."""
+ROUNDS = 15
+"""Timed calls of each; the best counts, since what else the machine does only slows."""
 
 
 def train_student(
@@ -57,20 +56,9 @@ def train_student(
         )
     run = replace(run, device=resolve_device(run.device))
     learner = StudentLearner(store, config, run, teacher)
-    asked = learner.ask(run)
-    settings = judge_training(config, learner.batch_size, learner.steps)
-    figures = train(learner, store, settings, run, learner, config.checkpoint_seconds)
-    figures["teacher_seconds"] = round(asked, 3)
-    student = Student(learner.network, config, run.device, teacher.labels)
-    calibrated = {"split": "validation", "frames": calibrate(student, store)}
-    made = {"dataset": dataset_card(store), "seed": run.seed, "code": code_version()}
-    made["teacher"] = {"architecture": teacher.architecture, "sha256": teacher.sha256}
-    student.save(run.folder, calibrated=calibrated, **made)
-    made |= {"agreement": agreement(student, teacher, store), "speed": speed(student, teacher)}
-    made |= {"training": figures, "environment": environment(str(student.device))}
-    metrics = write_report(run.folder, student, store, **made)
-    discard_checkpoint(run.folder)
-    return metrics
+    learner.ask(run)
+    named = {"architecture": teacher.architecture, "sha256": teacher.sha256}
+    return learner.teach(run, teacher=named)
 
 
 def distillation_loss(logits: Tensor, taught: Tensor, temperature: float) -> Tensor:
@@ -81,26 +69,21 @@ def distillation_loss(logits: Tensor, taught: Tensor, temperature: float) -> Ten
     return divergence * temperature**2
 
 
-class StudentLearner(Course):
-    """What the trainer needs of the student, and what its teacher says of the frames."""
+class StudentLearner(JudgeLearner):
+    """The student under its teacher, and what that says of the frames."""
 
     name = "student"
+    judge = Student
 
     def __init__(self, store: FrameStore, config: StudentConfig, run: Run, teacher: Grader) -> None:
-        self.store, self.config, self.seed, self.teacher = store, config, run.seed, teacher
-        self.rows, self.device = store.split_indices("train"), run.device
+        super().__init__(store, config, run, teacher.labels, teacher=teacher.sha256)
+        self.teacher, self.rows = teacher, store.split_indices("train")
         self.batch_size = min(config.batch_size, len(self.rows))
         self.per_epoch = len(self.rows) // self.batch_size
         self.steps = config.epochs * self.per_epoch
-        known = {"config": asdict(config), "seed": run.seed, "data": dataset_card(store)}
-        self.identity = {"name": self.name, "teacher": teacher.sha256} | known
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(run.seed)
-            self.network = Student.build(config, len(teacher.labels))
-        self.network.to(run.device)
 
-    def ask(self, run: Run) -> float:
-        """Have the teacher label the frames; return the seconds that it took.
+    def ask(self, run: Run) -> None:
+        """Have the teacher label the frames.
 
         Answers that a killed run left are not asked again: from the first of them on, the folder
         holds a checkpoint of this very run.
@@ -114,15 +97,13 @@ class StudentLearner(Course):
             folder = run.folder / FOLDER / "teacher"
             answers = (self.config, self.config.variants, self.seed, folder, advance)
             self.taught = ask_teacher(self.teacher, self.store, *answers)
-        return time.perf_counter() - began
+        self.asked = time.perf_counter() - began
 
-    def modules(self) -> dict[str, nn.Module]:
-        """Return the one network."""
-        return {"student": self.network}
-
-    def averaged(self) -> tuple[str, ...]:
-        """Name it: its weights are averaged."""
-        return ("student",)
+    def beside(self, judge: Grader, training: dict[str, Any]) -> dict[str, Any]:
+        """Return how the student agrees with its teacher, and how quick both are."""
+        training["teacher_seconds"] = round(self.asked, 3)
+        compared = agreement(judge, self.teacher, self.store)
+        return {"agreement": compared, "speed": speed(judge, self.teacher)}
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return its AdamW; `rate` is the whole rate."""
@@ -163,3 +144,48 @@ class StudentLearner(Course):
             "grade": functional.smooth_l1_loss(grade, wanted),
         }
         yield Update("student", losses["view"] + config.grade_weight * losses["grade"], losses)
+
+
+def agreement(
+    student: Grader, teacher: Grader, store: FrameStore, split: str = "test"
+) -> dict[str, Any]:
+    """Compare the answers on a split.
+
+    Returns:
+        `view`: share of frames with the teacher's label; `grade_mae`: mean absolute difference of
+        the grades on frames that the teacher calls a view; each with value, low, high, n.
+    """
+    rows = store.split_indices(split)
+    images, trajectory = store.take(rows).images, store.trajectory_index[rows].numpy()
+    (ours, our_grades, _), (theirs, grades, _) = student.judge(images), teacher.judge(images)
+    shown = theirs != len(teacher.labels) - 1
+    error = torch.where(shown, (our_grades - grades).abs().double(), torch.nan).numpy()
+    rule = "the student's label is the teacher's"
+    same = bootstrap_mean((ours == theirs).double().numpy(), trajectory).to_json(rule=rule)
+    compared: dict[str, Any] = {"split": split, "view": same}
+    if bool(shown.any()):
+        rule = "mean absolute difference, frames that the teacher calls a view"
+        compared["grade_mae"] = bootstrap_mean(error, trajectory).to_json("grades of 10", rule=rule)
+    return compared
+
+
+def speed(student: Grader, teacher: Grader) -> dict[str, Any]:
+    """Time `probabilities_and_grade` of both in turns, batches of 64 on their device.
+
+    Returns:
+        `student` and `teacher` in images/s, their `ratio`, `batch_size`, `threads`, `device`.
+    """
+    pixels = uniform(torch.arange(BATCH), IMAGE_SIZE**2).view(BATCH, IMAGE_SIZE, IMAGE_SIZE)
+    images = (pixels * 255).to(torch.uint8).to(teacher.device)
+    graders, best = {"student": student, "teacher": teacher}, {}
+    for turn in range(ROUNDS + 2):
+        for name, grader in graders.items():
+            began = time.perf_counter()
+            grader.probabilities_and_grade(images)[1].cpu()  # waits for the device
+            seconds = time.perf_counter() - began
+            if turn >= 2:  # the first calls set up kernels and memory
+                best[name] = min(best.get(name, seconds), seconds)
+    rates = {name: round(BATCH / seconds, 1) for name, seconds in best.items()}
+    ratio = {"ratio": round(best["teacher"] / best["student"], 2), "rounds": ROUNDS}
+    how = {"threads": torch.get_num_threads(), "device": str(teacher.device)}
+    return rates | ratio | {"batch_size": BATCH} | how

@@ -26,8 +26,9 @@ from racines_data.phantom import PHANTOM_VERSION, Phantom, PhantomConfig
 from racines_data.phantom.acquisition import coordinates
 from racines_data.randomness import derive, normal, sample_seeds
 from racines_models.provenance import code_version, environment, sha256_bytes
+from racines_models.sample import Progress
 from racines_models.scores import metrics
-from racines_models.scores.features import Extractor, Progress
+from racines_models.scores.features import Extractor
 from racines_models.studies.ablation.variants import BASE, NO_GRAY_MAP, Variant, gray_map_variant
 from racines_models.studies.realism.report import RealFrames, RealismConfig, common_sector, one_each
 
@@ -59,15 +60,6 @@ class Setting(NamedTuple):
     realism: RealismConfig
 
 
-class Reference(NamedTuple):
-    """The real side, and the mask of both."""
-
-    features: Tensor
-    """(M, D) of the masked real frames, one a patient."""
-    mask: Tensor
-    """(128, 128) bool."""
-
-
 def ablate(
     real: RealFrames,
     variants: list[Variant],
@@ -76,18 +68,10 @@ def ablate(
     out: Path,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Measure the variants, the full phantom first; write `out` after each block of them.
+    """Measure the variants, the full phantom first; return the report.
 
-    Args:
-        real: Real frames of the view.
-        variants: As from `pick_variants`.
-        setting: The base phantom, the size, and the rules of comparison.
-        extractor: Embeds the frames.
-        out: JSON; variants measured there under equal settings are kept.
-        progress: Told of each frame rendered and each one embedded.
-
-    Returns:
-        The report, schema `racines.ablation/1`.
+    It is written to `out`, JSON, after each of them; variants measured there under equal settings
+    are kept. `progress` is told of each frame rendered and each one embedded.
 
     Raises:
         RacinesError: the phantom has no such view, or the sectors do not overlap.
@@ -103,13 +87,13 @@ def ablate(
     missing = [v for v in variants if v.name not in done]
     told(2 * setting.config.hearts * setting.config.poses * (len(variants) - len(missing)))
     if missing:
-        reference = Reference(extractor(real.images * mask, told), mask)
-        content["real_to_real"] = _halves(reference.features, None, setting.realism)
+        reference = extractor(real.images * mask, told)
+        content["real_to_real"] = _halves(reference, None, setting.realism)
         for block in _same_blocks(missing, setting):
             frames = _render(block, setting, probed, told)
             for variant, images in zip(block, frames, strict=True):
                 features = extractor(images * mask, told)
-                kid = _halves(reference.features, features, setting.realism)
+                kid = _halves(reference, features, setting.realism)
                 done[variant.name] = {"name": variant.name, **kid, "digest": digests[variant.name]}
                 write_json(out, _report(content, done))
     else:
@@ -142,9 +126,6 @@ def merge_into(report: Path, ablation: dict[str, Any]) -> None:
     keys = ("name", "kid", "low", "high", "change", "change_low", "change_high")
     content["ablation"] = [{key: row[key] for key in keys} for row in ablation["ablation"]]
     write_json(report, content)
-
-
-# --- frames --------------------------------------------------------------------------------------
 
 
 def _frames(phantom: Phantom, setting: Setting, heart: int) -> Tensor:
@@ -213,9 +194,6 @@ def _calibrate(real: Tensor, probed: list[Phantom], setting: Setting) -> tuple[T
     return mask, round((low + high) / 2, 2)
 
 
-# --- figures -------------------------------------------------------------------------------------
-
-
 def _halves(real: Tensor, ours: Tensor | None, config: RealismConfig) -> dict[str, Any]:
     """Return KID to random halves of the real set at equal n; of the other halves without ours."""
     random = np.random.default_rng(config.seed)
@@ -274,13 +252,41 @@ def _done(out: Path, digests: dict[str, str]) -> dict[str, dict[str, Any]]:
 
 
 def _report(content: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return the report: each row with its change from the full phantom over the same halves."""
     base = done[BASE]
-    rows = [_beside(row, base) for row in done.values() if row["name"] != BASE]
+    rows = []
+    for row in done.values():
+        if row["name"] != BASE:
+            changes = [a - b for a, b in zip(row["values"], base["values"], strict=True)]
+            span = {"change_low": min(changes), "change_high": max(changes)}
+            rows.append({**row, "change": row["kid"] - base["kid"], **span})
     return {**content, "base": base, "ablation": sorted(rows, key=lambda row: -row["change"])}
 
 
-def _beside(row: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
-    """Return a row with its change from the full phantom, and the range of that over the halves."""
-    changes = [a - b for a, b in zip(row["values"], base["values"], strict=True)]
-    change = row["kid"] - base["kid"]
-    return {**row, "change": change, "change_low": min(changes), "change_high": max(changes)}
+def draw_ablation(content: dict[str, Any]) -> bytes:
+    """Return a PNG of the KID of each variant, with the range of its change over the halves."""
+    from matplotlib.figure import Figure
+
+    from racines_data.plotting import MUTED, OURS, PAPER, card_style, encode
+
+    rows, base = content["ablation"][::-1], content["base"]
+    with card_style():
+        figure = Figure(figsize=(7.2, 1.4 + 0.27 * len(rows)), layout="constrained")
+        axes = figure.add_subplot()
+        kid = [row["kid"] for row in rows]
+        below = [row["change"] - row["change_low"] for row in rows]
+        above = [row["change_high"] - row["change"] for row in rows]
+        colours = [OURS if row["change"] > 0 else MUTED for row in rows]
+        names = [row["name"] for row in rows]
+        thin = {"elinewidth": 0.8}
+        axes.barh(names, kid, 0.66, xerr=[below, above], color=colours, error_kw=thin)
+        for i, row in enumerate(rows):
+            place = (row["kid"] + above[i], i)
+            axes.annotate(f" {row['change']:+.3f}", place, va="center", fontsize=7.5)
+        axes.axvline(base["kid"], color=PAPER, linewidth=1.2)
+        axes.set_title(f"full phantom {base['kid']:.3f}", color=PAPER)
+        axes.grid(visible=False, axis="y")
+        axes.margins(x=0.09)
+        figures = f"KID to real {content['view']} frames, n = {content['n']}"
+        axes.set_xlabel(f"{figures}; lower is nearer")
+        return encode(figure)
