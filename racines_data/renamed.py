@@ -91,10 +91,10 @@ MOVED = {
     ),
     "racines_models": "bootstrap=statistics publish=weights racines_envs.intervals=statistics",
     "racines_models.cli": (
-        "cli_conditioning=study.conditioning cli_data=study.leakage cli_floor=study.floor "
-        "cli_export=export.predictions cli_gallery=study.gallery cli_generators=train.generator "
+        "cli_conditioning=study.ablations cli_data=study.dataset cli_floor=study.dataset "
+        "cli_export=export cli_gallery=study.gallery cli_generators=train.generator "
         "cli_grader=evaluate.grader cli_output=output cli_pose=train.pose "
-        "cli_publish=export.weights cli_realism=study.realism cli_scores=evaluate.generator"
+        "cli_publish=export cli_realism=study.realism cli_scores=evaluate.generator"
     ),
     "racines_models.exchange": "naming",
     "racines_models.exchange.onnx": (

@@ -236,6 +236,11 @@ class KernelMatrices:
         return float(within / (n * (n - 1)) - 2.0 * between / n**2)
 
 
+def over_splits(values: list[float]) -> dict[str, float]:
+    """Return mean and range of a figure over random splits, as JSON."""
+    return {"value": float(np.mean(values)), "low": min(values), "high": max(values)}
+
+
 def _pairwise(
     metric: Callable[[Tensor, Tensor], Tensor], images: Tensor, truth: Tensor, size: int = 256
 ) -> Tensor:

@@ -1,21 +1,20 @@
 """The command `racines study realism`. Heavy imports stand inside, so that --help is instant."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from racines_data.cli import options as opt
+from racines_data.cli.settings import given, read_settings
 from racines_data.errors import RacinesError
 from racines_models.cli.device import Device
-from racines_models.cli.study.real import Real, no_real, realism_settings
 
 if TYPE_CHECKING:
     from racines_models.scores.features import Extractor
     from racines_models.studies.realism.report import RealFrames, RealismConfig
 
-CONFIGS = ("frames", "multi_phantom")
+Real = Annotated[Path | None, typer.Option(help="Parquet of real frames. Default: realism.real.")]
 
 
 def realism(
@@ -35,36 +34,45 @@ def realism(
 
     The report on many hearts goes to OUT-multi_phantom.
     """
+    from racines_data.files import write_json
+    from racines_models.cli.output import tell
     from racines_models.scores.inception import InceptionFeatures
-    from racines_models.studies.realism.report import read_real
+    from racines_models.studies.realism.report import not_compared, read_real
 
     config, path = realism_settings(real, frames, params, profile)
+    outs = {"frames": out, "multi_phantom": out.with_name(f"{out.name}-multi_phantom")}
     if path is None or (optional and not path.is_file()):
-        _without_real(path, out, optional)
+        if not optional:
+            raise RacinesError(no_real(path))
+        typer.echo(f"racines: {no_real(path)}", err=True)
+        reason = "the named file of real frames is absent" if path else "no real frames named"
+        for name, report in outs.items():
+            write_json(report.with_suffix(".json"), not_compared(name, reason))
         return
     frames_real, extractor = read_real(path), InceptionFeatures(device)
     reports = {
-        name: _realism(frames_real, data, name, config, _named(out, name), extractor, as_json)
-        for name in CONFIGS
+        name: _realism(frames_real, data, name, config, report, extractor, as_json)
+        for name, report in outs.items()
     }
-    if as_json:
-        typer.echo(json.dumps(reports))
+    tell(reports, as_json)
 
 
-def _named(out: Path, config: str) -> Path:
-    return out if config == "frames" else out.with_name(f"{out.name}-{config}")
+def realism_settings(
+    real: Path | None, frames: int | None, params: Path | None, profile: str | None
+) -> "tuple[RealismConfig, Path | None]":
+    """Return the section `realism`, and the file of real frames where one is named."""
+    from racines_data.config import fill, section
+    from racines_models.studies.realism.report import RealismConfig
+
+    settings = section(read_settings(params, profile), "realism") | given(frames=frames)
+    config = fill(RealismConfig, settings, "realism")
+    return config, real or (Path(config.real) if config.real else None)
 
 
-def _without_real(path: Path | None, out: Path, optional: bool) -> None:
-    from racines_data.files import write_json
-    from racines_models.studies.realism.report import not_compared
-
-    if not optional:
-        raise RacinesError(no_real(path))
-    typer.echo(f"racines: {no_real(path)}", err=True)
-    reason = "the named file of real frames is absent" if path else "no real frames named"
-    for name in CONFIGS:
-        write_json(_named(out, name).with_suffix(".json"), not_compared(name, reason))
+def no_real(path: Path | None) -> str:
+    """Return what is said where there are no real frames."""
+    told = f"{path}: no such file" if path else "no real frames named"
+    return f"{told}; give --real PATH.parquet (docs/scores.md): THE PHANTOM IS NOT COMPARED"
 
 
 def _realism(
@@ -83,7 +91,8 @@ def _realism(
     from racines_data.manifest import read_manifest, store_name
     from racines_data.progress import image_counter
     from racines_data.store.frames import open_store
-    from racines_models.cli.output import show_realism
+    from racines_data.tables import console_table
+    from racines_models.cli.output import ranged, tell
     from racines_models.pictures import COLUMNS, write_strip
     from racines_models.studies.realism.report import compare_with_real, not_compared
 
@@ -101,7 +110,14 @@ def _realism(
         rows.append(images[(2 * torch.arange(count) + 1) * len(images) // (2 * count)])
     write_strip(out.with_suffix(".png"), rows)
     write_json(out.with_suffix(".json"), result.content)
+    title = "{config}, {view}, {n} frames a set, {splits} splits".format(**result.content)
+    shown = []
+    for figure, each in result.content["figures"].items():
+        ours, theirs = each["phantom"], each["real"]
+        ratio = f"{ours['value'] / theirs['value']:.3g}" if theirs["low"] > 0 else "-"
+        shown.append((figure, ranged(ours), ranged(theirs), ratio))
+    head = ("figure", "phantom, real", "real, real", "ratio")
     if not hidden:
-        show_realism(result.content)
-        typer.echo(f"{out}.json, {out}.png (above real, below phantom)")
+        written = f"{out}.json, {out}.png (above real, below phantom)"
+        tell(result.content, False, console_table(head, shown, title), written)
     return result.content

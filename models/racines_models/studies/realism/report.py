@@ -21,7 +21,9 @@ from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import MULTI_PHANTOM
 from racines_data.store.frames import FrameStore
 from racines_models.provenance import code_version, dataset_card, environment
-from racines_models.scores.features import Extractor, Progress
+from racines_models.sample import Progress
+from racines_models.scores import metrics
+from racines_models.scores.features import Extractor
 from racines_models.studies.realism.figures import RULES, Sector, Summary, description, differences
 
 SCHEMA = "racines.realism/1"
@@ -103,9 +105,8 @@ def choose_rows(store: FrameStore, config: RealismConfig) -> Tensor:
             f"realism.view {config.view}: the dataset's views are {', '.join(store.labels)}; name "
             "no real frames where there are none of this organ (realism: {})"
         )
-    label = store.labels.index(config.view)
-    chosen = (store.views == label) & (store.grades >= config.grade)
-    rows = chosen.nonzero()[:, 0]
+    of_view = store.views == store.labels.index(config.view)
+    rows = (of_view & (store.grades >= config.grade)).nonzero()[:, 0]
     if len(rows) < 2:
         raise RacinesError(
             f"realism: {len(rows)} frames of {config.view} with grade >= {config.grade:g} in the "
@@ -131,10 +132,8 @@ def _spread(rows: Tensor, heart: Tensor, count: int) -> Tensor:
         open_ = (shares < sizes).nonzero()[:, 0]
         number = min(left, len(open_))
         shares[open_[torch.arange(number) * len(open_) // number]] += 1
-    parts = []
-    for group, share in zip(groups, shares.tolist(), strict=True):
-        parts.append(group[torch.arange(share) * len(group) // max(share, 1)])
-    return torch.cat(parts)
+    taken = zip(groups, shares.tolist(), strict=True)
+    return torch.cat([g[torch.arange(share) * len(g) // max(share, 1)] for g, share in taken])
 
 
 def common_sector(real: Tensor, phantom: Tensor, support: float) -> Tensor:
@@ -222,15 +221,8 @@ def _over_splits(
         ours = phantom.take(torch.from_numpy(random.permutation(len(phantom.profile))[:n]))
         rows["phantom"].append(differences(ours, one))
         rows["real"].append(differences(other, one))
-    figures = {}
-    for name, rule in RULES.items():
-        of = {key: np.array([each[name] for each in values]) for key, values in rows.items()}
-        figures[name] = {"rule": rule} | {
-            key: {
-                "value": float(values.mean()),
-                "low": float(values.min()),
-                "high": float(values.max()),
-            }
-            for key, values in of.items()
-        }
+    figures: dict[str, Any] = {name: {"rule": rule} for name, rule in RULES.items()}
+    for name, figure in figures.items():
+        for key, found in rows.items():
+            figure[key] = metrics.over_splits([each[name] for each in found])
     return n, figures
