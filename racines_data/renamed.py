@@ -103,12 +103,12 @@ MOVED = {
     ),
     "racines_models.exchange.predictions": "png predictions=file predictions_reader=reader",
     "racines_models.judges.grader": (
-        "annotate grader=model grader_calibration=calibration grader_evaluation=evaluation "
+        "annotate grader=model grader_calibration=report grader_evaluation=evaluation "
         "grader_loss=training grader_plots=evaluation grader_report=report grader_training=training"
     ),
     "racines_models.judges.pose": "pose_regressor=regressor pose_training=training",
     "racines_models.judges.student": (
-        "student=model student_labels=labels student_report=training student_training=training"
+        "student=model student_labels=training student_report=training student_training=training"
     ),
     "racines_models.networks": "conditioning onnx_module",
     "racines_models.networks.scene_field": (

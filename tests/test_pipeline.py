@@ -282,7 +282,7 @@ TOUCHED = [
     "racines_models.exchange.onnx.export",
     "racines_models.generators.flow",
     "racines_models.judges.grader.report",
-    "racines_models.judges.student.labels",
+    "racines_models.judges.student.training",
     "racines_models.judges.pose.regressor",
     "racines_models.scores.metrics",
     "racines_models.studies.leakage",

@@ -49,8 +49,7 @@ def drawn_again(
 ) -> tuple[list[Tensor], Tensor] | None:
     """Return two or more sets of images of the same poses, and the (n,) places of their frames.
 
-    The sets are those drawn of all frames; of a single one, some frames are drawn once more. None
-    where that is impossible, since the images were made beforehand.
+    Of a single set, some frames are drawn once more; None if images were made beforehand.
     """
     if len(drawn) > 1:
         return drawn, torch.arange(len(drawn[0]))
@@ -68,9 +67,9 @@ def places_again(count: int) -> Tensor:
 
 
 def scanned_again(store: FrameStore, frames: Batch, folder: Path | None = None) -> Tensor | None:
-    """Return the (N,) `spread` of two new scans at the frames' poses; None if there is no scanner.
+    """Return the (N,) `spread` of two new scans at the frames' poses; None but for a phantom.
 
-    Only a simulated phantom can be scanned again; `folder` keeps the figures between runs.
+    `folder` keeps the figures between runs.
     """
     try:
         config = recorded_phantom(store.manifest)
@@ -115,8 +114,6 @@ def nearest_train(images: Tensor, store: FrameStore, summaries: Tensor) -> Tenso
 
 def _differences(images: Tensor, candidates: Tensor) -> Tensor:
     """Return the (B, C) differences of (B, H, W) images from their (B, C, H·W) candidates."""
-    columns = [
-        (images.flatten(1).float() - candidates[:, c].float()).square().mean(1).sqrt()
-        for c in range(candidates.shape[1])
-    ]
+    flat = images.flatten(1).float()
+    columns = [(flat - each.float()).square().mean(1).sqrt() for each in candidates.unbind(1)]
     return torch.stack(columns, 1)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
@@ -37,8 +38,7 @@ class GraderFeatures:
     """The grader's encoder as an extractor."""
 
     def __init__(self, grader: Grader) -> None:
-        self._grader = grader
-        self.settings = grader.settings
+        self._grader, self.settings = grader, grader.settings
 
     def __call__(self, images: Tensor, progress: Progress | None = None) -> Tensor:
         """Return (N, D) features; too quick to report progress."""
@@ -54,9 +54,8 @@ def features_of_sets(
     """
     places: dict[bytes, int] = {}
     index = [places.setdefault(image.numpy().tobytes(), len(places)) for image in torch.cat(sets)]
-    first = {place: row for row, place in reversed(list(enumerate(index)))}
-    rows = torch.tensor([first[place] for place in range(len(places))])
-    features = extractor(torch.cat(sets)[rows], progress)
+    rows = np.unique(index, return_index=True)[1]  # where each was first
+    features = extractor(torch.cat(sets)[torch.from_numpy(rows)], progress)
     if progress is not None:
         progress(len(index) - len(rows))
     return list(features[torch.tensor(index)].split([len(each) for each in sets]))

@@ -96,10 +96,8 @@ def _interpolation(source: int, target: int) -> Tensor:
     """Return the (target, source) float32 matrix of linear interpolation along one axis."""
     position = torch.arange(target, dtype=torch.float64) * (source / target)
     left = position.floor().long().clamp_max(source - 1)
-    right = (left + 1).clamp_max(source - 1)
-    weight = position - left
+    weight, row = position - left, torch.arange(target)
     matrix = torch.zeros(target, source, dtype=torch.float64)
-    row = torch.arange(target)
     matrix.index_put_((row, left), 1.0 - weight, accumulate=True)
-    matrix.index_put_((row, right), weight, accumulate=True)
+    matrix.index_put_((row, (left + 1).clamp_max(source - 1)), weight, accumulate=True)
     return matrix.to(torch.float32)

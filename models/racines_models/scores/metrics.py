@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -56,13 +55,15 @@ def ssim(images: Tensor, truth: Tensor) -> Tensor:
 
 def ssim_of(a: Tensor, b: Tensor) -> Tensor:
     """Return the SSIM of (N, 1, H, W) float image pairs of gray levels, (N,)."""
-    from torchmetrics.functional.image import structural_similarity_index_measure
-
-    _, full = structural_similarity_index_measure(
-        a, b, data_range=DATA_RANGE, reduction="none", return_full_image=True
-    )
+    full = _similarity(a, b, return_full_image=True)
     # torchmetrics averages over its reflected border too; the definition does not.
     return full[..., BORDER:-BORDER, BORDER:-BORDER].mean((1, 2, 3))
+
+
+def _similarity(a: Tensor, b: Tensor, **wanted: bool) -> Tensor:
+    from torchmetrics.functional.image import structural_similarity_index_measure as measure
+
+    return measure(a, b, data_range=DATA_RANGE, reduction="none", **wanted)[1]
 
 
 def ms_ssim(images: Tensor, truth: Tensor) -> Tensor:
@@ -73,16 +74,12 @@ def ms_ssim(images: Tensor, truth: Tensor) -> Tensor:
 
     Source: Wang et al., Multi-scale structural similarity for image quality assessment, 2003.
     """
-    from torchmetrics.functional.image import structural_similarity_index_measure
-
     weights = torch.tensor(SCALES) / sum(SCALES)
 
     def chunk(a: Tensor, b: Tensor) -> Tensor:
         product = torch.ones(len(a), device=a.device)
         for weight in weights[:-1].tolist():
-            _, contrast = structural_similarity_index_measure(
-                a, b, data_range=DATA_RANGE, reduction="none", return_contrast_sensitivity=True
-            )
+            contrast = _similarity(a, b, return_contrast_sensitivity=True)
             product *= contrast.clamp_min(0.0).pow(weight)
             a, b = (nn.functional.avg_pool2d(x, 2) for x in (a, b))
         return product * ssim_of(a, b).clamp_min(0.0).pow(float(weights[-1]))
@@ -92,12 +89,10 @@ def ms_ssim(images: Tensor, truth: Tensor) -> Tensor:
 
 def psnr(images: Tensor, truth: Tensor) -> Tensor:
     """Return the PSNR of (N, H, W) uint8 image pairs, (N,) dB, at most `PSNR_CAP`."""
-    from torchmetrics.functional.image import peak_signal_noise_ratio
+    from torchmetrics.functional.image import peak_signal_noise_ratio as ratio
 
     def chunk(a: Tensor, b: Tensor) -> Tensor:
-        values = peak_signal_noise_ratio(
-            a, b, data_range=DATA_RANGE, reduction="none", dim=(1, 2, 3)
-        )
+        values = ratio(a, b, data_range=DATA_RANGE, reduction="none", dim=(1, 2, 3))
         return values.clamp_max(PSNR_CAP)
 
     return _pairwise(chunk, images, truth)
@@ -127,22 +122,23 @@ def frechet_distance(reference: Tensor, candidate: Tensor) -> float:
     return _distance_by_gram(reference, candidate)
 
 
-@dataclass(frozen=True)
-class Reference:
-    """The Gaussian of a reference set, with the symmetric root of its covariance."""
+class Reference(NamedTuple):
+    """The Gaussian of a reference set, with the symmetric root of its covariance; float64."""
 
     mean: Tensor
-    """(D,) float64."""
+    """(D,)."""
     root: Tensor
-    """(D, D) float64, symmetric, positive semidefinite."""
+    """(D, D), symmetric, positive semidefinite."""
     trace: float
-    """Trace of the covariance."""
+    """Of the covariance."""
 
     @classmethod
     def of(cls, features: Tensor) -> "Reference":
         """Fit (N, D) features."""
         mean, covariance = moments(features)
-        return cls(mean, symmetric_root(covariance), float(covariance.trace()))
+        eigenvalues, vectors = torch.linalg.eigh(covariance)
+        root = (vectors * _root(eigenvalues)) @ vectors.T
+        return cls(mean, root, float(covariance.trace()))
 
     def distance(self, features: Tensor) -> float:
         """Return the Fréchet distance to (M, D) features."""
@@ -159,12 +155,6 @@ def moments(features: Tensor) -> tuple[Tensor, Tensor]:
     mean = x.mean(0)
     centred = x - mean
     return mean, centred.T @ centred / (len(x) - 1)
-
-
-def symmetric_root(matrix: Tensor) -> Tensor:
-    """Return the positive semidefinite root of a symmetric positive semidefinite matrix."""
-    eigenvalues, vectors = torch.linalg.eigh(matrix)
-    return (vectors * _root(eigenvalues)) @ vectors.T
 
 
 def _root(eigenvalues: Tensor) -> Tensor:

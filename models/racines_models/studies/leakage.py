@@ -13,7 +13,7 @@ is the leak.
 
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -47,8 +47,7 @@ class LeakageConfig:
     """Bootstrap resamples, by trajectory."""
 
 
-@dataclass(frozen=True)
-class Retrieval:
+class Retrieval(NamedTuple):
     """What retrieval finds for N test frames under one split."""
 
     sample: Sample
@@ -61,8 +60,7 @@ class Retrieval:
     `seconds` between the two frames, NaN where they are of two trajectories."""
 
 
-@dataclass(frozen=True)
-class Leakage:
+class Leakage(NamedTuple):
     """The report's content, and the retrievals it speaks of, by split."""
 
     content: dict[str, Any]

@@ -2,9 +2,9 @@
 
     store ──> grader ──> opinions/*.npy ──> new shards, card, manifest ──> swapped in place
 
-The opinions go into `view_predicted` and `grade_predicted` alone: `view` and `grade` stay what the
-source says, or null. All other bytes of the rows stay as they were, and with them the content
-digest; the card names the grader, so that no reader is served rows of before.
+The opinions go into `view_predicted` and `grade_predicted` alone: all other bytes of the rows stay
+as they were, and with them the content digest. The card names the grader, so that no reader is
+served rows of before.
 """
 
 import json
@@ -30,7 +30,6 @@ from racines_data.store.frames import FrameStore
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.grader.report import compare
 from racines_models.sample import Progress
-from racines_models.statistics import bootstrap_mean
 
 BATCH = 256
 """Images judged at once."""
@@ -49,12 +48,7 @@ def annotate(
     """Fill `view_predicted` and `grade_predicted` of every frame of a dataset.
 
     A run that was killed goes on where it stopped; until the last rename the old dataset stands.
-
-    Args:
-        root: Folder of the dataset.
-        grader: A grader that knows the dataset's labels, saved or loaded.
-        out: Folder of the annotated dataset; the dataset itself if absent.
-        progress: Told of images judged, as they come.
+    Without `out`, the dataset itself is replaced. `progress` is told of images judged.
 
     Returns:
         The manifest; its `annotation` names the grader and how it agrees with known views and
@@ -104,13 +98,9 @@ def agreement(store: FrameStore, opinions: np.ndarray) -> dict[str, Any]:
         label, grade = torch.from_numpy(opinions[rows.numpy()]).unbind(1)
         views, grades = store.views[rows], store.grades[rows]
         compared = compare(label.long(), grade, views, grades, len(store.labels) - 1)
-        clusters = store.trajectory_index[rows].numpy()
-        figures = {
-            name: bootstrap_mean(each.values.numpy(), clusters).to_json(each.unit, rule=each.rule)
-            for name, each in compared.items()
-        }
-        if figures:
-            found[split] = figures
+        trajectory = store.trajectory_index[rows].numpy()
+        if compared:
+            found[split] = {name: each.mean(trajectory) for name, each in compared.items()}
     return found
 
 
@@ -134,11 +124,7 @@ def _shards(root: Path, manifest: dict[str, Any], store: FrameStore) -> list[_Sh
 
 
 def _judge_all(
-    store: FrameStore,
-    grader: Grader,
-    shards: list[_Shard],
-    folder: Path,
-    progress: Progress | None,
+    store: FrameStore, grader: Grader, shards: list[_Shard], folder: Path, told: Progress | None
 ) -> np.ndarray:
     """Return (N, 2) float32 views and grades, judged shard by shard; those on disk are kept."""
     parts = []
@@ -146,8 +132,8 @@ def _judge_all(
         path = folder / f"{Path(shard.name).stem}.npy"
         write_once(path, lambda aside, shard=shard: _save(aside, _judge(store, grader, shard)))
         parts.append(np.load(path))
-        if progress is not None:
-            progress(len(parts[-1]))
+        if told is not None:
+            told(len(parts[-1]))
     return np.concatenate(parts)
 
 

@@ -13,9 +13,8 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_atomic, write_json
 from racines_data.plotting import INK, MUTED, OURS, PAPER, card_style, encode, view_colours
 from racines_data.store.frames import FrameStore
-from racines_models.judges.grader.calibration import calibrate, reliability
 from racines_models.judges.grader.model import CONFIG, Grader, read_config
-from racines_models.judges.grader.report import Examination, examine
+from racines_models.judges.grader.report import Examination, calibrate, examine, reliability
 from racines_models.provenance import code_version, dataset_card
 
 METRICS = "metrics.json"

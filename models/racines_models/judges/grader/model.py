@@ -134,11 +134,9 @@ class Grader(Judge):
 
     @torch.inference_mode()
     def probabilities_and_grade(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Judge (B, 128, 128) uint8 images.
+        """Return (B, labels) calibrated probabilities and (B,) grades in 0-10 of uint8 images.
 
-        Returns:
-            (B, labels) float32 calibrated probabilities in the order of `labels`, and (B,) float32
-            grades in 0-10, on the grader's device.
+        The images are (B, 128, 128); both answers are float32, on the grader's device.
         """
         logits, grades, _ = self._read(images)
         return (logits / self.temperature).softmax(-1), grades
@@ -183,10 +181,7 @@ class Grader(Judge):
 
     @classmethod
     def load(cls, folder: Path | str, device: str = "cpu") -> "Grader":
-        """Read what `save` wrote, of either architecture, or its half-precision copy.
-
-        The weights must have the hash that the config names.
-        """
+        """Read what `save` wrote, of either architecture, or its half-precision copy."""
         folder = Path(folder)
         described = read_config(folder)
         try:
@@ -221,11 +216,7 @@ class Grader(Judge):
 
 
 def read_config(folder: Path) -> dict[str, Any]:
-    """Return what a grader's `config.json` says.
-
-    Raises:
-        RacinesError: it is absent, no JSON, or of another schema.
-    """
+    """Return what a grader's `config.json` says; refused if absent or of another schema."""
     described = read_described(folder, f"no grader there; run: racines train grader --out {folder}")
     found = described.get("schema")
     if found != SCHEMA:

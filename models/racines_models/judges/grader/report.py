@@ -1,20 +1,28 @@
-"""How a grader's labels and grades compare with the truth, on held-out trajectories."""
+"""How a grader's labels, grades and confidence compare with the truth, on held-out trajectories.
+
+Temperature scaling and the expected calibration error are after Guo et al., On Calibration of
+Modern Neural Networks (2017): one number divides the logits, so no label changes.
+"""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from scipy.optimize import minimize_scalar
 from torch import Tensor
 
 from racines_data.store.frames import Batch, FrameStore
 from racines_data.views import LABELS, RANDOM_LABEL
-from racines_models.judges.grader.calibration import calibration_error
 from racines_models.judges.grader.model import Grader, Reading
-from racines_models.statistics import bootstrap_mean
+from racines_models.statistics import bootstrap_mean, jackknife
 
 CLOSE = 1.0
 """Grades that differ by no more agree."""
 UNIT = "grades of 10"
+BINS = 15
+"""Bins of equal width in confidence."""
+LIMIT = 10.0
+"""Largest temperature that is looked for, and the inverse of the smallest."""
 
 
 class Comparison(NamedTuple):
@@ -103,11 +111,16 @@ def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examinati
     names = {"view_agreement": "view_accuracy", "grade_error": "grade_mae"}
     names |= {"grade_error_all": "grade_mae_all"}
     counts = confusion_counts(label, frames.views, len(store.labels))
+    calibration: dict[str, Any] = {"temperature": grader.temperature}
+    if bool((frames.views >= 0).any()):
+        for when, temperature in (("before", 1.0), ("after", grader.temperature)):
+            probabilities = (reading.logits / temperature).softmax(-1)
+            calibration[when] = calibration_error(probabilities, frames.views, trajectory)
     content = {
         "split": split,
         "metrics": {names.get(k, k): each.mean(trajectory) for k, each in compared.items()},
         **_by_view(compared, reading.grades, frames, store.labels, trajectory),
-        "calibration": _calibration(grader, reading, frames.views, trajectory),
+        "calibration": calibration,
         "confusion": {"labels": list(store.labels), "counts": counts},
     }
     answers = (reading, frames.views, frames.grades)
@@ -139,19 +152,86 @@ def _by_view(
     return {"views": views, "grades": errors}
 
 
-def _calibration(
-    grader: Grader, reading: Reading, views: Tensor, trajectory: np.ndarray
-) -> dict[str, Any]:
-    content: dict[str, Any] = {"temperature": grader.temperature}
-    if bool((views >= 0).any()):
-        for name, temperature in (("before", 1.0), ("after", grader.temperature)):
-            probabilities = (reading.logits / temperature).softmax(-1)
-            content[name] = calibration_error(probabilities, views, trajectory)
-    return content
-
-
 def confusion_counts(label: Tensor, truth: Tensor, labels: int = len(LABELS)) -> list[list[int]]:
     """Count (N,) labels by truth (row) and label (column); frames of unknown view are left out."""
     known = truth >= 0
     pairs = truth[known] * labels + label[known]
     return torch.bincount(pairs, minlength=labels**2).view(labels, -1).tolist()
+
+
+class Reliability(NamedTuple):
+    """Number of frames, mean confidence and share of right labels by bin of confidence.
+
+    (BINS,) float64 each, 0 where a bin is empty.
+    """
+
+    frames: Tensor
+    confidence: Tensor
+    accuracy: Tensor
+
+    @property
+    def error(self) -> float:
+        """The expected calibration error: the gap between the two, averaged over frames."""
+        gap = (self.confidence - self.accuracy).abs() * self.frames
+        return float(gap.sum() / self.frames.sum().clamp_min(1.0))
+
+
+def fit_temperature(logits: Tensor, views: Tensor) -> float:
+    """Return the temperature of least cross-entropy of (N, L) logits over known views, else 1."""
+    known = views >= 0
+    logits, views = logits[known].double(), views[known]
+    if not len(views):
+        return 1.0
+
+    def loss(log_temperature: float) -> float:
+        scaled = logits / np.exp(log_temperature)
+        return float(torch.nn.functional.cross_entropy(scaled, views))
+
+    bounds = (-np.log(LIMIT), np.log(LIMIT))
+    found: Any = minimize_scalar(loss, bounds=bounds, method="bounded")
+    return float(np.exp(found.x))
+
+
+def reliability(probabilities: Tensor, views: Tensor) -> Reliability:
+    """Compare the confidence of (N, L) probabilities with (N,) views; -1 is left out."""
+    known = views >= 0
+    confidence, label = probabilities[known].double().max(-1)
+    right = (label == views[known]).double()
+    # Bins are open below and closed above, as in the paper.
+    index = ((confidence * BINS).ceil().long() - 1).clamp(0, BINS - 1)
+    count, sure, hit = (
+        torch.zeros(BINS, dtype=torch.float64).index_add_(0, index, values)
+        for values in (torch.ones_like(right), confidence, right)
+    )
+    return Reliability(count, sure / count.clamp_min(1.0), hit / count.clamp_min(1.0))
+
+
+def calibrate(grader: Grader, store: FrameStore, split: str = "validation") -> int:
+    """Set the grader's temperature by the frames of a split; return how many had a view.
+
+    A split without known views leaves the temperature at 1.
+
+    Raises:
+        RacinesError: the grader was trained for other views.
+    """
+    grader.check_labels(store.labels, "the dataset")
+    rows = store.split_indices(split)
+    views = store.views[rows]
+    known = int((views >= 0).sum())
+    if known:
+        grader.temperature = fit_temperature(grader.read(store.take(rows).images).logits, views)
+    else:
+        grader.temperature = 1.0
+    return known
+
+
+def calibration_error(probabilities: Tensor, views: Tensor, trajectory: np.ndarray) -> Any:
+    """Return the expected calibration error of (N, L) probabilities as JSON, with its interval."""
+    known = (views >= 0).numpy()
+    probabilities, views = probabilities[known], views[known]
+
+    def error(kept: np.ndarray) -> float:
+        return reliability(probabilities[kept], views[kept]).error
+
+    estimate = jackknife(error, trajectory[known], minimum=0.0)
+    return estimate.to_json(bins=BINS, rule="mean gap of confidence and accuracy over bins")

@@ -19,9 +19,9 @@ from racines_data.errors import RacinesError
 from racines_data.randomness import derive
 from racines_data.store.frames import Batch, FrameStore
 from racines_models.devices import resolve_device
-from racines_models.judges.grader.calibration import calibrate
 from racines_models.judges.grader.evaluation import write_report
 from racines_models.judges.grader.model import Grader, GraderConfig
+from racines_models.judges.grader.report import calibrate
 from racines_models.protocol import Run
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.training.augmentation import augment

@@ -99,11 +99,10 @@ def report(regressor: PoseRegressor, store: FrameStore, split: str = "test") -> 
     of_view = (frames.views >= 0) & (frames.views != len(store.labels) - 1)
     metrics = {}
     for suffix, chosen in (("", torch.ones_like(of_view)), ("_view", of_view)):
-        if not bool(chosen.any()):
-            continue
         for unit, values in zip(("mm", "deg"), errors, strict=True):
-            median = bootstrap_median(values[chosen].numpy(), trajectory[chosen.numpy()])
-            metrics[f"pose_error_{unit}{suffix}"] = median.to_json(unit)
+            if bool(chosen.any()):
+                median = bootstrap_median(values[chosen].numpy(), trajectory[chosen.numpy()])
+                metrics[f"pose_error_{unit}{suffix}"] = median.to_json(unit)
     return {"split": split, "metrics": metrics}
 
 

@@ -2,15 +2,20 @@
 
 Soft labels after Hinton et al., Distilling the Knowledge in a Neural Network (2015); teacher and
 student look at the same variant of a frame, as in Beyer et al., Knowledge Distillation: A Good
-Teacher Is Patient and Consistent (2022). Order, variants and rates are functions of (seed, step).
+Teacher Is Patient and Consistent (2022). The teacher is asked once, before, and its answers are
+kept on disk: a variant is a function of (seed, frame, variant), so that the student, who looks at
+it epochs later, sees what the teacher saw. Order and rates are functions of (seed, step).
 """
 
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import AdamW, Optimizer
@@ -23,15 +28,21 @@ from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.grader.training import JudgeLearner, learning_rate
-from racines_models.judges.student.labels import ask_teacher, variants
 from racines_models.judges.student.model import Student, StudentConfig
 from racines_models.protocol import Run
+from racines_models.sample import Progress
 from racines_models.statistics import bootstrap_mean
+from racines_models.training.augmentation import Augmentation, augment
 from racines_models.training.checkpoint import FOLDER, Checkpoint, discard_checkpoint
 from racines_models.training.objective import Update
+from racines_models.weights import save_weights
 
-ORDER = 32
-"""Random stream of an epoch's order."""
+VARIANT, ORDER = 31, 32
+"""Random streams: the variants, and an epoch's order."""
+CHUNK = 4096
+"""Frames of one file of answers: what a killed run has to ask again."""
+ASKED = 256
+"""Frames that the teacher is asked of at once."""
 BATCH = 64
 """Images of a timed call."""
 ROUNDS = 15
@@ -137,13 +148,79 @@ class StudentLearner(JudgeLearner):
         smaller = x.shape[-1] // config.input_size
         x = functional.avg_pool2d(x, smaller) if smaller > 1 else x
         logits, grade = nets["student"](x)
-        taught = self.taught.logits[which, places].to(self.device)
-        wanted = self.taught.grades[which, places].to(self.device)
+        taught, wanted = (each[which, places].to(self.device) for each in self.taught)
         losses = {
             "view": distillation_loss(logits, taught, config.temperature),
             "grade": functional.smooth_l1_loss(grade, wanted),
         }
         yield Update("student", losses["view"] + config.grade_weight * losses["grade"], losses)
+
+
+def variants(
+    x: Tensor, rows: Tensor, which: Tensor, seed: int, augmentation: Augmentation
+) -> Tensor:
+    """Return the variants that `which` (B,) names of (B, 1, S, S) images as the teacher takes them.
+
+    `rows` (B,) are those of the frames in the store; variant 0 leaves the image as it is.
+    """
+    seeds = derive(derive(torch.tensor(seed), VARIANT, rows), which).to(x.device)
+    varied = augment(x, seeds, augmentation)
+    return torch.where(which.to(x.device).view(-1, 1, 1, 1) == 0, x, varied)
+
+
+class SoftLabels(NamedTuple):
+    """The teacher's (V, N, L) float32 `logits` and (V, N) `grades` of N frames in V variants."""
+
+    logits: Tensor
+    grades: Tensor
+
+
+def ask_teacher(
+    teacher: Grader,
+    store: FrameStore,
+    augmentation: Augmentation,
+    count: int,
+    seed: int,
+    folder: Path,
+    progress: Progress,
+) -> SoftLabels:
+    """Ask of the whole train split; what `folder` has already is not asked again.
+
+    `folder` must belong to this teacher, dataset, augmentation and seed.
+    """
+    rows = store.split_indices("train")
+    parts = []
+    for variant in range(count):
+        for number, chunk in enumerate(rows.split(CHUNK)):
+            path = folder / f"{variant:02d}-{number:04d}.safetensors"
+            try:
+                answers = load_file(path)
+            except (SafetensorError, OSError):  # not asked yet, or damaged
+                answers = _ask(teacher, store, augmentation, chunk, variant, seed)
+                save_weights(path, answers)
+            parts.append(answers)
+            progress(len(chunk))
+    logits, grades = (torch.cat([part[key] for part in parts]) for key in ("logits", "grades"))
+    shape = (count, len(rows))
+    return SoftLabels(logits.view(*shape, -1), grades.view(shape))
+
+
+@torch.inference_mode()
+def _ask(
+    teacher: Grader,
+    store: FrameStore,
+    augmentation: Augmentation,
+    rows: Tensor,
+    variant: int,
+    seed: int,
+) -> dict[str, Tensor]:
+    parts = []
+    for batch in rows.split(ASKED):
+        x = teacher.network.normalise(store.take(batch).images.to(teacher.device))
+        x = variants(x, batch, torch.full_like(batch, variant), seed, augmentation)
+        parts.append(teacher.answer(x))
+    logits, grades = (torch.cat([part[i] for part in parts]).cpu() for i in (0, 1))
+    return {"logits": logits, "grades": grades}
 
 
 def agreement(

@@ -10,7 +10,7 @@ that a change of KID is the part's alone. What the halves leave open is the rang
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,7 +29,13 @@ from racines_models.provenance import code_version, environment, sha256_bytes
 from racines_models.sample import Progress
 from racines_models.scores import metrics
 from racines_models.scores.features import Extractor
-from racines_models.studies.ablation.variants import BASE, NO_GRAY_MAP, Variant, gray_map_variant
+from racines_models.studies.ablation.variants import (
+    BASE,
+    NO_GRAY_MAP,
+    VARIANTS,
+    Variant,
+    gray_map_variant,
+)
 from racines_models.studies.realism.report import RealFrames, RealismConfig, common_sector, one_each
 
 SCHEMA = "racines.ablation/1"
@@ -137,9 +143,8 @@ def _frames(phantom: Phantom, setting: Setting, heart: int) -> Tensor:
 
 
 def _probed(setting: Setting) -> list[Phantom]:
-    base = Variant(BASE, lambda config, base: config)
     hearts = min(PROBED, setting.config.hearts)
-    return [Phantom(config) for config in base.configs(setting.base, hearts)]
+    return [Phantom(config) for config in VARIANTS[0].configs(setting.base, hearts)]
 
 
 def _render(
@@ -165,31 +170,29 @@ def _volume_of(config: PhantomConfig) -> PhantomConfig:
     return dataclasses.replace(config, probe=PhantomConfig().probe)
 
 
-def _same_blocks(variants: list[Variant], setting: Setting) -> Iterator[list[Variant]]:
-    """Yield the variants in groups that share the baked block of every heart."""
+def _same_blocks(variants: list[Variant], setting: Setting) -> Iterable[list[Variant]]:
+    """Return the variants in groups that share the baked block of every heart."""
     groups: dict[tuple[PhantomConfig, ...], list[Variant]] = {}
     for variant in variants:
         configs = variant.configs(setting.base, setting.config.hearts)
         groups.setdefault(tuple(map(_volume_of, configs)), []).append(variant)
-    yield from groups.values()
+    return groups.values()
 
 
 def _calibrate(real: Tensor, probed: list[Phantom], setting: Setting) -> tuple[Tensor, float]:
     """Return the mask of all variants, and the gain, dB, that keeps the gray without gray map."""
 
-    def mean_gray(change: Callable[[PhantomConfig], PhantomConfig], mask: Tensor) -> float:
-        rendered = [p.with_probe(change(p.config).probe) for p in probed]
-        images = torch.cat([_frames(p, setting, heart) for heart, p in enumerate(rendered)])
-        return float(images[:, mask].double().mean())
+    def render(variant: Variant) -> Tensor:
+        changed = [p.with_probe(variant.change(p.config, setting.base).probe) for p in probed]
+        return torch.cat([_frames(p, setting, heart) for heart, p in enumerate(changed)])
 
-    frames = torch.cat([_frames(p, setting, heart) for heart, p in enumerate(probed)])
-    mask = common_sector(real, frames, setting.realism.support)
-    wanted = mean_gray(lambda config: config, mask)
+    full = render(VARIANTS[0])
+    mask = common_sector(real, full, setting.realism.support)
+    wanted = full[:, mask].double().mean()
     low, high = GAINS
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        variant = gray_map_variant(middle)
-        brighter = mean_gray(lambda c, v=variant: v.change(c, setting.base), mask) > wanted
+        brighter = bool(render(gray_map_variant(middle))[:, mask].double().mean() > wanted)
         low, high = (low, middle) if brighter else (middle, high)
     return mask, round((low + high) / 2, 2)
 
@@ -200,11 +203,8 @@ def _halves(real: Tensor, ours: Tensor | None, config: RealismConfig) -> dict[st
     n = min(len(real) // 2, config.frames, len(real) if ours is None else len(ours))
     values = []
     for _ in range(config.splits):
-        order = torch.from_numpy(random.permutation(len(real)))
-        if ours is None:
-            other = real[order[n : 2 * n]]
-        else:
-            other = ours[torch.from_numpy(random.permutation(len(ours))[:n])]
+        order = random.permutation(len(real))
+        other = real[order[n : 2 * n]] if ours is None else ours[random.permutation(len(ours))[:n]]
         values.append(metrics.kid(other, real[order[:n]]))
     mean = sum(values) / len(values)
     return {"kid": mean, "low": min(values), "high": max(values), "values": values}

@@ -167,13 +167,11 @@ def compare_with_real(
     """
     began = time.perf_counter()
     rows = choose_rows(store, config)
-    phantom = store.take(rows).images
-    real = one_each(real, 2 * config.frames)
+    phantom, real = store.take(rows).images, one_each(real, 2 * config.frames)
     mask = common_sector(real.images, phantom, config.support)
     sector = Sector.of(mask)
     ours, theirs = (images * mask for images in (phantom, real.images))
-    a = Summary.of(ours, sector, extractor(ours, progress))
-    b = Summary.of(theirs, sector, extractor(theirs, progress))
+    a, b = (Summary.of(images, sector, extractor(images, progress)) for images in (ours, theirs))
     n, figures = _over_splits(a, b, config)
     content = {
         "schema": SCHEMA,
