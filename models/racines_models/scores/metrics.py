@@ -110,9 +110,7 @@ def frechet_distance(reference: Tensor, candidate: Tensor) -> float:
     2017). The usual code takes the root of the non-symmetric product Σ₁Σ₂; the eigenvalues of a
     symmetric matrix take its place here. With fewer samples than dimensions the same trace is the
     nuclear norm of the cross-Gram matrix X₁X₂ᵀ, exact for singular covariances and far smaller.
-
-    Raises:
-        RacinesError: fewer than two samples, or features that are not finite.
+    Sets of one sample, and features that are not finite, are refused.
     """
     for features in (reference, candidate):
         if len(features) < 2:
@@ -182,13 +180,10 @@ def _checked(features: Tensor) -> Tensor:
 def kid(
     candidate: Tensor, reference: Tensor, subset: int = 1000, subsets: int = 100, seed: int = 0
 ) -> float:
-    """Return the kernel distance (Bińkowski et al., 2018) of two (N, D) feature sets.
+    """Return the kernel distance (Bińkowski et al., 2018) of two (N, D) feature sets, N >= 2.
 
     Up to `subset` samples enter one unbiased estimate over all pairs; more are drawn without
     replacement into `subsets` estimates, which are averaged.
-
-    Raises:
-        RacinesError: sets of different sizes, or fewer than two samples.
     """
     from torchmetrics.image.kid import poly_mmd
 

@@ -23,11 +23,7 @@ SETTINGS: dict[str, Any] = {"k": NEIGHBOURS, "distance": "Euclidean"}
 
 
 class Neighbourhoods:
-    """The distances within and between a true and a drawn set, so that subsets are cheap.
-
-    Raises:
-        RacinesError: sets of different sizes, or too few samples for `k` neighbours.
-    """
+    """The distances within and between a true and a drawn set, so that subsets are cheap."""
 
     def __init__(self, truth: Tensor, drawn: Tensor, k: int = NEIGHBOURS):
         if len(truth) != len(drawn) or len(truth) <= k:

@@ -33,11 +33,8 @@ def run_ablation(
     """Train all four and write `conditioning.json` into `run.folder`; each has a folder there.
 
     A variant whose training is finished is not trained again: its model is read and judged, on so
-    many validation frames. `config` is what the four have in common; a pose regressor adds the
-    pose error of the drawn images.
-
-    Raises:
-        RacinesError: the config lacks one of the two keys.
+    many validation frames. `config`, with keys `conditioning` and `injection`, is what the four
+    have in common; a pose regressor adds the pose error of the drawn images.
     """
     missing = {"conditioning", "injection"} - {f.name for f in dataclasses.fields(config)}
     if missing:

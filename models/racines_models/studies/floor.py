@@ -84,11 +84,7 @@ def measure_floor(
 
 
 def frames_needed(store: FrameStore, config: FloorConfig) -> Sample:
-    """Return the frames that the halves are made of, spread over the split's trajectories.
-
-    Raises:
-        RacinesError: fewer than two trajectories.
-    """
+    """Return the frames that the halves are made of, spread over the split's trajectories."""
     rows = store.split_indices(config.split)
     pool = spread_sample(store, rows, round(2 * SLACK * max(config.sizes)))
     if len(np.unique(pool.trajectory)) < 2:

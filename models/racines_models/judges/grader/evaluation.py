@@ -42,11 +42,7 @@ def write_report(
 def evaluate_grader(
     folder: Path, store: FrameStore, split: str, out: Path, recalibrate: bool, device: str
 ) -> dict[str, Any]:
-    """Report a saved grader on a split into `out`; with `recalibrate`, fit its temperature first.
-
-    Raises:
-        RacinesError: no grader in `folder`, one of other views, or a split without frames.
-    """
+    """Report a saved grader on a split into `out`; `recalibrate` fits its temperature first."""
     grader = Grader.load(folder, device)
     if not len(store.split_indices(split)):
         raise RacinesError(f"split {split}: no frames; choose another with --split")
@@ -60,13 +56,7 @@ def evaluate_grader(
 
 
 def write_plots(folder: Path, examined: Examination) -> list[str]:
-    """Draw the report into `folder`: `confusion.png`, `reliability.png`, `grades.png`, `views.png`.
-
-    What a split without views or grades cannot show is left out.
-
-    Returns:
-        The names of the files written.
-    """
+    """Draw what views and grades a split has into `folder`; return the names of the files."""
     figures: dict[str, Figure] = {}
     with card_style():
         if bool((examined.views >= 0).any()):

@@ -100,9 +100,6 @@ class Grader(Judge):
 
     What it says of an image depends on that image alone: not on its place, on its neighbours or on
     the size of the batch, to the last bit, on one machine.
-
-    Raises:
-        RacinesError: `load` finds no grader, or one of another kind.
     """
 
     architecture: ClassVar[str] = "resnet18"
@@ -181,7 +178,11 @@ class Grader(Judge):
 
     @classmethod
     def load(cls, folder: Path | str, device: str = "cpu") -> "Grader":
-        """Read what `save` wrote, of either architecture, or its half-precision copy."""
+        """Read what `save` wrote, of either architecture, or its half-precision copy.
+
+        Raises:
+            RacinesError: no grader, one of another kind, or weights that the config does not name.
+        """
         folder = Path(folder)
         described = read_config(folder)
         try:

@@ -85,16 +85,13 @@ class Examination(NamedTuple):
 
 
 def report(grader: Grader, store: FrameStore, split: str = "test") -> dict[str, Any]:
-    """Judge a split and compare with its labels.
+    """Judge a split and compare with its labels, which the grader must have been trained for.
 
     Returns:
         `split`; `metrics`: `view_accuracy`, `grade_mae` (frames of a view), `grade_mae_all`,
         `grade_agreement`, each with value, low, high, n; `views`: the accuracy on each label's
         frames; `grades`: `mae` and `bias` on each view's frames; `calibration`: the temperature and
         the expected calibration error `before` and `after` it; `confusion`: counts, rows the truth.
-
-    Raises:
-        RacinesError: the grader was trained for other views.
     """
     return examine(grader, store, split).content
 
@@ -207,13 +204,7 @@ def reliability(probabilities: Tensor, views: Tensor) -> Reliability:
 
 
 def calibrate(grader: Grader, store: FrameStore, split: str = "validation") -> int:
-    """Set the grader's temperature by the frames of a split; return how many had a view.
-
-    A split without known views leaves the temperature at 1.
-
-    Raises:
-        RacinesError: the grader was trained for other views.
-    """
+    """Set the grader's temperature by a split, 1 if no view is known; return how many are."""
     grader.check_labels(store.labels, "the dataset")
     rows = store.split_indices(split)
     views = store.views[rows]

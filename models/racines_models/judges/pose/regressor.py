@@ -135,9 +135,6 @@ class PoseRegressor:
 
     A pose depends on its image alone: not on its place, on its neighbours or on the size of the
     batch, to the last bit, on one machine.
-
-    Raises:
-        RacinesError: `load` finds no pose regressor, a damaged one, or something else.
     """
 
     def __init__(self, network: PoseNetwork, config: PoseConfig, device: str = "cpu"):
@@ -181,7 +178,7 @@ class PoseRegressor:
 
     @classmethod
     def load(cls, folder: Path | str, device: str = "cpu") -> "PoseRegressor":
-        """Read what `save` wrote, or its half-precision copy (see `publish`)."""
+        """Read what `save` wrote, or its half-precision copy; refused if absent or damaged."""
         folder = Path(folder)
         described = read_described(folder, "no pose regressor there; run: racines train pose")
         if described.get("schema") != SCHEMA:

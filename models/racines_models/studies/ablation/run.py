@@ -78,9 +78,6 @@ def ablate(
 
     It is written to `out`, JSON, after each of them; variants measured there under equal settings
     are kept. `progress` is told of each frame rendered and each one embedded.
-
-    Raises:
-        RacinesError: the phantom has no such view, or the sectors do not overlap.
     """
     told = progress or (lambda count: None)
     real = one_each(real, 2 * setting.realism.frames)
@@ -118,11 +115,7 @@ def poses_near(phantom: Phantom, view: str, count: int, seed: int) -> Pose:
 
 
 def merge_into(report: Path, ablation: dict[str, Any]) -> None:
-    """Write the list of an ablation under `ablation` in a report of `racines study realism`.
-
-    Raises:
-        RacinesError: no such report, or it holds no comparison.
-    """
+    """Write the list of an ablation under `ablation` in a report of `racines study realism`."""
     try:
         content = json.loads(report.read_text())
     except (OSError, ValueError) as error:

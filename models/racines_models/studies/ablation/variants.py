@@ -71,11 +71,7 @@ VARIANTS = (
 
 
 def pick_variants(names: list[str] | None) -> list[Variant]:
-    """Return the full phantom and the named variants, or all.
-
-    Raises:
-        RacinesError: no such variant.
-    """
+    """Return the full phantom and the named variants, or all."""
     known = [variant.name for variant in VARIANTS]
     unknown = sorted(set(names or ()) - set(known))
     if unknown:

@@ -66,11 +66,7 @@ class Realism(NamedTuple):
 
 
 def read_real(path: Path) -> RealFrames:
-    """Read real frames.
-
-    Raises:
-        RacinesError: no such file, columns missing, or images of another size.
-    """
+    """Read real frames from a Parquet file, as `RealismConfig.real` describes it."""
     import polars as pl
 
     if not path.is_file():
@@ -92,13 +88,9 @@ def take_phantom(store: FrameStore, config: RealismConfig) -> Tensor:
 
 
 def choose_rows(store: FrameStore, config: RealismConfig) -> Tensor:
-    """Return the (n,) rows of the frames of the view to compare, of all splits.
+    """Return the (n,) rows of the frames of the view to compare, two or more, of all splits.
 
     Hearts have equal shares, as far as each has frames; the frames of one are at even distances.
-
-    Raises:
-        RacinesError: the dataset is of another organ, or has fewer than two frames of the view and
-            grade.
     """
     if config.view not in store.labels:
         raise RacinesError(
@@ -160,11 +152,7 @@ def compare_with_real(
     extractor: Extractor,
     progress: Progress | None = None,
 ) -> Realism:
-    """Hold the phantom's frames beside the real ones.
-
-    Raises:
-        RacinesError: too few frames of either, or sectors that do not overlap.
-    """
+    """Hold the phantom's frames beside the real ones."""
     began = time.perf_counter()
     rows = choose_rows(store, config)
     phantom, real = store.take(rows).images, one_each(real, 2 * config.frames)
