@@ -93,11 +93,9 @@ def kept(folder: Path | None, key: list[Any], make: Callable[[], Tensor]) -> Ten
     if folder is None:
         return make()
     path = folder / f"{sha256_bytes(json.dumps(key, sort_keys=True).encode())[:32]}.safetensors"
-    if path.is_file():
-        try:
-            return load_file(path)["features"]
-        except (SafetensorError, KeyError, OSError):
-            pass  # a damaged cache is made again
-    tensor = make()
-    write_atomic(path, save({"features": tensor.contiguous()}))
-    return tensor
+    try:
+        return load_file(path)["features"]
+    except (SafetensorError, KeyError, OSError):  # absent, or damaged
+        tensor = make()
+        write_atomic(path, save({"features": tensor.contiguous()}))
+        return tensor

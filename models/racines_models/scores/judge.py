@@ -55,24 +55,21 @@ class ScoresConfig:
     """Measure images a second at batch 1 and 64."""
 
 
+@dataclass
 class Scorer:
     """One sample, its truth, and the images drawn of it with each seed."""
 
-    def __init__(
-        self,
-        config: ScoresConfig,
-        store: FrameStore,
-        sample: Sample,
-        drawn: list[Tensor],
-        cache: Path | None = None,
-        progress: Progress | None = None,
-    ) -> None:
-        self.config, self.store, self.sample, self.drawn = config, store, sample, drawn
-        self.cache, self.progress = cache, progress
-        self._key = [store.manifest["digest"], sample.digest]
-        self._sides = {"": drawn, "_truth": [sample.frames.images]}
-        """What is looked at, by the suffix of its figures: `…_truth` says what a network's own
-        errors allow."""
+    config: ScoresConfig
+    store: FrameStore
+    sample: Sample
+    drawn: list[Tensor]
+    cache: Path | None = None
+    progress: Progress | None = None
+
+    def __post_init__(self) -> None:
+        """Name the reference; figures of the truth itself say what a network's own errors allow."""
+        self._key = [self.store.manifest["digest"], self.sample.digest]
+        self._sides = {"": self.drawn, "_truth": [self.sample.frames.images]}
 
     def likeness(self) -> dict[str, Any]:
         """Return SSIM, MS-SSIM and PSNR against the frame at the same pose."""
@@ -141,10 +138,8 @@ class Scorer:
         grader.check_labels(self.store.labels, "the dataset")
         random = len(grader.labels) - 1
         for suffix, sets in self._sides.items():
-            compared = [
-                compare(*grader.judge(images)[:2], frames.views, frames.grades, random)
-                for images in sets
-            ]
+            judged = [grader.judge(images)[:2] for images in sets]
+            compared = [compare(*each, frames.views, frames.grades, random) for each in judged]
             for name, first in compared[0].items():
                 estimate = self._mean([each[name].values for each in compared])
                 figures[f"{name}{suffix}"] = estimate.to_json(first.unit, rule=first.rule)
@@ -157,16 +152,17 @@ class Scorer:
         """
         frames, figures = self.sample.frames, {}
         of_view = (frames.views >= 0) & (frames.views != len(self.store.labels) - 1)
-        groups = {"": torch.ones_like(of_view), "_view": of_view}
+        groups = {"": (torch.ones_like(of_view), "all frames")}
+        groups["_view"] = (of_view, "the frames of a view")
         for suffix, sets in self._sides.items():
             found = [pose_errors(regressor.predict(images), frames.parameters) for images in sets]
-            for group, chosen in groups.items():
+            for group, (chosen, rule) in groups.items():
                 if not bool(chosen.any()):
                     continue
                 for unit, errors in zip(("mm", "deg"), zip(*found, strict=True), strict=True):
                     median = self._median([each[chosen] for each in errors], chosen)
-                    rule = "median over " + ("the frames of a view" if group else "all frames")
-                    figures[f"pose_error_{unit}{group}{suffix}"] = median.to_json(unit, rule=rule)
+                    name = f"pose_error_{unit}{group}{suffix}"
+                    figures[name] = median.to_json(unit, rule=f"median over {rule}")
         return figures
 
     def variety(
@@ -193,10 +189,8 @@ class Scorer:
         scanned = diversity.scanned_again(self.store, some, self.cache)
         if scanned is not None:
             rule = "root mean square difference of two new scans of one pose"
-            told = self._mean([scanned], places)
-            figures["diversity_truth"] = told.to_json(
-                GRAY, rule=rule, source=self.store.manifest["source"]
-            )
+            told, source = self._mean([scanned], places), self.store.manifest["source"]
+            figures["diversity_truth"] = told.to_json(GRAY, rule=rule, source=source)
         return figures
 
     def memory(self) -> dict[str, Any]:
@@ -232,10 +226,8 @@ class Scorer:
 
     def _of_images(self, metric: Metric) -> Estimate:
         frames = self.sample.frames
-        values = [
-            torch.as_tensor(metric.measure(frames._replace(images=images), frames))
-            for images in self.drawn
-        ]
+        pairs = [(frames._replace(images=images), frames) for images in self.drawn]
+        values = [torch.as_tensor(metric.measure(*pair)) for pair in pairs]
         if any(each.shape != (len(frames.index),) for each in values):
             raise RacinesError(f"metric {metric.name!r}: it has to give one value an image")
         return self._mean(values)

@@ -196,10 +196,8 @@ def reliability(probabilities: Tensor, views: Tensor) -> Reliability:
     right = (label == views[known]).double()
     # Bins are open below and closed above, as in the paper.
     index = ((confidence * BINS).ceil().long() - 1).clamp(0, BINS - 1)
-    count, sure, hit = (
-        torch.zeros(BINS, dtype=torch.float64).index_add_(0, index, values)
-        for values in (torch.ones_like(right), confidence, right)
-    )
+    weights = (torch.ones_like(right), confidence, right)
+    count, sure, hit = (torch.bincount(index, values, BINS) for values in weights)
     return Reliability(count, sure / count.clamp_min(1.0), hit / count.clamp_min(1.0))
 
 
@@ -208,11 +206,9 @@ def calibrate(grader: Grader, store: FrameStore, split: str = "validation") -> i
     grader.check_labels(store.labels, "the dataset")
     rows = store.split_indices(split)
     views = store.views[rows]
-    known = int((views >= 0).sum())
+    known, grader.temperature = int((views >= 0).sum()), 1.0
     if known:
         grader.temperature = fit_temperature(grader.read(store.take(rows).images).logits, views)
-    else:
-        grader.temperature = 1.0
     return known
 
 
