@@ -116,8 +116,8 @@ MOVED = {
         "networks.scene_field_probe=probe"
     ),
     "racines_models.scores": (
-        "diversity features frechet=metrics gallery inception judge memorisation=diversity metrics "
-        "prdc scoring"
+        "diversity features frechet=metrics gallery inception=features judge=scoring "
+        "memorisation=diversity metrics prdc scoring"
     ),
     "racines_models.studies": "conditioning_ablation=conditioning floor leakage",
     "racines_models.studies.ablation": (

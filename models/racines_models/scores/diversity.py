@@ -108,12 +108,7 @@ def nearest_train(images: Tensor, store: FrameStore, summaries: Tensor) -> Tenso
         distance = torch.cdist(summarise(batch), summaries.float())
         nearest = distance.topk(min(CANDIDATES, len(rows)), largest=False).indices
         candidates = store.take(rows[nearest.flatten()]).images.view(*nearest.shape, -1)
-        found.append(_differences(batch, candidates).amin(1))
+        flat = batch.flatten(1).float()
+        apart = [(flat - each.float()).square().mean(1).sqrt() for each in candidates.unbind(1)]
+        found.append(torch.stack(apart, 1).amin(1))
     return torch.cat(found)
-
-
-def _differences(images: Tensor, candidates: Tensor) -> Tensor:
-    """Return the (B, C) differences of (B, H, W) images from their (B, C, H·W) candidates."""
-    flat = images.flatten(1).float()
-    columns = [(flat - each.float()).square().mean(1).sqrt() for each in candidates.unbind(1)]
-    return torch.stack(columns, 1)

@@ -4,11 +4,8 @@ Nearest-pose retrieval draws nothing: it hands back the training frame whose pos
 a split by trajectory it has to find a frame of another sweep. Under a random split of frames the
 neighbours in time of every test frame are in the training set, and it hands back a near-copy.
 
-    the same test frames ─┬─ training frames of other trajectories ──> retrieved ──> SSIM, PSNR
-                          └─ as many training frames drawn at random ─> retrieved ──> SSIM, PSNR
-
-They are test frames under both splits. Only what may be looked up differs, so that the difference
-is the leak.
+The same frames are looked up under both splits. Only where they may be found differs, so that the
+difference of SSIM and PSNR is the leak.
 """
 
 import time

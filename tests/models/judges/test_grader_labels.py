@@ -12,7 +12,7 @@ from racines_models.judges.grader.report import report
 from racines_models.judges.grader.training import class_weights, train_grader
 from racines_models.pictures import pick_columns
 from racines_models.sample import take_sample
-from racines_models.scores.judge import Scorer, ScoresConfig
+from racines_models.scores.scoring import Scorer, ScoresConfig
 from racines_models.studies.realism.report import RealismConfig, take_phantom
 from tests.models.judges.test_grader import SHORT, run
 from tests.models.labelled import LabelledStore

@@ -5,9 +5,9 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_models.sample import take_sample
-from racines_models.scores import judge as module
-from racines_models.scores.judge import Scorer, ScoresConfig
+from racines_models.scores import scoring as module
 from racines_models.scores.plugin import Metric
+from racines_models.scores.scoring import Scorer, ScoresConfig
 from tests.models.labelled import LabelledStore
 
 

@@ -9,8 +9,7 @@ from racines_models.generators.mean_image import MeanImage
 from racines_models.protocol import Run
 from racines_models.registry import open_runs, weights_of
 from racines_models.sample import Sample
-from racines_models.scores.judge import Scorer, ScoresConfig
-from racines_models.scores.scoring import take_turns
+from racines_models.scores.scoring import Scorer, ScoresConfig, take_turns
 from racines_models.training.repeats import repeat_folders, train_seeds
 
 

@@ -38,7 +38,7 @@ def ablation(
     from racines_data.progress import image_counter
     from racines_data.tables import console_table
     from racines_models.cli.output import ranged, tell
-    from racines_models.scores.inception import InceptionFeatures
+    from racines_models.scores.features import InceptionFeatures
     from racines_models.studies.ablation import run as study
     from racines_models.studies.ablation.variants import pick_variants
     from racines_models.studies.realism.report import read_real

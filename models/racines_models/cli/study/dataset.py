@@ -36,8 +36,7 @@ def floor(
     from racines_data.store.frames import open_store
     from racines_models.cli.output import ranged, tell
     from racines_models.judges.grader.model import Grader
-    from racines_models.scores.features import Extractor, GraderFeatures
-    from racines_models.scores.inception import InceptionFeatures
+    from racines_models.scores.features import Extractor, GraderFeatures, InceptionFeatures
     from racines_models.studies.floor import FloorConfig, draw_floor, frames_needed, measure_floor
 
     extractors: dict[str, Extractor] = {"inception": InceptionFeatures(device)}

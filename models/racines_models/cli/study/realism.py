@@ -43,7 +43,7 @@ def realism(
     from racines_data.store.frames import open_store
     from racines_models.cli.output import tell
     from racines_models.pictures import COLUMNS, write_strip
-    from racines_models.scores.inception import InceptionFeatures
+    from racines_models.scores.features import InceptionFeatures
     from racines_models.studies.realism.report import compare_with_real, not_compared, read_real
 
     config, path = realism_settings(real, frames, params, profile)

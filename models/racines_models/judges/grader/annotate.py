@@ -1,6 +1,6 @@
 """Writing a grader's view and grade into the `frames` of a dataset.
 
-    store ──> grader ──> opinions/*.npy ──> new shards, card, manifest ──> swapped in place
+    store ──> grader ──> opinions/*.safetensors ──> new shards, card, manifest ──> swapped in place
 
 The opinions go into `view_predicted` and `grade_predicted` alone: all other bytes of the rows stay
 as they were, and with them the content digest. The card names the grader, so that no reader is
@@ -10,6 +10,7 @@ served rows of before.
 import json
 import os
 import shutil
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +19,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
+from safetensors.torch import load_file
+from torch import Tensor
 
 from racines_data.card.croissant import CROISSANT, add_croissant
 from racines_data.card.markdown import write_card
@@ -30,6 +33,7 @@ from racines_data.store.frames import FrameStore
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.grader.report import compare
 from racines_models.sample import Progress
+from racines_models.weights import save_weights
 
 BATCH = 256
 """Images judged at once."""
@@ -115,9 +119,8 @@ def _shards(root: Path, manifest: dict[str, Any], store: FrameStore) -> list[_Sh
         table = pq.read_table(root / name, columns=["trajectory", "frame"])
         rows = slice(start, start + len(table))
         ids = [store.trajectories[i] for i in store.trajectory_index[rows].tolist()]
-        if table["trajectory"].to_pylist() != ids or not np.array_equal(
-            table["frame"].to_numpy(), store.frame[rows].numpy()
-        ):
+        numbers = store.frame[rows].tolist()
+        if (table["trajectory"].to_pylist(), table["frame"].to_pylist()) != (ids, numbers):
             raise RacinesError(f"{root / name}: its rows are not those of the training store")
         shards.append(_Shard(name, rows))
     return shards
@@ -129,36 +132,30 @@ def _judge_all(
     """Return (N, 2) float32 views and grades, judged shard by shard; those on disk are kept."""
     parts = []
     for shard in shards:
-        path = folder / f"{Path(shard.name).stem}.npy"
-        write_once(path, lambda aside, shard=shard: _save(aside, _judge(store, grader, shard)))
-        parts.append(np.load(path))
+        path = folder / f"{Path(shard.name).stem}.safetensors"
+        if not path.exists():
+            save_weights(path, {"opinions": _judge(store, grader, shard)})
+        parts.append(load_file(path)["opinions"])
         if told is not None:
             told(len(parts[-1]))
-    return np.concatenate(parts)
+    return torch.cat(parts).numpy()
 
 
-def _judge(store: FrameStore, grader: Grader, shard: _Shard) -> np.ndarray:
+def _judge(store: FrameStore, grader: Grader, shard: _Shard) -> Tensor:
     parts = []
     for images in store.images[shard.rows].split(BATCH):
         probabilities, grades = grader.probabilities_and_grade(images)
         parts.append(torch.stack([probabilities.argmax(-1).float(), grades.float()], 1).cpu())
-    return torch.cat(parts).numpy()
-
-
-def _save(path: Path, values: np.ndarray) -> None:
-    with path.open("wb") as file:
-        np.save(file, values)
+    return torch.cat(parts)
 
 
 def _bring(source: Path, linked: bool, target: Path) -> None:
     """Bring over a file that stays as it is; by a link where the old folder goes."""
     target.unlink(missing_ok=True)
     if linked:
-        try:
+        with suppress(OSError):  # another file system, or one without links
             os.link(source, target)
             return
-        except OSError:  # another file system, or one without links
-            pass
     shutil.copyfile(source, target)
 
 
