@@ -59,7 +59,7 @@ def write_plots(folder: Path, examined: Examination) -> list[str]:
     """Draw what views and grades a split has into `folder`; return the names of the files."""
     figures: dict[str, Figure] = {}
     with card_style():
-        if bool((examined.views >= 0).any()):
+        if bool((examined.frames.views >= 0).any()):
             figures["confusion"] = confusion_figure(examined)
             figures["reliability"] = reliability_figure(examined)
         if examined.content["grades"]:
@@ -72,9 +72,9 @@ def write_plots(folder: Path, examined: Examination) -> list[str]:
 
 def confusion_figure(examined: Examination) -> Figure:
     """Draw the counts and the shares of each true label's frames, one row a true label."""
-    counts = np.array(examined.content["confusion"]["counts"])
+    content, names = examined.content, examined.grader.labels
+    counts = np.array(content["confusion"]["counts"])
     share = counts / np.maximum(counts.sum(1, keepdims=True), 1)
-    names = examined.names
     figure = Figure(figsize=(1.6 + 0.75 * len(names), 1.4 + 0.62 * len(names)), layout="tight")
     axes = figure.subplots()
     axes.imshow(share**0.5, cmap="Blues", vmin=0.0, vmax=1.1, aspect="auto")
@@ -86,31 +86,30 @@ def confusion_figure(examined: Examination) -> Figure:
             axes.text(column, row, text, ha="center", va="center", color=colour, fontsize=7.5)
     axes.set_xticks(range(len(names)), names)
     axes.set_yticks(range(len(names)), names)
-    accuracy = examined.content["metrics"]["view_accuracy"]["value"]
-    title = f"Views, {examined.content['split']} split: {100 * accuracy:.2f} % right"
+    accuracy = content["metrics"]["view_accuracy"]["value"]
+    title = f"Views, {content['split']} split: {100 * accuracy:.2f} % right"
     axes.set(xlabel="label given", ylabel="true label", title=title)
     return figure
 
 
 def reliability_figure(examined: Examination) -> Figure:
     """Draw accuracy against confidence, before and after the temperature, over a histogram."""
+    grader, frames, reading, content = examined
     figure = Figure(figsize=(4.6, 4.8), layout="tight")
     upper, lower = figure.subplots(2, 1, height_ratios=(3, 1), sharex=True)
     upper.plot([0, 1], [0, 1], color=MUTED, linewidth=0.8, linestyle=":", label="perfect")
-    fitted = examined.temperature
-    looks = (
+    fitted = grader.temperature
+    for key, temperature, name, colour, marker in (
         ("before", 1.0, "before", PAPER, "s"),
         ("after", fitted, f"after, T = {fitted:.2f}", OURS, "o"),
-    )
-    for key, temperature, name, colour, marker in looks:
-        table = reliability((examined.reading.logits / temperature).softmax(-1), examined.views)
+    ):
+        table = reliability((reading.logits / temperature).softmax(-1), frames.views)
         filled = table.frames > 0
         x, y = table.confidence[filled], table.accuracy[filled]
-        error = examined.content["calibration"][key]["value"]
-        label = f"{name}: ECE {100 * error:.2f} %"
+        label = f"{name}: ECE {100 * content['calibration'][key]['value']:.2f} %"
         upper.plot(x, y, color=colour, marker=marker, markersize=4, linewidth=1.2, label=label)
         lower.step(x, table.frames[filled], color=colour, where="mid", linewidth=1.2)
-    title = f"Calibration, {examined.content['split']} split"
+    title = f"Calibration, {content['split']} split"
     upper.set(ylabel="accuracy", ylim=(0.0, 1.02), title=title)
     upper.legend(loc="upper left")
     lower.set(yscale="log", ylabel="frames", xlabel="confidence, mean of a bin")
@@ -119,18 +118,18 @@ def reliability_figure(examined: Examination) -> Figure:
 
 def grades_figure(examined: Examination) -> Figure:
     """Draw the grade given against the true one, a panel a view; darker is more frames."""
-    names = [name for name in examined.names if name in examined.content["grades"]]
+    grader, frames, reading, content = examined
+    names = [name for name in grader.labels if name in content["grades"]]
     columns = min(len(names), 3)
     rows = -(-len(names) // columns)
     figure = Figure(figsize=(2.5 * columns + 0.4, 2.4 * rows + 0.5), layout="tight")
     panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True, sharey=True)).ravel()
     for axes, name in zip(panels, names, strict=False):
-        chosen = (examined.views == examined.names.index(name)) & examined.grades.isfinite()
-        pair = examined.grades[chosen].numpy(), examined.reading.grades[chosen].numpy()
+        chosen = (frames.views == grader.labels.index(name)) & frames.grades.isfinite()
+        pair = frames.grades[chosen].numpy(), reading.grades[chosen].numpy()
         axes.hist2d(*pair, 40, (GRADES, GRADES), cmap="Blues", norm=LogNorm(vmin=0.3), cmin=1)
         axes.plot(GRADES, GRADES, color=MUTED, linewidth=0.8, linestyle=":")
-        figures = examined.content["grades"][name]
-        mae, bias = figures["mae"]["value"], figures["bias"]["value"]
+        mae, bias = (content["grades"][name][key]["value"] for key in ("mae", "bias"))
         axes.set(title=f"{name}: MAE {mae:.2f}, bias {bias:+.2f}", aspect="equal")
     for axes in panels[max(len(names) - columns, 0) : len(names)]:
         axes.tick_params(labelbottom=True)  # the lowest of each column
@@ -143,14 +142,14 @@ def grades_figure(examined: Examination) -> Figure:
 
 def views_figure(examined: Examination) -> Figure:
     """Draw, by view, accuracy, mean absolute error and bias of the grade, with 95 % intervals."""
-    content = examined.content
-    figure = Figure(figsize=(8.4, 0.3 * len(examined.names) + 1.3), layout="tight")
+    content, labels = examined.content, examined.grader.labels
+    figure = Figure(figsize=(8.4, 0.3 * len(labels) + 1.3), layout="tight")
     panels = figure.subplots(1, 3)
     shown = {"view accuracy": content["views"]}
     for key, title in (("mae", "grade, mean absolute error"), ("bias", "grade, bias")):
         shown[title] = {name: each[key] for name, each in content["grades"].items()}
     for axes, (title, figures) in zip(panels, shown.items(), strict=True):
-        _intervals(axes, figures, view_colours(examined.names), title)
+        _intervals(axes, figures, view_colours(labels), title)
     panels[1].set_xlim(left=0.0)
     panels[2].axvline(0.0, color=MUTED, linewidth=0.8)
     return figure

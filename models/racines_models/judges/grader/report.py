@@ -70,18 +70,12 @@ def compare(
 
 
 class Examination(NamedTuple):
-    """A grader's answers on a split, and what they come to."""
+    """A grader, its answers on the frames of a split, and what they come to: see `report`."""
 
+    grader: Grader
+    frames: Batch
     reading: Reading
-    views: Tensor
-    """(N,) true labels, -1 where unknown."""
-    grades: Tensor
-    """(N,) true grades, NaN where unknown."""
-    names: tuple[str, ...]
-    """Names of the labels; the last is `Random`."""
-    temperature: float
     content: dict[str, Any]
-    """The report, see `report`."""
 
 
 def report(grader: Grader, store: FrameStore, split: str = "test") -> dict[str, Any]:
@@ -120,8 +114,7 @@ def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examinati
         "calibration": calibration,
         "confusion": {"labels": list(store.labels), "counts": counts},
     }
-    answers = (reading, frames.views, frames.grades)
-    return Examination(*answers, store.labels, grader.temperature, content)
+    return Examination(grader, frames, reading, content)
 
 
 def _by_view(
