@@ -117,7 +117,7 @@ MOVED = {
     ),
     "racines_models.scores": (
         "diversity features frechet=metrics gallery inception=features judge=scoring "
-        "memorisation=diversity metrics prdc scoring"
+        "memorisation=diversity metrics prdc=metrics scoring"
     ),
     "racines_models.studies": "conditioning_ablation=conditioning floor leakage",
     "racines_models.studies.ablation": (

@@ -1,7 +1,7 @@
 """Scores of a generator on held-out poses: each number with n, an interval and its provenance.
 
-`scoring` is the way in; `metrics`, `prdc` and `diversity` hold one kind of metric each, `features`
-the networks behind the distances, and `plugin` what a metric of another package is.
+`scoring` is the way in; `metrics` and `diversity` hold the metrics, `features` the networks behind
+the distances, and `plugin` what a metric of another package is.
 """
 
 import lazy_loader

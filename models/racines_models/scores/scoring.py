@@ -21,7 +21,7 @@ from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.judges.pose.training import pose_errors
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.sample import Progress, Sample, draw, speed, take_sample
-from racines_models.scores import diversity, metrics, prdc
+from racines_models.scores import diversity, metrics
 from racines_models.scores.features import (
     Extractor,
     GraderFeatures,
@@ -206,7 +206,7 @@ class Scorer:
             f"kid{suffix}": kernel.to_json(features=name, **metrics.KID_SETTINGS, **subsets),
         }
         for key, each in self._neighbours(truth, drawn).items():
-            figures[f"{key}{suffix}"] = each.to_json(features=name, **prdc.SETTINGS)
+            figures[f"{key}{suffix}"] = each.to_json(features=name, **metrics.PRDC_SETTINGS)
         return figures
 
     def _kid(self, truth: Tensor, drawn: list[Tensor]) -> Callable[[np.ndarray], float]:
@@ -223,15 +223,15 @@ class Scorer:
         return truth, features_of_sets(extractor, self.drawn, self.progress)
 
     def _neighbours(self, truth: Tensor, drawn: list[Tensor]) -> dict[str, Estimate]:
-        if len(truth) <= prdc.NEIGHBOURS:
+        if len(truth) <= metrics.NEIGHBOURS:
             return {}
         count = min(len(truth), PRDC_FRAMES)
         rows = torch.arange(count) * len(truth) // count
-        sets = [prdc.Neighbourhoods(truth[rows], each[rows]) for each in drawn]
+        sets = [metrics.Neighbourhoods(truth[rows], each[rows]) for each in drawn]
 
         def statistics(keep: np.ndarray) -> dict[str, float]:
             figures = [each.figures(keep) for each in sets]
-            return {name: float(np.mean([each[name] for each in figures])) for name in prdc.NAMES}
+            return {name: float(np.mean([each[name] for each in figures])) for name in figures[0]}
 
         trajectory = self.sample.trajectory[rows.numpy()]
         estimates = jackknife_all(statistics, trajectory, self.config.blocks, 0.0)

@@ -50,9 +50,6 @@ def measure_floor(
     Returns:
         `rows`: by extractor, one row a size with n, and `fid` and `kid`, each `value` (mean),
         `low` and `high` (range over the halvings); and what they depend on.
-
-    Raises:
-        RacinesError: fewer than two trajectories, or no size that the halves could fill.
     """
     began = time.perf_counter()
     pool = frames_needed(store, config)

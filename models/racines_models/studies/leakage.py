@@ -70,9 +70,6 @@ def measure_leakage(
     """Score nearest-pose retrieval under a split by frames and one by trajectories.
 
     Where the dataset holds out a session, under that split too, on frames of that session.
-
-    Raises:
-        RacinesError: no poses, or an empty train or test split.
     """
     began = time.perf_counter()
     config = config or LeakageConfig()
@@ -96,13 +93,15 @@ def measure_leakage(
         of_session = spread_sample(store, out.nonzero()[:, 0], config.samples)
         others = (~out).nonzero()[:, 0]
         retrievals["session"] = _retrieve(store, of_session, others, progress)
+    frame, trajectory = (retrievals[split].figures for split in ("frame", "trajectory"))
+    gain = {name: frame[name] - trajectory[name] for name in UNITS}
     content = {
         "schema": SCHEMA,
         "dataset": dataset_card(store),
         "seed": config.seed,
         "sample": sample.digest,
         "splits": {name: _summary(each, config) for name, each in retrievals.items()},
-        "gain": _gain(retrievals, config),
+        "gain": _means(gain, sample, config),  # what the frame split adds, frame by frame
         "settings": {
             "metres_per_radian": NearestPoseConfig().metres_per_radian,
             "ssim": metrics.SSIM_SETTINGS,
@@ -151,7 +150,7 @@ def _summary(retrieval: Retrieval, config: LeakageConfig) -> dict[str, Any]:
 
     return {
         "train": retrieval.train,
-        **{name: _mean(figures[name], retrieval, config, unit) for name, unit in UNITS.items()},
+        **_means(figures, retrieval.sample, config),
         "position_mm": median("position"),
         "rotation_deg": median("rotation"),
         "same_trajectory": float(figures["same_trajectory"].mean()),
@@ -159,17 +158,12 @@ def _summary(retrieval: Retrieval, config: LeakageConfig) -> dict[str, Any]:
     }
 
 
-def _gain(retrievals: dict[str, Retrieval], config: LeakageConfig) -> dict[str, Any]:
-    """Return what the frame split adds, frame by frame, with intervals by trajectory."""
-    frame, trajectory = retrievals["frame"], retrievals["trajectory"]
+def _means(
+    figures: dict[str, np.ndarray], sample: Sample, config: LeakageConfig
+) -> dict[str, dict[str, Any]]:
+    """Return the means of SSIM and PSNR with intervals by trajectory."""
+    clusters, resamples = sample.trajectory, config.resamples
     return {
-        name: _mean(frame.figures[name] - trajectory.figures[name], trajectory, config, unit)
+        name: bootstrap_mean(figures[name], clusters, resamples=resamples).to_json(unit)
         for name, unit in UNITS.items()
     }
-
-
-def _mean(
-    values: np.ndarray, retrieval: Retrieval, config: LeakageConfig, unit: str | None
-) -> dict[str, Any]:
-    clusters = retrieval.sample.trajectory
-    return bootstrap_mean(values, clusters, resamples=config.resamples).to_json(unit)

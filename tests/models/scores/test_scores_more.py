@@ -12,7 +12,7 @@ from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwo
 from racines_models.sample import draw, take_sample
 from racines_models.scores import diversity, scoring
 from racines_models.scores.diversity import places_again, scanned_again, spread
-from racines_models.scores.prdc import Neighbourhoods
+from racines_models.scores.metrics import Neighbourhoods
 from racines_models.scores.scoring import ScoresConfig, score
 from racines_models.statistics import bootstrap_median
 from tests.models.labelled import LabelledStore, Replay
