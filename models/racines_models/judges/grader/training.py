@@ -93,8 +93,8 @@ class JudgeLearner(Course):
             log_every=LOG_STEPS * self.batch_size,
             checkpoint_every=self.batch_size,
         )
-        seconds = self.config.checkpoint_seconds
-        figures = train(self, self.store, settings, run, self, seconds)
+        learner: Any = self  # whole in its subclasses, which have optimizers and updates
+        figures = train(learner, self.store, settings, run, self, self.config.checkpoint_seconds)
         judge = self.judge(self.network, self.config, run.device, self.labels)
         calibrated = {"split": "validation", "frames": calibrate(judge, self.store)}
         made = {"dataset": dataset_card(self.store), "seed": run.seed, "code": code_version()}
