@@ -102,10 +102,10 @@ MOVED = {
     ),
     "racines_models": "bootstrap=statistics publish=weights racines_envs.intervals=statistics",
     "racines_models.cli": (
-        "cli_conditioning=study.conditioning cli_data=study.leakage cli_floor=study.floor "
-        "cli_export=export.predictions cli_gallery=study.gallery cli_generators=train.generator "
+        "cli_conditioning=study.ablations cli_data=study.dataset cli_floor=study.dataset "
+        "cli_export=export cli_gallery=study.gallery cli_generators=train.generator "
         "cli_grader=evaluate.grader cli_output=output cli_pose=train.pose "
-        "cli_publish=export.weights cli_realism=study.realism cli_scores=evaluate.generator"
+        "cli_publish=export cli_realism=study.realism cli_scores=evaluate.generator"
     ),
     "racines_models.exchange": "naming",
     "racines_models.exchange.onnx": (
@@ -114,12 +114,12 @@ MOVED = {
     ),
     "racines_models.exchange.predictions": "png predictions=file predictions_reader=reader",
     "racines_models.judges.grader": (
-        "annotate grader=model grader_calibration=calibration grader_evaluation=evaluation "
-        "grader_loss=loss grader_plots=plots grader_report=report grader_training=training"
+        "annotate grader=model grader_calibration=report grader_evaluation=evaluation "
+        "grader_loss=training grader_plots=evaluation grader_report=report grader_training=training"
     ),
     "racines_models.judges.pose": "pose_regressor=regressor pose_training=training",
     "racines_models.judges.student": (
-        "student=model student_labels=labels student_report=report student_training=training"
+        "student=model student_labels=training student_report=training student_training=training"
     ),
     "racines_models.networks": "conditioning onnx_module",
     "racines_models.networks.scene_field": (
@@ -127,11 +127,12 @@ MOVED = {
         "networks.scene_field_probe=probe"
     ),
     "racines_models.scores": (
-        "diversity features frechet gallery inception judge memorisation metrics prdc scoring"
+        "diversity features frechet=metrics gallery inception=features judge=scoring "
+        "memorisation=diversity metrics prdc=metrics scoring"
     ),
     "racines_models.studies": "conditioning_ablation=conditioning floor leakage",
     "racines_models.studies.ablation": (
-        "ablation=run ablation_hearts=hearts ablation_picture=picture ablation_variants=variants"
+        "ablation=run ablation_hearts=hearts ablation_picture=run ablation_variants=variants"
     ),
     "racines_models.studies.realism": "realism=report realism_figures=figures",
     "racines_models.training": (

@@ -18,7 +18,7 @@ from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.registry import load_generator
-from racines_models.scores.inception import InceptionFeatures
+from racines_models.scores.features import InceptionFeatures
 from racines_models.testing import check_rows
 from tests.models.conftest import pictures, random_parameters
 

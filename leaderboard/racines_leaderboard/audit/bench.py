@@ -13,7 +13,7 @@ from racines_leaderboard.submissions.confined.session import Limits
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
     from racines_models.sample import Sample
-    from racines_models.scores.judge import ScoresConfig
+    from racines_models.scores.scoring import ScoresConfig
 
 JUDGES = {"grader": "grader.safetensors", "pose": "model.safetensors"}
 """File of a judge's weights in its folder."""
@@ -61,7 +61,7 @@ class Bench:
     @functools.cached_property
     def scores(self) -> "ScoresConfig":
         """How the board scores generators; defaults where its settings are unknown."""
-        from racines_models.scores.judge import ScoresConfig
+        from racines_models.scores.scoring import ScoresConfig
 
         return fill(ScoresConfig, section(self.settings or {}, "scores"), "scores")
 

@@ -81,7 +81,7 @@ def _counts(
     if store is None:
         return _at_most(bench, metrics)
     from racines_models.scores.diversity import places_again
-    from racines_models.scores.judge import PRDC_FRAMES
+    from racines_models.scores.scoring import PRDC_FRAMES
 
     views = bench.sample.frames.views
     frames = len(views)

@@ -1,8 +1,7 @@
 """Scores of a generator on held-out poses: each number with n, an interval and its provenance.
 
-`scoring` is the way in, `judge` computes the figures of one sample; `metrics`, `frechet`, `prdc`,
-`diversity` and `memorisation` hold one kind of metric each, `inception` and `features` the networks
-behind the distances, and `plugin` what a metric of another package is.
+`scoring` is the way in; `metrics` and `diversity` hold the metrics, `features` the networks behind
+the distances, and `plugin` what a metric of another package is.
 """
 
 import lazy_loader

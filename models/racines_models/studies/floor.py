@@ -17,9 +17,9 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore
 from racines_models.provenance import code_version, dataset_card, environment
-from racines_models.sample import Sample, spread_sample
+from racines_models.sample import Progress, Sample, spread_sample
 from racines_models.scores import metrics
-from racines_models.scores.features import Extractor, Progress, reference_features
+from racines_models.scores.features import Extractor, reference_features
 
 SCHEMA = "racines.score-floor/1"
 SLACK = 1.1
@@ -50,9 +50,6 @@ def measure_floor(
     Returns:
         `rows`: by extractor, one row a size with n, and `fid` and `kid`, each `value` (mean),
         `low` and `high` (range over the halvings); and what they depend on.
-
-    Raises:
-        RacinesError: fewer than two trajectories, or no size that the halves could fill.
     """
     began = time.perf_counter()
     pool = frames_needed(store, config)
@@ -84,11 +81,7 @@ def measure_floor(
 
 
 def frames_needed(store: FrameStore, config: FloorConfig) -> Sample:
-    """Return the frames that the halves are made of, spread over the split's trajectories.
-
-    Raises:
-        RacinesError: fewer than two trajectories.
-    """
+    """Return the frames that the halves are made of, spread over the split's trajectories."""
     rows = store.split_indices(config.split)
     pool = spread_sample(store, rows, round(2 * SLACK * max(config.sizes)))
     if len(np.unique(pool.trajectory)) < 2:
@@ -110,16 +103,12 @@ def halve(trajectory: np.ndarray, config: FloorConfig) -> list[tuple[np.ndarray,
 
 
 def _row(features: Tensor, halvings: list[tuple[np.ndarray, np.ndarray]], n: int) -> dict[str, Any]:
-    found: dict[str, list[float]] = {"fid": [], "kid": []}
+    fid, kid = [], []
     for pair in halvings:
         a, b = (features[torch.from_numpy(half[np.arange(n) * len(half) // n])] for half in pair)
-        found["fid"].append(metrics.fid(a, b))
-        found["kid"].append(metrics.kid(a, b))
-    figures = {
-        name: {"value": float(np.mean(values)), "low": min(values), "high": max(values)}
-        for name, values in found.items()
-    }
-    return {"n": n} | figures
+        fid.append(metrics.fid(a, b))
+        kid.append(metrics.kid(a, b))
+    return {"n": n, "fid": metrics.over_splits(fid), "kid": metrics.over_splits(kid)}
 
 
 def draw_floor(content: dict[str, Any]) -> bytes:
@@ -135,9 +124,8 @@ def draw_floor(content: dict[str, Any]) -> bytes:
         for row, (name, rows) in zip(grid, extractors.items(), strict=True):
             n = [each["n"] for each in rows]
             for axes, key in zip(row, ("fid", "kid"), strict=True):
-                value, low, high = (
-                    [each[key][end] for each in rows] for end in ("value", "low", "high")
-                )
+                ends = ("value", "low", "high")
+                value, low, high = ([each[key][end] for each in rows] for end in ends)
                 axes.fill_between(n, low, high, color=OURS, alpha=0.25, linewidth=0)
                 axes.plot(n, value, "o-", color=OURS, markersize=3.5)
                 axes.set_xscale("log", base=2)

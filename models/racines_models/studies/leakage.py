@@ -4,25 +4,23 @@ Nearest-pose retrieval draws nothing: it hands back the training frame whose pos
 a split by trajectory it has to find a frame of another sweep. Under a random split of frames the
 neighbours in time of every test frame are in the training set, and it hands back a near-copy.
 
-    the same test frames ─┬─ training frames of other trajectories ──> retrieved ──> SSIM, PSNR
-                          └─ as many training frames drawn at random ─> retrieved ──> SSIM, PSNR
-
-They are test frames under both splits. Only what may be looked up differs, so that the difference
-is the leak.
+The same frames are looked up under both splits. Only where they may be found differs, so that the
+difference of SSIM and PSNR is the leak.
 """
 
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose, geodesic, parameters_to_pose
+from racines_data.geometry import parameters_to_pose
 from racines_data.store.frames import FrameStore
 from racines_models.generators.nearest_pose import NearestPose, NearestPoseConfig
+from racines_models.judges.pose.training import pose_errors
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.sample import Progress, Sample, spread_sample
 from racines_models.scores import metrics
@@ -31,6 +29,7 @@ from racines_models.statistics import bootstrap_mean
 SCHEMA = "racines.leakage/1"
 CHUNK = 256
 """Poses looked up between two steps of the progress bar."""
+UNITS = {"ssim": None, "psnr": "dB"}
 
 
 @dataclass(frozen=True)
@@ -45,8 +44,7 @@ class LeakageConfig:
     """Bootstrap resamples, by trajectory."""
 
 
-@dataclass(frozen=True)
-class Retrieval:
+class Retrieval(NamedTuple):
     """What retrieval finds for N test frames under one split."""
 
     sample: Sample
@@ -59,8 +57,7 @@ class Retrieval:
     `seconds` between the two frames, NaN where they are of two trajectories."""
 
 
-@dataclass(frozen=True)
-class Leakage:
+class Leakage(NamedTuple):
     """The report's content, and the retrievals it speaks of, by split."""
 
     content: dict[str, Any]
@@ -73,14 +70,6 @@ def measure_leakage(
     """Score nearest-pose retrieval under a split by frames and one by trajectories.
 
     Where the dataset holds out a session, under that split too, on frames of that session.
-
-    Args:
-        store: The dataset.
-        config: Number of frames, seed, intervals.
-        progress: Told of poses looked up, as they come.
-
-    Raises:
-        RacinesError: no poses, or an empty train or test split.
     """
     began = time.perf_counter()
     config = config or LeakageConfig()
@@ -100,14 +89,19 @@ def measure_leakage(
     }
     held = store.manifest.get("held_out_session")
     if held is not None:
-        retrievals["session"] = _retrieve(store, *_session(store, held, config), progress)
+        out = torch.tensor([session == held for session in store.sessions])[store.trajectory_index]
+        of_session = spread_sample(store, out.nonzero()[:, 0], config.samples)
+        others = (~out).nonzero()[:, 0]
+        retrievals["session"] = _retrieve(store, of_session, others, progress)
+    frame, trajectory = (retrievals[split].figures for split in ("frame", "trajectory"))
+    gain = {name: frame[name] - trajectory[name] for name in UNITS}
     content = {
         "schema": SCHEMA,
         "dataset": dataset_card(store),
         "seed": config.seed,
         "sample": sample.digest,
         "splits": {name: _summary(each, config) for name, each in retrievals.items()},
-        "gain": _gain(retrievals, config),
+        "gain": _means(gain, sample, config),  # what the frame split adds, frame by frame
         "settings": {
             "metres_per_radian": NearestPoseConfig().metres_per_radian,
             "ssim": metrics.SSIM_SETTINGS,
@@ -118,13 +112,6 @@ def measure_leakage(
         "seconds": round(time.perf_counter() - began, 3),
     }
     return Leakage(content, retrievals)
-
-
-def _session(store: FrameStore, held: str, config: LeakageConfig) -> tuple[Sample, Tensor]:
-    """Return frames of the held-out session, evenly spread, and the rows of the others."""
-    out = torch.tensor([session == held for session in store.sessions])[store.trajectory_index]
-    sample = spread_sample(store, out.nonzero()[:, 0], config.samples)
-    return sample, (~out).nonzero()[:, 0]
 
 
 def _retrieve(
@@ -138,13 +125,15 @@ def _retrieve(
         if progress is not None:
             progress(len(queries))
     found = store.take(torch.cat(parts))
-    ours, theirs = (parameters_to_pose(x.parameters.double()) for x in (sample.frames, found))
+    asked = parameters_to_pose(sample.frames.parameters.double())
+    millimetres, degrees = pose_errors(asked, found.parameters)
     same = store.trajectory_index[sample.frames.index] == store.trajectory_index[found.index]
     apart = (store.timestamps[sample.frames.index] - store.timestamps[found.index]).abs()
     figures = {
         "ssim": metrics.ssim(found.images, sample.frames.images),
         "psnr": metrics.psnr(found.images, sample.frames.images),
-        **_distances(ours, theirs),
+        "position": millimetres,
+        "rotation": degrees,
         "same_trajectory": same,
         "seconds": torch.where(same, apart, torch.nan),
     }
@@ -152,20 +141,8 @@ def _retrieve(
     return Retrieval(sample, len(train), found.images, values)
 
 
-def _distances(ours: Pose, theirs: Pose) -> dict[str, Tensor]:
-    shift = (ours.position - theirs.position).norm(dim=-1)
-    turn = geodesic(ours.rotation, theirs.rotation)
-    return {"position": 1e3 * shift, "rotation": torch.rad2deg(turn)}
-
-
 def _summary(retrieval: Retrieval, config: LeakageConfig) -> dict[str, Any]:
     figures = retrieval.figures
-
-    def mean(name: str, unit: str | None = None) -> dict[str, Any]:
-        estimate = bootstrap_mean(
-            figures[name], retrieval.sample.trajectory, resamples=config.resamples
-        )
-        return estimate.to_json(unit)
 
     def median(name: str) -> float | None:
         present = figures[name][np.isfinite(figures[name])]
@@ -173,8 +150,7 @@ def _summary(retrieval: Retrieval, config: LeakageConfig) -> dict[str, Any]:
 
     return {
         "train": retrieval.train,
-        "ssim": mean("ssim"),
-        "psnr": mean("psnr", "dB"),
+        **_means(figures, retrieval.sample, config),
         "position_mm": median("position"),
         "rotation_deg": median("rotation"),
         "same_trajectory": float(figures["same_trajectory"].mean()),
@@ -182,14 +158,12 @@ def _summary(retrieval: Retrieval, config: LeakageConfig) -> dict[str, Any]:
     }
 
 
-def _gain(retrievals: dict[str, Retrieval], config: LeakageConfig) -> dict[str, Any]:
-    """Return what the frame split adds, frame by frame, with intervals by trajectory."""
-    frame, trajectory = retrievals["frame"], retrievals["trajectory"]
-    gain = {}
-    for name, unit in (("ssim", None), ("psnr", "dB")):
-        difference = frame.figures[name] - trajectory.figures[name]
-        estimate = bootstrap_mean(
-            difference, trajectory.sample.trajectory, resamples=config.resamples
-        )
-        gain[name] = estimate.to_json(unit)
-    return gain
+def _means(
+    figures: dict[str, np.ndarray], sample: Sample, config: LeakageConfig
+) -> dict[str, dict[str, Any]]:
+    """Return the means of SSIM and PSNR with intervals by trajectory."""
+    clusters, resamples = sample.trajectory, config.resamples
+    return {
+        name: bootstrap_mean(figures[name], clusters, resamples=resamples).to_json(unit)
+        for name, unit in UNITS.items()
+    }

@@ -6,10 +6,15 @@ import torch
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.randomness import sample_seeds
-from racines_models.judges.grader.loss import class_weights, grade_loss, learning_rate, view_loss
 from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork, StageConfig
 from racines_models.judges.grader.report import compare, confusion_counts
-from racines_models.judges.grader.training import train_grader
+from racines_models.judges.grader.training import (
+    class_weights,
+    grade_loss,
+    learning_rate,
+    train_grader,
+    view_loss,
+)
 from racines_models.protocol import Run
 from racines_models.training.augmentation import augment
 from racines_models.training.checkpoint import Checkpoint

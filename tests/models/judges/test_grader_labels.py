@@ -7,13 +7,12 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_data.views import LABELS
-from racines_models.judges.grader.loss import class_weights
 from racines_models.judges.grader.model import Grader, GraderNetwork
 from racines_models.judges.grader.report import report
-from racines_models.judges.grader.training import train_grader
+from racines_models.judges.grader.training import class_weights, train_grader
 from racines_models.pictures import pick_columns
 from racines_models.sample import take_sample
-from racines_models.scores.judge import Judge, ScoresConfig
+from racines_models.scores.scoring import Scorer, ScoresConfig
 from racines_models.studies.realism.report import RealismConfig, take_phantom
 from tests.models.judges.test_grader import SHORT, run
 from tests.models.labelled import LabelledStore
@@ -69,11 +68,11 @@ def test_a_grader_refuses_a_dataset_of_other_views(organ, folder):
     with pytest.raises(RacinesError, match=r"KLX.*A4C.*train a grader"):
         report(grader, heart)
     sample = take_sample(heart, "test", 8)
-    judge = Judge(ScoresConfig(resamples=10), heart, sample, [sample.frames.images], None, None)
+    judge = Scorer(ScoresConfig(resamples=10), heart, sample, [sample.frames.images], None, None)
     with pytest.raises(RacinesError, match="the dataset has A4C"):
         judge.agreement(grader)
     mine = take_sample(organ, "test", 8)
-    judge = Judge(ScoresConfig(resamples=10), organ, mine, [mine.frames.images], None, None)
+    judge = Scorer(ScoresConfig(resamples=10), organ, mine, [mine.frames.images], None, None)
     assert judge.agreement(grader)["view_agreement"]["n"] == 8
 
 

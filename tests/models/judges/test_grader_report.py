@@ -12,10 +12,15 @@ from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.cli.command import app
-from racines_models.judges.grader.calibration import BINS, calibrate, fit_temperature, reliability
 from racines_models.judges.grader.evaluation import evaluate_grader
 from racines_models.judges.grader.model import Grader, GraderNetwork
-from racines_models.judges.grader.report import examine
+from racines_models.judges.grader.report import (
+    BINS,
+    calibrate,
+    examine,
+    fit_temperature,
+    reliability,
+)
 from racines_models.judges.grader.training import train_grader
 from racines_models.training import augmentation as grader_augment
 from racines_models.training.augmentation import Augmentation, augment

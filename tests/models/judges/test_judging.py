@@ -9,17 +9,19 @@ from torch.nn import functional
 
 from racines_data.geometry import Pose, axis_angle_to_matrix, parameters_to_pose
 from racines_models.judges.grader import training as grader_training
-from racines_models.judges.grader.calibration import Reliability, reliability
-from racines_models.judges.grader.loss import learning_rate
 from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork, StageConfig
-from racines_models.judges.grader.report import compare, confusion_counts
+from racines_models.judges.grader.report import Reliability, compare, confusion_counts, reliability
+from racines_models.judges.grader.training import learning_rate
 from racines_models.judges.pose.regressor import PoseAugmentation, PoseConfig, PoseRegressor
 from racines_models.judges.pose.training import PoseLearner, pose_errors
 from racines_models.judges.pose.training import report as pose_report
-from racines_models.judges.student.labels import variants
 from racines_models.judges.student.model import Block, Student, StudentConfig, StudentNetwork
-from racines_models.judges.student.report import agreement
-from racines_models.judges.student.training import StudentLearner, distillation_loss
+from racines_models.judges.student.training import (
+    StudentLearner,
+    agreement,
+    distillation_loss,
+    variants,
+)
 from racines_models.protocol import Run
 from racines_models.training.objective import TrainBatch
 from tests.models.conftest import pictures, random_parameters

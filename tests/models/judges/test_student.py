@@ -10,12 +10,15 @@ from racines_data.errors import RacinesError
 from racines_data.randomness import sample_seeds
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.grader.training import train_grader
-from racines_models.judges.student import labels as student_labels
-from racines_models.judges.student import report as student_report
-from racines_models.judges.student.labels import ask_teacher, variants
+from racines_models.judges.student import training as student_training
 from racines_models.judges.student.model import Student, StudentConfig, StudentNetwork
-from racines_models.judges.student.report import speed
-from racines_models.judges.student.training import distillation_loss, train_student
+from racines_models.judges.student.training import (
+    ask_teacher,
+    distillation_loss,
+    speed,
+    train_student,
+    variants,
+)
 from racines_models.training.checkpoint import Checkpoint
 from racines_models.weights import publish
 from tests.models.judges.test_grader import CONFIG, Killed, run
@@ -37,7 +40,7 @@ EACH_STEP = replace(SHORT, checkpoint_seconds=0.0)
 @pytest.fixture(scope="module", autouse=True)
 def few_rounds():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(student_report, "ROUNDS", 2)
+        patch.setattr(student_training, "ROUNDS", 2)
         yield
 
 
@@ -118,7 +121,7 @@ def test_its_half_precision_copy_opens_and_agrees(trained, store, tmp_path):
 def test_a_killed_and_resumed_run_ends_in_the_same_weights(store, teacher, tmp_path, monkeypatch):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     train_student(store, SHORT, run(whole), teacher)
-    ask, write = student_labels._ask, Checkpoint.write
+    ask, write = student_training._ask, Checkpoint.write
     asked = []
 
     def ask_then_die(*args):
@@ -128,7 +131,7 @@ def test_a_killed_and_resumed_run_ends_in_the_same_weights(store, teacher, tmp_p
         return ask(*args)
 
     with monkeypatch.context() as patch:  # while the teacher is asked
-        patch.setattr(student_labels, "_ask", ask_then_die)
+        patch.setattr(student_training, "_ask", ask_then_die)
         with pytest.raises(Killed):
             train_student(store, EACH_STEP, run(broken), teacher)
     first = (broken / "checkpoint/teacher/00-0000.safetensors").stat().st_mtime_ns

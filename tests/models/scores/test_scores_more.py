@@ -10,9 +10,9 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
 from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork
 from racines_models.sample import draw, take_sample
-from racines_models.scores import memorisation, scoring
+from racines_models.scores import diversity, scoring
 from racines_models.scores.diversity import places_again, scanned_again, spread
-from racines_models.scores.prdc import Neighbourhoods
+from racines_models.scores.metrics import Neighbourhoods
 from racines_models.scores.scoring import ScoresConfig, score
 from racines_models.statistics import bootstrap_median
 from tests.models.labelled import LabelledStore, Replay
@@ -141,7 +141,6 @@ def test_images_made_beforehand_have_diversity_only_across_their_seeds(labelled)
 def test_only_a_phantom_can_be_scanned_again(labelled, monkeypatch, tmp_path):
     assert "diversity_truth" not in figures(Replay(labelled), labelled)
     from racines_data.phantom import model
-    from racines_models.scores import diversity
 
     calls = []
 
@@ -176,25 +175,25 @@ def test_copies_of_training_images_are_told(labelled):
     share = float((rows % 2 == 0).double().mean())
     assert metrics["copies"]["value"] == pytest.approx(share)
     assert metrics["copies_truth"]["value"] == 0.0
-    assert metrics["nearest_train_truth"]["value"] > memorisation.COPY
+    assert metrics["nearest_train_truth"]["value"] > diversity.COPY
 
 
 def test_the_nearest_training_image_is_found_among_many(labelled):
     rows = labelled.split_indices("train")
     train, queries = labelled.images[rows], labelled.images[labelled.split_indices("test")][:9]
-    summaries = memorisation.summarise_train(labelled)
-    found = memorisation.nearest_train(queries, labelled, summaries)
+    summaries = diversity.summarise_train(labelled)
+    found = diversity.nearest_train(queries, labelled, summaries)
     gaps = queries[:, None].double() - train[None].double()
     expected = gaps.square().mean((2, 3)).sqrt().amin(1)
     # The search is by block means: where it does not find the nearest, it finds one as near.
     assert torch.allclose(found.double(), expected, rtol=0.02)
     shifted = train[:6] + 1
-    assert memorisation.nearest_train(shifted, labelled, summaries).tolist() == [1.0] * 6
+    assert diversity.nearest_train(shifted, labelled, summaries).tolist() == [1.0] * 6
 
 
 def test_what_is_known_of_the_truth_is_kept(labelled, tmp_path, monkeypatch):
     first = figures(Replay(labelled, 0.1), labelled, cache=tmp_path)
-    monkeypatch.setattr(memorisation, "summarise_train", None)
+    monkeypatch.setattr(diversity, "summarise_train", None)
     Coarse.calls = 0
     assert figures(Replay(labelled, 0.1), labelled, cache=tmp_path) == first
     assert Coarse.calls == 1  # of the drawn images alone

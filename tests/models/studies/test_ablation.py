@@ -16,11 +16,11 @@ from racines_data.phantom.config import BlockConfig
 from racines_data.phantom.heart import CONNECTIVE, heart
 from racines_data.phantom.population import heart_config
 from racines_models.studies.ablation import run as ablation
-from racines_models.studies.ablation.picture import draw_ablation
 from racines_models.studies.ablation.run import (
     AblationConfig,
     Setting,
     ablate,
+    draw_ablation,
     merge_into,
     poses_near,
 )

@@ -9,8 +9,7 @@ from racines_models.generators.mean_image import MeanImage
 from racines_models.protocol import Run
 from racines_models.registry import open_runs, weights_of
 from racines_models.sample import Sample
-from racines_models.scores.judge import Judge, ScoresConfig
-from racines_models.scores.scoring import take_turns
+from racines_models.scores.scoring import Scorer, ScoresConfig, take_turns
 from racines_models.training.repeats import repeat_folders, train_seeds
 
 
@@ -93,7 +92,7 @@ def test_a_figure_is_the_mean_over_sets_which_it_names(store):
     frames = store.take(store.split_indices("test"))
     sample = Sample(frames, torch.arange(len(frames.index)).numpy() // 4)
     black = torch.zeros_like(frames.images)
-    judge = Judge(ScoresConfig(resamples=10), store, sample, [frames.images, black])
+    judge = Scorer(ScoresConfig(resamples=10), store, sample, [frames.images, black])
     psnr = judge.likeness()["psnr"]
     assert psnr["settings"]["by_set"][0] == 100.0 > psnr["settings"]["by_set"][1]
     assert psnr["value"] == pytest.approx(sum(psnr["settings"]["by_set"]) / 2)

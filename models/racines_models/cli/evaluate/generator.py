@@ -1,8 +1,7 @@
 """The command `racines eval generator`. Heavy imports stand inside, so that --help is instant."""
 
-import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -10,9 +9,6 @@ from racines_data.cli import options as opt
 from racines_data.cli.settings import given, read_settings
 from racines_data.errors import RacinesError
 from racines_models.cli.device import Device
-
-if TYPE_CHECKING:
-    from racines_models.scores.scoring import Scores
 
 
 def eval_generator(
@@ -38,11 +34,13 @@ def eval_generator(
     The pose regressor is that of models/runs/pose, if it is there.
     """
     from racines_data.config import fill, section
+    from racines_data.files import write_json
     from racines_data.progress import image_counter
     from racines_data.store.frames import open_store
-    from racines_models.cli.output import show_metrics
+    from racines_models.cli.output import metrics_table, tell
     from racines_models.judges.grader.model import Grader
     from racines_models.judges.pose.regressor import PoseRegressor
+    from racines_models.pictures import pick_columns, write_strip
     from racines_models.registry import open_runs, weights_of
     from racines_models.scores.scoring import ScoresConfig, score, take_turns
 
@@ -73,21 +71,9 @@ def eval_generator(
         )
     content: dict[str, Any] = {**scores.content, "weights": weights_of(name, run) or None}
     content["dataset"]["board"] = values.get("board")
-    _write_scores(out, title, content, scores, len(store.labels) - 1)
-    if as_json:
-        typer.echo(json.dumps(content))
-    else:
-        show_metrics(f"{title}, {config.split} split", content["metrics"])
-        typer.echo(f"{out / title}.json, {out / title}.png")
-
-
-def _write_scores(
-    out: Path, name: str, content: dict[str, Any], scores: "Scores", random: int
-) -> None:
-    from racines_data.files import write_json
-    from racines_models.pictures import pick_columns, write_strip
-
     frames = scores.sample.frames
-    columns = pick_columns(frames.views, frames.grades, random)
-    write_strip(out / f"{name}.png", [frames.images[columns], scores.images[columns]])
-    write_json(out / f"{name}.json", content)
+    columns = pick_columns(frames.views, frames.grades, len(store.labels) - 1)
+    write_strip(out / f"{title}.png", [frames.images[columns], scores.images[columns]])
+    write_json(out / f"{title}.json", content)
+    table = metrics_table(f"{title}, {config.split} split", content["metrics"])
+    tell(content, as_json, table, f"{out / title}.json, {out / title}.png")

@@ -1,6 +1,5 @@
 """The command `racines train generator`. Heavy imports stand inside, so that --help is instant."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -30,6 +29,7 @@ def train_generator(
 ) -> None:
     """Train a generator on the train split; leaves model, config, metrics and samples."""
     from racines_data.config import section
+    from racines_models.cli.output import tell
     from racines_models.protocol import Run
     from racines_models.registry import generator_class
 
@@ -44,12 +44,8 @@ def train_generator(
         progress=not as_json,
     )
     metrics = _started(processes, name, settings, data, run)
-    if metrics is None:
-        return
-    if as_json:
-        typer.echo(json.dumps({"out": str(run.folder), **metrics}))
-    else:
-        _print(run.folder, metrics)
+    if metrics is not None:
+        tell({"out": str(run.folder), **metrics}, as_json, f"{run.folder}: {_words(metrics)}")
 
 
 def _started(processes: int, *fit: Any) -> dict[str, Any] | None:
@@ -78,12 +74,9 @@ def _fit(name: str, settings: dict[str, Any], data: Path, run: "Run") -> dict[st
     return train_seeds(lambda one: cls(config).fit(store, one), run, repeats)
 
 
-def _print(folder: Path, metrics: dict[str, Any]) -> None:
+def _words(metrics: dict[str, Any]) -> str:
     shown = {key: value for key, value in metrics.items() if not isinstance(value, dict | str)}
-    validation = metrics.get("validation", {})
     parts = [f"{key} {value:,}" for key, value in shown.items()]
-    if validation:
-        parts.append(
-            f"PSNR {validation['psnr']:.2f} dB on {validation['n']} {validation['split']} frames"
-        )
-    typer.echo(f"{folder}: {', '.join(parts)}")
+    if validation := metrics.get("validation"):
+        parts.append("PSNR {psnr:.2f} dB on {n} {split} frames".format(**validation))
+    return ", ".join(parts)

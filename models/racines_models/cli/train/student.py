@@ -1,6 +1,5 @@
 """The command `racines train student`. Heavy imports stand inside, so that --help is instant."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -25,7 +24,7 @@ def train_student(
     """Distil a small, quick student from a trained grader; report how far the two agree."""
     from racines_data.config import fill, section
     from racines_data.store.frames import open_store
-    from racines_models.cli.output import judge_figures, show_metrics
+    from racines_models.cli.output import judge_figures, metrics_table, tell
     from racines_models.judges.grader.model import Grader
     from racines_models.judges.student.model import StudentConfig
     from racines_models.judges.student.training import train_student
@@ -36,13 +35,12 @@ def train_student(
     store, master = open_store(data), Grader.load(teacher, device)
     run = Run(out, seed_of(values, seed), device, resume, progress=not as_json)
     metrics = train_student(store, config, run, master)
-    if as_json:
-        typer.echo(json.dumps({"out": str(out)} | metrics))
-        return
     agreed = {f"agreement, {k}": v for k, v in metrics["agreement"].items() if k != "split"}
-    show_metrics(f"student, {metrics['split']} split", agreed | judge_figures(metrics))
+    title = f"student, {metrics['split']} split"
+    table = metrics_table(title, agreed | judge_figures(metrics))
     rates = metrics["speed"]
-    typer.echo(
+    speed = (
         f"{out}: {rates['student']:,.0f} images/s, {rates['ratio']:.1f} times the teacher's "
         f"{rates['teacher']:,.0f} (batch {rates['batch_size']}, {rates['threads']} threads)"
     )
+    tell({"out": str(out)} | metrics, as_json, table, speed)

@@ -1,16 +1,17 @@
 """Writing a grader's view and grade into the `frames` of a dataset.
 
-    store ──> grader ──> opinions/*.npy ──> new shards, card, manifest ──> swapped in place
+    store ──> grader ──> opinions/*.safetensors ──> new shards, card, manifest ──> swapped in place
 
-The opinions go into `view_predicted` and `grade_predicted` alone: `view` and `grade` stay what the
-source says, or null. All other bytes of the rows stay as they were, and with them the content
-digest; the card names the grader, so that no reader is served rows of before.
+The opinions go into `view_predicted` and `grade_predicted` alone: all other bytes of the rows stay
+as they were, and with them the content digest. The card names the grader, so that no reader is
+served rows of before.
 """
 
 import json
 import os
 import shutil
-from contextlib import AbstractContextManager
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +19,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
+from safetensors.torch import load_file
+from torch import Tensor
 
 from racines_data.card.croissant import CROISSANT, add_croissant
 from racines_data.card.markdown import write_card
@@ -30,7 +33,7 @@ from racines_data.store.frames import FrameStore
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.grader.report import compare
 from racines_models.sample import Progress
-from racines_models.statistics import bootstrap_mean
+from racines_models.weights import save_weights
 
 BATCH = 256
 """Images judged at once."""
@@ -40,8 +43,7 @@ class _Shard(NamedTuple):
     """A file of `frames` and its rows of the store."""
 
     name: str
-    start: int
-    stop: int
+    rows: slice
 
 
 def annotate(
@@ -50,16 +52,11 @@ def annotate(
     """Fill `view_predicted` and `grade_predicted` of every frame of a dataset.
 
     A run that was killed goes on where it stopped; until the last rename the old dataset stands.
-
-    Args:
-        root: Folder of the dataset.
-        grader: A grader that knows the dataset's labels, saved or loaded.
-        out: Folder of the annotated dataset; the dataset itself if absent.
-        progress: Told of images judged, as they come.
+    Without `out`, the dataset itself is replaced. `progress` is told of images judged.
 
     Returns:
-        The manifest, whose `annotation` names the grader and, where views or grades are known, how
-        its opinion agrees with them by split.
+        The manifest; its `annotation` names the grader and how it agrees with known views and
+        grades, by split.
 
     Raises:
         RacinesError: no dataset, a damaged one, a grader of other labels or without weights on
@@ -67,13 +64,17 @@ def annotate(
     """
     root = Path(root).resolve()
     out = root if out is None else Path(out).resolve()
-    _check_out(out)
+    recover_folder(out)
+    if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
+        raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
     manifest, store = read_manifest(root), FrameStore(root)
     grader.check_labels(store.labels, "the dataset")
     if grader.sha256 is None:
         raise RacinesError("the grader has no weights on disk to be named by: save it first")
     shards = _shards(root, manifest, store)
-    with _staging(out, manifest, grader) as folder:
+    key = canonical_json([manifest["files"], grader.settings, str(out)])
+    busy = "it is being annotated already; wait for it"
+    with working_folder(out, "annotating", key, busy) as folder:
         opinions = _judge_all(store, grader, shards, folder / "opinions", progress)
         manifest["annotation"] = {
             "grader": grader.sha256,
@@ -82,10 +83,12 @@ def annotate(
             "agreement": agreement(store, opinions),
         }
         final = folder / "final"
-        _copy_others(root, final, manifest, shards, linked=out == root)
+        rewritten = {CARD, CROISSANT, *(shard.name for shard in shards)}
+        for name in sorted(manifest["files"].keys() - rewritten):
+            write_once(final / name, partial(_bring, (root / name).resolve(), out == root))
         for shard in shards:
-            rows = opinions[shard.start : shard.stop]
-            write_once(final / shard.name, _shard_writer(root / shard.name, rows))
+            write = partial(_write_shard, root / shard.name, opinions[shard.rows])
+            write_once(final / shard.name, write)
         _seal(final, manifest, shards)
         swap_folder(final, out)
     return manifest
@@ -99,20 +102,10 @@ def agreement(store: FrameStore, opinions: np.ndarray) -> dict[str, Any]:
         label, grade = torch.from_numpy(opinions[rows.numpy()]).unbind(1)
         views, grades = store.views[rows], store.grades[rows]
         compared = compare(label.long(), grade, views, grades, len(store.labels) - 1)
-        clusters = store.trajectory_index[rows].numpy()
-        figures = {
-            name: bootstrap_mean(each.values.numpy(), clusters).to_json(each.unit, rule=each.rule)
-            for name, each in compared.items()
-        }
-        if figures:
-            found[split] = figures
+        trajectory = store.trajectory_index[rows].numpy()
+        if compared:
+            found[split] = {name: each.mean(trajectory) for name, each in compared.items()}
     return found
-
-
-def _check_out(out: Path) -> None:
-    recover_folder(out)
-    if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
-        raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
 
 
 def _shards(root: Path, manifest: dict[str, Any], store: FrameStore) -> list[_Shard]:
@@ -122,99 +115,66 @@ def _shards(root: Path, manifest: dict[str, Any], store: FrameStore) -> list[_Sh
     check_files(root, manifest["files"], rebuild_hint(manifest))
     shards: list[_Shard] = []
     for name in names:
-        start = shards[-1].stop if shards else 0
+        start = shards[-1].rows.stop if shards else 0
         table = pq.read_table(root / name, columns=["trajectory", "frame"])
-        shard = _Shard(name, start, start + len(table))
-        rows = slice(shard.start, shard.stop)
+        rows = slice(start, start + len(table))
         ids = [store.trajectories[i] for i in store.trajectory_index[rows].tolist()]
-        if table["trajectory"].to_pylist() != ids or not np.array_equal(
-            table["frame"].to_numpy(), store.frame[rows].numpy()
-        ):
+        numbers = store.frame[rows].tolist()
+        if (table["trajectory"].to_pylist(), table["frame"].to_pylist()) != (ids, numbers):
             raise RacinesError(f"{root / name}: its rows are not those of the training store")
-        shards.append(shard)
+        shards.append(_Shard(name, rows))
     return shards
 
 
-def _staging(out: Path, manifest: dict[str, Any], grader: Grader) -> AbstractContextManager[Path]:
-    """Open the folder of the unfinished work, beside `out`; removed when the work is done."""
-    key = canonical_json([manifest["files"], grader.settings, str(out)])
-    return working_folder(out, "annotating", key, "it is being annotated already; wait for it")
-
-
 def _judge_all(
-    store: FrameStore,
-    grader: Grader,
-    shards: list[_Shard],
-    folder: Path,
-    progress: Progress | None,
+    store: FrameStore, grader: Grader, shards: list[_Shard], folder: Path, told: Progress | None
 ) -> np.ndarray:
     """Return (N, 2) float32 views and grades, judged shard by shard; those on disk are kept."""
     parts = []
     for shard in shards:
-        path = folder / f"{Path(shard.name).stem}.npy"
-        write_once(path, lambda aside, shard=shard: _save(aside, _judge(store, grader, shard)))
-        parts.append(np.load(path))
-        if progress is not None:
-            progress(shard.stop - shard.start)
-    return np.concatenate(parts)
+        path = folder / f"{Path(shard.name).stem}.safetensors"
+        if not path.exists():
+            save_weights(path, {"opinions": _judge(store, grader, shard)})
+        parts.append(load_file(path)["opinions"])
+        if told is not None:
+            told(len(parts[-1]))
+    return torch.cat(parts).numpy()
 
 
-def _judge(store: FrameStore, grader: Grader, shard: _Shard) -> np.ndarray:
-    images = store.images[shard.start : shard.stop]
-    parts = [grader.probabilities_and_grade(batch) for batch in images.split(BATCH)]
-    views = torch.cat([probabilities.argmax(-1).cpu() for probabilities, _ in parts])
-    grades = torch.cat([grade.float().cpu() for _, grade in parts])
-    return torch.stack([views.float(), grades], 1).numpy()
+def _judge(store: FrameStore, grader: Grader, shard: _Shard) -> Tensor:
+    parts = []
+    for images in store.images[shard.rows].split(BATCH):
+        probabilities, grades = grader.probabilities_and_grade(images)
+        parts.append(torch.stack([probabilities.argmax(-1).float(), grades.float()], 1).cpu())
+    return torch.cat(parts)
 
 
-def _save(path: Path, values: np.ndarray) -> None:
-    with path.open("wb") as file:
-        np.save(file, values)
-
-
-def _copy_others(
-    root: Path, final: Path, manifest: dict[str, Any], shards: list[_Shard], linked: bool
-) -> None:
-    """Bring over the files that stay as they are; where the old folder goes, by links."""
-    new = {shard.name for shard in shards} | {CARD, CROISSANT}
-    for name in manifest["files"]:
-        if name not in new:
-            source = (root / name).resolve()
-            write_once(final / name, lambda aside, source=source: _bring(source, aside, linked))
-
-
-def _bring(source: Path, target: Path, linked: bool) -> None:
+def _bring(source: Path, linked: bool, target: Path) -> None:
+    """Bring over a file that stays as it is; by a link where the old folder goes."""
     target.unlink(missing_ok=True)
     if linked:
-        try:
+        with suppress(OSError):  # another file system, or one without links
             os.link(source, target)
             return
-        except OSError:  # another file system, or one without links
-            pass
     shutil.copyfile(source, target)
 
 
-def _shard_writer(source: Path, opinions: np.ndarray) -> Any:
-    """Return what writes a shard anew, row group by row group, with the opinions in it."""
+def _write_shard(source: Path, opinions: np.ndarray, path: Path) -> None:
+    """Write a shard anew, row group by row group, with the opinions in it."""
     columns = {
         "view_predicted": pa.array(opinions[:, 0].astype(np.int64)),
         "grade_predicted": pa.array(opinions[:, 1], pa.float32()),
     }
-
-    def write(path: Path) -> None:
-        old = pq.ParquetFile(source)
-        start = 0
-        with pq.ParquetWriter(path, old.schema_arrow, compression="zstd") as writer:
-            for group in range(old.num_row_groups):
-                table = old.read_row_group(group)
-                for name, column in columns.items():
-                    place = table.schema.get_field_index(name)
-                    rows = column.slice(start, len(table))
-                    table = table.set_column(place, table.schema.field(place), rows)
-                writer.write_table(table, row_group_size=len(table))
-                start += len(table)
-
-    return write
+    old, start = pq.ParquetFile(source), 0
+    with pq.ParquetWriter(path, old.schema_arrow, compression="zstd") as writer:
+        for group in range(old.num_row_groups):
+            table = old.read_row_group(group)
+            for name, column in columns.items():
+                place = table.schema.get_field_index(name)
+                rows = column.slice(start, len(table))
+                table = table.set_column(place, table.schema.field(place), rows)
+            writer.write_table(table, row_group_size=len(table))
+            start += len(table)
 
 
 def _seal(final: Path, manifest: dict[str, Any], shards: list[_Shard]) -> None:

@@ -1,8 +1,8 @@
 """The grader: one ResNet-18 that says which view an image shows, and how good it is.
 
 After CACTUS (the paper's reference): one encoder, a view head and a grade head. It judges images
-alone; what it should have said is the oracle's, or the expert's. Its student (see `student`) is
-opened by the same `Grader.load` and asked the same way.
+alone; what it should have said is the oracle's, or the expert's. Its student is opened by the same
+`Grader.load` and asked the same way.
 """
 
 from collections.abc import Sequence
@@ -100,9 +100,6 @@ class Grader(Judge):
 
     What it says of an image depends on that image alone: not on its place, on its neighbours or on
     the size of the batch, to the last bit, on one machine.
-
-    Raises:
-        RacinesError: `load` finds no grader, or one of another kind.
     """
 
     architecture: ClassVar[str] = "resnet18"
@@ -117,14 +114,13 @@ class Grader(Judge):
         labels: Sequence[str] = LABELS,
         temperature: float = 1.0,
     ) -> None:
-        device = resolve_device(device)
-        self.network = network.to(device).eval().requires_grad_(False)
+        self.device = torch.device(resolve_device(device))
+        self.network = network.to(self.device).eval().requires_grad_(False)
         self.config = config
         self.labels = tuple(labels)
         """Names of the view labels, in the order of its probabilities; the last is `Random`."""
         self.temperature = temperature
         """Divides the logits of the views, so that the probabilities are calibrated."""
-        self.device = torch.device(device)
         self.sha256: str | None = None
         """Hash of the weights' file; None until saved or loaded."""
 
@@ -135,11 +131,9 @@ class Grader(Judge):
 
     @torch.inference_mode()
     def probabilities_and_grade(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Judge (B, 128, 128) uint8 images.
+        """Return (B, labels) calibrated probabilities and (B,) grades in 0-10 of uint8 images.
 
-        Returns:
-            (B, labels) float32 calibrated probabilities in the order of `labels`, and (B,) float32
-            grades in 0-10, on the grader's device.
+        The images are (B, 128, 128); both answers are float32, on the grader's device.
         """
         logits, grades, _ = self._read(images)
         return (logits / self.temperature).softmax(-1), grades
@@ -186,11 +180,15 @@ class Grader(Judge):
     def load(cls, folder: Path | str, device: str = "cpu") -> "Grader":
         """Read what `save` wrote, of either architecture, or its half-precision copy.
 
-        The weights must have the hash that the config names.
+        Raises:
+            RacinesError: no grader, one of another kind, or weights that the config does not name.
         """
         folder = Path(folder)
         described = read_config(folder)
-        kind = _architecture(described.get("architecture", cls.architecture), folder)
+        try:
+            kind = JUDGES.load(described.get("architecture", cls.architecture))
+        except RacinesError as error:
+            raise RacinesError(f"{folder / CONFIG}: {error}") from error
         config = fill(kind.Config, described["config"], f"{folder / CONFIG}: config")
         path = folder / WEIGHTS
         published = described.get("weights_files", {}).get("files", {}).get(WEIGHTS, {})
@@ -205,10 +203,10 @@ class Grader(Judge):
         return grader
 
     def _read(self, images: Tensor) -> Reading:
-        return Reading(*in_fixed_batches(self._answer_images, images.to(self.device)))
+        def answer(images: Tensor) -> Reading:
+            return self.answer(self.network.normalise(images))
 
-    def _answer_images(self, images: Tensor) -> Reading:
-        return self.answer(self.network.normalise(images))
+        return Reading(*in_fixed_batches(answer, images.to(self.device)))
 
     def answer(self, x: Tensor) -> Reading:
         """Return logits, grades and features of normalised (B, 1, S, S) images."""
@@ -219,22 +217,9 @@ class Grader(Judge):
 
 
 def read_config(folder: Path) -> dict[str, Any]:
-    """Return what a grader's `config.json` says.
-
-    Raises:
-        RacinesError: it is absent, no JSON, or of another schema.
-    """
-    absent = f"no grader there; run: racines train grader --out {folder}"
-    described = read_described(folder, absent)
-    if described.get("schema") != SCHEMA:
-        raise RacinesError(
-            f"{folder / CONFIG}: schema {described.get('schema')!r}, expected {SCHEMA!r}"
-        )
+    """Return what a grader's `config.json` says; refused if absent or of another schema."""
+    described = read_described(folder, f"no grader there; run: racines train grader --out {folder}")
+    found = described.get("schema")
+    if found != SCHEMA:
+        raise RacinesError(f"{folder / CONFIG}: schema {found!r}, expected {SCHEMA!r}")
     return described
-
-
-def _architecture(name: str, folder: Path) -> type[Grader]:
-    try:
-        return JUDGES.load(name)
-    except RacinesError as error:
-        raise RacinesError(f"{folder / CONFIG}: {error}") from error

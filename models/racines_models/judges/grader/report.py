@@ -1,20 +1,28 @@
-"""How the grader's labels and grades compare with the truth, on held-out trajectories."""
+"""How a grader's labels, grades and confidence compare with the truth, on held-out trajectories.
 
-from collections.abc import Sequence
+Temperature scaling and the expected calibration error are after Guo et al., On Calibration of
+Modern Neural Networks (2017): one number divides the logits, so no label changes.
+"""
+
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from scipy.optimize import minimize_scalar
 from torch import Tensor
 
 from racines_data.store.frames import Batch, FrameStore
 from racines_data.views import LABELS, RANDOM_LABEL
-from racines_models.judges.grader.calibration import calibration_error
 from racines_models.judges.grader.model import Grader, Reading
-from racines_models.statistics import bootstrap_mean
+from racines_models.statistics import bootstrap_mean, jackknife
 
 CLOSE = 1.0
 """Grades that differ by no more agree."""
+UNIT = "grades of 10"
+BINS = 15
+"""Bins of equal width in confidence."""
+LIMIT = 10.0
+"""Largest temperature that is looked for, and the inverse of the smallest."""
 
 
 class Comparison(NamedTuple):
@@ -24,6 +32,11 @@ class Comparison(NamedTuple):
     """(N,) float64, NaN where the truth is unknown or the figure does not apply."""
     rule: str
     unit: str | None = None
+
+    def mean(self, trajectory: np.ndarray) -> dict[str, Any]:
+        """Return the figure as JSON, with its interval by (N,) trajectories."""
+        estimate = bootstrap_mean(self.values.numpy(), trajectory)
+        return estimate.to_json(self.unit, rule=self.rule)
 
 
 def compare(
@@ -37,50 +50,42 @@ def compare(
     target = known & (views != random)
     error = (grade - grades).abs().double()
     close = torch.where(error.isfinite(), (error <= CLOSE).double(), torch.nan)
-    unit = "grades of 10"
     compared = {
         "view_agreement": Comparison(
-            _where(known, (label == views).double()), "the grader's label is the true one"
+            torch.where(known, (label == views).double(), torch.nan),
+            "the grader's label is the true one",
         ),
         "grade_agreement": Comparison(
-            _where(target, close), f"grades differ by at most {CLOSE:g}, frames of a view"
+            torch.where(target, close, torch.nan),
+            f"grades differ by at most {CLOSE:g}, frames of a view",
         ),
         "grade_error": Comparison(
-            _where(target, error), "mean absolute difference, frames of a view", unit
+            torch.where(target, error, torch.nan),
+            "mean absolute difference, frames of a view",
+            UNIT,
         ),
-        "grade_error_all": Comparison(error, "mean absolute difference, all frames", unit),
+        "grade_error_all": Comparison(error, "mean absolute difference, all frames", UNIT),
     }
     return {k: each for k, each in compared.items() if bool(each.values.isfinite().any())}
 
 
 class Examination(NamedTuple):
-    """A grader's answers on a split, and what they come to."""
+    """A grader, its answers on the frames of a split, and what they come to: see `report`."""
 
+    grader: Grader
+    frames: Batch
     reading: Reading
-    labels: Tensor
-    """(N,) labels given."""
-    views: Tensor
-    """(N,) true labels, -1 where unknown."""
-    grades: Tensor
-    """(N,) true grades, NaN where unknown."""
-    names: tuple[str, ...]
-    """Names of the labels; the last is `Random`."""
-    temperature: float
     content: dict[str, Any]
-    """The report, see `report`."""
 
 
 def report(grader: Grader, store: FrameStore, split: str = "test") -> dict[str, Any]:
-    """Judge a split and compare with its labels.
+    """Judge a split and compare with its labels, which the grader must have been trained for.
 
     Returns:
         `split`; `metrics`: `view_accuracy`, `grade_mae` (frames of a view), `grade_mae_all`,
         `grade_agreement`, each with value, low, high, n; `views`: the accuracy on each label's
         frames; `grades`: `mae` and `bias` on each view's frames; `calibration`: the temperature and
         the expected calibration error `before` and `after` it; `confusion`: counts, rows the truth.
-
-    Raises:
-        RacinesError: the grader was trained for other views.
     """
     return examine(grader, store, split).content
 
@@ -94,66 +99,47 @@ def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examinati
     label, trajectory = reading.logits.argmax(-1), store.trajectory_index[rows].numpy()
     random = len(store.labels) - 1
     compared = compare(label, reading.grades, frames.views, frames.grades, random)
-    counts = confusion_counts(label, frames.views, len(store.labels))
-    content = {
-        "split": split,
-        "metrics": _metrics(compared, trajectory),
-        "views": _by_view(compared, frames, store.labels, trajectory),
-        "grades": _grades_by_view(reading.grades, frames, store.labels[:random], trajectory),
-        "calibration": _calibration(grader, reading, frames.views, trajectory),
-        "confusion": {"labels": list(store.labels), "counts": counts},
-    }
-    answers = (reading, label, frames.views, frames.grades)
-    return Examination(*answers, store.labels, grader.temperature, content)
-
-
-def _metrics(compared: dict[str, Comparison], trajectory: np.ndarray) -> dict[str, Any]:
     names = {"view_agreement": "view_accuracy", "grade_error": "grade_mae"}
     names |= {"grade_error_all": "grade_mae_all"}
-    return {
-        names.get(name, name): bootstrap_mean(each.values.numpy(), trajectory).to_json(
-            each.unit, rule=each.rule
-        )
-        for name, each in compared.items()
+    counts = confusion_counts(label, frames.views, len(store.labels))
+    calibration: dict[str, Any] = {"temperature": grader.temperature}
+    if bool((frames.views >= 0).any()):
+        for when, temperature in (("before", 1.0), ("after", grader.temperature)):
+            probabilities = (reading.logits / temperature).softmax(-1)
+            calibration[when] = calibration_error(probabilities, frames.views, trajectory)
+    content = {
+        "split": split,
+        "metrics": {names.get(k, k): each.mean(trajectory) for k, each in compared.items()},
+        **_by_view(compared, reading.grades, frames, store.labels, trajectory),
+        "calibration": calibration,
+        "confusion": {"labels": list(store.labels), "counts": counts},
     }
+    return Examination(grader, frames, reading, content)
 
 
 def _by_view(
-    compared: dict[str, Comparison], frames: Batch, labels: Sequence[str], trajectory: np.ndarray
+    compared: dict[str, Comparison],
+    grades: Tensor,
+    frames: Batch,
+    labels: tuple[str, ...],
+    trajectory: np.ndarray,
 ) -> dict[str, Any]:
-    views = {}
+    """Return `views`, the accuracy by label, and `grades`, the errors by view."""
+    views, errors = {}, {}
+    difference, graded = (grades - frames.grades).double().numpy(), frames.grades.isfinite()
     for index, name in enumerate(labels):
-        chosen = (frames.views == index).numpy()
-        if chosen.any():
-            right = compared["view_agreement"].values.numpy()[chosen]
-            views[name] = bootstrap_mean(right, trajectory[chosen]).to_json()
-    return views
-
-
-def _grades_by_view(
-    grades: Tensor, frames: Batch, labels: Sequence[str], trajectory: np.ndarray
-) -> dict[str, Any]:
-    views, difference = {}, (grades - frames.grades).double().numpy()
-    for index, name in enumerate(labels):
-        chosen = ((frames.views == index) & frames.grades.isfinite()).numpy()
-        if chosen.any():
+        shown = frames.views == index
+        if bool(shown.any()):
+            right = compared["view_agreement"].values[shown].numpy()
+            views[name] = bootstrap_mean(right, trajectory[shown.numpy()]).to_json()
+        chosen = (shown & graded).numpy()
+        if chosen.any() and name != labels[-1]:
             signed, clusters = difference[chosen], trajectory[chosen]
-            views[name] = {
-                "mae": bootstrap_mean(np.abs(signed), clusters).to_json("grades of 10"),
-                "bias": bootstrap_mean(signed, clusters).to_json("grades of 10"),
+            errors[name] = {
+                "mae": bootstrap_mean(np.abs(signed), clusters).to_json(UNIT),
+                "bias": bootstrap_mean(signed, clusters).to_json(UNIT),
             }
-    return views
-
-
-def _calibration(
-    grader: Grader, reading: Reading, views: Tensor, trajectory: np.ndarray
-) -> dict[str, Any]:
-    content: dict[str, Any] = {"temperature": grader.temperature}
-    if bool((views >= 0).any()):
-        for name, temperature in (("before", 1.0), ("after", grader.temperature)):
-            probabilities = (reading.logits / temperature).softmax(-1)
-            content[name] = calibration_error(probabilities, views, trajectory)
-    return content
+    return {"views": views, "grades": errors}
 
 
 def confusion_counts(label: Tensor, truth: Tensor, labels: int = len(LABELS)) -> list[list[int]]:
@@ -163,5 +149,69 @@ def confusion_counts(label: Tensor, truth: Tensor, labels: int = len(LABELS)) ->
     return torch.bincount(pairs, minlength=labels**2).view(labels, -1).tolist()
 
 
-def _where(chosen: Tensor, values: Tensor) -> Tensor:
-    return torch.where(chosen, values, torch.nan)
+class Reliability(NamedTuple):
+    """Number of frames, mean confidence and share of right labels by bin of confidence.
+
+    (BINS,) float64 each, 0 where a bin is empty.
+    """
+
+    frames: Tensor
+    confidence: Tensor
+    accuracy: Tensor
+
+    @property
+    def error(self) -> float:
+        """The expected calibration error: the gap between the two, averaged over frames."""
+        gap = (self.confidence - self.accuracy).abs() * self.frames
+        return float(gap.sum() / self.frames.sum().clamp_min(1.0))
+
+
+def fit_temperature(logits: Tensor, views: Tensor) -> float:
+    """Return the temperature of least cross-entropy of (N, L) logits over known views, else 1."""
+    known = views >= 0
+    logits, views = logits[known].double(), views[known]
+    if not len(views):
+        return 1.0
+
+    def loss(log_temperature: float) -> float:
+        scaled = logits / np.exp(log_temperature)
+        return float(torch.nn.functional.cross_entropy(scaled, views))
+
+    bounds = (-np.log(LIMIT), np.log(LIMIT))
+    found: Any = minimize_scalar(loss, bounds=bounds, method="bounded")
+    return float(np.exp(found.x))
+
+
+def reliability(probabilities: Tensor, views: Tensor) -> Reliability:
+    """Compare the confidence of (N, L) probabilities with (N,) views; -1 is left out."""
+    known = views >= 0
+    confidence, label = probabilities[known].double().max(-1)
+    right = (label == views[known]).double()
+    # Bins are open below and closed above, as in the paper.
+    index = ((confidence * BINS).ceil().long() - 1).clamp(0, BINS - 1)
+    weights = (torch.ones_like(right), confidence, right)
+    count, sure, hit = (torch.bincount(index, values, BINS) for values in weights)
+    return Reliability(count, sure / count.clamp_min(1.0), hit / count.clamp_min(1.0))
+
+
+def calibrate(grader: Grader, store: FrameStore, split: str = "validation") -> int:
+    """Set the grader's temperature by a split, 1 if no view is known; return how many are."""
+    grader.check_labels(store.labels, "the dataset")
+    rows = store.split_indices(split)
+    views = store.views[rows]
+    known, grader.temperature = int((views >= 0).sum()), 1.0
+    if known:
+        grader.temperature = fit_temperature(grader.read(store.take(rows).images).logits, views)
+    return known
+
+
+def calibration_error(probabilities: Tensor, views: Tensor, trajectory: np.ndarray) -> Any:
+    """Return the expected calibration error of (N, L) probabilities as JSON, with its interval."""
+    known = (views >= 0).numpy()
+    probabilities, views = probabilities[known], views[known]
+
+    def error(kept: np.ndarray) -> float:
+        return reliability(probabilities[kept], views[kept]).error
+
+    estimate = jackknife(error, trajectory[known], minimum=0.0)
+    return estimate.to_json(bins=BINS, rule="mean gap of confidence and accuracy over bins")

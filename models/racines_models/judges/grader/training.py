@@ -4,23 +4,24 @@ Batches, augmentation and learning rates are functions of (seed, stage, step) al
 was killed and resumed on the same machine ends in the same weights.
 """
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import islice
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
+from torch.nn import functional
 from torch.optim import AdamW, Optimizer
 
 from racines_data.errors import RacinesError
 from racines_data.randomness import derive
 from racines_data.store.frames import Batch, FrameStore
 from racines_models.devices import resolve_device
-from racines_models.judges.grader.calibration import calibrate
 from racines_models.judges.grader.evaluation import write_report
-from racines_models.judges.grader.loss import class_weights, grade_loss, learning_rate, view_loss
-from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork
+from racines_models.judges.grader.model import Grader, GraderConfig
+from racines_models.judges.grader.report import calibrate
 from racines_models.protocol import Run
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.training.augmentation import augment
@@ -32,6 +33,8 @@ from racines_models.training.trainer import train
 ORDER, NOISE = 21, 22
 """Random streams: the order of an epoch, the augmentation of a step."""
 LOG_STEPS = 10
+WARM_UP = 0.1
+"""Share of a stage in which the learning rate rises."""
 
 
 def train_grader(store: FrameStore, config: GraderConfig, run: Run) -> dict[str, Any]:
@@ -40,22 +43,6 @@ def train_grader(store: FrameStore, config: GraderConfig, run: Run) -> dict[str,
     Raises:
         RacinesError: the data have no views, or `run.resume` is True and nothing can be resumed.
     """
-    _check_labels(store)
-    run = replace(run, device=resolve_device(run.device))
-    learner = GraderLearner(store, config, run)
-    settings = judge_training(config, config.batch_size, learner.steps)
-    figures = train(learner, store, settings, run, learner, config.checkpoint_seconds)
-    grader = Grader(learner.network, config, run.device, store.labels)
-    calibrated = {"split": "validation", "frames": calibrate(grader, store)}
-    made = {"dataset": dataset_card(store), "seed": run.seed, "code": code_version()}
-    grader.save(run.folder, calibrated=calibrated, **made)
-    made |= {"training": figures, "environment": environment(str(grader.device))}
-    metrics = write_report(run.folder, grader, store, **made)
-    discard_checkpoint(run.folder)
-    return metrics
-
-
-def _check_labels(store: FrameStore) -> None:
     rows = store.split_indices("train")
     if not len(rows):
         raise RacinesError("grader: the train split is empty; build a dataset with more sweeps")
@@ -64,51 +51,90 @@ def _check_labels(store: FrameStore) -> None:
             f"grader: no frame of this dataset (source {store.manifest['source']}) has a view; "
             "train on a labelled source, such as: racines data build --source phantom"
         )
+    run = replace(run, device=resolve_device(run.device))
+    return GraderLearner(store, config, run).teach(run)
 
 
-class GraderLearner(Course):
-    """What the trainer needs of the grader: two stages, an optimizer each, one after the other."""
+class JudgeLearner(Course):
+    """What the trainer needs of a network that views and grades: the grader's, or its student's."""
 
-    name = "grader"
+    name: ClassVar[str]
+    judge: ClassVar[type[Grader]]
+    batch_size: int
+    steps: int
 
-    def __init__(self, store: FrameStore, config: GraderConfig, run: Run) -> None:
-        self.store, self.config, self.seed, self.device = store, config, run.seed, run.device
-        frames = len(store.split_indices("train"))
-        self.steps_per_epoch = max(frames // config.batch_size, 1)
-        self.stages = {"views": config.view_stage, "grades": config.grade_stage}
+    def __init__(
+        self, store: FrameStore, config: Any, run: Run, labels: Sequence[str], **identity: Any
+    ) -> None:
+        self.store, self.config, self.labels = store, config, labels
+        self.seed, self.device = run.seed, run.device
         known = {"config": asdict(config), "seed": run.seed, "data": dataset_card(store)}
-        self.identity = {"name": self.name} | known
+        self.identity = {"name": self.name} | identity | known
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(run.seed)
-            self.network = GraderNetwork(config.input_size, config.width, len(store.labels))
+            self.network = self.judge.build(config, len(labels))
         self.network.to(run.device)
-        self.weights = class_weights(store, config.class_balance).to(run.device)
-
-    @property
-    def steps(self) -> int:
-        """Steps of both stages."""
-        return sum(stage.epochs for stage in self.stages.values()) * self.steps_per_epoch
 
     def modules(self) -> dict[str, nn.Module]:
         """Return the one network."""
-        return {"grader": self.network}
+        return {self.name: self.network}
 
     def averaged(self) -> tuple[str, ...]:
         """Name it: its weights are averaged."""
-        return ("grader",)
+        return (self.name,)
+
+    def teach(self, run: Run, **provenance: Any) -> dict[str, Any]:
+        """Train, calibrate, save with the provenance into `run.folder`; return the metrics."""
+        settings = Training(
+            images=self.steps * self.batch_size,
+            batch_size=self.batch_size,
+            precision="bf16" if self.config.bf16 else "fp32",
+            ema=self.config.ema,
+            log_every=LOG_STEPS * self.batch_size,
+            checkpoint_every=self.batch_size,
+        )
+        learner: Any = self  # whole in its subclasses, which have optimizers and updates
+        figures = train(learner, self.store, settings, run, self, self.config.checkpoint_seconds)
+        judge = self.judge(self.network, self.config, run.device, self.labels)
+        calibrated = {"split": "validation", "frames": calibrate(judge, self.store)}
+        made = {"dataset": dataset_card(self.store), "seed": run.seed, "code": code_version()}
+        made |= provenance
+        judge.save(run.folder, calibrated=calibrated, **made)
+        made |= self.beside(judge, figures)
+        made |= {"training": figures, "environment": environment(str(judge.device))}
+        metrics = write_report(run.folder, judge, self.store, **made)
+        discard_checkpoint(run.folder)
+        return metrics
+
+    def beside(self, judge: Grader, training: dict[str, Any]) -> dict[str, Any]:
+        """Return what else the metrics hold; may add to the figures of the training."""
+        return {}
+
+
+class GraderLearner(JudgeLearner):
+    """The grader's two stages, an optimizer each, one after the other."""
+
+    name = "grader"
+    judge = Grader
+
+    def __init__(self, store: FrameStore, config: GraderConfig, run: Run) -> None:
+        super().__init__(store, config, run, store.labels)
+        self.batch_size = config.batch_size
+        self.steps_per_epoch = max(len(store.split_indices("train")) // config.batch_size, 1)
+        self.stages = {"views": config.view_stage, "grades": config.grade_stage}
+        self.steps = sum(each.epochs for each in self.stages.values()) * self.steps_per_epoch
+        self.weights = class_weights(store, config.class_balance).to(run.device)
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return an AdamW a stage; the rates are multiples of the stage's (see `rate`)."""
-        heads = [{"params": list(head.parameters())} for head in self._heads()]
+        heads = (self.network.view_head, self.network.grade_head)
+        groups = [{"params": list(head.parameters())} for head in heads]
         made = {}
         for name, stage in self.stages.items():
             encoder = {"params": list(self.network.encoder.parameters()), "lr": stage.encoder_rate}
             decay = self.config.weight_decay
-            made[name] = AdamW([encoder, *heads], lr=1.0, weight_decay=decay, fused=True)
+            made[name] = AdamW([encoder, *groups], lr=1.0, weight_decay=decay, fused=True)
         return made
-
-    def _heads(self) -> tuple[nn.Module, nn.Module]:
-        return self.network.view_head, self.network.grade_head
 
     def _place(self, step: int) -> tuple[str, int]:
         """Return the stage of a step, and which of its steps it is."""
@@ -123,12 +149,12 @@ class GraderLearner(Course):
 
     def batches(self, start: int, stop: int) -> Iterator[tuple[int, Batch]]:
         """Yield each step's number and frames; the order is drawn anew every epoch."""
-        step = start // self.config.batch_size
-        while step < stop // self.config.batch_size:
+        step = start // self.batch_size
+        while step < stop // self.batch_size:
             name, number = self._place(step)
             epoch, offset = divmod(number, self.steps_per_epoch)
             drawn = derive(torch.tensor(self.seed), ORDER, list(self.stages).index(name), epoch)
-            batches = self.store.batches("train", self.config.batch_size, seed=int(drawn))
+            batches = self.store.batches("train", self.batch_size, seed=int(drawn))
             for batch in islice(batches, offset, self.steps_per_epoch):
                 yield step, batch
                 step += 1
@@ -151,13 +177,30 @@ class GraderLearner(Course):
         yield Update(name, loss, losses)
 
 
-def judge_training(config: Any, batch_size: int, steps: int) -> Training:
-    """Return the trainer's settings of a grader's or student's config, for so many steps."""
-    return Training(
-        images=steps * batch_size,
-        batch_size=batch_size,
-        precision="bf16" if config.bf16 else "fp32",
-        ema=config.ema,
-        log_every=LOG_STEPS * batch_size,
-        checkpoint_every=batch_size,
-    )
+def view_loss(logits: Tensor, views: Tensor, weights: Tensor) -> Tensor:
+    """Return the weighted cross-entropy of (B, L) logits over the frames with a view (not -1)."""
+    loss = functional.cross_entropy(logits, views, weights, ignore_index=-1, reduction="sum")
+    total = weights[views.clamp_min(0)].mul(views >= 0).sum()
+    return loss / total.clamp_min(1e-6)
+
+
+def grade_loss(grade: Tensor, target: Tensor) -> Tensor:
+    """Return the smooth L1 loss of (B,) grades over the frames with a grade (not NaN)."""
+    present = target.isfinite()
+    error = functional.smooth_l1_loss(grade, target.nan_to_num(0.0), reduction="none", beta=1.0)
+    return (error * present).sum() / present.sum().clamp_min(1)
+
+
+def class_weights(store: FrameStore, power: float) -> Tensor:
+    """Return (labels,) weights, the train frequencies to minus `power`, of mean one over frames."""
+    views = store.views[store.split_indices("train")]
+    count = torch.bincount(views[views >= 0], minlength=len(store.labels)).float()
+    weights = count.clamp_min(1.0).pow(-power)
+    return weights * count.sum() / (weights * count).sum()
+
+
+def learning_rate(peak: float, progress: float) -> float:
+    """Rise linearly to the peak, then fall as a cosine to zero; progress in 0-1."""
+    if progress < WARM_UP:
+        return peak * (progress + 1e-3) / (WARM_UP + 1e-3)
+    return peak * 0.5 * (1.0 + math.cos(math.pi * (progress - WARM_UP) / (1.0 - WARM_UP)))

@@ -29,7 +29,6 @@ TARGETS = 9
 """Position (3) and the continuous rotation (6)."""
 FEATURES = 512
 """Channels of the encoder's last map at width 1."""
-SIZES = (64, 128)
 BATCH = 256
 """Images read at once."""
 
@@ -73,7 +72,7 @@ class PoseConfig:
 
     def __post_init__(self) -> None:
         """Refuse a size that the network cannot take."""
-        if self.input_size not in SIZES:
+        if self.input_size not in (64, 128):
             raise RacinesError(f"pose.input_size {self.input_size}: choose 64 or 128")
 
 
@@ -136,31 +135,26 @@ class PoseRegressor:
 
     A pose depends on its image alone: not on its place, on its neighbours or on the size of the
     batch, to the last bit, on one machine.
-
-    Raises:
-        RacinesError: `load` finds no pose regressor, a damaged one, or something else.
     """
 
     def __init__(self, network: PoseNetwork, config: PoseConfig, device: str = "cpu"):
-        device = resolve_device(device)
-        self.network = network.to(device).eval().requires_grad_(False)
+        self.device = torch.device(resolve_device(device))
+        self.network = network.to(self.device).eval().requires_grad_(False)
         self.config = config
-        self.device = torch.device(device)
         self.sha256: str | None = None
         """Hash of the weights' file; None until saved or loaded."""
 
     @torch.inference_mode()
     def predict(self, images: Tensor) -> Pose:
         """Return the poses, on the CPU, that (N, 128, 128) uint8 images show."""
-        parts = []
-        for batch in check_images(images).split(BATCH):
-            # fp32: bfloat16 rounds a position by tenths of a millimetre.
-            parts.append(in_fixed_batches(self._targets, batch.to(self.device)))
-        predicted = torch.cat(parts) if parts else torch.empty(0, TARGETS, device=self.device)
-        return self.network.pose(predicted).to("cpu")
 
-    def _targets(self, images: Tensor) -> Tensor:
-        return self.network(self.network.normalise(images))
+        def targets(images: Tensor) -> Tensor:
+            # fp32: bfloat16 rounds a position by tenths of a millimetre.
+            return self.network(self.network.normalise(images))
+
+        batches = check_images(images).split(BATCH)
+        predicted = [in_fixed_batches(targets, batch.to(self.device)) for batch in batches]
+        return self.network.pose(torch.cat(predicted)).to("cpu")
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -184,18 +178,17 @@ class PoseRegressor:
 
     @classmethod
     def load(cls, folder: Path | str, device: str = "cpu") -> "PoseRegressor":
-        """Read what `save` wrote, or its half-precision copy (see `publish`)."""
+        """Read what `save` wrote, or its half-precision copy; refused if absent or damaged."""
         folder = Path(folder)
         described = read_described(folder, "no pose regressor there; run: racines train pose")
         if described.get("schema") != SCHEMA:
             found = described.get("schema")
             raise RacinesError(f"{folder / CONFIG}: schema {found!r}, expected {SCHEMA!r}")
         config = fill(PoseConfig, described["config"], f"{folder / CONFIG}: config")
-        path = folder / WEIGHTS
         network = PoseNetwork(config.input_size, config.width)
-        load_network(path, network, f"run: racines train pose --out {folder}")
+        load_network(folder / WEIGHTS, network, f"run: racines train pose --out {folder}")
         regressor = cls(network, config, device)
-        regressor.sha256 = sha256_file(path)
+        regressor.sha256 = sha256_file(folder / WEIGHTS)
         return regressor
 
 

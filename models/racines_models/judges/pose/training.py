@@ -1,7 +1,7 @@
 """Training of the pose regressor, by the trainer of the generators; its report on held-out data."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import torch
@@ -32,16 +32,11 @@ class PoseLearner:
     name = "pose"
 
     def __init__(self, config: PoseConfig, seed: int, data: dict[str, Any]):
-        self.config, self.seed, self.data = config, seed, data
+        self.config = config
+        self.identity = {"name": self.name, "config": asdict(config), "seed": seed, "data": data}
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = PoseNetwork(config.input_size, config.width)
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """Say what is trained on what."""
-        known = {"config": asdict(self.config), "seed": self.seed, "data": self.data}
-        return {"name": self.name} | known
 
     def modules(self) -> dict[str, nn.Module]:
         """Return the one network."""
@@ -75,17 +70,16 @@ def train_pose(store: FrameStore, config: PoseConfig, run: Run) -> dict[str, Any
     rows = store.split_indices("train")
     if not len(rows):
         raise RacinesError("pose: the train split is empty; build a dataset with more sweeps")
-    device = resolve_device(run.device)
-    run = Run(run.folder, run.seed, device, run.resume, run.progress)
+    run = replace(run, device=resolve_device(run.device))
     learner = PoseLearner(config, run.seed, dataset_card(store))
     learner.network.fit_targets(store.parameters[rows])
-    learner.network.to(device)
+    learner.network.to(run.device)
     figures = train(learner, store, config.training, run)
-    regressor = PoseRegressor(learner.network, config, device)
+    regressor = PoseRegressor(learner.network, config, run.device)
     made = {"dataset": dataset_card(store), "seed": run.seed, "code": code_version()}
     regressor.save(run.folder, **made)
     metrics = {"schema": "racines.pose-metrics/1"} | made | report(regressor, store)
-    metrics |= {"training": figures, "environment": environment(device)}
+    metrics |= {"training": figures, "environment": environment(run.device)}
     write_json(run.folder / "metrics.json", metrics)
     discard_checkpoint(run.folder)
     return metrics
@@ -105,11 +99,10 @@ def report(regressor: PoseRegressor, store: FrameStore, split: str = "test") -> 
     of_view = (frames.views >= 0) & (frames.views != len(store.labels) - 1)
     metrics = {}
     for suffix, chosen in (("", torch.ones_like(of_view)), ("_view", of_view)):
-        if not bool(chosen.any()):
-            continue
         for unit, values in zip(("mm", "deg"), errors, strict=True):
-            median = bootstrap_median(values[chosen].numpy(), trajectory[chosen.numpy()])
-            metrics[f"pose_error_{unit}{suffix}"] = median.to_json(unit)
+            if bool(chosen.any()):
+                median = bootstrap_median(values[chosen].numpy(), trajectory[chosen.numpy()])
+                metrics[f"pose_error_{unit}{suffix}"] = median.to_json(unit)
     return {"split": split, "metrics": metrics}
 
 

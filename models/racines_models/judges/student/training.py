@@ -2,41 +2,51 @@
 
 Soft labels after Hinton et al., Distilling the Knowledge in a Neural Network (2015); teacher and
 student look at the same variant of a frame, as in Beyer et al., Knowledge Distillation: A Good
-Teacher Is Patient and Consistent (2022). Order, variants and rates are functions of (seed, step).
+Teacher Is Patient and Consistent (2022). The teacher is asked once, before, and its answers are
+kept on disk: a variant is a function of (seed, frame, variant), so that the student, who looks at
+it epochs later, sees what the teacher saw. Order and rates are functions of (seed, step).
 """
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, replace
-from typing import Any
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import AdamW, Optimizer
 
 from racines_data.errors import RacinesError
+from racines_data.imaging import IMAGE_SIZE
 from racines_data.progress import image_counter
-from racines_data.randomness import derive
+from racines_data.randomness import derive, uniform
 from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
-from racines_models.judges.grader.calibration import calibrate
-from racines_models.judges.grader.evaluation import write_report
-from racines_models.judges.grader.loss import learning_rate
 from racines_models.judges.grader.model import Grader
-from racines_models.judges.grader.training import judge_training
-from racines_models.judges.student.labels import ask_teacher, variants
+from racines_models.judges.grader.training import JudgeLearner, learning_rate
 from racines_models.judges.student.model import Student, StudentConfig
-from racines_models.judges.student.report import agreement, speed
 from racines_models.protocol import Run
-from racines_models.provenance import code_version, dataset_card, environment
+from racines_models.sample import Progress
+from racines_models.statistics import bootstrap_mean
+from racines_models.training.augmentation import Augmentation, augment
 from racines_models.training.checkpoint import FOLDER, Checkpoint, discard_checkpoint
-from racines_models.training.course import Course
 from racines_models.training.objective import Update
-from racines_models.training.trainer import train
+from racines_models.weights import save_weights
 
-ORDER = 32
-"""Random stream of an epoch's order."""
+VARIANT, ORDER = 31, 32
+"""Random streams: the variants, and an epoch's order."""
+CHUNK = 4096
+"""Frames of one file of answers: what a killed run has to ask again."""
+ASKED = 256
+"""Frames that the teacher is asked of at once."""
+BATCH = 64
+"""Images of a timed call."""
+ROUNDS = 15
+"""Timed calls of each; the best counts, since what else the machine does only slows."""
 
 
 def train_student(
@@ -57,20 +67,9 @@ def train_student(
         )
     run = replace(run, device=resolve_device(run.device))
     learner = StudentLearner(store, config, run, teacher)
-    asked = learner.ask(run)
-    settings = judge_training(config, learner.batch_size, learner.steps)
-    figures = train(learner, store, settings, run, learner, config.checkpoint_seconds)
-    figures["teacher_seconds"] = round(asked, 3)
-    student = Student(learner.network, config, run.device, teacher.labels)
-    calibrated = {"split": "validation", "frames": calibrate(student, store)}
-    made = {"dataset": dataset_card(store), "seed": run.seed, "code": code_version()}
-    made["teacher"] = {"architecture": teacher.architecture, "sha256": teacher.sha256}
-    student.save(run.folder, calibrated=calibrated, **made)
-    made |= {"agreement": agreement(student, teacher, store), "speed": speed(student, teacher)}
-    made |= {"training": figures, "environment": environment(str(student.device))}
-    metrics = write_report(run.folder, student, store, **made)
-    discard_checkpoint(run.folder)
-    return metrics
+    learner.ask(run)
+    named = {"architecture": teacher.architecture, "sha256": teacher.sha256}
+    return learner.teach(run, teacher=named)
 
 
 def distillation_loss(logits: Tensor, taught: Tensor, temperature: float) -> Tensor:
@@ -81,26 +80,21 @@ def distillation_loss(logits: Tensor, taught: Tensor, temperature: float) -> Ten
     return divergence * temperature**2
 
 
-class StudentLearner(Course):
-    """What the trainer needs of the student, and what its teacher says of the frames."""
+class StudentLearner(JudgeLearner):
+    """The student under its teacher, and what that says of the frames."""
 
     name = "student"
+    judge = Student
 
     def __init__(self, store: FrameStore, config: StudentConfig, run: Run, teacher: Grader) -> None:
-        self.store, self.config, self.seed, self.teacher = store, config, run.seed, teacher
-        self.rows, self.device = store.split_indices("train"), run.device
+        super().__init__(store, config, run, teacher.labels, teacher=teacher.sha256)
+        self.teacher, self.rows = teacher, store.split_indices("train")
         self.batch_size = min(config.batch_size, len(self.rows))
         self.per_epoch = len(self.rows) // self.batch_size
         self.steps = config.epochs * self.per_epoch
-        known = {"config": asdict(config), "seed": run.seed, "data": dataset_card(store)}
-        self.identity = {"name": self.name, "teacher": teacher.sha256} | known
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(run.seed)
-            self.network = Student.build(config, len(teacher.labels))
-        self.network.to(run.device)
 
-    def ask(self, run: Run) -> float:
-        """Have the teacher label the frames; return the seconds that it took.
+    def ask(self, run: Run) -> None:
+        """Have the teacher label the frames.
 
         Answers that a killed run left are not asked again: from the first of them on, the folder
         holds a checkpoint of this very run.
@@ -114,15 +108,13 @@ class StudentLearner(Course):
             folder = run.folder / FOLDER / "teacher"
             answers = (self.config, self.config.variants, self.seed, folder, advance)
             self.taught = ask_teacher(self.teacher, self.store, *answers)
-        return time.perf_counter() - began
+        self.asked = time.perf_counter() - began
 
-    def modules(self) -> dict[str, nn.Module]:
-        """Return the one network."""
-        return {"student": self.network}
-
-    def averaged(self) -> tuple[str, ...]:
-        """Name it: its weights are averaged."""
-        return ("student",)
+    def beside(self, judge: Grader, training: dict[str, Any]) -> dict[str, Any]:
+        """Return how the student agrees with its teacher, and how quick both are."""
+        training["teacher_seconds"] = round(self.asked, 3)
+        compared = agreement(judge, self.teacher, self.store)
+        return {"agreement": compared, "speed": speed(judge, self.teacher)}
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return its AdamW; `rate` is the whole rate."""
@@ -156,10 +148,121 @@ class StudentLearner(Course):
         smaller = x.shape[-1] // config.input_size
         x = functional.avg_pool2d(x, smaller) if smaller > 1 else x
         logits, grade = nets["student"](x)
-        taught = self.taught.logits[which, places].to(self.device)
-        wanted = self.taught.grades[which, places].to(self.device)
+        taught, wanted = (each[which, places].to(self.device) for each in self.taught)
         losses = {
             "view": distillation_loss(logits, taught, config.temperature),
             "grade": functional.smooth_l1_loss(grade, wanted),
         }
         yield Update("student", losses["view"] + config.grade_weight * losses["grade"], losses)
+
+
+def variants(
+    x: Tensor, rows: Tensor, which: Tensor, seed: int, augmentation: Augmentation
+) -> Tensor:
+    """Return the variants that `which` (B,) names of (B, 1, S, S) images as the teacher takes them.
+
+    `rows` (B,) are those of the frames in the store; variant 0 leaves the image as it is.
+    """
+    seeds = derive(derive(torch.tensor(seed), VARIANT, rows), which).to(x.device)
+    varied = augment(x, seeds, augmentation)
+    return torch.where(which.to(x.device).view(-1, 1, 1, 1) == 0, x, varied)
+
+
+class SoftLabels(NamedTuple):
+    """The teacher's (V, N, L) float32 `logits` and (V, N) `grades` of N frames in V variants."""
+
+    logits: Tensor
+    grades: Tensor
+
+
+def ask_teacher(
+    teacher: Grader,
+    store: FrameStore,
+    augmentation: Augmentation,
+    count: int,
+    seed: int,
+    folder: Path,
+    progress: Progress,
+) -> SoftLabels:
+    """Ask of the whole train split; what `folder` has already is not asked again.
+
+    `folder` must belong to this teacher, dataset, augmentation and seed.
+    """
+    rows = store.split_indices("train")
+    parts = []
+    for variant in range(count):
+        for number, chunk in enumerate(rows.split(CHUNK)):
+            path = folder / f"{variant:02d}-{number:04d}.safetensors"
+            try:
+                answers = load_file(path)
+            except (SafetensorError, OSError):  # not asked yet, or damaged
+                answers = _ask(teacher, store, augmentation, chunk, variant, seed)
+                save_weights(path, answers)
+            parts.append(answers)
+            progress(len(chunk))
+    logits, grades = (torch.cat([part[key] for part in parts]) for key in ("logits", "grades"))
+    shape = (count, len(rows))
+    return SoftLabels(logits.view(*shape, -1), grades.view(shape))
+
+
+@torch.inference_mode()
+def _ask(
+    teacher: Grader,
+    store: FrameStore,
+    augmentation: Augmentation,
+    rows: Tensor,
+    variant: int,
+    seed: int,
+) -> dict[str, Tensor]:
+    parts = []
+    for batch in rows.split(ASKED):
+        x = teacher.network.normalise(store.take(batch).images.to(teacher.device))
+        x = variants(x, batch, torch.full_like(batch, variant), seed, augmentation)
+        parts.append(teacher.answer(x))
+    logits, grades = (torch.cat([part[i] for part in parts]).cpu() for i in (0, 1))
+    return {"logits": logits, "grades": grades}
+
+
+def agreement(
+    student: Grader, teacher: Grader, store: FrameStore, split: str = "test"
+) -> dict[str, Any]:
+    """Compare the answers on a split.
+
+    Returns:
+        `view`: share of frames with the teacher's label; `grade_mae`: mean absolute difference of
+        the grades on frames that the teacher calls a view; each with value, low, high, n.
+    """
+    rows = store.split_indices(split)
+    images, trajectory = store.take(rows).images, store.trajectory_index[rows].numpy()
+    (ours, our_grades, _), (theirs, grades, _) = student.judge(images), teacher.judge(images)
+    shown = theirs != len(teacher.labels) - 1
+    error = torch.where(shown, (our_grades - grades).abs().double(), torch.nan).numpy()
+    rule = "the student's label is the teacher's"
+    same = bootstrap_mean((ours == theirs).double().numpy(), trajectory).to_json(rule=rule)
+    compared: dict[str, Any] = {"split": split, "view": same}
+    if bool(shown.any()):
+        rule = "mean absolute difference, frames that the teacher calls a view"
+        compared["grade_mae"] = bootstrap_mean(error, trajectory).to_json("grades of 10", rule=rule)
+    return compared
+
+
+def speed(student: Grader, teacher: Grader) -> dict[str, Any]:
+    """Time `probabilities_and_grade` of both in turns, batches of 64 on their device.
+
+    Returns:
+        `student` and `teacher` in images/s, their `ratio`, `batch_size`, `threads`, `device`.
+    """
+    pixels = uniform(torch.arange(BATCH), IMAGE_SIZE**2).view(BATCH, IMAGE_SIZE, IMAGE_SIZE)
+    images = (pixels * 255).to(torch.uint8).to(teacher.device)
+    graders, best = {"student": student, "teacher": teacher}, {}
+    for turn in range(ROUNDS + 2):
+        for name, grader in graders.items():
+            began = time.perf_counter()
+            grader.probabilities_and_grade(images)[1].cpu()  # waits for the device
+            seconds = time.perf_counter() - began
+            if turn >= 2:  # the first calls set up kernels and memory
+                best[name] = min(best.get(name, seconds), seconds)
+    rates = {name: round(BATCH / seconds, 1) for name, seconds in best.items()}
+    ratio = {"ratio": round(best["teacher"] / best["student"], 2), "rounds": ROUNDS}
+    how = {"threads": torch.get_num_threads(), "device": str(teacher.device)}
+    return rates | ratio | {"batch_size": BATCH} | how

@@ -10,7 +10,7 @@ that a change of KID is the part's alone. What the halves leave open is the rang
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,9 +26,16 @@ from racines_data.phantom import PHANTOM_VERSION, Phantom, PhantomConfig
 from racines_data.phantom.acquisition import coordinates
 from racines_data.randomness import derive, normal, sample_seeds
 from racines_models.provenance import code_version, environment, sha256_bytes
+from racines_models.sample import Progress
 from racines_models.scores import metrics
-from racines_models.scores.features import Extractor, Progress
-from racines_models.studies.ablation.variants import BASE, NO_GRAY_MAP, Variant, gray_map_variant
+from racines_models.scores.features import Extractor
+from racines_models.studies.ablation.variants import (
+    BASE,
+    NO_GRAY_MAP,
+    VARIANTS,
+    Variant,
+    gray_map_variant,
+)
 from racines_models.studies.realism.report import RealFrames, RealismConfig, common_sector, one_each
 
 SCHEMA = "racines.ablation/1"
@@ -59,15 +66,6 @@ class Setting(NamedTuple):
     realism: RealismConfig
 
 
-class Reference(NamedTuple):
-    """The real side, and the mask of both."""
-
-    features: Tensor
-    """(M, D) of the masked real frames, one a patient."""
-    mask: Tensor
-    """(128, 128) bool."""
-
-
 def ablate(
     real: RealFrames,
     variants: list[Variant],
@@ -76,21 +74,10 @@ def ablate(
     out: Path,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Measure the variants, the full phantom first; write `out` after each block of them.
+    """Measure the variants, the full phantom first; return the report.
 
-    Args:
-        real: Real frames of the view.
-        variants: As from `pick_variants`.
-        setting: The base phantom, the size, and the rules of comparison.
-        extractor: Embeds the frames.
-        out: JSON; variants measured there under equal settings are kept.
-        progress: Told of each frame rendered and each one embedded.
-
-    Returns:
-        The report, schema `racines.ablation/1`.
-
-    Raises:
-        RacinesError: the phantom has no such view, or the sectors do not overlap.
+    It is written to `out`, JSON, after each of them; variants measured there under equal settings
+    are kept. `progress` is told of each frame rendered and each one embedded.
     """
     told = progress or (lambda count: None)
     real = one_each(real, 2 * setting.realism.frames)
@@ -103,13 +90,13 @@ def ablate(
     missing = [v for v in variants if v.name not in done]
     told(2 * setting.config.hearts * setting.config.poses * (len(variants) - len(missing)))
     if missing:
-        reference = Reference(extractor(real.images * mask, told), mask)
-        content["real_to_real"] = _halves(reference.features, None, setting.realism)
+        reference = extractor(real.images * mask, told)
+        content["real_to_real"] = _halves(reference, None, setting.realism)
         for block in _same_blocks(missing, setting):
             frames = _render(block, setting, probed, told)
             for variant, images in zip(block, frames, strict=True):
                 features = extractor(images * mask, told)
-                kid = _halves(reference.features, features, setting.realism)
+                kid = _halves(reference, features, setting.realism)
                 done[variant.name] = {"name": variant.name, **kid, "digest": digests[variant.name]}
                 write_json(out, _report(content, done))
     else:
@@ -128,11 +115,7 @@ def poses_near(phantom: Phantom, view: str, count: int, seed: int) -> Pose:
 
 
 def merge_into(report: Path, ablation: dict[str, Any]) -> None:
-    """Write the list of an ablation under `ablation` in a report of `racines study realism`.
-
-    Raises:
-        RacinesError: no such report, or it holds no comparison.
-    """
+    """Write the list of an ablation under `ablation` in a report of `racines study realism`."""
     try:
         content = json.loads(report.read_text())
     except (OSError, ValueError) as error:
@@ -144,9 +127,6 @@ def merge_into(report: Path, ablation: dict[str, Any]) -> None:
     write_json(report, content)
 
 
-# --- frames --------------------------------------------------------------------------------------
-
-
 def _frames(phantom: Phantom, setting: Setting, heart: int) -> Tensor:
     """Return (K, 128, 128) frames of a heart, counted from 0: its poses and noise are its own."""
     config, realism = setting.config, setting.realism
@@ -156,9 +136,8 @@ def _frames(phantom: Phantom, setting: Setting, heart: int) -> Tensor:
 
 
 def _probed(setting: Setting) -> list[Phantom]:
-    base = Variant(BASE, lambda config, base: config)
     hearts = min(PROBED, setting.config.hearts)
-    return [Phantom(config) for config in base.configs(setting.base, hearts)]
+    return [Phantom(config) for config in VARIANTS[0].configs(setting.base, hearts)]
 
 
 def _render(
@@ -184,36 +163,31 @@ def _volume_of(config: PhantomConfig) -> PhantomConfig:
     return dataclasses.replace(config, probe=PhantomConfig().probe)
 
 
-def _same_blocks(variants: list[Variant], setting: Setting) -> Iterator[list[Variant]]:
-    """Yield the variants in groups that share the baked block of every heart."""
+def _same_blocks(variants: list[Variant], setting: Setting) -> Iterable[list[Variant]]:
+    """Return the variants in groups that share the baked block of every heart."""
     groups: dict[tuple[PhantomConfig, ...], list[Variant]] = {}
     for variant in variants:
         configs = variant.configs(setting.base, setting.config.hearts)
         groups.setdefault(tuple(map(_volume_of, configs)), []).append(variant)
-    yield from groups.values()
+    return groups.values()
 
 
 def _calibrate(real: Tensor, probed: list[Phantom], setting: Setting) -> tuple[Tensor, float]:
     """Return the mask of all variants, and the gain, dB, that keeps the gray without gray map."""
 
-    def mean_gray(change: Callable[[PhantomConfig], PhantomConfig], mask: Tensor) -> float:
-        rendered = [p.with_probe(change(p.config).probe) for p in probed]
-        images = torch.cat([_frames(p, setting, heart) for heart, p in enumerate(rendered)])
-        return float(images[:, mask].double().mean())
+    def render(variant: Variant) -> Tensor:
+        changed = [p.with_probe(variant.change(p.config, setting.base).probe) for p in probed]
+        return torch.cat([_frames(p, setting, heart) for heart, p in enumerate(changed)])
 
-    frames = torch.cat([_frames(p, setting, heart) for heart, p in enumerate(probed)])
-    mask = common_sector(real, frames, setting.realism.support)
-    wanted = mean_gray(lambda config: config, mask)
+    full = render(VARIANTS[0])
+    mask = common_sector(real, full, setting.realism.support)
+    wanted = full[:, mask].double().mean()
     low, high = GAINS
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        variant = gray_map_variant(middle)
-        brighter = mean_gray(lambda c, v=variant: v.change(c, setting.base), mask) > wanted
+        brighter = bool(render(gray_map_variant(middle))[:, mask].double().mean() > wanted)
         low, high = (low, middle) if brighter else (middle, high)
     return mask, round((low + high) / 2, 2)
-
-
-# --- figures -------------------------------------------------------------------------------------
 
 
 def _halves(real: Tensor, ours: Tensor | None, config: RealismConfig) -> dict[str, Any]:
@@ -222,11 +196,8 @@ def _halves(real: Tensor, ours: Tensor | None, config: RealismConfig) -> dict[st
     n = min(len(real) // 2, config.frames, len(real) if ours is None else len(ours))
     values = []
     for _ in range(config.splits):
-        order = torch.from_numpy(random.permutation(len(real)))
-        if ours is None:
-            other = real[order[n : 2 * n]]
-        else:
-            other = ours[torch.from_numpy(random.permutation(len(ours))[:n])]
+        order = random.permutation(len(real))
+        other = real[order[n : 2 * n]] if ours is None else ours[random.permutation(len(ours))[:n]]
         values.append(metrics.kid(other, real[order[:n]]))
     mean = sum(values) / len(values)
     return {"kid": mean, "low": min(values), "high": max(values), "values": values}
@@ -274,13 +245,41 @@ def _done(out: Path, digests: dict[str, str]) -> dict[str, dict[str, Any]]:
 
 
 def _report(content: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return the report: each row with its change from the full phantom over the same halves."""
     base = done[BASE]
-    rows = [_beside(row, base) for row in done.values() if row["name"] != BASE]
+    rows = []
+    for row in done.values():
+        if row["name"] != BASE:
+            changes = [a - b for a, b in zip(row["values"], base["values"], strict=True)]
+            span = {"change_low": min(changes), "change_high": max(changes)}
+            rows.append({**row, "change": row["kid"] - base["kid"], **span})
     return {**content, "base": base, "ablation": sorted(rows, key=lambda row: -row["change"])}
 
 
-def _beside(row: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
-    """Return a row with its change from the full phantom, and the range of that over the halves."""
-    changes = [a - b for a, b in zip(row["values"], base["values"], strict=True)]
-    change = row["kid"] - base["kid"]
-    return {**row, "change": change, "change_low": min(changes), "change_high": max(changes)}
+def draw_ablation(content: dict[str, Any]) -> bytes:
+    """Return a PNG of the KID of each variant, with the range of its change over the halves."""
+    from matplotlib.figure import Figure
+
+    from racines_data.plotting import MUTED, OURS, PAPER, card_style, encode
+
+    rows, base = content["ablation"][::-1], content["base"]
+    with card_style():
+        figure = Figure(figsize=(7.2, 1.4 + 0.27 * len(rows)), layout="constrained")
+        axes = figure.add_subplot()
+        kid = [row["kid"] for row in rows]
+        below = [row["change"] - row["change_low"] for row in rows]
+        above = [row["change_high"] - row["change"] for row in rows]
+        colours = [OURS if row["change"] > 0 else MUTED for row in rows]
+        names = [row["name"] for row in rows]
+        thin = {"elinewidth": 0.8}
+        axes.barh(names, kid, 0.66, xerr=[below, above], color=colours, error_kw=thin)
+        for i, row in enumerate(rows):
+            place = (row["kid"] + above[i], i)
+            axes.annotate(f" {row['change']:+.3f}", place, va="center", fontsize=7.5)
+        axes.axvline(base["kid"], color=PAPER, linewidth=1.2)
+        axes.set_title(f"full phantom {base['kid']:.3f}", color=PAPER)
+        axes.grid(visible=False, axis="y")
+        axes.margins(x=0.09)
+        figures = f"KID to real {content['view']} frames, n = {content['n']}"
+        axes.set_xlabel(f"{figures}; lower is nearer")
+        return encode(figure)

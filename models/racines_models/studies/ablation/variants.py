@@ -36,14 +36,13 @@ def _anatomy(config: PhantomConfig, base: PhantomConfig, function: str) -> Phant
     return replace(config, anatomy=f"racines_models.studies.ablation.hearts:{function}")
 
 
-def _without_gray_map(config: PhantomConfig, base: PhantomConfig, gain: float) -> PhantomConfig:
-    """Switch off the gray map and move the gain by `gain`, dB."""
-    return _probe(config, base, gray_map=1.0, gain=config.probe.gain + gain)
-
-
 def gray_map_variant(gain: float) -> Variant:
     """Return the variant without gray map, its gain moved by `gain`, dB."""
-    return Variant(NO_GRAY_MAP, partial(_without_gray_map, gain=gain))
+
+    def change(config: PhantomConfig, base: PhantomConfig) -> PhantomConfig:
+        return _probe(config, base, gray_map=1.0, gain=config.probe.gain + gain)
+
+    return Variant(NO_GRAY_MAP, change)
 
 
 _PROBE = {
@@ -57,18 +56,13 @@ _PROBE = {
     "no directivity": {"directivity": 0.0},
     "no near-field gain": {"near_gain": 0.0},
 }
-_ANATOMY = {
-    "no sheets": "no_sheets",
-    "no grain": "no_grain",
-    "no texture": "no_texture",
-    "no layers": "no_layers",
-}
+_TISSUES = ("sheets", "grain", "texture", "layers")
 VARIANTS = (
     Variant(BASE, lambda config, base: config),
     *(Variant(name, partial(_probe, **changes)) for name, changes in _PROBE.items()),
     Variant("one scanner setting", lambda config, base: replace(config, probe=base.probe)),
     Variant("no cover", lambda c, base: replace(c, block=replace(c.block, cover=0.0))),
-    *(Variant(name, partial(_anatomy, function=function)) for name, function in _ANATOMY.items()),
+    *(Variant(f"no {part}", partial(_anatomy, function=f"no_{part}")) for part in _TISSUES),
     # Heart 1 is of the population: the canonical one lies in plain gel, which is another change.
     Variant("one form of heart", lambda config, base: replace(config, anatomy_seed=1)),
     Variant("one heart, one setting", lambda config, base: base),
@@ -77,11 +71,7 @@ VARIANTS = (
 
 
 def pick_variants(names: list[str] | None) -> list[Variant]:
-    """Return the full phantom and the named variants, or all.
-
-    Raises:
-        RacinesError: no such variant.
-    """
+    """Return the full phantom and the named variants, or all."""
     known = [variant.name for variant in VARIANTS]
     unknown = sorted(set(names or ()) - set(known))
     if unknown:

@@ -1,11 +1,9 @@
 """Figures of how two sets of ultrasound frames differ, within one sector mask."""
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
-from torch.nn import functional
+from torch import Tensor, nn
 
 from racines_models.scores import metrics
 
@@ -18,8 +16,7 @@ WINDOW = 5
 """Edge of the window of local contrast, pixels."""
 
 
-@dataclass(frozen=True)
-class Sector:
+class Sector(NamedTuple):
     """The mask that both sets share, and where a pixel lies in it."""
 
     mask: Tensor
@@ -44,8 +41,7 @@ class Sector:
         return cls(mask, ring, along * ANGLES + across)
 
 
-@dataclass(frozen=True)
-class Summary:
+class Summary(NamedTuple):
     """What a set of N frames is reduced to, frame by frame, so that subsets are cheap."""
 
     histogram: Tensor
@@ -64,16 +60,14 @@ class Summary:
         cells = DEPTHS * ANGLES
         index = sector.cell * LEVELS + gray
         histogram = _counts(index, cells * LEVELS).view(-1, cells, LEVELS)
-        rings = functional.one_hot(sector.ring, RINGS).double()
+        rings = nn.functional.one_hot(sector.ring, RINGS).double()
         profile = gray.double() @ rings / rings.sum(0).clamp_min(1)
         contrast = _counts(local_deviation(images)[:, sector.mask].long(), LEVELS)
         return cls(histogram, profile, contrast, features)
 
     def take(self, rows: Tensor) -> "Summary":
         """Return the summary of some of the frames."""
-        return Summary(
-            self.histogram[rows], self.profile[rows], self.contrast[rows], self.features[rows]
-        )
+        return Summary(*(each[rows] for each in self))
 
 
 RULES = {
@@ -103,8 +97,8 @@ def differences(a: Summary, b: Summary) -> dict[str, float]:
 def description(a: Summary) -> dict[str, Any]:
     """Return a set's mean and standard deviation of gray, and its mean gray by depth."""
     level = torch.arange(LEVELS, dtype=torch.float64)
-    share = a.histogram.sum((0, 1)).double()
-    share = share / share.sum()
+    count = a.histogram.sum((0, 1)).double()
+    share = count / count.sum()
     mean = float(share @ level)
     deviation = float((share @ (level - mean).square()).sqrt())
     profile = [round(float(value), 2) for value in a.profile.mean(0)]
@@ -120,9 +114,8 @@ def wasserstein(a: Tensor, b: Tensor) -> float:
 def local_deviation(images: Tensor, window: int = WINDOW) -> Tensor:
     """Return the standard deviation of (N, H, W) gray levels in windows, (N, H, W) float32."""
     x = images.unsqueeze(1).float()
-    padding = window // 2
-    mean = functional.avg_pool2d(x, window, 1, padding, count_include_pad=False)
-    square = functional.avg_pool2d(x * x, window, 1, padding, count_include_pad=False)
+    pool = nn.AvgPool2d(window, 1, window // 2, count_include_pad=False)
+    mean, square = pool(x), pool(x * x)
     return (square - mean * mean).clamp_min(0.0).sqrt().squeeze(1)
 
 

@@ -21,7 +21,9 @@ from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import MULTI_PHANTOM
 from racines_data.store.frames import FrameStore
 from racines_models.provenance import code_version, dataset_card, environment
-from racines_models.scores.features import Extractor, Progress
+from racines_models.sample import Progress
+from racines_models.scores import metrics
+from racines_models.scores.features import Extractor
 from racines_models.studies.realism.figures import RULES, Sector, Summary, description, differences
 
 SCHEMA = "racines.realism/1"
@@ -64,11 +66,7 @@ class Realism(NamedTuple):
 
 
 def read_real(path: Path) -> RealFrames:
-    """Read real frames.
-
-    Raises:
-        RacinesError: no such file, columns missing, or images of another size.
-    """
+    """Read real frames from a Parquet file, as `RealismConfig.real` describes it."""
     import polars as pl
 
     if not path.is_file():
@@ -90,22 +88,17 @@ def take_phantom(store: FrameStore, config: RealismConfig) -> Tensor:
 
 
 def choose_rows(store: FrameStore, config: RealismConfig) -> Tensor:
-    """Return the (n,) rows of the frames of the view to compare, of all splits.
+    """Return the (n,) rows of the frames of the view to compare, two or more, of all splits.
 
     Hearts have equal shares, as far as each has frames; the frames of one are at even distances.
-
-    Raises:
-        RacinesError: the dataset is of another organ, or has fewer than two frames of the view and
-            grade.
     """
     if config.view not in store.labels:
         raise RacinesError(
             f"realism.view {config.view}: the dataset's views are {', '.join(store.labels)}; name "
             "no real frames where there are none of this organ (realism: {})"
         )
-    label = store.labels.index(config.view)
-    chosen = (store.views == label) & (store.grades >= config.grade)
-    rows = chosen.nonzero()[:, 0]
+    of_view = store.views == store.labels.index(config.view)
+    rows = (of_view & (store.grades >= config.grade)).nonzero()[:, 0]
     if len(rows) < 2:
         raise RacinesError(
             f"realism: {len(rows)} frames of {config.view} with grade >= {config.grade:g} in the "
@@ -131,10 +124,8 @@ def _spread(rows: Tensor, heart: Tensor, count: int) -> Tensor:
         open_ = (shares < sizes).nonzero()[:, 0]
         number = min(left, len(open_))
         shares[open_[torch.arange(number) * len(open_) // number]] += 1
-    parts = []
-    for group, share in zip(groups, shares.tolist(), strict=True):
-        parts.append(group[torch.arange(share) * len(group) // max(share, 1)])
-    return torch.cat(parts)
+    taken = zip(groups, shares.tolist(), strict=True)
+    return torch.cat([g[torch.arange(share) * len(g) // max(share, 1)] for g, share in taken])
 
 
 def common_sector(real: Tensor, phantom: Tensor, support: float) -> Tensor:
@@ -161,20 +152,14 @@ def compare_with_real(
     extractor: Extractor,
     progress: Progress | None = None,
 ) -> Realism:
-    """Hold the phantom's frames beside the real ones.
-
-    Raises:
-        RacinesError: too few frames of either, or sectors that do not overlap.
-    """
+    """Hold the phantom's frames beside the real ones."""
     began = time.perf_counter()
     rows = choose_rows(store, config)
-    phantom = store.take(rows).images
-    real = one_each(real, 2 * config.frames)
+    phantom, real = store.take(rows).images, one_each(real, 2 * config.frames)
     mask = common_sector(real.images, phantom, config.support)
     sector = Sector.of(mask)
     ours, theirs = (images * mask for images in (phantom, real.images))
-    a = Summary.of(ours, sector, extractor(ours, progress))
-    b = Summary.of(theirs, sector, extractor(theirs, progress))
+    a, b = (Summary.of(images, sector, extractor(images, progress)) for images in (ours, theirs))
     n, figures = _over_splits(a, b, config)
     content = {
         "schema": SCHEMA,
@@ -222,15 +207,8 @@ def _over_splits(
         ours = phantom.take(torch.from_numpy(random.permutation(len(phantom.profile))[:n]))
         rows["phantom"].append(differences(ours, one))
         rows["real"].append(differences(other, one))
-    figures = {}
-    for name, rule in RULES.items():
-        of = {key: np.array([each[name] for each in values]) for key, values in rows.items()}
-        figures[name] = {"rule": rule} | {
-            key: {
-                "value": float(values.mean()),
-                "low": float(values.min()),
-                "high": float(values.max()),
-            }
-            for key, values in of.items()
-        }
+    figures: dict[str, Any] = {name: {"rule": rule} for name, rule in RULES.items()}
+    for name, figure in figures.items():
+        for key, found in rows.items():
+            figure[key] = metrics.over_splits([each[name] for each in found])
     return n, figures

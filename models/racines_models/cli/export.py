@@ -1,6 +1,5 @@
-"""Commands: export generator, poses, predictions. Heavy imports stand inside."""
+"""Commands: export generator, weights, poses, predictions. Heavy imports stand inside."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,10 +12,6 @@ from racines_models.cli.device import Device
 if TYPE_CHECKING:
     from racines_models.exchange.predictions.file import Task
 
-Spec = Annotated[
-    str, typer.Argument(help="A registered generator, module:Class, FILE.onnx or FILE.parquet.")
-]
-
 
 def export_generator(
     name: Annotated[str, typer.Argument(help="A registered generator, or module:Class.")],
@@ -25,12 +20,34 @@ def export_generator(
     as_json: opt.AsJson = False,
 ) -> None:
     """Write a trained generator as one ONNX file, where its method allows."""
+    from racines_models.cli.output import tell
     from racines_models.exchange.onnx import export as onnx_export
     from racines_models.registry import open_generator
 
     check_ending(out, ".onnx")
     made = onnx_export.export_generator(open_generator(name, run), out)
-    _tell(made, as_json, f"{out}: {made['bytes']:,} bytes, opset {made['opset']}")
+    tell(made, as_json, f"{out}: {made['bytes']:,} bytes, opset {made['opset']}")
+
+
+def export_weights(
+    run: Annotated[Path, typer.Argument(help="Folder of a trained run.")],
+    out: opt.OwnOut = None,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Copy a run's weights in half precision, with hashes and how they were trained.
+
+    They go to models/weights/NAME, or --out.
+    """
+    from racines_models.cli.output import tell
+    from racines_models.weights import publish
+
+    folder = out or Path("models/weights") / run.resolve().name
+    files = publish(run, folder)["weights_files"]["files"]
+    lines = [
+        f"{folder / name}: {each['bytes'] / 1e6:.2f} MB, sha256 {each['sha256'][:12]}…"
+        for name, each in files.items()
+    ]
+    tell({"out": str(folder), "files": files}, as_json, *lines)
 
 
 def export_poses(
@@ -43,17 +60,20 @@ def export_poses(
     as_json: opt.AsJson = False,
 ) -> None:
     """Write the poses that generators are scored on, for a program outside to draw."""
+    from racines_models.cli.output import tell
     from racines_models.exchange.predictions.file import POSES, write_poses
 
     check_ending(out, ".parquet")
     task = _task(data, split, samples, params, profile)
     rows = write_poses(out, task)
     made = {"out": str(out), "rows": rows, **task.metadata(POSES)}
-    _tell(made, as_json, f"{out}: {rows} rows")
+    tell(made, as_json, f"{out}: {rows} rows")
 
 
 def export_predictions(
-    name: Spec,
+    name: Annotated[
+        str, typer.Argument(help="A registered generator, module:Class, FILE.onnx or FILE.parquet.")
+    ],
     out: opt.OutFile,
     data: opt.Data = opt.DATA,
     run: opt.Trained = None,
@@ -67,6 +87,7 @@ def export_predictions(
 ) -> None:
     """Draw the poses that generators are scored on and write the images to a file."""
     from racines_data.progress import image_counter
+    from racines_models.cli.output import tell
     from racines_models.exchange.predictions.file import PREDICTIONS, write_predictions
     from racines_models.registry import open_generator
 
@@ -76,19 +97,12 @@ def export_predictions(
     total = len(task.sample.frames.index) * len(task.seeds)
     with image_counter(f"drawing {generator.name}", total, hidden=as_json) as advance:
         rows = write_predictions(out, task, generator, generator.name, text, advance)
-    _tell(
-        {"out": str(out), "rows": rows, **task.metadata(PREDICTIONS)},
-        as_json,
-        f"{out}: {rows} rows",
-    )
+    made = {"out": str(out), "rows": rows, **task.metadata(PREDICTIONS)}
+    tell(made, as_json, f"{out}: {rows} rows")
 
 
 def _task(
-    data: Path,
-    split: str | None,
-    samples: int | None,
-    params: Path | None,
-    profile: str | None,
+    data: Path, split: str | None, samples: int | None, params: Path | None, profile: str | None
 ) -> "Task":
     from racines_data.config import fill, section
     from racines_data.store.frames import open_store
@@ -102,7 +116,3 @@ def _task(
     store = open_store(data)
     sample = take_sample(store, config.split, config.samples)
     return Task(store, sample, config.split, tuple(config.seeds))
-
-
-def _tell(made: dict[str, Any], as_json: bool, line: str) -> None:
-    typer.echo(json.dumps(made) if as_json else line)
