@@ -105,12 +105,11 @@ def compare_stage(stage: Stage, work: Work) -> list[Outcome]:
             first = _run(stage, work, FIRST) if first is None else first
             second = _run(stage, work, setup)
         except RacinesError as error:
-            absent = Outcome(stage.name, compared, None, None, None, stage.unit, 0.0, str(error))
-            outcomes.append(absent)
-            continue
-        seconds = round(time.perf_counter() - began, 2)
-        found = differences(first, second)
-        outcomes.append(Outcome(stage.name, compared, *found, stage.unit, seconds))
+            found, seconds, note = (None, None, None), 0.0, str(error)
+        else:
+            seconds, note = round(time.perf_counter() - began, 2), ""
+            found = differences(first, second)
+        outcomes.append(Outcome(stage.name, compared, *found, stage.unit, seconds, note))
     return outcomes
 
 

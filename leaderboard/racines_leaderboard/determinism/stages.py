@@ -13,8 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from racines_data.build.dataset import build as build_dataset
-from racines_data.build.dataset import make_source, read_data_section
+from racines_data.build import dataset
 from racines_data.config import fill, section
 from racines_data.phantom.config import PhantomConfig
 from racines_data.phantom.model import shared_phantom
@@ -96,9 +95,9 @@ class Work:
 
     def build(self, workers: int) -> FrameStore:
         """Build the small dataset anew, and open it."""
-        config, sections = read_data_section(section(SETTINGS, "data") | {"workers": workers})
-        out = self.new()
-        build_dataset(make_source(config, sections.get(config.source)), out, config)
+        settings, out = section(SETTINGS, "data") | {"workers": workers}, self.new()
+        config, sections = dataset.read_data_section(settings)
+        dataset.build(dataset.make_source(config, sections.get(config.source)), out, config)
         return open_store(out)
 
     @functools.cached_property

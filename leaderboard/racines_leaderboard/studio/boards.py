@@ -18,7 +18,7 @@ from racines_leaderboard.board.rank import Ranked, Record, rank
 from racines_leaderboard.board.table import Table, ranked_table, reported_table, shown_columns
 from racines_leaderboard.records.tracks import TIERS, TRACK, Column, Track, board_tracks
 from racines_leaderboard.studio import html
-from racines_leaderboard.studio.html import drawn, element, link, note, text
+from racines_leaderboard.studio.html import cut, drawn, element, link, note, text
 from racines_leaderboard.studio.inputs import choice, choices
 from racines_leaderboard.studio.parts import Shared
 
@@ -84,10 +84,8 @@ def ranked_groups(results: Path, wanted: Selection) -> dict[str, list[Ranked]]:
     """
     track, shown = track_of(wanted), {}
     for task, records in by_task(_content(results, wanted.board)[track.name]).items():
-        if not _fits(task, wanted):
-            continue
         kept = [r for r in rank(track, records) if r.record["tier"] in wanted.tiers]
-        if kept:
+        if kept and _fits(task, wanted):
             shown[" · ".join(filter(None, (wanted.board, track.name, task)))] = kept
     return shown
 
@@ -178,7 +176,7 @@ def _chart(column: Column, ranking: _Frozen) -> bytes:
     def draw(figure: Figure) -> None:
         axis = figure.add_axes((0.3, bottom, 0.67, high))
         panel(axis, column, ranking)
-        names = [_cut(label.get_text()) for label in axis.get_yticklabels()]
+        names = [cut(label.get_text(), LONGEST) for label in axis.get_yticklabels()]
         axis.set_yticks(axis.get_yticks(), names)
         left = (0.15 + LETTER * max(map(len, names))) / WIDTH
         axis.set_position((left, bottom, 0.97 - left, high))
@@ -187,10 +185,6 @@ def _chart(column: Column, ranking: _Frozen) -> bytes:
     height = 0.6 + 0.3 * len(ranking)
     bottom, high = 0.32 / height, 1.0 - 0.6 / height
     return _charts.get((column, ranking), lambda: drawn((WIDTH, height), draw)[0])
-
-
-def _cut(name: str) -> str:
-    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
 
 
 def provenance_html(record: Record) -> str:

@@ -72,7 +72,7 @@ class Trajectory:
     @property
     def timed(self) -> bool:
         """Whether the data have times."""
-        return bool(torch.isfinite(self.store.timestamps[self.rows]).all())
+        return bool(self.store.timestamps[self.rows].isfinite().all())
 
     @property
     def colour(self) -> str:

@@ -9,9 +9,9 @@ import html
 import io
 import re
 import threading
-import unicodedata
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
+from unicodedata import category
 
 from matplotlib.figure import Figure
 from PIL import Image
@@ -36,10 +36,13 @@ class Markup(str):
 def text(value: Any, longest: int = LONGEST) -> str:
     """Return a value as HTML text: escaped, without invisible characters, cut at `longest`."""
     # Category C: control, format (direction changes among them) and private characters.
-    shown = (" " if unicodedata.category(c)[0] == "C" else c for c in str(value)[: 4 * longest])
-    visible = "".join(shown)
-    cut = visible if len(visible) <= longest else f"{visible[: longest - 1]}…"
-    return html.escape(cut, quote=True).translate(_MARKS)
+    visible = "".join(" " if category(c)[0] == "C" else c for c in str(value)[: 4 * longest])
+    return html.escape(cut(visible, longest), quote=True).translate(_MARKS)
+
+
+def cut(words: str, longest: int) -> str:
+    """Return words, an ellipsis in place of what is too long."""
+    return words if len(words) <= longest else f"{words[: longest - 1]}…"
 
 
 def note(words: str) -> str:

@@ -17,10 +17,9 @@ MARKS = frozenset(" .,;:()'/&+-_")
 
 def choice(value: Any, offered: Collection[Option], field: str) -> Option:
     """Return a value that was offered."""
-    if isinstance(value, str | int | float):
-        for option in offered:
-            if type(option) is type(value) and option == value:
-                return option
+    for option in offered:
+        if type(option) is type(value) and option == value:
+            return option
     raise RacinesError(f"{field}: {str(value)[:60]!r} was not offered")
 
 

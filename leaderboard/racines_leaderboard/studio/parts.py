@@ -95,12 +95,10 @@ def shared_store(root: Path, config: str = "frames") -> Any:
 
 def load_index(place: Place) -> Any:
     """Return what finds the nearest frame of the dataset; None without a dataset or poses."""
-    import torch
-
     from racines_envs.worlds.pose_index import PoseIndex
 
     store = load_store(place)
-    if store is None or not bool(torch.isfinite(store.parameters[:, 6:]).all()):
+    if store is None or not store.parameters[:, 6:].isfinite().all():
         return None
     return _indices.get(store.digest, lambda: PoseIndex(store.parameters))
 

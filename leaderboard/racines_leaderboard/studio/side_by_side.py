@@ -173,8 +173,7 @@ def draw_cards(place: Place, values: Sequence[Any], seed: Any, ticked: Any) -> l
         raise RacinesError(f"generators: tick at most {MOST}")
     phantom = load_phantom(place)
     drawn = [("phantom", phantom.generate(parameters, seed), _of_truth(phantom, parameters))]
-    near = _nearest(place, parameters)
-    drawn += [near] if near else []
+    drawn += _nearest(place, parameters)
     for label in chosen:
         began = time.perf_counter()
         image = parts.load_trained(*offered[label], place.device).generate(parameters, seed)
@@ -195,18 +194,18 @@ def _of_truth(phantom: Any, parameters: Any) -> str:
     return said if inside else f"{said}; outside the workspace"
 
 
-def _nearest(place: Place, parameters: Any) -> tuple[str, Any, str] | None:
-    """Return the frame of the dataset whose pose is nearest, and how far off it is."""
+def _nearest(place: Place, parameters: Any) -> list[tuple[str, Any, str]]:
+    """Return the frame of the dataset whose pose is nearest, and how far off it is, if any."""
     index, store = parts.load_index(place), load_store(place)
     if index is None:
-        return None
+        return []
     row = index.nearest(parameters)[0]
     there, here = parameters_to_pose(store.parameters[row]), parameters_to_pose(parameters)
     metres = float((there.position - here.position).norm())
     turn = math.degrees(float(geodesic(there.rotation, here.rotation)))
     label = store.labels[int(store.views[row])] if int(store.views[row]) >= 0 else "no label"
     said = f"{1e3 * metres:.1f} mm and {turn:.1f}° off; labelled {label}"
-    return "nearest frame", store.images[row], said
+    return [("nearest frame", store.images[row], said)]
 
 
 def _likeness(images: Any) -> list[str]:

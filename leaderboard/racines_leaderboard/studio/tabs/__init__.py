@@ -10,17 +10,18 @@ from racines_data.errors import RacinesError
 from racines_leaderboard.studio.html import text
 
 
-def wiring(tab: str, **common: Any) -> Callable[..., Any]:
+def wiring(tab: str, in_turn: bool = False, **common: Any) -> Callable[..., Any]:
     """Return what wires the events of a tab, which have some settings in common.
 
     No program may call them by itself. A refusal reaches the visitor as a notice, escaped, and not
-    as a crash.
+    as a crash. With `in_turn` one event runs after the other, for all visitors.
     """
+    turns = {"concurrency_id": tab, "concurrency_limit": 1} if in_turn else {}
 
     def wire(
         trigger: Any, name: str, function: Any, inputs: Any, outputs: Any, **settings: Any
     ) -> Any:
-        """Let a function answer a trigger, or any of a list; None: the page's opening as well."""
+        """Let a function answer a trigger, or any of a list; None: a load and any changed input."""
 
         @functools.wraps(function)
         def answer(*arguments: Any) -> Any:
@@ -30,12 +31,7 @@ def wiring(tab: str, **common: Any) -> Callable[..., Any]:
                 raise gr.Error(text(error), print_exception=False) from error
 
         listen = trigger if callable(trigger) else functools.partial(gr.on, trigger)
-        settings = {"api_visibility": "private"} | common | settings
+        settings = {"api_visibility": "private", **turns, **common, **settings}
         return listen(answer, inputs, outputs, api_name=f"{tab}_{name}", **settings)
 
     return wire
-
-
-def one_at_a_time(tab: str) -> Callable[..., Any]:
-    """Return what wires events of which one runs after the other, for all visitors."""
-    return wiring(tab, concurrency_id=tab, concurrency_limit=1)

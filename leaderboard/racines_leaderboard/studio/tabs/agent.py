@@ -10,7 +10,7 @@ from racines_leaderboard.studio.driving import FIXED_STARTS
 from racines_leaderboard.studio.html import missing, note
 from racines_leaderboard.studio.place import Place
 from racines_leaderboard.studio.scene import image_panel, panels, side_panel
-from racines_leaderboard.studio.tabs import one_at_a_time
+from racines_leaderboard.studio.tabs import wiring
 
 INTRODUCTION = note(
     "An agent acts from a fixed start of the evaluation; then move through its steps. Attributions "
@@ -51,7 +51,7 @@ def build(place: Place) -> None:
             image = gr.HTML(elem_id="agent-image")
         with gr.Column(scale=4, min_width=320):
             side = gr.HTML(elem_id="agent-side")
-    wire, quiet = one_at_a_time("agent"), {"show_progress": "hidden"}
+    wire, quiet = wiring("agent", in_turn=True), {"show_progress": "hidden"}
     wire(agent.input, "tasks", partial(_tasks, place), [agent], [task], **quiet)
     shown = [watched, step, what, image, side]
     started = partial(_watch, place)
@@ -84,7 +84,5 @@ def _show(place: Place, watched: Any, step: Any, what: Any) -> tuple[Any, Any]:
     if what == watching.OFF:
         return panels(scene)
     drawn, p = watching.explain(episode, step, what)
-    explained = image_panel(scene, watching.overlay(scene.image, drawn)) + note(
-        f"{what}: p {p:.2f}"
-    )
-    return explained, side_panel(scene)
+    image = image_panel(scene, watching.overlay(scene.image, drawn))
+    return image + note(f"{what}: p {p:.2f}"), side_panel(scene)

@@ -14,7 +14,7 @@ from racines_leaderboard.studio.inputs import whole
 from racines_leaderboard.studio.parts import load_store, trained_generators
 from racines_leaderboard.studio.place import Place
 from racines_leaderboard.studio.side_by_side import Slider, cards_page, draw_cards
-from racines_leaderboard.studio.tabs import one_at_a_time
+from racines_leaderboard.studio.tabs import wiring
 
 TICKED = 4
 """Generators that are ticked at first: those that lead a board."""
@@ -50,7 +50,7 @@ def build(place: Place) -> None:
     def draw(seed: Any, ticked: Any, *values: Any) -> str:
         return cards_page(draw_cards(place, values, seed, ticked))
 
-    wire, busy = one_at_a_time("generators"), {"show_progress_on": [cards]}
+    wire, busy = wiring("generators", in_turn=True), {"show_progress_on": [cards]}
     drawn = draw, [seed, ticked, *moved], [cards]
     set_pose, next_frame = partial(_preset, place), partial(_frame, place)
     pose = wire([go.click, preset.input], "set", set_pose, [preset], [said, *moved], **busy)
@@ -67,10 +67,10 @@ def _sliders(handles: Sequence[Slider], values: Sequence[float]) -> list[gr.Slid
     """Return the twelve sliders at their values, three a group."""
     made, pairs = [], list(zip(handles, values, strict=True))
     for first in range(0, len(handles), 3):
-        group = handles[first].name.rpartition("_")[0].capitalize()
-        with gr.Accordion(f"{group}, {handles[first].unit}", open=first < 6), gr.Row():
+        group, unit = handles[first].name.rpartition("_")[0].capitalize(), handles[first].unit
+        with gr.Accordion(f"{group}, {unit}", open=first < 6), gr.Row():
             for handle, value in pairs[first : first + 3]:
-                label = f"{handle.name.rpartition('_')[2]}, {handle.unit}"
+                label = f"{handle.name.rpartition('_')[2]}, {unit}"
                 slider = gr.Slider(
                     handle.low, handle.high, value, step=handle.step, label=label,
                     elem_id=f"generators-{handle.name}", min_width=240,
@@ -81,14 +81,10 @@ def _sliders(handles: Sequence[Slider], values: Sequence[float]) -> list[gr.Slid
 
 def _missing(place: Place, offered: Sequence[str]) -> str:
     """Return what is not there, and which command makes it."""
-    said = ""
-    if not offered:
-        what = f"No trained generator in {place.weights} or {place.runs}. Train one:"
-        said += missing(what, "racines train generator cgan")
-    if load_store(place) is None:
-        what = f"No dataset in {place.data}, so no nearest frame. Build it:"
-        said += missing(what, "racines data build")
-    return said
+    trained = f"No trained generator in {place.weights} or {place.runs}. Train one:"
+    data = f"No dataset in {place.data}, so no nearest frame. Build it:"
+    said = "" if offered else missing(trained, "racines train generator cgan")
+    return said + (missing(data, "racines data build") if load_store(place) is None else "")
 
 
 def _preset(place: Place, name: Any) -> list[Any]:

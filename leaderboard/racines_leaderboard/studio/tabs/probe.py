@@ -16,7 +16,7 @@ from racines_leaderboard.studio import driving
 from racines_leaderboard.studio.html import note
 from racines_leaderboard.studio.place import Place
 from racines_leaderboard.studio.scene import panels
-from racines_leaderboard.studio.tabs import one_at_a_time
+from racines_leaderboard.studio.tabs import wiring
 
 GROUPS = (("Move", ("x", "y", "z")), ("Turn", ("rx", "ry", "rz")))
 """Buttons, by what they do: an axis a column, a direction a row."""
@@ -79,7 +79,7 @@ def build(place: Place) -> None:
     gr.HTML(js_on_load=KEYS_JS.replace("KEYS", json.dumps(_keys())))
     chosen, shown = [task, kind, number, truth], [session, image, side]
     # Steps are taken one after the other, in the order in which they came.
-    wire, quiet = one_at_a_time("probe"), {"show_progress": "hidden"}
+    wire, quiet = wiring("probe", in_turn=True), {"show_progress": "hidden"}
     wire(start.click, "start", partial(_begin, lives), chosen, shown, show_progress_on=[image])
     wire(truth.input, "look", partial(_look, lives), [session, truth], shown[1:], **quiet)
     for action, button in buttons.items():
