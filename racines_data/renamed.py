@@ -86,12 +86,12 @@ MOVED = {
         "commands=board expert.cli=expert"
     ),
     "racines_leaderboard.expert": "expert.figures=agreement expert.instructions=kit",
-    "racines_leaderboard.records": "expert.board=experts expert.names=names schema seal tracks",
+    "racines_leaderboard.records": "expert.board=experts expert.names=experts schema seal tracks",
     "racines_leaderboard.studio": (
-        "studio.boards_html=boards studio.browsing_html=trajectory_page "
+        "studio.boards_html=boards studio.browsing_html=browsing "
         "studio.compare=side_by_side studio.escape=html studio.compare_page=side_by_side "
         "studio.labelling_html=labelling studio.scene_page=scene "
-        "studio.sweep_figures=trajectory_page studio.watch_page=watching"
+        "studio.sweep_figures=browsing studio.watch_page=watching"
     ),
     "racines_leaderboard.submissions": (
         "artefacts content_checks fetch file_checks intake submission=document "

@@ -45,7 +45,7 @@ def sample(
     from racines_data.progress import image_counter
     from racines_data.store.frames import open_store
     from racines_leaderboard.expert.sample import Study, System, make_kit
-    from racines_leaderboard.records.names import TRUE_FRAMES
+    from racines_leaderboard.records.experts import TRUE_FRAMES
     from racines_models.judges.grader.model import Grader
 
     store = open_store(data)

@@ -9,13 +9,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.tables import markdown_table
-from racines_leaderboard.determinism.setup import Arrays, Setup, Stage, Work, threads
-from racines_leaderboard.determinism.stages import stages
+from racines_leaderboard.determinism.stages import Arrays, Setup, Stage, Work, stages, threads
+from racines_models.provenance import code_version, environment
 
 SCHEMA = "racines.determinism/1"
 FIRST = Setup()
@@ -49,16 +48,13 @@ class Outcome:
 
 def measure(
     names: Sequence[str] = (),
-    tell: Callable[[Outcome], None] | None = None,
+    tell: Callable[[Outcome], object] = lambda outcome: None,
     out: Path | None = None,
 ) -> dict[str, Any]:
     """Run all stages, or those whose names begin with one of `names`; return the report.
 
-    Args:
-        names: Beginnings of stages' names; all if empty.
-        tell: Told of each outcome as it comes.
-        out: JSON file, written as stages end. What it holds of this code and machine is kept, so
-            that a killed run goes on.
+    `tell` is told of each outcome as it comes. `out`, a JSON file, is written as stages end; what
+    it holds of this code and machine is kept, so that a killed run goes on.
 
     Raises:
         RacinesError: no stage of such a name.
@@ -71,18 +67,15 @@ def measure(
     began = time.perf_counter()
     document = _document(outcomes, before)
     with TemporaryDirectory() as folder:
-        work = Work(Path(folder))
-        for stage in chosen:
-            if any(each.stage == stage.name for each in outcomes):
-                continue
+        work, measured = Work(Path(folder)), {each.stage for each in outcomes}
+        for stage in (each for each in chosen if each.name not in measured):
             made = compare_stage(stage, work)
             outcomes += made
             document = _document(outcomes, before + time.perf_counter() - began)
             if out is not None:
                 write_json(out, document)
-            if tell is not None:
-                for outcome in made:
-                    tell(outcome)
+            for outcome in made:
+                tell(outcome)
     return document
 
 
@@ -106,20 +99,17 @@ def compare_stage(stage: Stage, work: Work) -> list[Outcome]:
     for name in stage.compared:
         compared, setup = VARIANTS[name]
         began = time.perf_counter()
-        if setup.device == "cuda" and not torch.cuda.is_available():
-            outcomes.append(_absent(stage, compared, "no CUDA device here"))
-            continue
         try:
-            if first is None:
-                first = _run(stage, work, FIRST)
+            if setup.device == "cuda" and not torch.cuda.is_available():
+                raise RacinesError("no CUDA device here")
+            first = _run(stage, work, FIRST) if first is None else first
             second = _run(stage, work, setup)
         except RacinesError as error:
-            outcomes.append(_absent(stage, compared, str(error)))
-            continue
-        seconds = round(time.perf_counter() - began, 2)
-        outcomes.append(
-            Outcome(stage.name, compared, *differences(first, second), stage.unit, seconds)
-        )
+            found, seconds, note = (None, None, None), 0.0, str(error)
+        else:
+            seconds, note = round(time.perf_counter() - began, 2), ""
+            found = differences(first, second)
+        outcomes.append(Outcome(stage.name, compared, *found, stage.unit, seconds, note))
     return outcomes
 
 
@@ -128,37 +118,28 @@ def _run(stage: Stage, work: Work, setup: Setup) -> Arrays:
         return {key: value.clone() for key, value in stage.make(work, setup).items()}
 
 
-def _absent(stage: Stage, compared: str, reason: str) -> Outcome:
-    return Outcome(stage.name, compared, None, None, None, stage.unit, 0.0, reason)
-
-
 def differences(first: Arrays, second: Arrays) -> tuple[bool, float, float]:
     """Return whether arrays are equal bit by bit, the largest difference, the share that differs.
+
+    NaN in both is no difference, NaN in one an infinite one.
 
     Raises:
         ValueError: other names or shapes.
     """
     if {k: v.shape for k, v in first.items()} != {k: v.shape for k, v in second.items()}:
         raise ValueError("the two runs made arrays of other names or shapes")
-    largest, differing, count = 0.0, 0, 0
-    for key, a in first.items():
-        gap = _gap(a, second[key])
-        largest = max(largest, float(gap.max()) if gap.numel() else 0.0)
-        differing += int((gap > 0).sum())
-        count += gap.numel()
-    return differing == 0, largest, differing / max(count, 1)
-
-
-def _gap(a: Tensor, b: Tensor) -> Tensor:
-    """Absolute differences; NaN in both is none, NaN in one is infinite."""
-    a, b = a.double(), b.double()
+    none = torch.zeros(0, dtype=torch.float64)
+    a, b = (
+        torch.cat([none, *(each[key].double().flatten() for key in first)])
+        for each in (first, second)
+    )
     same = (a == b) | (a.isnan() & b.isnan())  # two infinities are equal
-    return (a - b).abs().nan_to_num(nan=torch.inf, posinf=torch.inf).masked_fill(same, 0.0)
+    gap = (a - b).abs().nan_to_num(nan=torch.inf, posinf=torch.inf).masked_fill(same, 0.0)
+    differing = int((gap > 0).sum())
+    return differing == 0, float(gap.max()) if len(gap) else 0.0, differing / max(len(gap), 1)
 
 
 def _document(outcomes: list[Outcome], seconds: float) -> dict[str, Any]:
-    from racines_models.provenance import code_version, environment
-
     return {
         "schema": SCHEMA,
         "seconds": round(seconds, 1),

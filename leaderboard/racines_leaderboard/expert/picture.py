@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from racines_data.files import write_atomic
 from racines_data.plotting import INK, MUTED, OURS, PAPER, card_style
-from racines_leaderboard.records.names import OVERALL
+from racines_leaderboard.records.experts import OVERALL
 
 TITLES = {"oracle": "the oracle", "labels": "the dataset's labels", "grader": "the grader"}
 RATERS = {"expert": "expert", "trial": "trial", "simulated": "simulated rater"}

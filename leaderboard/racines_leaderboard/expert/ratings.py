@@ -16,7 +16,7 @@ from jsonschema.exceptions import ValidationError, best_match
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.expert.kit import Kit
-from racines_leaderboard.records.names import KINDS, MACHINES
+from racines_leaderboard.records.experts import KINDS, MACHINES
 from racines_leaderboard.records.schema import validator
 
 SCHEMA = "racines.ratings/1"

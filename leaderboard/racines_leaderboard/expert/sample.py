@@ -27,7 +27,7 @@ from racines_leaderboard.expert.kit import (
     images_sha256,
 )
 from racines_leaderboard.expert.strata import stratify
-from racines_leaderboard.records.names import TRUE_FRAMES
+from racines_leaderboard.records.experts import TRUE_FRAMES
 from racines_leaderboard.records.schema import check
 from racines_models.exchange.naming import check_name
 from racines_models.judges.grader.model import Grader

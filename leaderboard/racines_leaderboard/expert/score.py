@@ -12,7 +12,7 @@ from racines_leaderboard.expert.agreement import Answers, agreement
 from racines_leaderboard.expert.kappa import fleiss_metric
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.expert.ratings import Ratings
-from racines_leaderboard.records.names import EXPERT, OVERALL, TRUE_FRAMES
+from racines_leaderboard.records.experts import EXPERT, OVERALL, TRUE_FRAMES
 from racines_models.provenance import code_version
 
 REMARKS = {

@@ -21,7 +21,7 @@ import numpy as np
 from racines_data.errors import RacinesError
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.expert.ratings import SCHEMA, check_rater, parse
-from racines_leaderboard.records.names import EXPERT
+from racines_leaderboard.records.experts import EXPERT
 
 ABOUT = 200
 """Longest description of a rater, characters."""

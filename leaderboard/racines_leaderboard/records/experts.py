@@ -8,9 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.records.names import EXPERT, OVERALL, TRUE_FRAMES
 from racines_leaderboard.records.schema import check, read_json, write_record
 
+EXPERT = "expert"
+"""A person who says to be one; the only kind of rater that gets to a board."""
+MACHINES = ("simulated", "oracle", "grader")
+"""Programs that rate."""
+KINDS = (EXPERT, "trial", *MACHINES)
+"""Who rates: an expert, somebody who tries the kit out, or a program."""
+TRUE_FRAMES = "true-frames"
+"""The system that shows the dataset's own frames."""
+OVERALL = "overall"
+"""All generators' images together, in a report."""
 FOLDER = "expert"
 METRICS = {"expert_view": "view_agreement", "expert_grade": "grade_agreement"}
 """Columns of a board, and the metrics of a study that they show."""
@@ -25,16 +34,16 @@ def publish(report: dict[str, Any], results: Path, board: str) -> list[Path]:
     """
     if report["kind"] != EXPERT:
         raise RacinesError(f"{report['remark']} A board takes ratings of experts alone")
-    names = [name for name in report["systems"] if name not in (OVERALL, TRUE_FRAMES)]
     records = {}
-    for name in names:
-        agreement = report["systems"][name]["references"].get(report["truth"])
-        if agreement is None:
-            raise RacinesError(f"{name}: the dataset has no views to agree with; none to publish")
-        record = _record(report, board, name, agreement["metrics"])
-        path = results / board / FOLDER / f"{name}.json"
+    for name in report["systems"]:
+        if name in (OVERALL, TRUE_FRAMES):
+            continue
+        record, path = _record(report, board, name), results / board / FOLDER / f"{name}.json"
         check(record, "expert-record", str(path))
-        if (fault := _fault(record, _scores(results, board, name))) is not None:
+        scores = results / board / "generators" / f"{name}.json"
+        if not scores.is_file():
+            raise RacinesError(f"{scores}: no scores of {name} on the board; collect them first")
+        if (fault := _fault(record, read_json(scores, "record")["scores"])) is not None:
             raise RacinesError(f"board {board}: {name}: {fault}")
         records[path] = record
     if not records:
@@ -52,26 +61,25 @@ def with_experts(records: list[dict[str, Any]], folder: Path) -> list[dict[str, 
     Raises:
         RacinesError: a damaged record, or one in another's place.
     """
-    extended = []
-    for record in records:
-        path = folder / f"{record['name']}.json"
-        if not path.is_file():
-            extended.append(record)
-            continue
-        study = read_json(path, "expert-record")
-        for key, value in (("generator", record["name"]), ("board", record["board"])):
-            if study[key] != value:
-                raise RacinesError(f"{path}: {key}: {study[key]!r}, expected {value!r}")
-        stale = _fault(study, record["scores"]) is not None
-        extended.append(
-            record | ({"expert_stale": True} if stale else {"expert": study["metrics"]})
-        )
-    return extended
+    return [_extended(record, folder / f"{record['name']}.json") for record in records]
 
 
-def _record(
-    report: dict[str, Any], board: str, name: str, metrics: dict[str, Any]
-) -> dict[str, Any]:
+def _extended(record: dict[str, Any], path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        return record
+    study = read_json(path, "expert-record")
+    for key, value in (("generator", record["name"]), ("board", record["board"])):
+        if study[key] != value:
+            raise RacinesError(f"{path}: {key}: {study[key]!r}, expected {value!r}")
+    stale = _fault(study, record["scores"]) is not None
+    return record | ({"expert_stale": True} if stale else {"expert": study["metrics"]})
+
+
+def _record(report: dict[str, Any], board: str, name: str) -> dict[str, Any]:
+    system = report["systems"][name]
+    agreement = system["references"].get(report["truth"])
+    if agreement is None:
+        raise RacinesError(f"{name}: the dataset has no views to agree with; none to publish")
     return {
         "schema": "racines.expert-record/1",
         "board": board,
@@ -80,17 +88,10 @@ def _record(
         "kit": report["kit"]["digest"],
         "raters": [{key: each[key] for key in ("rater", "about")} for each in report["raters"]],
         "dataset": report["dataset"],
-        "weights": report["systems"][name]["weights"],
+        "weights": system["weights"],
         "truth": report["truth"],
-        "metrics": {column: metrics[key] for column, key in METRICS.items()},
+        "metrics": {column: agreement["metrics"][key] for column, key in METRICS.items()},
     }
-
-
-def _scores(results: Path, board: str, name: str) -> dict[str, Any]:
-    path = results / board / "generators" / f"{name}.json"
-    if not path.is_file():
-        raise RacinesError(f"{path}: no scores of {name} on the board; collect them first")
-    return read_json(path, "record")["scores"]
 
 
 def _fault(study: dict[str, Any], scores: dict[str, Any]) -> str | None:

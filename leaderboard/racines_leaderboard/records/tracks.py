@@ -140,9 +140,6 @@ def board_tracks() -> tuple[Track, ...]:
         for each in installed_metrics()
     ]
     columns += [COLUMNS.load(name) for name in COLUMNS.names()]
-    return tuple(
-        dataclasses.replace(
-            track, columns=(*track.columns, *(c for c in columns if c.track == track.name))
-        )
-        for track in TRACKS
-    )
+    shown = [(*track.columns, *(c for c in columns if c.track == track.name)) for track in TRACKS]
+    pairs = zip(TRACKS, shown, strict=True)
+    return tuple(dataclasses.replace(track, columns=each) for track, each in pairs)

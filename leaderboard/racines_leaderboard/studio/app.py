@@ -1,14 +1,16 @@
-"""The Studio as a Gradio app: its frame and how it is served. Importing this needs the extra."""
+"""The Studio as a Gradio app: its frame, how it looks and how it is served. Needs the extra."""
 
-import importlib
 from collections.abc import Awaitable, Callable, MutableMapping, Sequence
-from types import ModuleType
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import gradio as gr
+from gradio.themes import Base
+from gradio.themes.utils import colors, sizes
+from starlette.responses import PlainTextResponse
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.studio.look import CSS, FOOT, HEAD, theme
 from racines_leaderboard.studio.place import Place
 
 TABS = {
@@ -22,36 +24,54 @@ TABS = {
 """Modules of the tabs, and their titles, in order."""
 AT_ONCE = 4
 """Events of one kind that run at a time; the others wait in the queue."""
-Message = MutableMapping[str, Any]
+ACCENT, LIGHT = "#24527a", "#2f6a9d"
+HEAD = """<header><h1>RACINES Studio</h1>
+<p>The open benchmark for robotic cardiac ultrasound.</p></header>"""
+FOOT = """<footer><p><strong>Research software, not a medical device.</strong>
+Simulated images say so.</p></footer>"""
+
+
+def theme() -> Base:
+    """Return the theme: slate and blue, hairlines, no shadows, no fonts from elsewhere."""
+    base = Base(
+        primary_hue=colors.blue,
+        neutral_hue=colors.slate,
+        radius_size=sizes.radius_sm,
+        font=("system-ui", "-apple-system", "Segoe UI", "Roboto", "sans-serif"),
+        font_mono=("ui-monospace", "SFMono-Regular", "Menlo", "monospace"),
+    )
+    return base.set(
+        body_background_fill="#f6f8f9",
+        body_background_fill_dark="#12171c",
+        body_text_color_subdued="#56626d",
+        body_text_color_subdued_dark="#9aa7b2",
+        block_shadow="none",
+        block_label_text_weight="500",
+        button_primary_background_fill=ACCENT,
+        button_primary_background_fill_hover=LIGHT,
+        button_primary_background_fill_dark=LIGHT,
+        button_primary_text_color="white",
+        slider_color=ACCENT,
+    )
 
 
 def build(place: Place, tabs: Sequence[str] | None = None) -> gr.Blocks:
-    """Build the app.
-
-    Args:
-        place: Where everything lies.
-        tabs: Names of the tabs to show; all if absent.
+    """Build the app with some of the `TABS`, all if absent.
 
     Raises:
         RacinesError: a name that is no tab.
     """
-    wanted = list(TABS) if tabs is None else list(tabs)
+    wanted = TABS if tabs is None else tabs
     if unknown := [name for name in wanted if name not in TABS]:
         raise RacinesError(f"--tab {unknown[0]}: choose among {', '.join(TABS)}")
     with gr.Blocks(title="RACINES Studio", analytics_enabled=False) as app:
         gr.HTML(HEAD, elem_id="rc-head")
         with gr.Tabs():
             for name in (name for name in TABS if name in wanted):
-                module = _module(name)
-                if module is not None:
-                    with gr.Tab(TABS[name], id=name):
-                        module.build(place)
+                with gr.Tab(TABS[name], id=name):
+                    import_module(f"{__package__}.tabs.{name}").build(place)
         gr.HTML(FOOT, elem_id="rc-foot")
-    app.queue(
-        max_size=place.max_sessions,
-        default_concurrency_limit=AT_ONCE,
-        api_open=False,
-    )
+    app.queue(max_size=place.max_sessions, default_concurrency_limit=AT_ONCE, api_open=False)
     return app
 
 
@@ -75,8 +95,6 @@ def serve(
             server_port=port,
             prevent_thread_lock=not block,
             share=False,
-            inbrowser=False,
-            show_error=False,
             quiet=True,
             allowed_paths=[],
             max_file_size=1,
@@ -88,7 +106,7 @@ def serve(
             run_history=False,
             footer_links=[],
             theme=theme(),
-            css=CSS,
+            css=Path(__file__).with_name("studio.css").read_text(),
             app_kwargs={"middleware": [(NoUploads, [], {})]},
         )
     except OSError as error:
@@ -102,24 +120,8 @@ class NoUploads:
     def __init__(self, app: Callable[..., Awaitable[None]]) -> None:
         self.app = app
 
-    async def __call__(
-        self, scope: Message, receive: Callable[..., Any], send: Callable[..., Any]
-    ) -> None:
+    async def __call__(self, scope: MutableMapping[str, Any], *channels: Any) -> None:
         """Answer 403 to anything sent to an upload's address; hand on everything else."""
-        if scope["type"] != "http" or not scope["path"].rstrip("/").endswith("/upload"):
-            await self.app(scope, receive, send)
-            return
-        head = [(b"content-type", b"text/plain; charset=utf-8")]
-        await send({"type": "http.response.start", "status": 403, "headers": head})
-        await send({"type": "http.response.body", "body": b"The Studio takes no files.\n"})
-
-
-def _module(name: str) -> ModuleType | None:
-    """Import a tab's module; None if it is not there, while what it lacks itself is an error."""
-    path = f"{__package__}.tabs.{name}"
-    try:
-        return importlib.import_module(path)
-    except ModuleNotFoundError as error:
-        if error.name != path:
-            raise
-        return None
+        upload = scope["type"] == "http" and scope["path"].rstrip("/").endswith("/upload")
+        refused = PlainTextResponse("The Studio takes no files.\n", status_code=403)
+        await (refused if upload else self.app)(scope, *channels)

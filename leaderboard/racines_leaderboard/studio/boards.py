@@ -1,16 +1,16 @@
-"""What a visitor selects of the boards, checked and ranked; its tables and charts as HTML."""
+"""What a visitor selects of the boards, checked and ranked, as HTML: tables, charts, provenance.
+
+What was not offered raises a `RacinesError`.
+"""
 
 import dataclasses
-import functools
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from racines_data.errors import RacinesError
 from racines_leaderboard.board.chart import panel
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.groups import SHOWN, by_task
@@ -18,14 +18,23 @@ from racines_leaderboard.board.rank import Ranked, Record, rank
 from racines_leaderboard.board.table import Table, ranked_table, reported_table, shown_columns
 from racines_leaderboard.records.tracks import TIERS, TRACK, Column, Track, board_tracks
 from racines_leaderboard.studio import html
+from racines_leaderboard.studio.html import cut, drawn, element, link, note, text
 from racines_leaderboard.studio.inputs import choice, choices
-from racines_leaderboard.studio.pictures import drawn, element
-from racines_leaderboard.studio.shared import Shared
+from racines_leaderboard.studio.parts import Shared
 
 ALL = "all"
 TRACK_NAMES = tuple(TRACK)
 SIGHT = {"the image": "image", "the pose": "params", "image and pose": "multimodal"}
 """What an agent sees, as the page names it, and as a task does."""
+WIDTH, LETTER, LONGEST = 4.2, 0.075, 30
+"""Of a chart, and of a letter of its names, inches; and how many letters of a name are shown."""
+SHORT = 16
+"""Characters of a digest that are shown."""
+_contents: Shared[dict[str, list[Record]]] = Shared(16)
+_charts: Shared[bytes] = Shared(256)
+_INTERVAL = re.compile(r"(?P<value>\S+) \((?P<between>.+)\)(?P<n>, n = [\d,]+)?")
+_CSS = dict.fromkeys(("", "#", "Sees", "Tier"), "rc-text") | {"System": "rc-text rc-name"}
+"""Of the columns that hold words; the others hold numbers."""
 
 
 @dataclass(frozen=True)
@@ -41,24 +50,14 @@ class Selection:
 
 
 def selected(results: Path, *chosen: Any) -> Selection:
-    """Check what a browser sent: board, track, view, sight, tiers, details.
-
-    Raises:
-        RacinesError: something that was not offered.
-    """
+    """Check what a browser sent: board, track, view, sight, tiers, details."""
     board, track, view, sees, tiers, details = chosen
     board = choice(board, boards(results), "board")
     track = choice(track, TRACK_NAMES, "track")
-    offered = (ALL, *views(results, board, track))
-    return Selection(
-        board,
-        track,
-        # A filter that the other board or track does not know is no mistake of the visitor's.
-        view if view in offered else ALL,
-        choice(sees, (ALL, *SIGHT), "agent sees") if track == "agents" else ALL,
-        choices(tiers, TIERS, "tier"),
-        details is True,
-    )
+    # A filter that the other board or track does not know is no mistake of the visitor's.
+    view = view if view in views(results, board, track) else ALL
+    sees = choice(sees, (ALL, *SIGHT), "agent sees") if track == "agents" else ALL
+    return Selection(board, track, view, sees, choices(tiers, TIERS, "tier"), details is True)
 
 
 def views(results: Path, board: str, track: str) -> list[str]:
@@ -69,16 +68,11 @@ def views(results: Path, board: str, track: str) -> list[str]:
 
 def names(results: Path, wanted: Selection) -> list[str]:
     """Return the systems that a selection shows, best first, each once."""
-    shown = (r.record["name"] for group in ranked_groups(results, wanted).values() for r in group)
-    return list(dict.fromkeys(shown))
+    return [ranked.record["name"] for ranked in _once(ranked_groups(results, wanted))]
 
 
 def record_of(results: Path, wanted: Selection, name: Any) -> Record:
-    """Return a record that the selection shows.
-
-    Raises:
-        RacinesError: it shows none of that name.
-    """
+    """Return a record that the selection shows."""
     name = choice(name, names(results, wanted), "system")
     return next(r for r in _content(results, wanted.board)[wanted.track] if r["name"] == name)
 
@@ -90,12 +84,9 @@ def ranked_groups(results: Path, wanted: Selection) -> dict[str, list[Ranked]]:
     """
     track, shown = track_of(wanted), {}
     for task, records in by_task(_content(results, wanted.board)[track.name]).items():
-        if not _fits(task, wanted):
-            continue
         kept = [r for r in rank(track, records) if r.record["tier"] in wanted.tiers]
-        if kept:
-            parts = (wanted.board, track.name, task)
-            shown[" · ".join(part for part in parts if part)] = kept
+        if kept and _fits(task, wanted):
+            shown[" · ".join(filter(None, (wanted.board, track.name, task)))] = kept
     return shown
 
 
@@ -107,6 +98,14 @@ def _fits(task: str, wanted: Selection) -> bool:
     return sees and wanted.view in (ALL, view)
 
 
+def _once(groups: dict[str, list[Ranked]]) -> list[Ranked]:
+    """Return each system of all groups where it stands first."""
+    first: dict[str, Ranked] = {}
+    for ranked in sum(groups.values(), []):
+        first.setdefault(ranked.record["name"], ranked)
+    return list(first.values())
+
+
 def track_of(wanted: Selection) -> Track:
     """Return the track of a selection."""
     return next(track for track in board_tracks() if track.name == wanted.track)
@@ -116,58 +115,53 @@ def _content(results: Path, board: str) -> dict[str, list[Record]]:
     """Read a board, again only after one of its files has changed."""
     files = sorted((results / board).glob("*/*.json"))
     stamps = tuple((path, path.stat().st_mtime_ns, path.stat().st_size) for path in files)
-    return _read(results, board, stamps)
-
-
-@functools.lru_cache(maxsize=16)
-def _read(results: Path, board: str, stamps: Sequence[Any]) -> dict[str, list[Record]]:
-    if board not in boards(results):
-        raise RacinesError(f"{results}: no board {board!r}")
-    return read_board(results, board)
-
-
-_INTERVAL = re.compile(r"(?P<value>\S+) \((?P<between>.+)\)(?P<n>, n = [\d,]+)?")
-_WORDS = ("", "#", "System", "Sees", "Tier")
-"""Columns that hold words; the others hold numbers."""
-WIDTH, LETTER, LONGEST = 4.2, 0.075, 30
-"""Of a chart, and of a letter of its names, inches; and how many letters of a name are shown."""
+    known = choice(board, boards(results), "board")
+    return _contents.get((results, known, stamps), lambda: read_board(results, known))
 
 
 def tables_html(results: Path, wanted: Selection) -> str:
     """Return the tables of a selection, the paper's figures below them."""
     track, tables = track_of(wanted), []
     for title, ranking in ranked_groups(results, wanted).items():
-        tables.append(table_html(ranked_table(title, track, ranking)))
+        tables.append(_table(ranked_table(title, track, ranking)))
         if wanted.details and shown_columns(track.details, ranking):
             further = dataclasses.replace(track, columns=track.details)
-            detailed = ranked_table(f"{title} · in detail", further, ranking).bare()
-            tables.append(table_html(detailed))
+            tables.append(_table(ranked_table(f"{title} · in detail", further, ranking).bare()))
     if not tables:
-        return '<p class="rc-note">No result fits: choose other filters.</p>'
-    return "\n".join([*tables, table_html(reported_table(track), names=False)])
+        return note("No result fits: choose other filters.")
+    return "\n".join([*tables, _table(reported_table(track), named=False)])
 
 
-def table_html(table: Table, names: bool = True) -> str:
-    """Return a table as HTML; its rows carry their system's name, to be clicked, with `names`."""
-    css = [_css(head) for head in table.head]
+def _table(table: Table, named: bool = True) -> str:
+    """Return a table as HTML; its rows carry their system's name, to be clicked, with `named`."""
+    css = [_CSS.get(head, "") for head in table.head]
     rows = [[_cell(content) for content in row] for row in table.rows]
-    named = [row[1] for row in table.rows] if names else None
-    notes = "".join(f"<p>{html.text(note, 2000)}</p>" for note in table.notes)
+    systems = [row[1] for row in table.rows] if named else None
+    notes = "".join(f"<p>{text(words, 2000)}</p>" for words in table.notes)
     return (
-        f'<h3 class="rc-title">{html.text(table.title)}</h3>'
-        f"{html.table(table.head, rows, css, named)}"
+        f'<h3 class="rc-title">{text(table.title)}</h3>'
+        f"{html.table(table.head, rows, css, systems)}"
         f'<div class="rc-note">{notes}</div>'
     )
+
+
+def _cell(content: str) -> str:
+    """Put the interval and n of a figure under it."""
+    ranged = _INTERVAL.fullmatch(content)
+    if ranged is None:
+        return content
+    below = text(f"{ranged['between']}{ranged['n'] or ''}")
+    return html.Markup(f'{text(ranged["value"])}<span class="rc-between">{below}</span>')
 
 
 def charts_html(results: Path, wanted: Selection) -> str:
     """Return one chart a figure of a selection: dots with 95 % intervals, best at the top."""
     track = track_of(wanted)
-    ranking = _once(ranked_groups(results, wanted))
+    ranking = _Frozen(_once(ranked_groups(results, wanted)))
     columns = (*track.columns, *(track.details if wanted.details else ()))
     metrics = [column for column in columns if column.value is None]  # what a metric is behind
-    shown = [column for column in metrics if shown_columns((column,), ranking)]
-    charts = [element(_chart(column, _Frozen(ranking)), column.title) for column in shown]
+    shown = shown_columns(metrics, ranking)
+    charts = [element(_chart(column, ranking), column.title) for column in shown]
     return f'<div class="rc-grid">{"".join(charts)}</div>'
 
 
@@ -178,46 +172,80 @@ class _Frozen(tuple[Ranked, ...]):
         return hash(tuple((ranked.place, ranked.record["name"]) for ranked in self))
 
 
-_charts: Shared[bytes] = Shared(256)
-
-
 def _chart(column: Column, ranking: _Frozen) -> bytes:
-    def draw() -> Figure:
-        height = 0.6 + 0.3 * len(ranking)
-        figure = Figure(figsize=(WIDTH, height))
-        axis = figure.add_axes((0.3, 0.32 / height, 0.67, 1.0 - 0.6 / height))
+    def draw(figure: Figure) -> None:
+        axis = figure.add_axes((0.3, bottom, 0.67, high))
         panel(axis, column, ranking)
-        names = [_cut(label.get_text()) for label in axis.get_yticklabels()]
+        names = [cut(label.get_text(), LONGEST) for label in axis.get_yticklabels()]
         axis.set_yticks(axis.get_yticks(), names)
         left = (0.15 + LETTER * max(map(len, names))) / WIDTH
-        axis.set_position((left, 0.32 / height, 0.97 - left, 1.0 - 0.6 / height))
+        axis.set_position((left, bottom, 0.97 - left, high))
         axis.locator_params(axis="x", nbins=5)
-        return figure
 
-    return _charts.get((column, ranking), lambda: drawn(draw))
-
-
-def _cut(name: str) -> str:
-    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
+    height = 0.6 + 0.3 * len(ranking)
+    bottom, high = 0.32 / height, 1.0 - 0.6 / height
+    return _charts.get((column, ranking), lambda: drawn((WIDTH, height), draw)[0])
 
 
-def _once(groups: dict[str, list[Ranked]]) -> list[Ranked]:
-    first: dict[str, Ranked] = {}
-    for ranking in groups.values():
-        for ranked in ranking:
-            first.setdefault(ranked.record["name"], ranked)
-    return list(first.values())
+def provenance_html(record: Record) -> str:
+    """Return who made a result, the data, the code, and the basis of every figure."""
+    entries = "".join(f"<dt>{text(k)}</dt><dd>{v}</dd>" for k, v in _facts(record) if v.strip())
+    return f'<div class="rc-facts"><dl>{entries}</dl>{_figures(record)}</div>'
 
 
-def _css(head: str) -> str:
-    if head == "System":
-        return "rc-text rc-name"
-    return "rc-text" if head in _WORDS else ""
+def _facts(record: Record) -> list[tuple[str, str]]:
+    """Return what there is to know of a record by name, as HTML; empty where it is not known."""
+    submission, scores = record["submission"] or {}, record["scores"]
+    code = scores.get("code") or {}
+    data = scores.get("dataset") or scores.get("phantom") or {}
+    source = text(f"{data.get('source', 'phantom')} {data.get('version', '')}")
+    digests = {key: data[key] for key in ("digest", "recipe_digest") if data.get(key)}
+    task = {k: v for k, v in (scores.get("task") or {}).items() if isinstance(v, str)}
+    return [
+        ("Board", text(record["board"])),
+        ("Tier", text(record["tier"])),
+        ("Method", text(submission.get("method", ""))),
+        ("Description", text(submission.get("description", ""), 1500)),
+        ("Authors", text(", ".join(submission.get("authors", [])))),
+        ("Licence", text(submission.get("licence", ""))),
+        ("Page", link(submission.get("url", ""))),
+        ("Paper", link(submission.get("paper", ""))),
+        ("Source code", _submitted_code(submission.get("code"))),
+        ("Data", f"{source}, {_digests(digests)}"),
+        ("Task", _pairs(task)),
+        ("Seeds", text(", ".join(map(str, scores.get("seeds", []))))),
+        ("Weights", _digests(scores.get("weights"))),
+        ("Scored by", text(f"racines {code.get('version', '')} {code.get('commit') or ''}")),
+        ("Environment", _pairs(scores.get("environment") or {})),
+        ("Seconds", text(scores.get("seconds", ""))),
+    ]
 
 
-def _cell(content: str) -> str:
-    ranged = _INTERVAL.fullmatch(content)
-    if ranged is None:
-        return content
-    below = html.text(f"{ranged['between']}{ranged['n'] or ''}")
-    return html.Markup(f'{html.text(ranged["value"])}<span class="rc-between">{below}</span>')
+def _submitted_code(code: Any) -> str:
+    if not isinstance(code, dict):
+        return ""
+    where = link(code["url"]) if "url" in code else text(code.get("package", ""))
+    return f"{where} {text(code.get('commit', code.get('version', '')))}"
+
+
+def _digests(digests: Any) -> str:
+    pairs = digests.items() if isinstance(digests, dict) else ()
+    return ", ".join(f"{text(k)} <code>{text(str(v)[:SHORT])}…</code>" for k, v in pairs)
+
+
+def _pairs(content: dict[str, Any]) -> str:
+    return text(", ".join(f"{k} {v}" for k, v in content.items() if v is not None))
+
+
+def _figures(record: Record) -> str:
+    """Return every figure with its n, its interval, and how that was made."""
+    rows = []
+    for name, metric in record["scores"]["metrics"].items():
+        if metric["value"] is None:
+            continue
+        ends = [metric.get("low"), metric.get("high")]
+        between = "–" if None in ends else " – ".join(f"{end:.4g}" for end in ends)
+        how = (metric.get("settings") or {}).get("interval", "")
+        rows.append((name, f"{metric['value']:.4g}", between, f"{metric['n']:,}", how))
+    head = ("Figure", "Value", "95 %", "n", "Interval by")
+    return html.table(head, rows, ("rc-text", "", "", "", "rc-text"))

@@ -1,22 +1,48 @@
-"""The dataset by trajectory: which there are, and one of them frame by frame."""
+"""The dataset by trajectory: which there are, and one of them frame by frame as HTML.
 
-import functools
+Each figure is drawn once a trajectory; where in it a frame lies is told in shares of its width and
+height, so that a page can move a mark over the picture instead of drawing it again. What was not
+offered raises a `RacinesError`, and so does a damaged store.
+"""
+
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+from mpl_toolkits.mplot3d.proj3d import proj_transform
+from PIL import Image
 
+from racines_data.card.plots import block_top, rectangle
 from racines_data.errors import RacinesError
+from racines_data.files import image_bytes
+from racines_data.geometry import parameters_to_pose
 from racines_data.manifest import MANIFEST, MULTI_PHANTOM, store_name
-from racines_data.schema import SPLITS
-from racines_data.store.frames import FrameStore, open_store
+from racines_data.plotting import MUTED, evenly, view_colours
+from racines_data.schema import PARAMETERS, SPLITS
+from racines_data.store.frames import FrameStore
+from racines_leaderboard.studio.html import drawn, element, note, table, ultrasound
 from racines_leaderboard.studio.inputs import choice, whole
+from racines_leaderboard.studio.parts import Shared, shared_store
 
 ALL = "all"
 LISTED = 500
 """Trajectories offered at a time; filters bring the others."""
+BEAMS, BEAM = 12, 10.0
+"""How many times along a path the beam's direction is drawn, and how long, mm."""
+QUANTITIES = (
+    ("force", "N", 1.0),
+    ("torque", "N·m", 1.0),
+    ("position", "mm", 1e3),
+    ("rotation", "°", 180.0 / math.pi),
+)
+"""Name, shown unit, and shown units in one SI unit, of three parameters each."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +67,17 @@ class Trajectory:
     def times(self) -> np.ndarray:
         """(T,) seconds since its first frame; frame numbers where the data have no time."""
         stamps = self.store.timestamps[self.rows].numpy()
-        known = np.isfinite(stamps).all()
-        return stamps - stamps[0] if known else np.arange(self.frames, dtype=np.float64)
+        return stamps - stamps[0] if self.timed else np.arange(self.frames, dtype=np.float64)
 
     @property
     def timed(self) -> bool:
         """Whether the data have times."""
-        return bool(torch.isfinite(self.store.timestamps[self.rows]).all())
+        return bool(self.store.timestamps[self.rows].isfinite().all())
+
+    @property
+    def colour(self) -> str:
+        """The colour of its target view."""
+        return view_colours(self.store.labels).get(self.target_view, MUTED)
 
 
 def configs(root: Path | None) -> list[str]:
@@ -58,27 +88,14 @@ def configs(root: Path | None) -> list[str]:
 
 
 def opened(root: Path | None, config: Any) -> FrameStore:
-    """Open a config's store; the same one for everybody, until the dataset is built anew.
-
-    Raises:
-        RacinesError: no such config, or a damaged store.
-    """
+    """Open a config's store; the same one for everybody, until the dataset is built anew."""
     config = choice(config, configs(root), "data")
     assert root is not None
-    return _opened(root, config, (root / MANIFEST).stat().st_mtime_ns)
-
-
-@functools.lru_cache(maxsize=2)
-def _opened(root: Path, config: str, stamp: int) -> FrameStore:
-    return open_store(root, config)
+    return shared_store(root, config)
 
 
 def trajectories(store: FrameStore, split: Any, view: Any) -> list[str]:
-    """Return the first trajectories of a split, or of one target view of it, by name.
-
-    Raises:
-        RacinesError: a split or a view that was not offered.
-    """
+    """Return the first trajectories of a split, or of one target view of it, by name."""
     split = choice(split, SPLITS, "split")
     view = choice(view, (ALL, *store.labels), "view")
     low, high = store.bounds(split)
@@ -88,11 +105,7 @@ def trajectories(store: FrameStore, split: Any, view: Any) -> list[str]:
 
 
 def trajectory(store: FrameStore, name: Any) -> Trajectory:
-    """Return a trajectory by its name.
-
-    Raises:
-        RacinesError: no such trajectory.
-    """
+    """Return a trajectory by its name."""
     name = choice(name, store.trajectories, "trajectory")
     index = store.trajectories.index(name)
     # Rows of a trajectory are neighbours, and lie in one split.
@@ -106,9 +119,135 @@ def trajectory(store: FrameStore, name: Any) -> Trajectory:
 
 
 def frame_of(chosen: Trajectory, frame: Any) -> int:
-    """Return the place of a frame, 0 to T - 1, from its number on the page, 1 to T.
-
-    Raises:
-        RacinesError: no whole number, or beyond the trajectory.
-    """
+    """Return the place of a frame, 0 to T - 1, from its number on the page, 1 to T."""
     return whole(frame, 1, chosen.frames, "frame") - 1
+
+
+@dataclass(frozen=True)
+class Marked:
+    """A picture and where in it each of T frames lies."""
+
+    png: bytes
+    places: np.ndarray
+    """(T, 2) shares of the width from the left and of the height from the top."""
+
+
+_drawings: Shared[tuple[Marked, Marked | None]] = Shared(64)
+
+
+def grades_figure(trajectory: Trajectory) -> Marked:
+    """Draw the grade over time, shaded where the target view is shown."""
+    store, rows, aim = trajectory.store, trajectory.rows, trajectory.target_view
+    times, grades = trajectory.times, store.grades[rows].numpy()
+
+    def draw(figure: Figure) -> None:
+        axis = figure.add_axes((0.09, 0.22, 0.89, 0.63))
+        if aim in store.labels[:-1]:
+            aimed = store.views[rows].numpy() == store.labels.index(aim)
+            axis.fill_between(times, 0, 10, where=aimed, color=trajectory.colour, alpha=0.15, lw=0)
+        axis.plot(times, grades, color=trajectory.colour, lw=1.6)
+        if not np.isfinite(grades).any():
+            axis.text(0.5, 0.5, "the data have no grades", transform=axis.transAxes, ha="center")
+        axis.set_ylim(0, 10)
+        axis.set_yticks((0, 5, 10))
+        axis.margins(x=0.01)
+        axis.set_xlabel("time, s" if trajectory.timed else "frame")
+        axis.set_title(f"Grade; shaded: {aim} in view")
+
+    return _marked((5.0, 2.5), draw, lambda axis: (times, np.zeros(trajectory.frames)))
+
+
+def path_figure(trajectory: Trajectory) -> Marked | None:
+    """Draw the path of the probe's tip and the beam along it; None where the data have no poses."""
+    parameters = trajectory.store.parameters[trajectory.rows].double()
+    if not parameters[:, 6:].isfinite().all():
+        return None
+    pose = parameters_to_pose(parameters)
+    tip, beam = 1e3 * pose.position.numpy(), pose.rotation[..., 2].numpy()
+    x, y, z = tip.T
+
+    def draw(figure: Figure) -> None:
+        axis: Any = figure.add_axes((0.0, 0.02, 0.93, 0.90), projection="3d")
+        axis.set_proj_type("persp", focal_length=0.6)
+        axis.view_init(elev=28, azim=-58)
+        top = block_top(trajectory.store.manifest)
+        if top is not None:
+            face: dict[str, Any] = {"facecolor": "#d9c7a8", "edgecolor": "#8c7a5b", "alpha": 0.3}
+            axis.add_collection3d(Poly3DCollection([rectangle(*top)], **face))
+        axis.plot(*tip.T, color=trajectory.colour, lw=1.8)
+        for i in evenly(len(tip), BEAMS):
+            axis.plot(*np.stack([tip[i], tip[i] + BEAM * beam[i]]).T, color=MUTED, lw=0.9)
+        axis.set_title("Probe's tip, mm; gray: the beam", pad=0)
+        for letter in "xyz":
+            getattr(axis, f"set_{letter}label")(letter, labelpad=-4)
+            getattr(axis, f"{letter}axis").set_major_locator(MaxNLocator(4))
+        axis.tick_params(pad=-1, labelsize=7.5)
+        axis.set_box_aspect((1.2, 1.0, 0.62), zoom=1.05)
+
+    return _marked((5.0, 3.9), draw, lambda axis: proj_transform(x, y, z, axis.get_proj())[:2])
+
+
+def _marked(
+    size: tuple[float, float], draw: Callable[[Figure], None], points: Callable[[Any], Any]
+) -> Marked:  # fmt: skip
+    """Draw a figure of one axis; `points` gives the frames' x and y in the axis's coordinates."""
+    png, figure = drawn(size, draw)
+    axis, (width, height) = figure.axes[0], figure.bbox.size
+    x, y = axis.transData.transform(np.column_stack(points(axis))).T
+    return Marked(png, np.column_stack([x / width, 1.0 - y / height]))
+
+
+def image_html(trajectory: Trajectory, frame: int) -> str:
+    """Return a frame's image on black, with its view and grade below."""
+    store, row = trajectory.store, trajectory.first + frame
+    label, grade = int(store.views[row]), float(store.grades[row])
+    view = store.labels[label] if label >= 0 else "view unknown"
+    graded = f"grade {grade:.1f}" if math.isfinite(grade) else "no grade"
+    seconds = f", {trajectory.times[frame]:.2f} s" if trajectory.timed else ""
+    caption = f"{view}, {graded} · frame {frame + 1} of {trajectory.frames}{seconds}"
+    source = store.manifest["source"]
+    simulated = "simulated" if source == "phantom" else f"source: {source}"
+    png = image_bytes(Image.fromarray(store.images[row].numpy()))
+    return ultrasound(png, caption) + note(f"{caption} · {simulated}")
+
+
+def facts_html(trajectory: Trajectory) -> str:
+    """Return what a trajectory is."""
+    seconds = f", {trajectory.times[-1]:.1f} s" if trajectory.timed else ""
+    manifest = trajectory.store.manifest
+    return note(
+        f"{trajectory.name}: {trajectory.split} split, aimed at {trajectory.target_view}, session "
+        f"{trajectory.session}, {trajectory.frames} frames{seconds}. Data: {manifest['source']} "
+        f"{manifest['version']}, digest {manifest['digest'][:12]}."
+    )
+
+
+def parameters_html(trajectory: Trajectory, frame: int) -> str:
+    """Return the twelve parameters of a frame as a table."""
+    values = trajectory.store.parameters[trajectory.first + frame].tolist()
+    named: dict[str, float] = dict(zip(PARAMETERS, values, strict=True))
+    rows = []
+    for quantity, unit, scale in QUANTITIES:
+        shown = (scale * named[f"{quantity}_{axis}"] for axis in "xyz")
+        cells = (f"{value:.2f}" if math.isfinite(value) else "–" for value in shown)
+        rows.append((f"{quantity}, {unit}", *cells))
+    return table(("", *"xyz"), rows, ("rc-text", "", "", ""))
+
+
+def figures_html(trajectory: Trajectory, frame: int) -> str:
+    """Return the grade over time and the path in 3-D, with a mark at the frame."""
+    grades, path = _drawings.get(
+        trajectory, lambda: (grades_figure(trajectory), path_figure(trajectory))
+    )
+    x = 100 * grades.places[frame, 0]
+    shown = _over(grades, "grade over time", "rc-cursor", f"left:{x:.2f}%;top:15%;height:63%")
+    if path is not None:
+        x, y = 100 * path.places[frame]
+        shown += _over(path, "path of the probe", "rc-dot", f"left:{x:.2f}%;top:{y:.2f}%")
+    return shown
+
+
+def _over(picture: Marked, alt: str, css: str, place: str) -> str:
+    """Return a picture with a mark over it."""
+    mark = f'<div class="{css}" style="{place}"></div>'
+    return f'<div class="rc-over">{element(picture.png, alt)}{mark}</div>'

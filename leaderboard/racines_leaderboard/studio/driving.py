@@ -10,17 +10,21 @@ import threading
 from dataclasses import dataclass, replace
 from typing import Any
 
+import torch
+
+from racines_envs.apis.rendering import History, view_names
+from racines_envs.task.starts import evaluation_seeds
+from racines_envs.task.tasks import TASKS
+from racines_envs.worlds.making import make_core
 from racines_leaderboard.studio import inputs
-from racines_leaderboard.studio.parts import load_grader, load_phantom
+from racines_leaderboard.studio.parts import Shared, load_grader, load_phantom
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.scene import Curve, Scene, snapshot, take_scene
-from racines_leaderboard.studio.shared import Shared
+from racines_leaderboard.studio.scene import Curve, Scene, judged, snapshot, take_scene
 
 FIXED, SEEDED = "evaluation", "seed"
 KINDS = (FIXED, SEEDED)
 """How a start is named: by its number among the fixed starts of evaluations, or by a seed."""
 FIXED_STARTS = 100
-GREATEST_SEED = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -36,24 +40,27 @@ class Session:
 
 
 def begin(task: Any, kind: Any, number: Any) -> Session:
-    """Return a session at its start, of values as a browser sent them.
-
-    Raises:
-        RacinesError: a task or kind that was not offered, or a number out of range.
-    """
-    from racines_envs.task.tasks import TASKS
-
+    """Return a session at its start; raise a `RacinesError` for what was not offered."""
     task, kind = inputs.choice(task, tuple(TASKS), "task"), inputs.choice(kind, KINDS, "start")
-    greatest = FIXED_STARTS - 1 if kind == FIXED else GREATEST_SEED
+    greatest = FIXED_STARTS - 1 if kind == FIXED else inputs.GREATEST_SEED
     number = inputs.whole(number, 0, greatest, "number of the start")
     return Session(secrets.token_urlsafe(16), task, kind, number)
 
 
 def reset_seed(kind: str, number: int) -> Any:
     """Return what a core of one row is reset with for a start."""
-    from racines_envs.task.starts import evaluation_seeds
-
     return evaluation_seeds(number + 1)[-1:] if kind == FIXED else number
+
+
+def core_and_grader(
+    place: Place, task: str, observation: str, encoder: Any = None
+) -> tuple[Any, Any]:
+    """Return a task's core of one row, rewarded by the truth, and the grader of its images."""
+    core = make_core(
+        TASKS[task], observation=observation, reward="oracle", device=place.device,
+        phantom=load_phantom(place, TASKS[task].anatomy), encoder=encoder,
+    )  # fmt: skip
+    return core, load_grader(place, view_names(core))
 
 
 class Live:
@@ -61,80 +68,51 @@ class Live:
 
     def __init__(self, place: Place, session: Session) -> None:
         """Make it, and take the session's actions."""
-        from racines_envs.apis.rendering import History, view_names
-        from racines_envs.task.tasks import TASKS
-        from racines_envs.worlds.making import make_core
-
-        task = TASKS[session.task]
         self.lock = threading.Lock()
-        self.core = make_core(
-            task,
-            observation="image",
-            reward="oracle",
-            phantom=load_phantom(place, task.anatomy),
-            device=place.device,
-        )
-        self._grader = load_grader(place, view_names(self.core))
+        self.core, self._grader = core_and_grader(place, session.task, "image")
         self._history = History(1)
-        self._taken: list[int] = []
         self._images: list[Any] = []
-        self._judged: list[tuple[float, float]] = []
+        self._judged: tuple[list[float], list[float]] = [], []
         self.core.reset(reset_seed(session.kind, session.number))
         self._note(None)
         for action in session.actions:
             self.step(action)
 
     @property
-    def actions(self) -> tuple[int, ...]:
+    def actions(self) -> tuple[Any, ...]:
         """What was done since the start."""
-        return tuple(self._taken)
-
-    @property
-    def done(self) -> bool:
-        """Whether the episode is over."""
-        return bool(self.core.state.done[0])
+        return tuple(self._history[0].actions[1:])
 
     def step(self, action: int) -> None:
         """Take one of the 13 actions; nothing happens once the episode is over."""
-        import torch
-
-        if not self.done:
+        if not bool(self.core.state.done[0]):
             chosen = torch.tensor([action], device=self.core.device)
             self.core.step(chosen)
-            self._taken.append(action)
             self._note(chosen)
 
     def scene(self, truth: bool) -> Scene:
         """Return the present moment; without `truth` the grader's word alone, if there is one."""
-        self._judge()
-        curves = []
+        curves, steps = [], self._history[0]
         if self._grader is not None:
-            curves.append(Curve("grader", *zip(*self._judged, strict=True)))
-        steps = self._history[0]
+            if self._images:  # all that came since it last looked, at once
+                p, grades = judged(self._grader, self._images, self.core.task.target)
+                self._judged = self._judged[0] + p, self._judged[1] + grades
+                self._images.clear()
+            curves.append(Curve("grader", *self._judged))
         if truth:
             curves.append(Curve("truth", tuple(steps.probabilities), tuple(steps.grades)))
         return take_scene(self.core, snapshot(self.core), steps, curves, truth)
 
     def _note(self, action: Any) -> None:
         self._history.note(self.core, action)
-        self._images.append(self.core.picture()[0])
-
-    def _judge(self) -> None:
-        """Let the grader look at the images since it last did, all at once."""
-        import torch
-
-        if self._grader is not None and self._images:
-            p, grade = self._grader.probabilities_and_grade(torch.stack(self._images))
-            judgement = p[:, self.core.task.target].tolist(), grade.tolist()
-            self._judged.extend(zip(*judgement, strict=True))
-        self._images.clear()
+        if self._grader is not None:
+            self._images.append(self.core.picture())
 
 
 class Lives:
-    """The live environments of all visitors, as many as are kept."""
+    """The live environments of all visitors, `place.max_sessions` at most."""
 
     def __init__(self, place: Place) -> None:
-        """Keep at most `place.max_sessions`."""
         self._place = place
         self._kept: Shared[Live] = Shared(place.max_sessions)
 

@@ -1,32 +1,53 @@
-"""The pieces of a page: text, links, tables and notices, as HTML.
+"""The pieces of a page: text, links, tables, notices and pictures, as HTML.
 
-What others wrote is shown as it stands, and never taken for markup.
+What others wrote is shown as it stands, and never taken for markup. Pictures are part of the page,
+so no file is written that another visitor could fetch.
 """
 
+import base64
 import html
+import io
 import re
-import unicodedata
-from collections.abc import Iterable, Sequence
+import threading
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
+from unicodedata import category
 
-from racines_data.errors import RacinesError
+from matplotlib.figure import Figure
+from PIL import Image
+
+from racines_data.plotting import card_style, encode
 
 LONGEST = 400
 """Characters of a text that are shown, unless told otherwise."""
+DPI = 180
+"""Of figures: about twice a screen's, so that their text stays sharp."""
 # The page's components fill templates, so their marks are text as well, not only HTML's own.
 _MARKS = str.maketrans({"{": "&#123;", "}": "&#125;", "$": "&#36;", "`": "&#96;"})
 _URL = re.compile(r"https://[A-Za-z0-9.-]+(:\d{1,5})?(/[A-Za-z0-9._~/?#=&%+@:,-]*)?")
+_drawing = threading.Lock()
+"""Matplotlib's settings belong to the process: one figure at a time."""
 
 
 class Markup(str):
-    """A cell that is HTML of our own."""
+    """HTML of our own, where text is expected."""
 
 
 def text(value: Any, longest: int = LONGEST) -> str:
     """Return a value as HTML text: escaped, without invisible characters, cut at `longest`."""
-    visible = "".join(c if _visible(c) else " " for c in str(value)[: 4 * longest])
-    cut = visible if len(visible) <= longest else f"{visible[: longest - 1]}…"
-    return html.escape(cut, quote=True).translate(_MARKS)
+    # Category C: control, format (direction changes among them) and private characters.
+    visible = "".join(" " if category(c)[0] == "C" else c for c in str(value)[: 4 * longest])
+    return html.escape(cut(visible, longest), quote=True).translate(_MARKS)
+
+
+def cut(words: str, longest: int) -> str:
+    """Return words, an ellipsis in place of what is too long."""
+    return words if len(words) <= longest else f"{words[: longest - 1]}…"
+
+
+def note(words: str) -> str:
+    """Return a remark."""
+    return f'<p class="rc-note">{text(words)}</p>'
 
 
 def link(url: Any) -> str:
@@ -43,23 +64,19 @@ def table(
     css: Sequence[str],
     names: Iterable[str] | None = None,
 ) -> str:
-    """Return a table, which scrolls where it is too wide.
+    """Return a table, which scrolls where it is too wide; cells are text unless they are `Markup`.
 
-    Args:
-        head: Titles of the columns.
-        rows: Their cells, text unless they are `Markup`.
-        css: A class for each column.
-        names: What each row tells a script that it was clicked as.
+    `css` has a class for each column, `names` what each row tells a script that it was clicked as.
     """
 
     def line(tag: str, cells: Sequence[Any]) -> str:
         opened = (f'{tag} class="{name}"' if name else tag for name in css)
-        pairs = zip(opened, cells, strict=True)
-        return "".join(f"<{opening}>{_html(cell)}</{tag}>" for opening, cell in pairs)
+        shown = (cell if isinstance(cell, Markup) else text(cell) for cell in cells)
+        return "".join(f"<{o}>{cell}</{tag}>" for o, cell in zip(opened, shown, strict=True))
 
-    lines = [f"{line('td', row)}</tr>" for row in rows]
-    openings = ["<tr>"] * len(lines) if names is None else [_named(name) for name in names]
-    body = "".join(a + b for a, b in zip(openings, lines, strict=True))
+    lines = [line("td", row) for row in rows]
+    names = [""] * len(lines) if names is None else [f' data-name="{text(n)}"' for n in names]
+    body = "".join(f"<tr{name}>{row}</tr>" for name, row in zip(names, lines, strict=True))
     top = f"<thead><tr>{line('th', head)}</tr></thead>"
     return f'<div class="rc-scroll"><table>{top}<tbody>{body}</tbody></table></div>'
 
@@ -70,19 +87,28 @@ def missing(what: str, *commands: str) -> str:
     return f'<div class="rc-note rc-missing"><p>{text(what)}</p>{lines}</div>'
 
 
-def refusal(error: RacinesError) -> str:
-    """Return a refused input's reason."""
-    return f'<p class="rc-refused" role="alert">{text(error)}</p>'
+def drawn(size: tuple[float, float], draw: Callable[[Figure], None]) -> tuple[bytes, Figure]:
+    """Let `draw` fill a figure, of a size in inches, in the house style; return its PNG and it."""
+    with _drawing, card_style():
+        figure = Figure(figsize=size)
+        draw(figure)
+        figure.set_dpi(DPI)
+        return encode(figure), figure
 
 
-def _html(cell: Any) -> str:
-    return cell if isinstance(cell, Markup) else text(cell)
+def quick_png(image: Image.Image) -> bytes:
+    """Return a picture as PNG, packed lightly: a step must not wait for its smallest file."""
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG", compress_level=1)
+    return buffer.getvalue()
 
 
-def _named(name: str) -> str:
-    return f'<tr data-name="{text(name)}">'
+def element(png: bytes, alt: str, css: str = "rc-chart") -> str:
+    """Return a PNG as an HTML image; `css` is ours, `alt` may be anybody's."""
+    data = base64.b64encode(png).decode()
+    return f'<img class="{css}" alt="{text(alt)}" src="data:image/png;base64,{data}">'
 
 
-def _visible(character: str) -> bool:
-    """Tell text from control, format (direction changes among them) and private characters."""
-    return unicodedata.category(character)[0] != "C"
+def ultrasound(png: bytes, alt: str) -> str:
+    """Return an ultrasound image as HTML, on black, as large as its place allows."""
+    return f'<div class="rc-scan">{element(png, alt, "rc-frame")}</div>'

@@ -1,4 +1,7 @@
-"""What a browser sends, checked again on the server: a page's own limits bind only the honest."""
+"""What a browser sends, checked again on the server: a page's own limits bind only the honest.
+
+What is at fault raises a `RacinesError` that begins with the name of its field.
+"""
 
 import math
 from collections.abc import Collection
@@ -7,28 +10,23 @@ from typing import Any, TypeVar
 from racines_data.errors import RacinesError
 
 Option = TypeVar("Option")
+GREATEST_SEED = 2**31 - 1
 MARKS = frozenset(" .,;:()'/&+-_")
 """Beside letters and digits of any script, what a line of words may hold."""
 
 
 def choice(value: Any, offered: Collection[Option], field: str) -> Option:
-    """Return a value that was offered.
-
-    Raises:
-        RacinesError: it was not.
-    """
-    if isinstance(value, str | int | float):
-        for option in offered:
-            if type(option) is type(value) and option == value:
-                return option
+    """Return a value that was offered."""
+    for option in offered:
+        if type(option) is type(value) and option == value:
+            return option
     raise RacinesError(f"{field}: {str(value)[:60]!r} was not offered")
 
 
 def choices(values: Any, offered: Collection[Option], field: str) -> tuple[Option, ...]:
     """Return the offered options among which `values` lie, in the order in which they are offered.
 
-    Raises:
-        RacinesError: not a list, or one of its entries was not offered.
+    Anything but a list is refused, and so is a list with an entry that was not offered.
     """
     if not isinstance(values, list | tuple) or len(values) > len(offered):
         raise RacinesError(f"{field}: choose among what is offered")
@@ -37,11 +35,7 @@ def choices(values: Any, offered: Collection[Option], field: str) -> tuple[Optio
 
 
 def number(value: Any, low: float, high: float, field: str) -> float:
-    """Return a finite number between two limits, both included.
-
-    Raises:
-        RacinesError: no number, NaN, infinite, or beyond a limit.
-    """
+    """Return a finite number between two limits, both included."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise RacinesError(f"{field}: give a number from {low:g} to {high:g}")
     if not low <= value <= high:
@@ -50,26 +44,17 @@ def number(value: Any, low: float, high: float, field: str) -> float:
 
 
 def whole(value: Any, low: int, high: int, field: str) -> int:
-    """Return a whole number between two limits, both included.
-
-    Raises:
-        RacinesError: no whole number, or beyond a limit.
-    """
+    """Return a whole number between two limits, both included."""
     if number(value, low, high, field) % 1:
         raise RacinesError(f"{field}: {value:g}: give a whole number")
     return int(value)
 
 
 def words(value: Any, longest: int, field: str) -> str:
-    """Return a line of letters, digits and a few marks, without spaces at its ends.
-
-    Raises:
-        RacinesError: no text, too long, or other characters.
-    """
+    """Return a line of letters, digits and `MARKS`, without spaces at its ends."""
     if not isinstance(value, str) or len(value) > longest:
         raise RacinesError(f"{field}: give at most {longest} characters")
-    wrong = sorted({c for c in value if not (c.isalnum() or c in MARKS)})
-    if wrong:
+    if wrong := sorted({c for c in value if not (c.isalnum() or c in MARKS)}):
         shown = " ".join(wrong[:5]) if all(map(str.isprintable, wrong)) else "invisible ones"
         raise RacinesError(f"{field}: letters, digits and {''.join(sorted(MARKS))}, not {shown}")
     return value.strip()

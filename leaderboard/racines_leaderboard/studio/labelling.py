@@ -2,8 +2,17 @@
 
 A sitting is one visitor's; it holds names and a time, and the answers are on the disk. Each request
 opens the session anew, so a page that is closed, or a second window, loses and doubles nothing.
+
+Who begins under a name gets a code, and needs it to go on under that name. Of a code only its
+SHA-256 is kept, `RATER.code` beside the ratings. The file is linked into place under its name,
+which fails if there is one: of two people who begin at the same moment under the same name one gets
+it, and neither ever writes into the other's answers.
 """
 
+import hashlib
+import hmac
+import os
+import secrets
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,15 +22,16 @@ from racines_data.errors import RacinesError
 from racines_leaderboard.expert.kit import KIT, Kit
 from racines_leaderboard.expert.ratings import check_rater, read_ratings
 from racines_leaderboard.expert.session import ABOUT, Session
-from racines_leaderboard.records.names import EXPERT
-from racines_leaderboard.studio import codes
-from racines_leaderboard.studio.html import text
+from racines_leaderboard.records.experts import EXPERT
+from racines_leaderboard.studio.html import text, ultrasound
 from racines_leaderboard.studio.inputs import choice, whole, words
-from racines_leaderboard.studio.pictures import ultrasound
 
 KINDS = {"I try the page out": "trial", "I am an expert in echocardiography": EXPERT}
 """What a rater says to be, and the kind of the ratings; the first is the default."""
-NAME = 32
+NAME, CODE = 32, 40
+"""Longest name and longest code that is typed in, spaces and dashes included; characters."""
+LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"
+"""Of codes: without those that are taken for one another."""
 SLOWEST = 3600.0
 """A longer time to an answer is a break, and is not written down; seconds."""
 
@@ -46,17 +56,11 @@ class Sitting:
 
 def kits(folder: Path | None) -> list[str]:
     """Return the names of the kits in a folder."""
-    if folder is None:
-        return []
-    return sorted(path.parent.name for path in folder.glob(f"*/{KIT}"))
+    return sorted(path.parent.name for path in folder.glob(f"*/{KIT}")) if folder else []
 
 
 def open_kit(folder: Path | None, name: Any) -> Kit:
-    """Open a kit by its name.
-
-    Raises:
-        RacinesError: no such kit, or a damaged one.
-    """
+    """Open a kit by its name; one that was not offered, or is damaged, is a `RacinesError`."""
     known = choice(name, kits(folder), "study")
     assert folder is not None
     return Kit.open(folder / known)
@@ -65,15 +69,10 @@ def open_kit(folder: Path | None, name: Any) -> Kit:
 def begin(
     folder: Path | None, name: Any, rater: Any, kind: Any, about: Any, code: Any = ""
 ) -> Sitting:
-    """Begin under a new name, or go on under an old one with its code.
+    """Begin at a folder's kit under a new name, or go on under an old one with its code.
 
-    Args:
-        folder: The folder of the kits.
-        name: Of the kit.
-        rater: A pseudonym.
-        kind: A key of `KINDS`; with a code, what was said at first holds.
-        about: What the report says of the rater; likewise.
-        code: The code that the name was given; empty to begin.
+    Of `kind`, a key of `KINDS`, and `about`, what the report says of the rater, what was said at
+    first holds.
 
     Raises:
         RacinesError: a field at fault, a name that is taken, or a wrong code.
@@ -82,39 +81,63 @@ def begin(
     known_kind = KINDS[choice(kind, KINDS, "who you are")]
     rater = check_rater(words(rater, NAME, "name"), known_kind)
     about = words(about, ABOUT, "about you")
-    code = words(code, codes.LONGEST, "code")
+    code = words(code, CODE, "code")
     ratings = kit.folder.parent / f"{kit.folder.name}-ratings"
     if not code:
-        code = codes.claim(ratings, rater)
+        code = _claim(ratings, rater)
     else:
-        codes.check(ratings, rater, code)
-        known_kind, about = _said_at_first(kit, ratings / f"{rater}.jsonl") or (known_kind, about)
+        _check(ratings, rater, code)
+        given = ratings / f"{rater}.jsonl"
+        if given.is_file() and given.stat().st_size:
+            first = read_ratings(given, kit)
+            known_kind, about = first.kind, first.about
     return look(Sitting(kit.folder, ratings, rater, known_kind, about, code))
+
+
+def _claim(ratings: Path, rater: str) -> str:
+    """Take a name that nobody has, and return its code."""
+    code = "-".join("".join(secrets.choice(LETTERS) for _ in range(4)) for _ in range(3))
+    ratings.mkdir(parents=True, exist_ok=True)
+    aside = ratings / f".{rater}.{secrets.token_hex(8)}"
+    aside.write_text(_digest(code) + "\n")
+    try:
+        if (ratings / f"{rater}.jsonl").exists():
+            raise FileExistsError  # ratings of a program, or of a page that gave no code
+        os.link(aside, ratings / f"{rater}.code")
+    except FileExistsError as error:
+        raise RacinesError(
+            f"rater {rater}: the name is taken; give its code to go on, or choose another name"
+        ) from error
+    finally:
+        aside.unlink()
+    return code
+
+
+def _check(ratings: Path, rater: str, code: str) -> None:
+    """Refuse what is not the code of a name, and a name under which nobody has begun."""
+    place = ratings / f"{rater}.code"
+    kept = place.read_text().strip() if place.is_file() else ""
+    if not hmac.compare_digest(kept, _digest(code)):
+        raise RacinesError(f"rater {rater}: that is not the code that this name was given here")
+
+
+def _digest(code: str) -> str:
+    plain = "".join(c for c in code.lower()[:CODE] if c in LETTERS)
+    return hashlib.sha256(plain.encode()).hexdigest()
 
 
 def look(sitting: Sitting) -> Sitting:
     """Return the sitting in front of its next image."""
     session = _session(sitting)
-    progress = session.progress()
-    return replace(
-        sitting,
-        image=session.next_image(),
-        since=time.monotonic(),
-        done=progress.done,
-        total=progress.total,
-    )
+    image, now = session.next_image(), time.monotonic()
+    return replace(sitting, image=image, since=now, **vars(session.progress()))
 
 
 def answer(sitting: Sitting, view: Any, grade: Any) -> Sitting:
-    """Write down an answer to the image that is shown, and go on to the next.
+    """Write down an answer to the sitting's image, and go on to the next.
 
-    Args:
-        sitting: Its `image` is answered.
-        view: A name of the kit's views; the last needs no grade.
-        grade: 1 to 10; ignored where there is no view.
-
-    Raises:
-        RacinesError: no view or grade chosen, or none that was offered.
+    The last of the kit's views stands for none and needs no grade. A choice that is missing, or was
+    not offered, is a `RacinesError`.
     """
     if sitting.image is None:
         raise RacinesError("all images have an answer")
@@ -135,14 +158,6 @@ def answer(sitting: Sitting, view: Any, grade: Any) -> Sitting:
     return look(sitting)
 
 
-def _said_at_first(kit: Kit, path: Path) -> tuple[str, str] | None:
-    """Return a rater's kind and description as the ratings have them; None before the first."""
-    if not path.is_file() or not path.stat().st_size:
-        return None
-    known = read_ratings(path, kit)
-    return known.kind, known.about
-
-
 def _session(sitting: Sitting) -> Session:
     return Session.open(sitting.kit, sitting.ratings, sitting.rater, sitting.kind, sitting.about)
 
@@ -150,13 +165,11 @@ def _session(sitting: Sitting) -> Session:
 def instructions_html(kit: Kit) -> str:
     """Return what a kit tells its raters."""
     document = kit.document
-    views = "".join(
-        f"<li><strong>{text(view['name'])}</strong>, {text(view['title'])}</li>"
-        for view in document["views"]
-    )
+    views = ((text(view["name"]), text(view["title"])) for view in document["views"])
+    listed = "".join(f"<li><strong>{name}</strong>, {title}</li>" for name, title in views)
     return (
         f'<div class="rc-note"><p>{text(document["preface"], 2000)}</p>'
-        f"<p>{text(document['instructions'], 4000)}</p><ul>{views}</ul></div>"
+        f"<p>{text(document['instructions'], 4000)}</p><ul>{listed}</ul></div>"
     )
 
 

@@ -1,35 +1,70 @@
 """What the tabs load once for everybody: phantoms, dataset, pose index, grader, generators.
 
-All of it is only read. Keys hold the time of the files, so that a new training is seen.
+All of it is only read. Keys hold the time of the files, so that a new training is seen. A damaged
+file raises a `RacinesError` in whoever asks for what it holds.
 """
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
+from racines_data.manifest import MANIFEST
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.shared import Shared
 
+Kept = TypeVar("Kept")
 LARGEST = 256 * 2**20
 """Bytes of a generator's weights, at most: what remembers every frame does not fit many times."""
+
+
+class Shared(Generic[Kept]):
+    """The last few values by key; making one holds up only those who want the same."""
+
+    def __init__(self, capacity: int) -> None:
+        """Keep at most `capacity` values, one or more."""
+        self._capacity = max(1, capacity)
+        self._kept: OrderedDict[Hashable, Kept] = OrderedDict()
+        self._gates: dict[Hashable, threading.Lock] = {}
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def get(self, key: Hashable, make: Callable[[], Kept]) -> Kept:
+        """Return the value of a key, made now if it is not kept; what `make` raises passes on."""
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key]
+            gate = self._gates.setdefault(key, threading.Lock())
+        with gate:
+            with self._lock:
+                if key in self._kept:  # somebody made it while we waited
+                    return self._kept[key]
+            try:
+                value = make()
+                self.put(key, value)
+            finally:
+                with self._lock:
+                    self._gates.pop(key, None)
+        return value
+
+    def put(self, key: Hashable, value: Kept) -> None:
+        """Keep a value in place of the key's last one."""
+        with self._lock:
+            self._kept[key] = value
+            self._kept.move_to_end(key)
+            while len(self._kept) > self._capacity:
+                self._kept.popitem(last=False)
+
+
 _phantoms: Shared[Any] = Shared(3)
-_stores: Shared[Any] = Shared(2)
+_stores: Shared[Any] = Shared(4)
 _indices: Shared[Any] = Shared(2)
 _graders: Shared[Any] = Shared(2)
 _generators: Shared[Any] = Shared(12)
-
-
-@dataclass(frozen=True)
-class Trained:
-    """A trained generator on disk."""
-
-    label: str
-    """What the page calls it: its folder's name, and whether it is a run."""
-    name: str
-    """Registered name of its class."""
-    folder: Path
 
 
 def load_phantom(place: Place, anatomy: str | None = None) -> Any:
@@ -45,27 +80,25 @@ def load_phantom(place: Place, anatomy: str | None = None) -> Any:
 
 
 def load_store(place: Place) -> Any:
-    """Return the dataset's store; None where there is no dataset.
+    """Return the dataset's store; None where there is no dataset."""
+    root = place.data
+    return shared_store(root) if root is not None and (root / MANIFEST).is_file() else None
 
-    Raises:
-        RacinesError: it is damaged.
-    """
+
+def shared_store(root: Path, config: str = "frames") -> Any:
+    """Return the store of a dataset's config, opened again once the dataset is built anew."""
     from racines_data.store.frames import open_store
 
-    if place.data is None or not (place.data / "manifest.json").is_file():
-        return None
-    root = place.data
-    return _stores.get(_stamp(root / "manifest.json"), lambda: open_store(root))
+    key = _stamp(root / MANIFEST), config
+    return _stores.get(key, lambda: open_store(root, config))
 
 
 def load_index(place: Place) -> Any:
     """Return what finds the nearest frame of the dataset; None without a dataset or poses."""
-    import torch
-
     from racines_envs.worlds.replay import PoseIndex
 
     store = load_store(place)
-    if store is None or not bool(torch.isfinite(store.parameters[:, 6:]).all()):
+    if store is None or not store.parameters[:, 6:].isfinite().all():
         return None
     return _indices.get(store.digest, lambda: PoseIndex(store.parameters))
 
@@ -84,50 +117,44 @@ def load_grader(place: Place, labels: Sequence[str]) -> Any:
     return None
 
 
-def trained_generators(place: Place) -> dict[str, Trained]:
-    """Return the generators with weights by label: the published ones first, then the runs."""
+def trained_runs(
+    weights: str, *parents: tuple[Path, str]
+) -> Iterator[tuple[str, dict[str, Any], Path]]:
+    """Yield label, config.json and weights of each run in some folders that has both whole.
+
+    A label is the name of the run's folder, and the suffix that goes with the folder of runs.
+    """
+    for parent, suffix in parents:
+        for path in sorted(parent.glob("*/config.json")):
+            try:
+                config = json.loads(path.read_text())
+            except (OSError, ValueError):
+                continue
+            found = path.with_name(weights)
+            if isinstance(config, dict) and found.is_file():
+                yield f"{path.parent.name}{suffix}", config, found
+
+
+def trained_generators(place: Place) -> dict[str, tuple[str, Path]]:
+    """Return registered name and weights of the trained generators, the published ones first."""
     from racines_models.registry import generator_names
 
-    trained: dict[str, Trained] = {}
-    names = set(generator_names())
-    for parent, suffix in ((place.weights, ""), (place.runs, " (run)")):
-        for config in sorted(parent.glob("*/config.json")):
-            name, folder = _generator_in(config), config.parent
-            if name in names and _small(folder / "model.safetensors"):
-                label = f"{folder.name}{suffix}"
-                trained[label] = Trained(label, name, folder)
+    trained, registered = {}, generator_names()
+    folders = (place.weights, ""), (place.runs, " (run)")
+    for label, config, weights in trained_runs("model.safetensors", *folders):
+        ours = str(config.get("schema", "")).startswith("racines.generator/")
+        small = weights.stat().st_size <= LARGEST
+        if ours and small and config.get("name") in registered:
+            trained[label] = config["name"], weights
     return trained
 
 
-def load_trained(trained: Trained, device: str) -> Any:
-    """Return a trained generator, ready to draw.
-
-    Raises:
-        RacinesError: its files are damaged.
-    """
+def load_trained(name: str, weights: Path, device: str) -> Any:
+    """Return a trained generator, ready to draw."""
     from racines_models.registry import load_generator
 
-    key = _stamp(trained.folder / "model.safetensors"), device
-    return _generators.get(key, lambda: load_generator(trained.name, trained.folder, device))
-
-
-def read_config(path: Path) -> dict[str, Any]:
-    """Return a run's config.json; empty where it is damaged."""
-    try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError):
-        return {}
-    return content if isinstance(content, dict) else {}
-
-
-def _generator_in(config: Path) -> str:
-    content = read_config(config)
-    known = str(content.get("schema", "")).startswith("racines.generator/")
-    return str(content.get("name", "")) if known else ""
-
-
-def _small(weights: Path) -> bool:
-    return weights.is_file() and weights.stat().st_size <= LARGEST
+    key = _stamp(weights), device
+    return _generators.get(key, lambda: load_generator(name, weights.parent, device))
 
 
 def _stamp(path: Path) -> tuple[str, int]:

@@ -1,17 +1,18 @@
 """One moment of an episode: what a page shows of it, taken from a core, and how, as HTML."""
 
 import copy
-import io
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 from PIL import Image
 
-from racines_leaderboard.studio.html import text
-from racines_leaderboard.studio.pictures import element
+from racines_envs.apis.rendering import block_views, view_names
+from racines_envs.task.actions import ACTIONS
+from racines_leaderboard.studio.html import element, quick_png, text
 
 ZOOM = 2
 """Of the views of the block: twice a screen's pixels, so that their text stays sharp."""
@@ -29,26 +30,11 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Truth:
-    """What the phantom knows and an agent is not told."""
-
-    view: str
-    grade: float
-    millimetres: float
-    """To the nominal pose."""
-    degrees: float
-    out_of_support: bool
-
-
-@dataclass(frozen=True)
 class Scene:
     """One moment of an episode."""
 
-    task: str
-    view: str
+    task: Any
     step: int
-    most: int
-    """Steps after which the episode is over."""
     action: str
     """The last one, or `start`."""
     image: np.ndarray
@@ -69,8 +55,8 @@ class Scene:
     ended: str
     """Why the episode is over; empty while it is not."""
     success: bool
-    truth: Truth | None
-    """None where it is hidden."""
+    truth: tuple[str, str] | None
+    """What the phantom knows and an agent is not told, as HTML; None where it is hidden."""
 
 
 @dataclass(frozen=True)
@@ -90,22 +76,23 @@ def snapshot(core: Any) -> Snapshot:
     return Snapshot(copy.copy(core.state), info, core.picture())
 
 
+def judged(grader: Any, images: Sequence[Any], target: int) -> tuple[list[float], list[float]]:
+    """Return p of the target view, and the grade, that a grader gives each (1, 128, 128) image."""
+    p, grades = grader.probabilities_and_grade(torch.cat(list(images)))
+    return p[:, target].tolist(), grades.tolist()
+
+
 def take_scene(
     core: Any, moment: Snapshot, steps: Any, curves: Sequence[Curve], truth: bool
 ) -> Scene:
     """Return what a page shows of a moment of a core; `steps` are those so far."""
-    from racines_envs.apis.rendering import block_views
-    from racines_envs.task.actions import ACTIONS
-
     core, info = copy.copy(core), moment.info
     core.state = moment.state
     task, last = core.task, steps.actions[-1]
     above, front = block_views(core, 0, steps, truth, ZOOM)
     return Scene(
-        task=task.id,
-        view=task.view,
+        task=task,
         step=int(info["steps"]),
-        most=task.max_steps,
         action="start" if last is None else ACTIONS[last],
         image=moment.image[0].cpu().numpy(),
         above=above,
@@ -133,41 +120,22 @@ def _why(core: Any, success: bool) -> str:
     return f"all {task.max_steps} steps are taken, and {shown}"
 
 
-def _truth(core: Any, info: dict[str, Any]) -> Truth:
-    from racines_envs.apis.rendering import view_names
-
-    return Truth(
-        view=view_names(core)[int(info["view"])],
-        grade=info["grade"],
-        millimetres=1e3 * info["position_error"],
-        degrees=math.degrees(info["rotation_error"]),
-        out_of_support=bool(info.get("out_of_support", False)),
+def _truth(core: Any, info: dict[str, Any]) -> tuple[str, str]:
+    view = text(view_names(core)[int(info["view"])])
+    millimetres, degrees = 1e3 * info["position_error"], math.degrees(info["rotation_error"])
+    return (
+        f"true view <b>{view}</b>, grade <b>{info['grade']:.1f}</b>",
+        f"to the nominal pose <b>{millimetres:.0f} mm</b>, <b>{degrees:.0f}°</b>",
     )
 
 
 COLOURS = {"grader": "#38bdf8", "truth": "#facc15"}
+GRID, PALE, RED = "#2f3942", "#e6e9ec", "#f87171"
 WIDE, HIGH = 360, 118
 """Of a drawing, in its own units; it is drawn as wide as its place."""
 LEFT, RIGHT, TOP, BOTTOM = 30, 350, 24, 98
 FULL_FORCE = 1.25
 """Right end of the force gauge, in force limits."""
-AXES = ("x", "y", "z")
-
-CSS = """
-.rs-state { display: flex; flex-wrap: wrap; gap: .25rem .9rem; margin: .45rem 0; font-size: .95rem;
-  font-variant-numeric: tabular-nums; }
-.rs-state b { font-weight: 600; }
-.rs-draw { display: block; width: 100%; height: auto; background: #1a2026; border-radius: 6px;
-  margin-bottom: .5rem; }
-.rs-draw text { font: 11px system-ui, sans-serif; fill: #e6e9ec; }
-.rs-block { display: grid; gap: .5rem;
-  grid-template-columns: repeat(auto-fit, minmax(220px, 1fr)); }
-.rs-block img { width: 100%; height: auto; border-radius: 6px; display: block; }
-.rs-scan { background: #000; border-radius: 6px; }
-.rs-scan img { width: 100%; max-width: 440px; display: block; margin: 0 auto; }
-.rs-wrench { font-size: .86rem; color: var(--body-text-color-subdued); margin: 0 0 .5rem;
-  font-variant-numeric: tabular-nums; }
-"""
 
 
 def panels(scene: Scene) -> tuple[str, str]:
@@ -178,29 +146,19 @@ def panels(scene: Scene) -> tuple[str, str]:
 def image_panel(scene: Scene, image: np.ndarray | None = None) -> str:
     """Return the ultrasound image and the state in words; `image` in place of the scene's."""
     shown = scene.image if image is None else image
-    alt = f"{scene.task}, step {scene.step}: ultrasound image"
-    scan = element(quick_png(Image.fromarray(shown)), alt, "")
-    return f'<div class="rs-scan">{scan}</div>{state_line(scene)}{_ending(scene)}'
-
-
-def quick_png(image: Image.Image) -> bytes:
-    """Return a picture as PNG, packed lightly: a step must not wait for its smallest file."""
-    buffer = io.BytesIO()
-    image.save(buffer, "PNG", compress_level=1)
-    return buffer.getvalue()
-
-
-def _sketch(image: Image.Image) -> bytes:
-    """Return a drawing of few colours as PNG."""
-    return quick_png(image.quantize(48, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
+    alt = f"{scene.task.id}, step {scene.step}: ultrasound image"
+    scan = f'<div class="rs-scan">{element(quick_png(Image.fromarray(shown)), alt, "")}</div>'
+    mark = "rc-done" if scene.success else "rc-refused"
+    over = f'<p class="{mark}">The episode is over: {text(scene.ended)}.</p>'
+    return f"{scan}{state_line(scene)}{over if scene.ended else ''}"
 
 
 def state_line(scene: Scene) -> str:
     """Return step, refusals, judgement and, where it is shown, the truth."""
     workspace, force = scene.refused
     words = [
-        f"<b>{text(scene.task)}</b>",
-        f"step <b>{scene.step}</b> of {scene.most}",
+        f"<b>{text(scene.task.id)}</b>",
+        f"step <b>{scene.step}</b> of {scene.task.max_steps}",
         f"last: <b>{text(scene.action)}</b>",
         f"refused: <b>{workspace}</b> at the workspace, <b>{force}</b> by force",
     ]
@@ -209,98 +167,90 @@ def state_line(scene: Scene) -> str:
         f"grade <b>{curve.grades[scene.step]:.1f}</b>"
         for curve in scene.curves
     ]
-    if scene.truth is not None:
-        truth = scene.truth
-        words.append(f"true view <b>{text(truth.view)}</b>, grade <b>{truth.grade:.1f}</b>")
-        words.append(
-            f"to the nominal pose <b>{truth.millimetres:.0f} mm</b>, <b>{truth.degrees:.0f}°</b>"
-        )
-    return f'<div class="rs-state">{"".join(f"<span>{word}</span>" for word in words)}</div>'
+    spans = "".join(f"<span>{word}</span>" for word in (*words, *(scene.truth or ())))
+    return f'<div class="rs-state">{spans}</div>'
 
 
 def side_panel(scene: Scene) -> str:
     """Return force gauge, curves and the probe over the block."""
-    views = (("from above", scene.above), ("from the front", scene.front))
-    pictures = [element(_sketch(view), f"probe {name}", "") for name, view in views]
-    needed_p, needed_grade = scene.needed
+    p, grade = scene.needed
+    grades = [(curve.name, curve.grades) for curve in scene.curves]
+    probabilities = [(curve.name, curve.probabilities) for curve in scene.curves]
+    pictures = ""
+    for place, view in (("above", scene.above), ("the front", scene.front)):
+        few = view.quantize(48, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        pictures += element(quick_png(few), f"probe from {place}", "")
     return (
         force_gauge(scene)
-        + _chart(f"grade as {scene.view}", scene, 10.0, needed_grade)
-        + _chart(f"probability of {scene.view}", scene, 1.0, needed_p)
-        + f'<div class="rs-block">{"".join(pictures)}</div>'
+        + _chart(f"grade as {scene.task.view}", grades, scene.step, 10.0, grade)
+        + _chart(f"probability of {scene.task.view}", probabilities, scene.step, 1.0, p)
+        + f'<div class="rs-block">{pictures}</div>'
     )
 
 
 def force_gauge(scene: Scene) -> str:
     """Return the normal force as a bar with its limit and its peak, and the wrench in numbers."""
-    full = FULL_FORCE * scene.limit
 
     def at(force: float) -> float:
-        return LEFT + (RIGHT - LEFT) * min(max(force / full, 0.0), 1.0)
+        share = force / (FULL_FORCE * scene.limit)
+        return LEFT + (RIGHT - LEFT) * min(max(share, 0.0), 1.0)
 
-    high = scene.force > 0.9 * scene.limit
-    limit, peak = at(scene.limit), at(scene.peak)
+    now, limit, peak = at(scene.force), at(scene.limit), at(scene.peak)
+    colour = RED if scene.force > 0.9 * scene.limit else "#4ade80"
+    title = f"normal force {scene.force:.1f} N"
+    bar = f'<rect x="{LEFT}" y="24" height="16" width='
     drawn = [
-        _words(LEFT, 16, f"normal force {scene.force:.1f} N"),
+        _words(LEFT, 16, title),
         _words(RIGHT, 16, f"peak {scene.peak:.1f} N, limit {scene.limit:.0f} N", "end"),
-        f'<rect x="{LEFT}" y="24" width="{RIGHT - LEFT}" height="16" fill="#2f3942"/>',
-        f'<rect x="{LEFT}" y="24" width="{at(scene.force) - LEFT:.1f}" height="16" '
-        f'fill="{"#f87171" if high else "#4ade80"}"/>',
-        f'<line x1="{peak:.1f}" x2="{peak:.1f}" y1="22" y2="42" stroke="#e6e9ec"/>',
-        f'<line x1="{limit:.1f}" x2="{limit:.1f}" y1="20" y2="44" stroke="#f87171" '
-        'stroke-width="2.5"/>',
+        f'{bar}"{RIGHT - LEFT}" fill="{GRID}"/>',
+        f'{bar}"{now - LEFT:.1f}" fill="{colour}"/>',
+        _line(peak, peak, 22, 42, PALE),
+        _line(limit, limit, 20, 44, RED, 'stroke-width="2.5"'),
     ]
-    force = ", ".join(f"{a} {v:+.1f}" for a, v in zip(AXES, scene.wrench[:3], strict=True))
-    torque = ", ".join(f"{a} {v:+.2f}" for a, v in zip(AXES, scene.wrench[3:], strict=True))
+    force, torque = (
+        ", ".join(f"{axis} {value:+.{digits}f}" for axis, value in zip("xyz", values, strict=True))
+        for values, digits in ((scene.wrench[:3], 1), (scene.wrench[3:], 2))
+    )
     numbers = f'<p class="rs-wrench">force {force} N · torque {torque} N·m</p>'
-    return _svg(drawn, 50, f"normal force {scene.force:.1f} N") + numbers
+    return _svg(drawn, 50, title) + numbers
 
 
-def _chart(title: str, scene: Scene, full: float, needed: float) -> str:
+def _chart(
+    title: str, curves: Sequence[tuple[str, Sequence[float]]], step: int, full: float, needed: float
+) -> str:
     """Return one quantity of all curves over the steps, with what a hit needs."""
-    steps = max(20, *(len(curve.grades) - 1 for curve in scene.curves), 0)
+    steps = max(20, *(len(values) - 1 for _, values in curves), 0)
 
     def at(step: float, share: float) -> tuple[float, float]:
         share = min(max(share, 0.0), 1.0)
         return LEFT + (RIGHT - LEFT) * step / steps, BOTTOM - (BOTTOM - TOP) * share
 
-    level = at(0, needed / full)[1]
     drawn = [_words(LEFT, 15, title)]
-    for share in (0.0, 0.5, 1.0):
-        y = at(0, share)[1]
-        drawn.append(f'<line x1="{LEFT}" x2="{RIGHT}" y1="{y}" y2="{y}" stroke="#2f3942"/>')
+    for share, anchor in ((0.0, "start"), (0.5, "middle"), (1.0, "end")):
+        x, y = at(share * steps, share)
+        drawn.append(_line(LEFT, RIGHT, y, y, GRID))
         drawn.append(_words(LEFT - 5, y + 4, f"{share * full:g}", "end"))
-        x, anchor = at(share * steps, 0)[0], ("start", "middle", "end")[int(2 * share)]
         drawn.append(_words(x, BOTTOM + 14, f"{share * steps:.0f}", anchor))
-    drawn.append(
-        f'<line x1="{LEFT}" x2="{RIGHT}" y1="{level:.1f}" y2="{level:.1f}" stroke="#7d8a96" '
-        'stroke-dasharray="4 4"/>'
-    )
-    for place, curve in enumerate(scene.curves):
-        colour = COLOURS.get(curve.name, "#e6e9ec")
-        drawn.append(_words(RIGHT - 60 * place, 15, curve.name, "end", colour))
-        drawn.append(_line(curve, full, at, scene.step, colour))
-    if not scene.curves:
+    level = at(0, needed / full)[1]
+    drawn.append(_line(LEFT, RIGHT, level, level, "#7d8a96", 'stroke-dasharray="4 4"'))
+    for place, (name, values) in enumerate(curves):
+        colour = COLOURS.get(name, PALE)
+        points = [at(i, value / full) for i, value in enumerate(values)]
+        path, (x, y) = " ".join(f"{x:.1f},{y:.1f}" for x, y in points), points[step]
+        drawn += [
+            _words(RIGHT - 60 * place, 15, name, "end", colour),
+            f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="2"/>',
+            f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/>',
+        ]
+    if not curves:
         drawn.append(_words((LEFT + RIGHT) / 2, 64, "no grader here: show the truth", "middle"))
     drawn.append(_words((LEFT + RIGHT) / 4 * 3, BOTTOM + 14, "steps", "middle"))
     return _svg(drawn, HIGH, f"{title} over the steps")
 
 
-def _line(
-    curve: Curve,
-    full: float,
-    at: Callable[[float, float], tuple[float, float]],
-    step: int,
-    colour: str,
-) -> str:
-    values: Sequence[float] = curve.grades if full > 1 else curve.probabilities
-    points = [at(i, value / full) for i, value in enumerate(values)]
-    path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-    x, y = points[step]
-    return (
-        f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="2"/>'
-        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.5" fill="{colour}"/>'
-    )
+def _line(x1: float, x2: float, y1: float, y2: float, colour: str, more: str = "") -> str:
+    ends = f'x1="{x1:.1f}" x2="{x2:.1f}" y1="{y1:.1f}" y2="{y2:.1f}"'
+    return f'<line {ends} stroke="{colour}" {more}/>'
 
 
 def _words(x: float, y: float, words: str, anchor: str = "start", colour: str = "") -> str:
@@ -311,10 +261,3 @@ def _words(x: float, y: float, words: str, anchor: str = "start", colour: str = 
 def _svg(drawn: Sequence[str], height: int, alt: str) -> str:
     box = f'viewBox="0 0 {WIDE} {height}" role="img" aria-label="{text(alt)}"'
     return f'<svg class="rs-draw" {box}>{"".join(drawn)}</svg>'
-
-
-def _ending(scene: Scene) -> str:
-    if not scene.ended:
-        return ""
-    mark = "rc-done" if scene.success else "rc-refused"
-    return f'<p class="{mark}">The episode is over: {text(scene.ended)}.</p>'

@@ -1,4 +1,7 @@
-"""Generators side by side at one pose: sliders, presets, and what each draws there."""
+"""Generators side by side at one pose: sliders, presets, and what each draws there.
+
+A damaged dataset, and what was not offered, raise a `RacinesError`.
+"""
 
 import math
 import time
@@ -7,26 +10,23 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 from PIL import Image
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.studio import inputs
-from racines_leaderboard.studio.html import text
-from racines_leaderboard.studio.parts import (
-    load_grader,
-    load_index,
-    load_phantom,
-    load_store,
-    load_trained,
-    trained_generators,
-)
-from racines_leaderboard.studio.pictures import element
+from racines_data.geometry import geodesic, parameters_to_pose, pose_to_parameters
+from racines_data.phantom.anatomy import anatomy_views
+from racines_data.schema import PARAMETERS
+from racines_data.views import HEART, PAPER_STATISTICS
+from racines_leaderboard.board.collect import boards, read_board
+from racines_leaderboard.studio import inputs, parts
+from racines_leaderboard.studio.html import element, quick_png, text
+from racines_leaderboard.studio.parts import load_phantom, load_store
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.scene import quick_png
+from racines_models.scores.metrics import psnr, ssim
 
 MOST = 12
 """Generators that draw at once, at most."""
-GREATEST_SEED = 2**31 - 1
 GROUPS = (
     ("position", "mm", 1e3, 0.5),
     ("rotation", "rad", 1.0, 0.01),
@@ -66,25 +66,18 @@ class Card:
 
 
 def sliders(place: Place) -> tuple[Slider, ...]:
-    """Return the twelve sliders; they reach as far as the dataset, or else the paper's table.
-
-    Raises:
-        RacinesError: the dataset is damaged.
-    """
-    from racines_data.schema import PARAMETERS
-    from racines_data.views import PAPER_STATISTICS
-
+    """Return the twelve sliders; they reach as far as the dataset, or else the paper's table."""
     store = load_store(place)
     if store is None:
         spans = [(PAPER_STATISTICS[n].minimum, PAPER_STATISTICS[n].maximum) for n in PARAMETERS]
     else:
         columns = store.parameters.double().numpy()
-        spans = list(zip(np.nanmin(columns, 0), np.nanmax(columns, 0), strict=True))
+        spans = zip(np.nanmin(columns, 0), np.nanmax(columns, 0), strict=True)
     reach: dict[str, Any] = dict(zip(PARAMETERS, spans, strict=True))
     return tuple(
-        _slider(f"{group}_{axis}", unit, scale, step, *reach[f"{group}_{axis}"])
+        _slider(name, unit, scale, step, *reach[name])
         for group, unit, scale, step in GROUPS
-        for axis in "xyz"
+        for name in (f"{group}_{axis}" for axis in "xyz")
     )
 
 
@@ -101,31 +94,23 @@ def _slider(
 
 
 def first(place: Place) -> list[float]:
-    """Return where the sliders stand at first: at the best frame of the first view, if any.
-
-    Raises:
-        RacinesError: the dataset is damaged.
-    """
-    handles, store = sliders(place), load_store(place)
+    """Return where the sliders stand at first: at the best frame of the first view, if any."""
+    store = load_store(place)
     of_view = [] if store is None else (store.views == 0).nonzero().squeeze(1)
     if store is None or not len(of_view):
-        return [h.shown((h.low + h.high) / 2 / h.scale) for h in handles]
+        return [h.shown((h.low + h.high) / 2 / h.scale) for h in sliders(place)]
     best = of_view[store.grades[of_view].nan_to_num(-1.0).argmax()]
     return _to_sliders(place, store.parameters[best].tolist())
 
 
 def leading(place: Place, offered: Sequence[str]) -> list[str]:
     """Return the offered generators, those with the highest SSIM on any board first."""
-    from racines_leaderboard.board.collect import boards, read_board
-
     best: dict[str, float] = {}
     try:
-        records = [
-            r for b in boards(place.results) for r in read_board(place.results, b)["generators"]
-        ]
+        contents = [read_board(place.results, board) for board in boards(place.results)]
     except RacinesError:  # damaged results close their own tab, not this one
-        records = []
-    for record in records:
+        contents = []
+    for record in (record for content in contents for record in content["generators"]):
         ssim = record["scores"]["metrics"]["ssim"]["value"]
         best[record["name"]] = max(best.get(record["name"], 0.0), ssim or 0.0)
     return sorted(offered, key=lambda label: -best.get(label, 0.0))
@@ -133,22 +118,13 @@ def leading(place: Place, offered: Sequence[str]) -> list[str]:
 
 def presets(place: Place) -> list[str]:
     """Return the names of the poses that can be set: the nominal one of each view."""
-    from racines_data.phantom.anatomy import anatomy_views
-    from racines_data.views import HEART
-
     store = load_store(place)
     views = anatomy_views(HEART) if store is None else store.labels[:-1]
     return [f"{NOMINAL}{view}" for view in views]
 
 
 def preset(place: Place, name: Any) -> list[float]:
-    """Return the sliders' values at a preset, with the forces that the probe feels there.
-
-    Raises:
-        RacinesError: a preset that was not offered.
-    """
-    from racines_data.geometry import pose_to_parameters
-
+    """Return the sliders' values at a preset, with the forces that the probe feels there."""
     view = inputs.choice(name, presets(place), "pose").removeprefix(NOMINAL)
     phantom = load_phantom(place)
     pose = phantom.target(view)
@@ -159,9 +135,6 @@ def frame(place: Place, turn: int) -> tuple[list[float], str]:
     """Return the sliders' values at a drawn frame of the test split, and which frame it is.
 
     The n-th draw of a Studio is always the same frame.
-
-    Raises:
-        RacinesError: no dataset, or no frames in its test split.
     """
     store = load_store(place)
     rows = [] if store is None else store.order("test", place.seed)
@@ -174,22 +147,12 @@ def frame(place: Place, turn: int) -> tuple[list[float], str]:
 
 
 def _to_sliders(place: Place, parameters: Sequence[float]) -> list[float]:
-    from racines_data.schema import PARAMETERS
-
     known: dict[str, float] = dict(zip(PARAMETERS, parameters, strict=True))
     return [slider.shown(known[slider.name]) for slider in sliders(place)]
 
 
 def read_parameters(place: Place, values: Sequence[Any]) -> Any:
-    """Return (1, 12) float32 parameters, SI, of the sliders' values as a browser sent them.
-
-    Raises:
-        RacinesError: not twelve numbers, or one out of its slider's range.
-    """
-    import torch
-
-    from racines_data.schema import PARAMETERS
-
+    """Return (1, 12) float32 parameters, SI, of the sliders' values as a browser sent them."""
     all_sliders = sliders(place)
     if len(values) != len(all_sliders):
         raise RacinesError(f"{len(values)} parameters: give {len(all_sliders)}")
@@ -201,26 +164,19 @@ def read_parameters(place: Place, values: Sequence[Any]) -> Any:
 
 
 def draw_cards(place: Place, values: Sequence[Any], seed: Any, ticked: Any) -> list[Card]:
-    """Return the phantom's image, the nearest frame, and an image of each ticked generator.
-
-    Raises:
-        RacinesError: numbers out of range, or a generator that is not offered.
-    """
-    import torch
-
+    """Return the phantom's image, the nearest frame, and an image of each ticked generator."""
     parameters = read_parameters(place, values)
-    seed = inputs.whole(seed, 0, GREATEST_SEED, "seed")
-    offered = trained_generators(place)
+    seed = inputs.whole(seed, 0, inputs.GREATEST_SEED, "seed")
+    offered = parts.trained_generators(place)
     chosen = inputs.choices(ticked, tuple(offered), "generators")
     if len(chosen) > MOST:
         raise RacinesError(f"generators: tick at most {MOST}")
     phantom = load_phantom(place)
     drawn = [("phantom", phantom.generate(parameters, seed), _of_truth(phantom, parameters))]
-    near = _nearest(place, parameters)
-    drawn += [near] if near else []
+    drawn += _nearest(place, parameters)
     for label in chosen:
         began = time.perf_counter()
-        image = load_trained(offered[label], place.device).generate(parameters, seed)
+        image = parts.load_trained(*offered[label], place.device).generate(parameters, seed)
         drawn.append((label, image, f"{1e3 * (time.perf_counter() - began):.0f} ms"))
     images = torch.cat([image.cpu() for _, image, _ in drawn])
     notes = zip(_likeness(images), _judgement(place, phantom, images), strict=True)
@@ -232,34 +188,28 @@ def draw_cards(place: Place, values: Sequence[Any], seed: Any, ticked: Any) -> l
 
 def _of_truth(phantom: Any, parameters: Any) -> str:
     """Return what the phantom says of the pose, and whether tasks go there."""
-    from racines_data.geometry import parameters_to_pose
-
     truth = phantom.truth(parameters)
     said = f"truth: {phantom.labels[int(truth.view[0])]}, grade {float(truth.grade[0]):.1f}"
     inside = bool(phantom.workspace.contains(parameters_to_pose(parameters))[0])
     return said if inside else f"{said}; outside the workspace"
 
 
-def _nearest(place: Place, parameters: Any) -> tuple[str, Any, str] | None:
-    """Return the frame of the dataset whose pose is nearest, and how far off it is."""
-    from racines_data.geometry import geodesic, parameters_to_pose
-
-    index, store = load_index(place), load_store(place)
+def _nearest(place: Place, parameters: Any) -> list[tuple[str, Any, str]]:
+    """Return the frame of the dataset whose pose is nearest, and how far off it is, if any."""
+    index, store = parts.load_index(place), load_store(place)
     if index is None:
-        return None
+        return []
     row = index.nearest(parameters)[0]
     there, here = parameters_to_pose(store.parameters[row]), parameters_to_pose(parameters)
     metres = float((there.position - here.position).norm())
     turn = math.degrees(float(geodesic(there.rotation, here.rotation)))
     label = store.labels[int(store.views[row])] if int(store.views[row]) >= 0 else "no label"
     said = f"{1e3 * metres:.1f} mm and {turn:.1f}° off; labelled {label}"
-    return "nearest frame", store.images[row], said
+    return [("nearest frame", store.images[row], said)]
 
 
 def _likeness(images: Any) -> list[str]:
     """Return SSIM and PSNR of (N, 128, 128) images against the first; nothing for that one."""
-    from racines_models.scores.metrics import psnr, ssim
-
     truth = images[:1].expand(len(images), -1, -1)
     pairs = zip(ssim(images, truth).tolist(), psnr(images, truth).tolist(), strict=True)
     return ["", *(f"SSIM {a:.3f}, PSNR {b:.1f} dB" for a, b in list(pairs)[1:])]
@@ -267,7 +217,7 @@ def _likeness(images: Any) -> list[str]:
 
 def _judgement(place: Place, phantom: Any, images: Any) -> list[str]:
     """Return what the grader sees in (N, 128, 128) images; nothing without a grader."""
-    grader = load_grader(place, phantom.labels)
+    grader = parts.load_grader(place, phantom.labels)
     if grader is None:
         return [""] * len(images)
     p, grades = grader.probabilities_and_grade(images)
@@ -276,25 +226,12 @@ def _judgement(place: Place, phantom: Any, images: Any) -> list[str]:
     return [f"judge: {grader.labels[v]} (p {b:.2f}), grade {g:.1f}" for v, b, g in rows]
 
 
-CSS = """
-.rg-cards { display: grid; gap: .6rem;
-  grid-template-columns: repeat(auto-fill, minmax(min(165px, 47%), 1fr)); }
-.rg-card { margin: 0; background: #000; border-radius: 6px; overflow: hidden; }
-.rg-card img { width: 100%; height: auto; display: block; }
-.rg-card figcaption { padding: .4rem .55rem .5rem; background: #1a2026; color: #e6e9ec;
-  font-size: .8rem; line-height: 1.4; font-variant-numeric: tabular-nums; min-height: 100%; }
-.rg-card b { display: block; font-size: .9rem; color: #fff; overflow-wrap: anywhere; }
-.rg-card span { display: block; color: #aab4bd; }
-"""
-
-
 def cards_page(cards: Sequence[Card]) -> str:
     """Return all cards as one grid, as many side by side as there is room for."""
-    return f'<div class="rg-cards">{"".join(_card(card) for card in cards)}</div>'
-
-
-def _card(card: Card) -> str:
-    image = element(quick_png(Image.fromarray(card.image)), f"image by {card.title}", "")
-    notes = "".join(f"<span>{text(note)}</span>" for note in card.notes)
-    caption = f"<figcaption><b>{text(card.title)}</b>{notes}</figcaption>"
-    return f'<figure class="rg-card">{image}{caption}</figure>'
+    page = ""
+    for card in cards:
+        image = element(quick_png(Image.fromarray(card.image)), f"image by {card.title}", "")
+        notes = "".join(f"<span>{text(note)}</span>" for note in card.notes)
+        caption = f"<figcaption><b>{text(card.title)}</b>{notes}</figcaption>"
+        page += f'<figure class="rg-card">{image}{caption}</figure>'
+    return f'<div class="rg-cards">{page}</div>'

@@ -15,7 +15,7 @@ from racines_leaderboard.determinism.run import (
     differences,
     measure,
 )
-from racines_leaderboard.determinism.setup import Setup, Stage, Work, in_batches, threads
+from racines_leaderboard.determinism.stages import Setup, Stage, Work, in_batches, threads
 
 
 def test_differences_are_measured():

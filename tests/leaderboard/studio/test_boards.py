@@ -11,12 +11,12 @@ from racines_leaderboard.studio.boards import (
     Selection,
     charts_html,
     names,
+    provenance_html,
     record_of,
     selected,
     tables_html,
 )
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.provenance import provenance_html
 
 GENERATORS = Selection("tiny", "generators")
 AGENTS = Selection("tiny", "agents")

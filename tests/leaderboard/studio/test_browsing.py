@@ -13,7 +13,7 @@ from racines_data.errors import RacinesError
 from racines_data.schema import SPLITS
 from racines_data.store.frames import FrameStore
 from racines_leaderboard.studio import browsing
-from racines_leaderboard.studio.trajectory_page import (
+from racines_leaderboard.studio.browsing import (
     figures_html,
     grades_figure,
     image_html,

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from racines_leaderboard.studio.shared import Shared
+from racines_leaderboard.studio.parts import Shared
 
 
 def test_many_who_ask_at_once_wait_for_one():

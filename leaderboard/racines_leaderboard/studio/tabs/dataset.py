@@ -1,36 +1,32 @@
 """Tab: the dataset, trajectory by trajectory and frame by frame."""
 
+from functools import partial
 from typing import Any
 
 import gradio as gr
 from gradio.context import Context
 
 from racines_data.schema import SPLITS
-from racines_leaderboard.studio.html import missing
+from racines_leaderboard.studio import browsing
+from racines_leaderboard.studio.html import missing, note
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.tabs import PRIVATE, refusing
+from racines_leaderboard.studio.tabs import wiring
 
 
 def build(place: Place) -> None:
     """Build the tab."""
-    from racines_leaderboard.studio import browsing
-
     configs = browsing.configs(place.data)
     if not configs:
-        gr.HTML(
-            missing(
-                f"{place.data}: no dataset here. Build one, or fetch one:",
-                f"racines data build --out {place.data}",
-                "dvc pull",
-            )
-        )
+        what = f"{place.data}: no dataset here. Build one, or fetch one:"
+        gr.HTML(missing(what, f"racines data build --out {place.data}", "dvc pull"))
         return
-    labels = browsing.opened(place.data, configs[0]).labels
+    store = browsing.opened(place.data, configs[0])
     with gr.Row():
         config = gr.Radio(configs, value=configs[0], label="Data", visible=len(configs) > 1)
         split = gr.Radio(list(SPLITS), value=SPLITS[0], label="Split", min_width=260)
-        view = gr.Dropdown([browsing.ALL, *labels], value=browsing.ALL, label="Aimed at")
-    names = browsing.trajectories(browsing.opened(place.data, configs[0]), SPLITS[0], browsing.ALL)
+        views = [browsing.ALL, *store.labels]
+        view = gr.Dropdown(views, value=browsing.ALL, label="Aimed at")
+    names = browsing.trajectories(store, SPLITS[0], browsing.ALL)
     name = gr.Dropdown(names, value=names[0], label="Trajectory", elem_id="data-trajectory")
     facts = gr.HTML(elem_id="data-facts")
     frame = gr.Slider(1, 2, value=1, step=1, label="Frame", elem_id="data-frame")
@@ -40,51 +36,31 @@ def build(place: Place) -> None:
             parameters = gr.HTML(elem_id="data-parameters")
         with gr.Column(min_width=280):
             figures = gr.HTML(elem_id="data-figures")
-    filters = [config, split, view]
-    _wire(place, filters, name, frame, [facts, frame, image, parameters, figures])
-
-
-def _wire(place: Place, filters: list[Any], name: Any, frame: Any, shown: list[Any]) -> None:
-    from racines_leaderboard.studio import browsing, trajectory_page
-
-    config = filters[0]
-
-    def listed(config: Any, split: Any, view: Any) -> Any:
-        names = browsing.trajectories(browsing.opened(place.data, config), split, view)
-        return gr.Dropdown(choices=names, value=names[0] if names else None)
-
-    def at(config: Any, name: Any, frame: Any) -> tuple[Any, int]:
-        trajectory = browsing.trajectory(browsing.opened(place.data, config), name)
-        return trajectory, browsing.frame_of(trajectory, frame)
-
-    def show(config: Any, name: Any) -> list[Any]:
-        if name is None:  # a filter that no trajectory passes
-            return ["", gr.Slider(), "", "", '<p class="rc-note">No trajectory fits.</p>']
-        trajectory, first = at(config, name, 1)
-        slider = gr.Slider(maximum=max(trajectory.frames, 2), value=1)
-        return [trajectory_page.facts_html(trajectory), slider, *_pictures(trajectory, first)]
-
-    def move(config: Any, name: Any, frame: Any) -> list[Any]:
-        return _pictures(*at(config, name, frame))
-
-    def _pictures(trajectory: Any, frame: int) -> list[str]:
-        makers = (
-            trajectory_page.image_html,
-            trajectory_page.parameters_html,
-            trajectory_page.figures_html,
-        )
-        return [make(trajectory, frame) for make in makers]
-
-    gr.on(
-        [each.change for each in filters], refusing(listed), filters, name,
-        api_name="data_listed", **PRIVATE,
-    )  # fmt: skip
-    page = Context.root_block
+    filters, shown = [config, split, view], [facts, frame, image, parameters, figures]
+    wire, page = wiring("data", show_progress="hidden"), Context.root_block
+    wire([each.change for each in filters], "listed", partial(_listed, place), filters, name)
     assert page is not None
     # Not at a change of `config`: the name is the old one's until the filters have run.
-    triggers = [page.load, name.change]
-    gr.on(triggers, refusing(show), [config, name], shown, api_name="data_show", **PRIVATE)
-    frame.input(
-        refusing(move), [config, name, frame], shown[2:], api_name="data_move",
-        trigger_mode="always_last", **PRIVATE,
-    )  # fmt: skip
+    wire([page.load, name.change], "show", partial(_show, place), [config, name], shown)
+    move, at = partial(_move, place), [config, name, frame]
+    wire(frame.input, "move", move, at, shown[2:], trigger_mode="always_last")
+
+
+def _listed(place: Place, config: Any, split: Any, view: Any) -> Any:
+    names = browsing.trajectories(browsing.opened(place.data, config), split, view)
+    return gr.Dropdown(choices=names, value=names[0] if names else None)
+
+
+def _show(place: Place, config: Any, name: Any) -> list[Any]:
+    if name is None:  # a filter that no trajectory passes
+        return ["", gr.Slider(), "", "", note("No trajectory fits.")]
+    trajectory = browsing.trajectory(browsing.opened(place.data, config), name)
+    slider = gr.Slider(maximum=max(trajectory.frames, 2), value=1)
+    return [browsing.facts_html(trajectory), slider, *_move(place, config, name, 1)]
+
+
+def _move(place: Place, config: Any, name: Any, frame: Any) -> list[Any]:
+    trajectory = browsing.trajectory(browsing.opened(place.data, config), name)
+    at = browsing.frame_of(trajectory, frame)
+    makers = (browsing.image_html, browsing.parameters_html, browsing.figures_html)
+    return [make(trajectory, at) for make in makers]

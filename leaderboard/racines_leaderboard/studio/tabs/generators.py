@@ -9,23 +9,20 @@ from gradio.context import Context
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.studio import side_by_side
-from racines_leaderboard.studio.html import missing, refusal, text
+from racines_leaderboard.studio.html import missing, note, text
 from racines_leaderboard.studio.inputs import whole
 from racines_leaderboard.studio.parts import load_store, trained_generators
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.side_by_side import CSS, cards_page
-from racines_leaderboard.studio.tabs import one_at_a_time, refusing
+from racines_leaderboard.studio.side_by_side import Slider, cards_page, draw_cards
+from racines_leaderboard.studio.tabs import wiring
 
 TICKED = 4
 """Generators that are ticked at first: those that lead a board."""
-ONE = one_at_a_time("generators")
-"""One pose after the other, for all visitors."""
-INTRODUCTION = (
-    '<p class="rc-note">What each generator draws at a pose, beside the phantom and the nearest '
-    "frame of the dataset. SSIM and PSNR are against the phantom's image, whose noise is drawn "
-    "from the seed. Simulated images.</p>"
+INTRODUCTION = note(
+    "What each generator draws at a pose, beside the phantom and the nearest frame of the dataset. "
+    "SSIM and PSNR are against the phantom's image, whose noise is drawn from the seed. Simulated "
+    "images."
 )
-TITLES = {"position": "Position", "rotation": "Rotation", "force": "Force", "torque": "Torque"}
 
 
 def build(place: Place) -> None:
@@ -35,7 +32,7 @@ def build(place: Place) -> None:
         handles, names = side_by_side.sliders(place), side_by_side.presets(place)
         values = side_by_side.first(place)
     except RacinesError as error:  # a damaged dataset is no reason to close the other tabs
-        gr.HTML(refusal(error))
+        gr.HTML(f'<p class="rc-refused" role="alert">{text(error)}</p>')
         return
     gr.HTML(INTRODUCTION + _missing(place, offered))
     with gr.Row():
@@ -46,36 +43,34 @@ def build(place: Place) -> None:
         again = gr.Button("Random test frame", elem_id="generators-frame", min_width=140)
     best = side_by_side.leading(place, offered)[:TICKED]
     ticked = gr.CheckboxGroup(offered, value=best, label="Generators")
-    turn, note = gr.State(0), gr.HTML(elem_id="generators-note")
-    cards = gr.HTML(css_template=CSS, elem_id="generators-cards")
+    turn, said = gr.State(0), gr.HTML(elem_id="generators-note")
+    cards = gr.HTML(elem_id="generators-cards")
     moved = _sliders(handles, values)
-    busy: dict[str, Any] = ONE | {"show_progress_on": [cards]}
-    quiet: dict[str, Any] = ONE | {"show_progress": "hidden"}
-    draw: dict[str, Any] = {
-        "fn": refusing(partial(_draw, place)), "inputs": [seed, ticked, *moved], "outputs": [cards],
-    }  # fmt: skip
-    gr.on(
-        [go.click, preset.input], refusing(partial(_preset, place)), [preset], [note, *moved],
-        api_name="generators_set", **busy,
-    ).success(**draw, api_name="generators_draw_set", **busy)  # fmt: skip
-    again.click(
-        refusing(partial(_frame, place)), [turn], [turn, note, *moved],
-        api_name="generators_frame", **busy,
-    ).success(**draw, api_name="generators_draw_frame", **busy)  # fmt: skip
+
+    def draw(seed: Any, ticked: Any, *values: Any) -> str:
+        return cards_page(draw_cards(place, values, seed, ticked))
+
+    wire, busy = wiring("generators", in_turn=True), {"show_progress_on": [cards]}
+    drawn = draw, [seed, ticked, *moved], [cards]
+    set_pose, next_frame = partial(_preset, place), partial(_frame, place)
+    pose = wire([go.click, preset.input], "set", set_pose, [preset], [said, *moved], **busy)
+    wire(pose.success, "draw_set", *drawn, **busy)
+    frame = wire(again.click, "frame", next_frame, [turn], [turn, said, *moved], **busy)
+    wire(frame.success, "draw_frame", *drawn, **busy)
     triggers = [each.input for each in moved] + [ticked.input, seed.submit, seed.blur]
-    gr.on(triggers, **draw, trigger_mode="always_last", api_name="generators_draw", **quiet)
+    wire(triggers, "draw", *drawn, trigger_mode="always_last", show_progress="hidden")
     if isinstance(tab, gr.Tab):
-        tab.select(**draw, api_name="generators_open", **busy)
+        wire(tab.select, "open", *drawn, **busy)
 
 
-def _sliders(handles: Sequence[side_by_side.Slider], values: Sequence[float]) -> list[gr.Slider]:
+def _sliders(handles: Sequence[Slider], values: Sequence[float]) -> list[gr.Slider]:
     """Return the twelve sliders at their values, three a group."""
     made, pairs = [], list(zip(handles, values, strict=True))
     for first in range(0, len(handles), 3):
-        group = handles[first].name.rpartition("_")[0]
-        with gr.Accordion(f"{TITLES[group]}, {handles[first].unit}", open=first < 6), gr.Row():
+        group, unit = handles[first].name.rpartition("_")[0].capitalize(), handles[first].unit
+        with gr.Accordion(f"{group}, {unit}", open=first < 6), gr.Row():
             for handle, value in pairs[first : first + 3]:
-                label = f"{handle.name.rpartition('_')[2]}, {handle.unit}"
+                label = f"{handle.name.rpartition('_')[2]}, {unit}"
                 slider = gr.Slider(
                     handle.low, handle.high, value, step=handle.step, label=label,
                     elem_id=f"generators-{handle.name}", min_width=240,
@@ -86,28 +81,17 @@ def _sliders(handles: Sequence[side_by_side.Slider], values: Sequence[float]) ->
 
 def _missing(place: Place, offered: Sequence[str]) -> str:
     """Return what is not there, and which command makes it."""
-    said = ""
-    if not offered:
-        said += missing(
-            f"No trained generator in {place.weights} or {place.runs}. Train one:",
-            "racines train generator cgan",
-        )
-    if load_store(place) is None:
-        said += missing(
-            f"No dataset in {place.data}, so no nearest frame. Build it:", "racines data build"
-        )
-    return said
+    trained = f"No trained generator in {place.weights} or {place.runs}. Train one:"
+    data = f"No dataset in {place.data}, so no nearest frame. Build it:"
+    said = "" if offered else missing(trained, "racines train generator cgan")
+    return said + (missing(data, "racines data build") if load_store(place) is None else "")
 
 
 def _preset(place: Place, name: Any) -> list[Any]:
-    return [f'<p class="rc-note">{text(name)} pose</p>', *side_by_side.preset(place, name)]
+    return [note(f"{name} pose"), *side_by_side.preset(place, name)]
 
 
 def _frame(place: Place, turn: Any) -> list[Any]:
     turn = whole(turn, 0, 2**31, "turn")
     values, which = side_by_side.frame(place, turn)
-    return [turn + 1, f'<p class="rc-note">test split, {text(which)}</p>', *values]
-
-
-def _draw(place: Place, seed: Any, ticked: Any, *values: Any) -> str:
-    return cards_page(side_by_side.draw_cards(place, values, seed, ticked))
+    return [turn + 1, note(f"test split, {which}"), *values]

@@ -1,5 +1,6 @@
 """Tab: the boards, filtered, with intervals and charts, and where each record comes from."""
 
+from functools import partial
 from typing import Any
 
 import gradio as gr
@@ -7,11 +8,9 @@ import gradio as gr
 from racines_leaderboard.board.collect import boards
 from racines_leaderboard.records.tracks import TIERS
 from racines_leaderboard.studio import boards as shown
-from racines_leaderboard.studio.boards import charts_html, tables_html
 from racines_leaderboard.studio.html import missing
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.provenance import provenance_html
-from racines_leaderboard.studio.tabs import refusing
+from racines_leaderboard.studio.tabs import wiring
 
 ROW_CLICKED = """
 element.addEventListener('click', (event) => {
@@ -25,67 +24,52 @@ def build(place: Place) -> None:
     """Build the tab."""
     names = boards(place.results)
     if not names:
-        gr.HTML(
-            missing(
-                f"{place.results}: no results of any board yet. Score a system and collect it:",
-                "racines eval generator nearest-pose",
-                "racines leaderboard --board my-board --collect models/runs/scores",
-            )
-        )
+        what = f"{place.results}: no results of any board yet. Score a system and collect it:"
+        collect = "racines leaderboard --board my-board --collect models/runs/scores"
+        gr.HTML(missing(what, "racines eval generator nearest-pose", collect))
         return
     with gr.Row():
         board = gr.Dropdown(names, value=names[-1], label="Board", min_width=200)
         track = gr.Radio(shown.TRACK_NAMES, value=shown.TRACK_NAMES[0], label="Track")
     with gr.Row(visible=False) as of_agents:
         view = gr.Dropdown([shown.ALL], value=shown.ALL, label="View", min_width=300)
-        sees = gr.Radio(
-            [shown.ALL, *shown.SIGHT], value=shown.ALL, label="The agent sees", min_width=300
-        )
+        sights = [shown.ALL, *shown.SIGHT]
+        sees = gr.Radio(sights, value=shown.ALL, label="The agent sees", min_width=300)
     tiers = gr.CheckboxGroup(list(TIERS), value=list(TIERS), label="Tier")
     details = gr.Checkbox(False, label="Further figures")
     tables = gr.HTML(js_on_load=ROW_CLICKED, elem_id="boards-tables")
     charts = gr.HTML(elem_id="boards-charts")
     system = gr.Dropdown([], label="Where a result comes from (or click its row)")
     record = gr.HTML(elem_id="boards-record")
-    chosen = [board, track, view, sees, tiers, details]
-    _wire(place, chosen, of_agents, (tables, charts), system, record)
+    chosen, outputs = [board, track, view, sees, tiers, details], [tables, charts, system, record]
+    wire = wiring("boards", show_progress="minimal")
+    filters = partial(_filters, place)
+    wire([board.change, track.change], "filters", filters, chosen[:2], [of_agents, view])
+    wire(None, "show", partial(_show, place), chosen, outputs)
+    wire(tables.click, "clicked", _clicked, None, system)
+    wire(system.change, "record", partial(_record, place), [system, *chosen], record)
 
 
-def _wire(
-    place: Place, chosen: list[Any], of_agents: gr.Row, pictures: Any, system: Any, record: Any
-) -> None:
-    board, track, view, _, _, _ = chosen
-    tables, charts = pictures
+def _filters(place: Place, board: Any, track: Any) -> tuple[Any, Any]:
+    wanted = shown.selected(place.results, board, track, shown.ALL, shown.ALL, [], False)
+    offered = [shown.ALL, *shown.views(place.results, wanted.board, wanted.track)]
+    update = gr.Dropdown(choices=offered, value=shown.ALL)
+    return gr.Row(visible=wanted.track == "agents"), update
 
-    def filters(board: Any, track: Any) -> tuple[Any, Any]:
-        wanted = shown.selected(place.results, board, track, shown.ALL, shown.ALL, [], False)
-        offered = [shown.ALL, *shown.views(place.results, wanted.board, wanted.track)]
-        update = gr.Dropdown(choices=offered, value=shown.ALL)
-        return gr.Row(visible=wanted.track == "agents"), update
 
-    def show(*values: Any) -> tuple[str, str, Any, str]:
-        wanted = shown.selected(place.results, *values)
-        tables, charts = (make(place.results, wanted) for make in (tables_html, charts_html))
-        offered = shown.names(place.results, wanted)
-        return tables, charts, gr.Dropdown(choices=offered, value=None), ""
+def _show(place: Place, *values: Any) -> tuple[str, str, Any, str]:
+    wanted = shown.selected(place.results, *values)
+    systems = gr.Dropdown(choices=shown.names(place.results, wanted), value=None)
+    tables = shown.tables_html(place.results, wanted)
+    return tables, shown.charts_html(place.results, wanted), systems, ""
 
-    def provenance(name: Any, *values: Any) -> str:
-        if name is None:
-            return ""
-        wanted = shown.selected(place.results, *values)
-        return provenance_html(shown.record_of(place.results, wanted, name))
 
-    def clicked(event: gr.EventData) -> Any:
-        return getattr(event, "name", None)
+def _record(place: Place, name: Any, *values: Any) -> str:
+    if name is None:
+        return ""
+    wanted = shown.selected(place.results, *values)
+    return shown.provenance_html(shown.record_of(place.results, wanted, name))
 
-    private: dict[str, Any] = {"api_visibility": "private", "show_progress": "minimal"}
-    gr.on(
-        [board.change, track.change], refusing(filters), [board, track], [of_agents, view],
-        api_name="boards_filters", **private,
-    )  # fmt: skip
-    outputs = [tables, charts, system, record]
-    gr.on(None, refusing(show), chosen, outputs, api_name="boards_show", **private)
-    tables.click(refusing(clicked), None, system, api_name="boards_clicked", **private)
-    system.change(
-        refusing(provenance), [system, *chosen], record, api_name="boards_record", **private
-    )
+
+def _clicked(event: gr.EventData) -> Any:
+    return getattr(event, "name", None)

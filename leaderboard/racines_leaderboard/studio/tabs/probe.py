@@ -9,10 +9,14 @@ import gradio as gr
 from gradio.context import Context
 
 from racines_data.errors import RacinesError
+from racines_envs.driving.keyboard import KEYS
+from racines_envs.task.actions import ACTIONS, IDLE
+from racines_envs.task.tasks import TASKS
 from racines_leaderboard.studio import driving
+from racines_leaderboard.studio.html import note
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.scene import CSS, panels
-from racines_leaderboard.studio.tabs import one_at_a_time, refusing
+from racines_leaderboard.studio.scene import panels
+from racines_leaderboard.studio.tabs import wiring
 
 GROUPS = (("Move", ("x", "y", "z")), ("Turn", ("rx", "ry", "rz")))
 """Buttons, by what they do: an axis a column, a direction a row."""
@@ -22,18 +26,10 @@ PLAIN = {
     "+rz": "turn +", "-rz": "turn −", "idle": "stay",
 }  # fmt: skip
 """Each action in a word; the axes are the probe's, x to the right of its image."""
-ONE = one_at_a_time("probe")
-"""Steps are taken one after the other, in the order in which they came."""
-STYLE = """<style>
-.probe-pad { gap: .4rem; }
-.probe-pad .row, .probe-pad .probe-row { gap: .4rem; }
-.probe-key { min-height: 48px; padding: .2rem .3rem !important; font-size: .88rem !important;
-  font-weight: 500 !important; touch-action: manipulation; min-width: 0 !important; }
-</style>"""
-INTRODUCTION = (
-    '<p class="rc-note">Steer the probe over the simulated block until the view is in sight for '
-    "three steps in a row: by the buttons, or by the keys on them. Directions are the probe's: "
-    "right and left in its image, out of the image and into it, down into the block and up.</p>"
+INTRODUCTION = note(
+    "Steer the probe over the simulated block until the view is in sight for three steps in a row: "
+    "by the buttons, or by the keys on them. Directions are the probe's: right and left in its "
+    "image, out of the image and into it, down into the block and up."
 )
 KEYS_JS = """
 const keys = KEYS;
@@ -65,10 +61,8 @@ if (!window.racinesProbeKeys) {
 
 def build(place: Place) -> None:
     """Build the tab."""
-    from racines_envs.task.tasks import TASKS
-
     tab, lives, session = Context.block, driving.Lives(place), gr.State(None)
-    gr.HTML(STYLE + INTRODUCTION)
+    gr.HTML(INTRODUCTION)
     with gr.Row():
         task = gr.Dropdown(list(TASKS), value="SC", label="Task", min_width=120)
         kind = gr.Dropdown(list(driving.KINDS), value=driving.FIXED, label="Start", min_width=120)
@@ -78,34 +72,28 @@ def build(place: Place) -> None:
         truth = gr.Checkbox(False, label="Show the truth", elem_id="probe-truth", min_width=120)
     with gr.Row():
         with gr.Column(scale=5, min_width=320):
-            image = gr.HTML(css_template=CSS, elem_id="probe-image")
+            image = gr.HTML(elem_id="probe-image")
             buttons = _buttons()
         with gr.Column(scale=4, min_width=320):
-            side = gr.HTML(css_template=CSS, elem_id="probe-side")
+            side = gr.HTML(elem_id="probe-side")
     gr.HTML(js_on_load=KEYS_JS.replace("KEYS", json.dumps(_keys())))
     chosen, shown = [task, kind, number, truth], [session, image, side]
-    busy: dict[str, Any] = ONE | {"show_progress_on": [image]}
-    quiet: dict[str, Any] = ONE | {"show_progress": "hidden"}
-    begin = refusing(partial(_begin, lives))
-    start.click(begin, chosen, shown, api_name="probe_start", **busy)
-    look = refusing(partial(_look, lives))
-    truth.input(look, [session, truth], [image, side], api_name="probe_look", **quiet)
+    # Steps are taken one after the other, in the order in which they came.
+    wire, quiet = wiring("probe", in_turn=True), {"show_progress": "hidden"}
+    wire(start.click, "start", partial(_begin, lives), chosen, shown, show_progress_on=[image])
+    wire(truth.input, "look", partial(_look, lives), [session, truth], shown[1:], **quiet)
     for action, button in buttons.items():
-        press, name = refusing(partial(_step, lives, action)), f"probe_step_{action}"
-        button.click(
-            press, [session, truth], shown, trigger_mode="multiple", api_name=name, **quiet
+        wire(
+            button.click, f"step_{action}", partial(_step, lives, action), [session, truth], shown,
+            trigger_mode="multiple", **quiet,
         )  # fmt: skip
     if isinstance(tab, gr.Tab):
-        meet = refusing(partial(_open, lives))
-        tab.select(meet, [session, *chosen], shown, api_name="probe_open", **busy)
+        meet = partial(_open, lives)
+        wire(tab.select, "open", meet, [session, *chosen], shown, show_progress_on=[image])
 
 
 def _buttons() -> dict[int, gr.Button]:
     """Return a button for each action, by its index."""
-    from racines_envs.driving.keyboard import KEYS
-    from racines_envs.task.actions import ACTIONS, IDLE
-    from racines_envs.task.tasks import TASKS
-
     key_of = {action: key for key, action in KEYS.items()}
     unit = TASKS["SC"]
     steps = f"{1e3 * unit.step_translation:g} mm", f"{math.degrees(unit.step_rotation):.1f}°"
@@ -116,15 +104,14 @@ def _buttons() -> dict[int, gr.Button]:
                 gr.HTML(f'<span class="rc-note">{title}, {step} a step</span>')
                 for sign in "+-":
                     with gr.Row(elem_classes="probe-row"):
-                        for axis in axes:
-                            name = f"{sign}{axis}"
-                            label = f"{PLAIN[name]} ({key_of[name]})"
-                            buttons[ACTIONS.index(name)] = _button(label, name)
-    buttons[IDLE] = _button(f"{PLAIN['idle']} (space)", "idle")
+                        for name in (f"{sign}{axis}" for axis in axes):
+                            buttons[ACTIONS.index(name)] = _button(name, key_of[name])
+    buttons[IDLE] = _button("idle", "space")
     return buttons
 
 
-def _button(label: str, action: str) -> gr.Button:
+def _button(action: str, key: str) -> gr.Button:
+    label = f"{PLAIN[action]} ({key})"
     return gr.Button(label, elem_id=_id(action), elem_classes="probe-key", min_width=80)
 
 
@@ -134,8 +121,6 @@ def _id(action: str) -> str:
 
 def _keys() -> dict[str, str]:
     """Return the button's id by the key that presses it, as browsers name keys."""
-    from racines_envs.driving.keyboard import KEYS
-
     arrows = {"ArrowRight": "d", "ArrowLeft": "a", "ArrowUp": "w", "ArrowDown": "s"}
     pressed = {key: _id(action) for key, action in KEYS.items()}
     return pressed | {arrow: pressed[key] for arrow, key in arrows.items()}

@@ -1,5 +1,6 @@
 """Tab: the expert study, one blinded image at a time, by buttons or keys."""
 
+from functools import partial
 from typing import Any
 
 import gradio as gr
@@ -7,22 +8,11 @@ import gradio as gr
 from racines_data.views import RANDOM
 from racines_leaderboard.expert.session import ABOUT
 from racines_leaderboard.studio import labelling
-from racines_leaderboard.studio.codes import LONGEST as CODE
 from racines_leaderboard.studio.html import missing
-from racines_leaderboard.studio.labelling import (
-    KINDS,
-    NAME,
-    Sitting,
-    code_html,
-    finished_html,
-    image_html,
-    instructions_html,
-    progress_html,
-)
+from racines_leaderboard.studio.labelling import CODE, KINDS, NAME, Sitting
 from racines_leaderboard.studio.place import Place
-from racines_leaderboard.studio.tabs import PRIVATE, refusing
+from racines_leaderboard.studio.tabs import wiring
 
-VIEW_KEYS = "asdfghjkl"
 KEYS = """
 const views = 'asdfghjkl', page = (id) => document.getElementById(id);
 const press = (id, n) => page(id)?.querySelectorAll('label input')[n]?.click();
@@ -50,12 +40,9 @@ def build(place: Place) -> None:
     """Build the tab."""
     kits = labelling.kits(place.kits)
     if not kits:
-        gr.HTML(
-            missing(
-                f"{place.kits}: no kit of images to rate. Draw one:",
-                "racines expert sample --generator nearest-pose --truth --out study/kit",
-            )
-        )
+        what = f"{place.kits}: no kit of images to rate. Draw one:"
+        draw = "racines expert sample --generator nearest-pose --truth --out study/kit"
+        gr.HTML(missing(what, draw))
         return
     sitting = gr.State(None)
     with gr.Column() as door:
@@ -68,18 +55,18 @@ def build(place: Place) -> None:
             with gr.Column(scale=3, min_width=280):
                 image = gr.HTML(elem_id="study-image")
             with gr.Column(scale=2, min_width=280):
-                view, grade, save, undo = _answers()
+                answers = _answers()
         done = gr.HTML(elem_id="study-done")
         leave = gr.Button("Leave", size="sm", elem_id="study-leave")
         gr.HTML(HELP, js_on_load=KEYS)
         code = gr.HTML(elem_id="study-code")
-    shown = [sitting, door, desk, progress, image, done, code, view, grade, save, undo]
-    _wire(place, fields, start, (save, undo, leave), shown)
-    gr.on(
-        None,
-        refusing(lambda kit: instructions_html(labelling.open_kit(place.kits, kit))),
-        fields[0], instructions, api_name="study_instructions", **PRIVATE,
-    )  # fmt: skip
+    shown = [sitting, door, desk, progress, image, done, code, *answers]
+    wire, (view, grade, save, undo) = wiring("study", show_progress="hidden"), answers
+    wire(start.click, "begin", partial(_begin, place), fields, shown)
+    wire(save.click, "save", _answer, [sitting, view, grade], shown)
+    undo.click(None, None, [view, grade], js="() => [null, null]", api_name="study_undo")
+    wire(leave.click, "leave", _shown, None, shown)
+    wire(None, "instructions", partial(_instructions, place), fields[0], instructions)
 
 
 def _door(kits: list[str]) -> list[Any]:
@@ -101,7 +88,8 @@ def _door(kits: list[str]) -> list[Any]:
     return [kit, name, kind, about, code]
 
 
-def _answers() -> tuple[gr.Radio, gr.Radio, gr.Button, gr.Button]:
+def _answers() -> list[Any]:
+    """Return the view, the grade, and the buttons that save them and take them back."""
     view = gr.Radio([], label="View", elem_id="study-view", elem_classes="rc-pills")
     grade = gr.Radio(
         [], label="Grade, 1 poor to 10 excellent; none without a view", elem_id="study-grade",
@@ -110,53 +98,43 @@ def _answers() -> tuple[gr.Radio, gr.Radio, gr.Button, gr.Button]:
     with gr.Row():
         save = gr.Button(
             "Save and next", variant="primary", elem_id="study-save", min_width=140, scale=2
-        )
+        )  # fmt: skip
         undo = gr.Button("Undo", elem_id="study-undo", min_width=80)
-    return view, grade, save, undo
+    return [view, grade, save, undo]
 
 
-def _wire(place: Place, fields: list[Any], start: Any, buttons: Any, shown: list[Any]) -> None:
-    save, undo, leave = buttons
-    sitting, view, grade = shown[0], shown[7], shown[8]
-
-    def begin(*given: Any) -> list[Any]:
-        return _shown(labelling.begin(place.kits, *given))
-
-    def answer(sitting: Any, view: Any, grade: Any) -> list[Any]:
-        if not isinstance(sitting, Sitting):
-            return _shown(None)
-        return _shown(labelling.answer(sitting, view, grade))
-
-    start.click(refusing(begin), fields, shown, api_name="study_begin", **PRIVATE)
-    save.click(refusing(answer), [sitting, view, grade], shown, api_name="study_save", **PRIVATE)
-    undo.click(None, None, [view, grade], js="() => [null, null]", api_name="study_undo")
-    leave.click(lambda: _shown(None), None, shown, api_name="study_leave", **PRIVATE)
+def _instructions(place: Place, kit: Any) -> str:
+    return labelling.instructions_html(labelling.open_kit(place.kits, kit))
 
 
-def _shown(sitting: Sitting | None) -> list[Any]:
+def _begin(place: Place, *given: Any) -> list[Any]:
+    return _shown(labelling.begin(place.kits, *given))
+
+
+def _answer(sitting: Any, view: Any, grade: Any) -> list[Any]:
+    known = isinstance(sitting, Sitting)
+    return _shown(labelling.answer(sitting, view, grade) if known else None)
+
+
+def _shown(sitting: Sitting | None = None) -> list[Any]:
     """Return what the page shows: the door without a sitting, else its image or the end."""
     if sitting is None:
         empty = [gr.Radio(choices=[], value=None)] * 2
         hidden = [gr.Button(visible=True)] * 2
         return [None, gr.Column(visible=True), gr.Column(visible=False), *[""] * 4, *empty, *hidden]
     document = labelling.Kit.open(sitting.kit).document
-    views = [(_label(view), view["name"]) for view in document["views"]]
+    titles = {view["name"]: view["title"] for view in document["views"]}
+    views = [(f"{RANDOM}: {titles[RANDOM]}" if v == RANDOM else v, v) for v in titles]
     grades = list(range(document["grades"]["lowest"], document["grades"]["highest"] + 1))
     going = sitting.image is not None
     return [
         sitting,
         gr.Column(visible=False),
         gr.Column(visible=True),
-        progress_html(sitting),
-        image_html(sitting),
-        "" if going else finished_html(sitting),
-        code_html(sitting) if going else "",
-        gr.Radio(choices=views, value=None, visible=going),
-        gr.Radio(choices=grades, value=None, visible=going),
-        gr.Button(visible=going),
-        gr.Button(visible=going),
+        labelling.progress_html(sitting),
+        labelling.image_html(sitting),
+        "" if going else labelling.finished_html(sitting),
+        labelling.code_html(sitting) if going else "",
+        *(gr.Radio(choices=each, value=None, visible=going) for each in (views, grades)),
+        *[gr.Button(visible=going)] * 2,
     ]
-
-
-def _label(view: dict[str, str]) -> str:
-    return view["name"] if view["name"] != RANDOM else f"{RANDOM}: {view['title']}"
