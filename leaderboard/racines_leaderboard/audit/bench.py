@@ -12,6 +12,7 @@ from racines_leaderboard.submissions.confined.session import Limits
 
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
+    from racines_envs.evaluation.run import EvaluationConfig
     from racines_models.sample import Sample
     from racines_models.scores.judge import ScoresConfig
 
@@ -47,6 +48,8 @@ class Bench:
 
     def __init__(self, board: str, places: Places) -> None:
         self.board, self.places = board, places
+        self.no_settings = f"no settings of board {board} here: give --params"
+        self.no_data = f"no dataset of its recipe in {places.data}"
 
     @functools.cached_property
     def settings(self) -> dict[str, Any] | None:
@@ -64,6 +67,13 @@ class Bench:
         from racines_models.scores.judge import ScoresConfig
 
         return fill(ScoresConfig, section(self.settings or {}, "scores"), "scores")
+
+    @functools.cached_property
+    def evaluation(self) -> "EvaluationConfig":
+        """How the board evaluates agents, likewise."""
+        from racines_envs.evaluation.run import EvaluationConfig
+
+        return fill(EvaluationConfig, section(self.settings or {}, "evaluation"), "evaluation")
 
     @functools.cached_property
     def recipe(self) -> str | None:
@@ -106,10 +116,8 @@ class Bench:
 
     def judge(self, kind: str, sha256: str | None) -> Path | None:
         """Return the folder of the judge whose weights have a hash, if it is here."""
-        for folder in self.judge_folders(kind):
-            if sha256 == sha256_file(folder / JUDGES[kind]):
-                return folder
-        return None
+        folders = self.judge_folders(kind)
+        return next((f for f in folders if sha256 == sha256_file(f / JUDGES[kind])), None)
 
     def judge_folders(self, kind: str) -> list[Path]:
         """Return where judges of a kind lie: the one given, or else those of the usual places."""

@@ -1,13 +1,13 @@
 """Claims that hold or not by the repository alone: seal, submission, code, the run's own scores."""
 
-import hashlib
 import json
 import subprocess
+from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from racines_data.digest import canonical_json
+from racines_data.digest import recipe_digest as digest_of
 from racines_data.errors import RacinesError
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, unknown
@@ -19,74 +19,75 @@ MACHINE = ("torch", "cpu", "threads", "device")
 """What floating point depends on, of an environment."""
 
 
-def seal(record: Record) -> list[Verdict]:
-    """Check that a record says what it said when it was written."""
+def check_claims(record: Record, bench: Bench) -> Iterator[Verdict]:
+    """Check the seal, the submission, the version and commit of the code, and the machine.
+
+    The scores file that a run left is a second copy of its numbers: whoever edits a record has to
+    edit it as well.
+    """
+    code = record["scores"]["code"]
+    yield _seal(record)
+    yield _submission(record, bench)
+    yield equal("code.version", code["version"], version("racines"), "the package here")
+    if commit := code.get("commit"):
+        yield _commit(commit)
+    yield _environment(record)
+    folder = bench.places.runs if record["track"] == "generators" else bench.places.agents
+    path = folder / "scores" / f"{record['name']}.json"
+    if record["tier"] == "self-reported" and path.is_file():
+        yield from _scores_file(record, path, bench)
+
+
+def _seal(record: Record) -> Verdict:
     if KEY not in record:
-        reason = "the record has no seal: racines audit --seal gives one"
-        return [unknown("seal", reason)]
+        return unknown("seal", "the record has no seal: racines audit --seal gives one")
     reason = "the sha256 of the record as it was written; another one means that it was edited"
-    return [equal("seal", record[KEY], seal_of(record), reason)]
+    return equal("seal", record[KEY], seal_of(record), reason)
 
 
-def submission(record: Record, bench: Bench) -> list[Verdict]:
-    """Check the submission in a record against the YAML and the artefacts that lie here."""
-    held, scores = record["submission"], record["scores"]
-    name = held["name"] if held else scores.get("submission", record["name"])
+def _submission(record: Record, bench: Bench) -> Verdict:
+    """Hold the submission in a record against the YAML and the artefacts that lie here."""
+    held = record["submission"]
+    name = held["name"] if held else record["scores"].get("submission", record["name"])
     try:
         here = find_submission(bench.places.submissions, record["track"], name)
     except RacinesError as error:
-        return [fails("submission", str(error))]
+        return fails("submission", str(error))
+    if held is None and here is None:
+        return unknown("submission", f"nobody submitted {name}: it has scores alone")
     if held is None or here is None:
-        if held is here:
-            return [unknown("submission", f"nobody submitted {name}: it has scores alone")]
         where = "the record holds none" if held is None else f"none in {bench.places.submissions}"
-        return [fails("submission", f"of {name}: {where}: collect its scores again")]
+        return fails("submission", f"of {name}: {where}: collect its scores again")
+    reason = "digest of the submission.yaml held in the record, and of the one here"
     if held.get("schema") != here["schema"]:
         # Earlier records hold fewer fields; those that both have must agree.
         shared = sorted(set(held) & set(here))
         held, here = ({key: document[key] for key in shared} for document in (held, here))
         reason = f"an earlier format; the fields of both agree by digest: {', '.join(shared)}"
-    else:
-        reason = "digest of the submission.yaml held in the record, and of the one here"
-    return [equal("submission", _digest(held), _digest(here), reason)]
-
-
-def _digest(document: dict[str, Any]) -> str:
-    return hashlib.sha256(canonical_json(document).encode()).hexdigest()
-
-
-def code(record: Record) -> list[Verdict]:
-    """Check the version of the code, and whether its commit is part of this checkout's past."""
-    claimed = record["scores"]["code"]
-    verdicts = [equal("code.version", claimed["version"], version("racines"), "the package here")]
-    if commit := claimed.get("commit"):
-        verdicts.append(_commit(commit))
-    return verdicts
+    return equal("submission", digest_of(held), digest_of(here), reason)
 
 
 def _commit(commit: str) -> Verdict:
-    subject, folder = "code.commit", Path(__file__).parent
+    """Say whether a commit is part of this checkout's past."""
     words = ["git", "merge-base", "--is-ancestor", commit, "HEAD"]
     try:
-        done = subprocess.run(words, cwd=folder, capture_output=True, timeout=10)
+        done = subprocess.run(words, cwd=Path(__file__).parent, capture_output=True, timeout=10)
     except (OSError, subprocess.SubprocessError):
-        return unknown(subject, "no git here", commit)
+        return unknown("code.commit", "no git here", commit)
     if done.returncode == 0:
-        return holds(subject, "this checkout's own, or one before it", commit)
-    if done.returncode == 1:
-        return unknown(subject, "a commit of another branch", commit)
-    return unknown(subject, "no such commit in this checkout", commit)
+        return holds("code.commit", "this checkout's own, or one before it", commit)
+    other = done.returncode == 1
+    reason = "a commit of another branch" if other else "no such commit in this checkout"
+    return unknown("code.commit", reason, commit)
 
 
-def environment(record: Record) -> list[Verdict]:
-    """Say whether the scores were made on a machine like this one."""
+def _environment(record: Record) -> Verdict:
     from racines_models import provenance
 
-    claimed = record["scores"]["environment"]
-    if others := differing(claimed, provenance.environment()):
+    if others := differing(record["scores"]["environment"], provenance.environment()):
         reason = f"made elsewhere ({', '.join(others)} differ): numbers are held within tolerance"
-        return [unknown("environment", reason)]
-    return [holds("environment", f"as here: {', '.join(MACHINE)}")]
+        return unknown("environment", reason)
+    return holds("environment", f"as here: {', '.join(MACHINE)}")
 
 
 def differing(claimed: dict[str, Any], here: dict[str, Any]) -> list[str]:
@@ -96,21 +97,13 @@ def differing(claimed: dict[str, Any], here: dict[str, Any]) -> list[str]:
     return versions_differ + [key for key in MACHINE if claimed.get(key) != here.get(key)]
 
 
-def scores_file(record: Record, bench: Bench) -> list[Verdict]:
-    """Check a record that was collected against the scores file that its run left, if it is here.
-
-    The file is a second copy of the numbers: whoever edits a record has to edit it as well.
-    """
-    folder = bench.places.runs if record["track"] == "generators" else bench.places.agents
-    path = folder / "scores" / f"{record['name']}.json"
-    if record["tier"] != "self-reported" or not path.is_file():
-        return []
+def _scores_file(record: Record, path: Path, bench: Bench) -> Iterator[Verdict]:
     try:
         here = json.loads(path.read_text())
         board = here.get("board") or (here.get("dataset") or {}).get("board")
     except (ValueError, AttributeError) as error:
-        return [fails("scores", f"{path}: not readable as JSON: {error}")]
-    if board not in (None, bench.board):
-        return []
-    reason = f"digest of the scores in the record, and of {path}"
-    return [equal("scores", _digest(record["scores"]), _digest(here), reason)]
+        yield fails("scores", f"{path}: not readable as JSON: {error}")
+        return
+    if board in (None, bench.board):
+        reason = f"digest of the scores in the record, and of {path}"
+        yield equal("scores", digest_of(record["scores"]), digest_of(here), reason)

@@ -9,14 +9,13 @@ half        from half-precision weights: the same, or a quarter of the interval'
 """
 
 import dataclasses
-import json
 from collections.abc import Iterator
 from typing import Any
 
 from racines_leaderboard.audit.claims import differing
 from racines_leaderboard.audit.metrics import TIMED
 from racines_leaderboard.audit.roads import HALF
-from racines_leaderboard.audit.verdicts import Verdict, fails, holds, unknown
+from racines_leaderboard.audit.verdicts import Verdict, fails, holds, tell, unknown
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.tracks import TRACK
 
@@ -39,39 +38,35 @@ def agreement(record: Record, made: dict[str, Any], road: str) -> str:
     """
     if road == HALF:
         return HALF
-    same = not differing(record["scores"]["environment"], made["environment"])
+    scores = record["scores"]
+    same = not differing(scores["environment"], made["environment"])
     if record["track"] == "generators":
-        same &= record["scores"]["dataset"]["digest"] == made["dataset"]["digest"]
-    pairs = [
-        (metrics[key]["value"], made["metrics"][key]["value"])
-        for metrics in (record["scores"]["metrics"],)
-        for key in CONTINUOUS
-        if key in metrics and key in made["metrics"]
-    ]
-    equal = sum(a == b for a, b in pairs)
-    return BITWISE if same and 2 * equal >= len(pairs) else TOLERANCE
+        same &= scores["dataset"]["digest"] == made["dataset"]["digest"]
+    both = [key for key in CONTINUOUS if key in scores["metrics"] and key in made["metrics"]]
+    equal = sum(scores["metrics"][key]["value"] == made["metrics"][key]["value"] for key in both)
+    return BITWISE if same and 2 * equal >= len(both) else TOLERANCE
 
 
-def compare_numbers(record: Record, made: dict[str, Any], tier: str) -> list[Verdict]:
-    """Return one verdict for each number of a record."""
-    made = json.loads(json.dumps(made))
-    verdicts = []
+def compare_numbers(record: Record, made: dict[str, Any], tier: str) -> Iterator[Verdict]:
+    """Give one verdict for each number of a record; `made` is what was recomputed, as JSON has it.
+
+    The settings of each extractor that took part are compared as well.
+    """
+    extractors = record["scores"].get("extractors", {})
     for subject, key, claimed, here in _pairs(record["scores"], made):
         if TIMED.fullmatch(key):
-            verdicts.append(unknown(subject, "a time: it depends on the machine", claimed["value"]))
+            yield unknown(subject, "a time: it depends on the machine", claimed["value"])
         elif here is None:
             reason = "its judge is not here, or its road does not draw again"
-            if key == "success_grader" and not record["scores"].get("extractors"):
+            if key == "success_grader" and not extractors:
                 reason = "the record does not say which grader saw it"
-            verdicts.append(unknown(subject, reason, claimed["value"]))
+            yield unknown(subject, reason, claimed["value"])
         else:
-            verdicts.extend(_numbers(subject, key, claimed, here, tier, record["track"]))
-    for kind, claimed in record["scores"].get("extractors", {}).items():
+            yield from _numbers(subject, key, claimed, here, tier, record["track"])
+    for kind, claimed in extractors.items():
         if kind in made.get("extractors", {}):
-            here = made["extractors"][kind]
-            say = holds if claimed == here else fails
-            verdicts.append(say(f"extractors.{kind}.settings", "those that it was scored with"))
-    return verdicts
+            same = claimed == made["extractors"][kind]
+            yield tell(same, f"extractors.{kind}.settings", "those that it was scored with")
 
 
 def _pairs(
@@ -88,37 +83,29 @@ def _pairs(
 def _numbers(
     subject: str, key: str, claimed: dict[str, Any], here: dict[str, Any], tier: str, track: str
 ) -> Iterator[Verdict]:
-    allowed = _tolerance(key, claimed, tier, track)
-    doubtful = _doubtful(key, claimed, track) if tier == HALF else 0.0
+    allowed, doubtful = _bounds(key, claimed, tier, track)
     for number in NUMBERS:
         stated, value = claimed[number], here[number]
-        reason = "equal to the last bit"
-        passes = stated == value
         bound = 0.0 if number == "n" or tier == BITWISE else allowed
-        if not passes and None not in (stated, value):
-            passes = abs(stated - value) <= bound
-            reason = f"differs by {abs(stated - value):.2g}"
-        elif not passes:
-            reason = "one of the two is missing"
-        say = holds if passes else fails
-        near = None not in (stated, value) and abs(stated - value) <= doubtful
-        if not passes and near and number != "n":
-            say, reason = unknown, f"{reason}: the full weights would tell"
+        say, reason = fails, "one of the two is missing"
+        if stated == value:
+            say, reason = holds, "equal to the last bit"
+        elif None not in (stated, value):
+            off = abs(stated - value)
+            say, reason = holds if off <= bound else fails, f"differs by {off:.2g}"
+            if say is fails and off <= doubtful and number != "n":
+                say, reason = unknown, f"{reason}: the full weights would tell"
         verdict = say(f"{subject}.{number}", f"recomputed: {reason}", stated, value)
         yield dataclasses.replace(verdict, tolerance=bound)
 
 
-def _doubtful(key: str, claimed: dict[str, Any], track: str) -> float:
-    """Return what half-precision weights may move a metric by without a word against it."""
-    if key in TRACK[track].ranked_by or None in (claimed["low"], claimed["high"]):
-        return 0.0
-    return (claimed["high"] - claimed["low"]) / 2
-
-
-def _tolerance(key: str, claimed: dict[str, Any], tier: str, track: str) -> float:
-    bound = PRIMARY
-    if key not in TRACK[track].ranked_by:
-        bound = max(1.0, abs(claimed["value"] or 0.0)) * max(OTHERS, ITEMS / max(claimed["n"], 1))
+def _bounds(key: str, claimed: dict[str, Any], tier: str, track: str) -> tuple[float, float]:
+    """Return the difference that passes, and the larger one that half precision leaves open."""
+    ranks, doubtful = key in TRACK[track].ranked_by, 0.0
+    size = max(1.0, abs(claimed["value"] or 0.0))
+    bound = PRIMARY if ranks else size * max(OTHERS, ITEMS / max(claimed["n"], 1))
     if tier == HALF and None not in (claimed["low"], claimed["high"]):
-        return max(bound, SHARE * (claimed["high"] - claimed["low"]) / 2)
-    return bound
+        width = claimed["high"] - claimed["low"]
+        bound = max(bound, SHARE * width / 2)
+        doubtful = 0.0 if ranks else width / 2
+    return bound, doubtful

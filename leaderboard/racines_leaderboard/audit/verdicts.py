@@ -1,8 +1,10 @@
-"""What an audit finds: one verdict a claim, and the report of a record."""
+"""What an audit finds: one verdict a claim, and the report of a record with its tables."""
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from typing import Any
+
+from racines_data.tables import console_table, escape, markdown_table
 
 HOLDS = "holds"
 FAILS = "does not hold"
@@ -11,6 +13,10 @@ SKIPPED = "not checked"
 """Left out by `--quick`."""
 VERDICTS = (FAILS, UNKNOWN, SKIPPED, HOLDS)
 """The gravest first."""
+HEAD = ("Claim", "Verdict", "Why", "In the record", "Here")
+MARKS = {FAILS: "bold red", UNKNOWN: "yellow", SKIPPED: "dim"}
+SHOWN = 16
+"""Characters of a digest."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +31,33 @@ class Verdict:
     found: Any = None
     tolerance: float | None = None
     """The largest difference that passes; None where values are equal or are not."""
+
+
+def holds(subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
+    """Say that a claim holds."""
+    return Verdict(subject, HOLDS, reason, claimed, found)
+
+
+def fails(subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
+    """Say that a claim does not hold."""
+    return Verdict(subject, FAILS, reason, claimed, found)
+
+
+def unknown(subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
+    """Say that a claim cannot be checked."""
+    return Verdict(subject, UNKNOWN, reason, claimed, found)
+
+
+def tell(
+    passes: bool, subject: str, reason: str, claimed: Any = None, found: Any = None
+) -> Verdict:
+    """Say whether a claim holds."""
+    return Verdict(subject, HOLDS if passes else FAILS, reason, claimed, found)
+
+
+def equal(subject: str, claimed: Any, found: Any, reason: str) -> Verdict:
+    """Hold a claim against what was found; `reason` says where."""
+    return tell(claimed == found, subject, reason, claimed, found)
 
 
 @dataclass(frozen=True)
@@ -54,29 +87,85 @@ class Report:
         counts = {verdict: self.count(verdict) for verdict in VERDICTS}
         return asdict(self) | {"holds": self.holds, "counts": counts}
 
+    def summary(self) -> str:
+        """Return one line: the record, what it comes to, and how its numbers were recomputed."""
+        counts = [f"{self.count(v)} {v}" for v in (FAILS, UNKNOWN, SKIPPED) if self.count(v)]
+        claims = ", ".join([f"{len(self.verdicts)} claims", *counts])
+        verdict, how = "holds" if self.holds else "DOES NOT HOLD", self.made_again
+        again = f"; recomputed from {how['from']}, {how['agreement']}" if "agreement" in how else ""
+        return f"{self.board}/{self.track}/{self.name}: {verdict} ({claims}{again})"
 
-def holds(subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
-    """Say that a claim holds."""
-    return Verdict(subject, HOLDS, reason, claimed, found)
+    def rows(self) -> Iterator[tuple[str, str, str, str, str]]:
+        """Give a row a metric that holds, a claim that fails, a reason that leaves some open."""
+        groups: dict[str, list[Verdict]] = {}
+        for verdict in self.verdicts:
+            groups.setdefault(_group(verdict.subject), []).append(verdict)
+        alike: dict[tuple[str, str], list[str]] = {}
+        for name, verdicts in groups.items():
+            worst = min((each.verdict for each in verdicts), key=VERDICTS.index)
+            those = [each for each in verdicts if each.verdict == worst]
+            if worst == FAILS:
+                for each in those:
+                    yield each.subject, worst, each.reason, _short(each.claimed), _short(each.found)
+            elif worst == HOLDS:
+                yield name, worst, _reasons(verdicts), *_values(verdicts)
+            else:
+                alike.setdefault((worst, those[0].reason), []).append(name)
+        for (worst, reason), names in alike.items():
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            yield ", ".join(names[:3]) + more, worst, reason, "", ""
 
 
-def fails(subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
-    """Say that a claim does not hold."""
-    return Verdict(subject, FAILS, reason, claimed, found)
+def _group(subject: str) -> str:
+    """Return the metric that a verdict is on; all of single seeds are one."""
+    parts = subject.split(".")
+    return {"metrics": ".".join(parts[:2]), "by_seed": "by_seed"}.get(parts[0], subject)
 
 
-def unknown(subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
-    """Say that a claim cannot be checked."""
-    return Verdict(subject, UNKNOWN, reason, claimed, found)
+def _reasons(verdicts: list[Verdict]) -> str:
+    """Return what is told of a metric that holds: how far off it was, where it was."""
+    reasons = [verdict.reason for verdict in verdicts]
+    recomputed = [reason for reason in reasons if reason.startswith("recomputed")]
+    differing = [reason for reason in recomputed if "equal" not in reason]
+    counted = f" ({len(reasons)} checks)" if len(reasons) > 1 else ""
+    return (differing or recomputed or reasons)[0] + counted
 
 
-def equal(subject: str, claimed: Any, found: Any, reason: str) -> Verdict:
-    """Hold a claim against what was found; `reason` says where."""
-    say = holds if claimed == found else fails
-    return say(subject, reason, claimed, found)
+def _values(verdicts: list[Verdict]) -> tuple[str, str]:
+    values = [each for each in verdicts if each.subject.endswith(".value")]
+    if not values and len(verdicts) > 1:
+        return "", ""
+    each = (values or verdicts)[0]
+    return _short(each.claimed), _short(each.found)
 
 
-def gravest(verdicts: Iterable[Verdict]) -> str:
-    """Return the gravest of some verdicts."""
-    present = {verdict.verdict for verdict in verdicts}
-    return next(verdict for verdict in VERDICTS if verdict in present)
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.8g}"
+    text = "" if value is None else str(value)
+    return text if len(text) <= 2 * SHOWN else f"{text[:SHOWN]}…"
+
+
+def show(report: Report, details: bool) -> None:
+    """Print a report: all rows with `details`, else those that do not plainly hold."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console()
+    shown = [
+        [Text(cell, MARKS.get(row[1], "")) for cell in row]
+        for row in report.rows()
+        if details or row[1] in MARKS
+    ]
+    console.print(report.summary(), style=None if report.holds else "bold red", markup=False)
+    if shown:
+        console.print(console_table(HEAD, shown, right=None))
+
+
+def audit_markdown(reports: list[Report]) -> str:
+    """Return reports as a Markdown page."""
+    parts = ["# Audit", "", "Research software, not a medical device.", ""]
+    for each in reports:
+        parts += [f"## {each.board}/{each.track}/{each.name}", "", escape(each.summary())]
+        parts += ["", markdown_table(HEAD, each.rows()), ""]
+    return "\n".join(parts)

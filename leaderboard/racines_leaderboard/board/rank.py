@@ -19,6 +19,13 @@ EXPERT = "expert_"
 """Begins the keys of metrics that an expert study gave."""
 
 
+SHOWN = {
+    "image": " from the image",
+    "params": " from the pose",
+    "multimodal": " from image and pose",
+}
+
+
 @dataclass(frozen=True)
 class Ranked:
     """A result with its place; tied systems share a place, as in 1, 2, 2, 4. A bound has none."""
@@ -42,6 +49,40 @@ def metric_of(record: Record, key: str) -> dict[str, Any] | None:
     return metric if metric is not None and metric["value"] is not None else None
 
 
+def by_task(records: list[Record]) -> dict[str, list[Record]]:
+    """Group the results that compare: generators all together, agents by task.
+
+    A task is a view, what is shown of it, and what draws the images. Bounds stand in every group of
+    their view and backend; in one of their own where there is no other.
+    """
+    groups: dict[tuple[str, str, str], list[Record]] = {}
+    bounds: dict[tuple[str, str], list[Record]] = {}
+    for record in records:
+        task = record["scores"].get("task") or dict.fromkeys(("view", "backend", "observation"), "")
+        place = task["view"], task["backend"]
+        if is_bound(record):
+            bounds.setdefault(place, []).append(record)
+        else:
+            groups.setdefault((*place, task["observation"]), []).append(record)
+    for place, floor_and_ceiling in bounds.items():
+        held = [group for key, group in groups.items() if key[:2] == place]
+        for group in held or [groups.setdefault((*place, ""), [])]:
+            group.extend(floor_and_ceiling)
+    return {
+        f"{view}{SHOWN.get(shown, '')}, {backend} backend" if view else "": group
+        for (view, backend, shown), group in sorted(groups.items())
+    }
+
+
+def rankings(track: Track, records: list[Record]) -> list[Ranked]:
+    """Return the ranked results of all tasks, one after another; a bound in the first alone."""
+    first: dict[str, Ranked] = {}
+    for group in by_task(records).values():
+        for ranked in rank(track, group):
+            first.setdefault(ranked.record["name"], ranked)
+    return list(first.values())
+
+
 def rank(track: Track, records: list[Record]) -> list[Ranked]:
     """Order the results of a track by its rule, best first; tied ones by metric, then by name.
 
@@ -57,13 +98,11 @@ def rank(track: Track, records: list[Record]) -> list[Ranked]:
         range(len(rivals)), key=lambda i: (keys[i], by_metrics[id(rivals[i])], rivals[i]["name"])
     )
     ranking = [Ranked(1 + sum(key < keys[i] for key in keys), rivals[i]) for i in order]
-    for bound in sorted((r for r in records if is_bound(r)), key=lambda r: r["name"], reverse=True):
-        worse = [
-            i
-            for i, each in enumerate(ranking)
-            if by_metrics[id(each.record)] > by_metrics[id(bound)]
-        ]
-        ranking.insert(worse[0] if worse else len(ranking), Ranked(None, bound))
+    bounds = (record for record in records if is_bound(record))
+    for bound in sorted(bounds, key=lambda record: record["name"], reverse=True):
+        own = by_metrics[id(bound)]
+        worse = (i for i, each in enumerate(ranking) if by_metrics[id(each.record)] > own)
+        ranking.insert(next(worse, len(ranking)), Ranked(None, bound))
     return ranking
 
 
@@ -78,10 +117,9 @@ def _badness(record: Record, column: Column) -> tuple[float, float, float]:
     metric = metric_of(record, column.key)
     if metric is None:
         return float("inf"), float("inf"), float("inf")
-    ends = [metric["value"] if metric[key] is None else metric[key] for key in ("low", "high")]
-    if column.better == "higher":
-        return -metric["value"], -ends[1], -ends[0]
-    return metric["value"], ends[0], ends[1]
+    value = metric["value"]
+    low, high = (value if metric[key] is None else metric[key] for key in ("low", "high"))
+    return (-value, -high, -low) if column.better == "higher" else (value, low, high)
 
 
 def _group_ranks(column: Column, records: list[Record]) -> list[float]:

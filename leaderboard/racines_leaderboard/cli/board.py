@@ -42,9 +42,11 @@ def leaderboard(
 
     With --params, `board` of that file names the board.
     """
+    from racines_data.config import read_params
     from racines_data.errors import RacinesError
     from racines_data.files import write_atomic
     from racines_leaderboard.board import collect as results_of
+    from racines_leaderboard.board import recompute as scoring
     from racines_leaderboard.board.pages import with_tables, write_page
 
     if params is not None:
@@ -57,7 +59,14 @@ def leaderboard(
             typer.echo(f"racines: left out {path}: made for another board than {board}", err=True)
         results_of.collect(collect, results, submissions, board, others)
     if recompute:
-        board = _recompute(recompute, params, board, data, no_grader, results, submissions)
+        settings = params or Path("params.yaml")
+        board = _board_of(settings, board)
+        grader = None if no_grader else opt.GRADER
+        pose = opt.POSE if opt.POSE.is_dir() else None
+        ground = scoring.Ground(board, read_params(settings), data, grader, pose, CACHE)
+        for folder in [scoring.find(submissions, name) for name in recompute]:
+            record = scoring.recompute(folder, ground, results)
+            typer.echo(f"racines: scored again: {record['track']}/{record['name']}", err=True)
     names = [board] if board else results_of.boards(results)
     if not set(names) <= set(results_of.boards(results)) or not names:
         raise RacinesError(f"{results}: no results of {board or 'any board'}")
@@ -68,36 +77,6 @@ def leaderboard(
             raise RacinesError(f"{readme}: no such file")
         write_atomic(readme, with_tables(readme.read_text(), results, str(readme)))
     _show({name: results_of.read_board(results, name) for name in names}, as_json, details)
-
-
-def _recompute(
-    names: list[str],
-    params: Path | None,
-    board: str | None,
-    data: opt.Data,
-    no_grader: opt.NoGrader,
-    results: opt.Results,
-    submissions: opt.Submissions,
-) -> str:
-    """Score submissions again with the settings of a params file; return its board."""
-    from racines_data.config import read_params
-    from racines_leaderboard.board.recompute import Ground, find, recompute
-
-    params = params or Path("params.yaml")
-    board = _board_of(params, board)
-    folders = [find(submissions, name) for name in names]
-    ground = Ground(
-        board,
-        read_params(params),
-        data,
-        grader=None if no_grader else opt.GRADER,
-        pose=opt.POSE if opt.POSE.is_dir() else None,
-        cache=CACHE,
-    )
-    for folder in folders:
-        record = recompute(folder, ground, results)
-        typer.echo(f"racines: scored again: {record['track']}/{record['name']}", err=True)
-    return board
 
 
 def _board_of(params: Path, board: str | None) -> str:

@@ -40,60 +40,43 @@ class Answers:
 def agreement(
     given: Answers, reference: Answers, clusters: np.ndarray, labels: int, resamples: int = 1000
 ) -> dict[str, Any]:
-    """Compare R raters' answers with a reference.
+    """Compare R raters' (R, n) answers with a reference's (n,), images in (n,) trajectories.
 
-    Args:
-        given: (R, n) answers.
-        reference: (n,) answers.
-        clusters: (n,) trajectory of each image, an integer.
-        labels: Number of view labels; the last says that there is no view.
-        resamples: Bootstrap resamples.
+    Of the view labels, the last says that there is no view.
 
     Returns:
         `metrics`, each with value, low, high and n, which counts images; and `confusion`, the
         counts of `views` and of rounded `grades` summed over raters, rows the reference.
     """
     _, cluster = np.unique(clusters, return_inverse=True)
-    settings = {"raters": len(given.views)}
+    whole, whole_reference = _whole(given.grades), _whole(reference.grades)
     views = confusion(reference.views, given.views, cluster, labels)
-    grades = confusion(_whole(reference.grades), _whole(given.grades), cluster, GRADES)
+    grades = confusion(whole_reference, whole, cluster, GRADES)
     difference = given.grades - reference.grades
+    graded = np.isfinite(difference)
+    named = (given.views >= 0) & (reference.views >= 0)
     both = (given.views < labels - 1) & (reference.views < labels - 1)
-    difference_of_views = np.where(both, difference, np.nan)
-    known = (given.views >= 0) & (reference.views >= 0)
-    equal = _whole(given.grades) == _whole(reference.grades)
+    of_views = np.where(both, difference, np.nan)
+
+    def rate(agrees: np.ndarray, known: np.ndarray, rule: str) -> dict[str, Any]:
+        return _rate(np.where(known, agrees, np.nan), cluster, rule, resamples)
+
+    def average(values: np.ndarray, rule: str) -> dict[str, Any]:
+        return _average(values, cluster, f"{rule}, where both see a view", resamples)
+
+    weighted = "Cohen's kappa of the grades, quadratic weights"
+    close = f"grades differ by at most {CLOSE:g}"
     metrics = {
-        "view_agreement": _rate(
-            np.where(known, given.views == reference.views, np.nan),
-            cluster,
-            "the same view",
-            resamples,
-        ),
+        "view_agreement": rate(given.views == reference.views, named, "the same view"),
         "view_kappa": kappa_metric(views, nominal(labels), "Cohen's kappa of the views", resamples),
-        "grade_agreement": _rate(
-            _where_known(np.abs(difference) <= CLOSE, difference),
-            cluster,
-            f"grades differ by at most {CLOSE:g}",
-            resamples,
-        ),
-        "grade_exact": _rate(
-            _where_known(equal, difference), cluster, "grades are equal after rounding", resamples
-        ),
-        "grade_kappa": kappa_metric(
-            grades, quadratic(GRADES), "Cohen's kappa of the grades, quadratic weights", resamples
-        ),
-        "grade_difference": _average(
-            difference_of_views, cluster, "rater minus reference, where both see a view", resamples
-        ),
-        "grade_error": _average(
-            np.abs(difference_of_views),
-            cluster,
-            "absolute difference, where both see a view",
-            resamples,
-        ),
+        "grade_agreement": rate(np.abs(difference) <= CLOSE, graded, close),
+        "grade_exact": rate(whole == whole_reference, graded, "grades are equal after rounding"),
+        "grade_kappa": kappa_metric(grades, quadratic(GRADES), weighted, resamples),
+        "grade_difference": average(of_views, "rater minus reference"),
+        "grade_error": average(np.abs(of_views), "absolute difference"),
     }
     for metric in metrics.values():
-        metric["settings"] |= settings
+        metric["settings"] |= {"raters": len(given.views)}
     counts = {"views": views.sum((0, 1)).tolist(), "grades": grades.sum((0, 1)).tolist()}
     return {"metrics": metrics, "confusion": counts}
 
@@ -108,36 +91,30 @@ def _whole(grades: np.ndarray) -> np.ndarray:
     return whole.clip(-1, GRADES - 1).astype(np.int64)
 
 
-def _where_known(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    return np.where(np.isfinite(known), values, np.nan)
+def _by_image(values: np.ndarray, cluster: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean over raters of the images that any of them answered, and their clusters.
 
-
-def _by_image(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean over raters of the images that any of them answered, and which they are."""
+    Several raters' answers to one image are not independent; so n counts images.
+    """
     answered = np.isfinite(values).any(0)
-    return np.asarray(np.nanmean(values[:, answered], 0)), np.asarray(answered)
+    return np.asarray(np.nanmean(values[:, answered], 0)), cluster[answered]
 
 
 def _rate(values: np.ndarray, cluster: np.ndarray, rule: str, resamples: int) -> dict[str, Any]:
-    """Return a rate with Wilson's interval; in the settings that of a bootstrap by trajectory.
-
-    Several raters' answers to one image are averaged first, and n counts images: their answers are
-    not independent.
-    """
-    rates, answered = _by_image(values)
+    """Return a rate with Wilson's interval; in the settings that of a bootstrap by trajectory."""
+    rates, cluster = _by_image(values, cluster)
     metric = wilson(rates)
     metric.setdefault("settings", {})["rule"] = rule
     if len(rates):
-        estimate = bootstrap_mean(rates, cluster[answered], resamples=resamples)
+        estimate = bootstrap_mean(rates, cluster, resamples=resamples)
         metric["settings"]["by_trajectory"] = [estimate.low, estimate.high]
         metric["settings"]["trajectories"] = estimate.clusters
     return metric
 
 
 def _average(values: np.ndarray, cluster: np.ndarray, rule: str, resamples: int) -> dict[str, Any]:
-    means, answered = _by_image(values)
+    means, cluster = _by_image(values, cluster)
     if not len(means):
         none = {"value": None, "low": None, "high": None, "n": 0, "unit": UNIT}
         return none | {"settings": {"rule": rule}}
-    estimate = bootstrap_mean(means, cluster[answered], resamples=resamples)
-    return estimate.to_json(UNIT, rule=rule)
+    return bootstrap_mean(means, cluster, resamples=resamples).to_json(UNIT, rule=rule)

@@ -14,6 +14,8 @@ from racines_models.statistics import LEVEL, jackknife
 
 MANY = 20
 """Fewest trajectories that are resampled; of fewer each is left out in turn."""
+Statistic = Callable[[np.ndarray], np.ndarray]
+"""Takes (B, C) int64 weights of C trajectories and returns (B,) values."""
 
 
 def kappa(counts: np.ndarray, cost: np.ndarray) -> np.ndarray:
@@ -41,13 +43,9 @@ def quadratic(size: int) -> np.ndarray:
 def confusion(
     reference: np.ndarray, given: np.ndarray, groups: np.ndarray, size: int
 ) -> np.ndarray:
-    """Count answers in each group.
+    """Count R raters' (R, n) answers against a reference's (n,) in (n,) groups from 0.
 
-    Args:
-        reference: (n,) int64 answers 0 to size - 1, -1 where there is none.
-        given: (R, n) int64 answers of R raters, likewise.
-        groups: (n,) int64 groups from 0.
-        size: Number of answers to choose from.
+    Answers are int64, 0 to size - 1, or -1 where there is none.
 
     Returns:
         (R, G, size, size) int64 counts, rows the reference.
@@ -74,17 +72,13 @@ def kappa_metric(
     """
     n = int(counts.sum((1, 2, 3)).max(initial=0))
     seen = counts[:, counts.sum((0, 2, 3)) > 0]
-    clusters = seen.shape[1]
-    settings = {"rule": rule, "trajectories": clusters}
-    value = _mean(kappa(seen.sum(1), cost))
 
     def statistic(weights: np.ndarray) -> np.ndarray:
         return kappa(np.einsum("bc,rckl->brkl", weights, seen, optimize=True), cost).mean(1)
 
-    counted = clusters if value is not None else 0
-    low, high, method = _interval(statistic, counted, resamples, seed)
-    settings |= {"interval": method}
-    return {"value": value, "low": low, "high": high, "n": n, "settings": settings}
+    value, settings = float(kappa(seen.sum(1), cost).mean()), {"rule": rule}
+    settings |= {"trajectories": seen.shape[1]}
+    return _metric(value, n, settings, statistic, seen.shape[1], resamples, seed)
 
 
 def fleiss_metric(
@@ -102,20 +96,31 @@ def fleiss_metric(
         rows = [torch.from_numpy(np.repeat(np.arange(len(votes)), w[cluster])) for w in weights]
         return np.array([float(fleiss_kappa(votes[row], mode="counts")) for row in rows])
 
-    value = _mean(statistic(np.ones((1, len(unique)), np.int64))) if len(votes) else None
-    clusters = len(unique) if value is not None else 0
-    low, high, method = _interval(statistic, clusters, resamples, seed)
-    settings = {"rule": "Fleiss' kappa of the views", "library": "torchmetrics", "interval": method}
-    return {"value": value, "low": low, "high": high, "n": len(votes), "settings": settings}
+    value = float(statistic(np.ones((1, len(unique)), np.int64))[0]) if len(votes) else np.nan
+    settings = {"rule": "Fleiss' kappa of the views", "library": "torchmetrics"}
+    return _metric(value, len(votes), settings, statistic, len(unique), resamples, seed)
+
+
+def _metric(
+    value: float,
+    n: int,
+    settings: dict[str, Any],
+    statistic: Statistic,
+    clusters: int,
+    resamples: int,
+    seed: int,
+) -> dict[str, Any]:
+    """Return a value, None if it is not finite, with its interval and how that was made."""
+    known = bool(np.isfinite(value))
+    low, high, method = _interval(statistic, clusters if known else 0, resamples, seed)
+    metric = {"value": value if known else None, "low": low, "high": high, "n": n}
+    return metric | {"settings": settings | {"interval": method}}
 
 
 def _interval(
-    statistic: Callable[[np.ndarray], np.ndarray], clusters: int, resamples: int, seed: int
+    statistic: Statistic, clusters: int, resamples: int, seed: int
 ) -> tuple[float | None, float | None, str]:
-    """Return the ends of a 95 % interval and how it was made.
-
-    `statistic` takes (B, clusters) int64 weights of the trajectories and returns (B,) values.
-    """
+    """Return the ends of a 95 % interval and how it was made."""
     if clusters < 2:
         return None, None, "none: fewer than two trajectories, or no value"
     if clusters < MANY:
@@ -128,8 +133,3 @@ def _interval(
     drawn = statistic(np.random.default_rng(seed).multinomial(clusters, share, size=resamples))
     low, high = np.quantile(drawn[np.isfinite(drawn)], [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
     return float(low), float(high), f"percentile bootstrap by trajectory, {resamples} resamples"
-
-
-def _mean(values: np.ndarray) -> float | None:
-    value = float(values.mean())
-    return value if np.isfinite(value) else None

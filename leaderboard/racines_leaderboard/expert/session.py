@@ -35,6 +35,7 @@ class Progress:
     total: int
 
 
+@dataclass
 class Session:
     """One rater at one kit.
 
@@ -42,26 +43,26 @@ class Session:
         RacinesError: a name that is refused, or a file that is another kit's or another kind's.
     """
 
-    def __init__(
-        self,
-        kit: Kit,
-        path: Path,
-        rater: str,
-        kind: str = EXPERT,
-        about: str = "",
-        seed: int = 0,
-    ) -> None:
-        if len(about) > ABOUT:
-            raise RacinesError(f"rater {rater}: about: {len(about)} characters, at most {ABOUT}")
-        self.kit, self.path = kit, path
-        self.rater, self.kind, self.about = check_rater(rater, kind), kind, about
-        self.order = order_of(kit, rater, seed)
+    kit: Kit
+    path: Path
+    """The file of the ratings."""
+    rater: str
+    kind: str = EXPERT
+    about: str = ""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Go on where the file ends, if there is one."""
+        if len(self.about) > ABOUT:
+            length = f"{len(self.about)} characters, at most {ABOUT}"
+            raise RacinesError(f"rater {self.rater}: about: {length}")
+        check_rater(self.rater, self.kind)
+        self.order = order_of(self.kit, self.rater, self.seed)
         """All images in the order in which this rater sees them."""
         self._answered: set[str] = set()
         self._read = 0
-        if path.exists():
-            with path.open("rb") as file:
-                self._catch_up(file.read())
+        if self.path.exists():
+            self._catch_up(self.path.read_bytes())
 
     @classmethod
     def open(
@@ -125,9 +126,9 @@ class Session:
 
     def _line(self, image: str, view: str, grade: int, seconds: float | None) -> bytes:
         record = {"schema": SCHEMA, "kit": self.kit.digest, "rater": self.rater}
-        record |= {"kind": self.kind, "about": self.about}
-        record |= {"image": image, "view": view, "grade": int(grade)}
-        record |= {"seconds": None if seconds is None else round(float(seconds), 3)}
+        record |= {"kind": self.kind, "about": self.about, "image": image, "view": view}
+        taken = None if seconds is None else round(float(seconds), 3)
+        record |= {"grade": int(grade), "seconds": taken}
         return json.dumps(record, ensure_ascii=False).encode() + b"\n"
 
     def _catch_up(self, text: bytes) -> None:

@@ -24,6 +24,10 @@ def check_content(path: Path, kind: str, track: str, limits: Limits | None = Non
         RacinesError: another format, a claim or a content beyond the bounds, external data,
             operators beyond the standard, another interface, numbers that are not finite.
     """
+    from racines_envs.agents.onnx.format import read_policy
+    from racines_envs.agents.trace_file import read_trace
+    from racines_models.exchange.onnx.format import read_onnx
+
     limit = MAX_JSON if path.suffix == ".json" else MAX_BYTES
     content = read_bounded(path.parent, path.name, str(path.parent), limit)
     if kind == "predictions":
@@ -31,33 +35,18 @@ def check_content(path: Path, kind: str, track: str, limits: Limits | None = Non
         rehearse("parquet", content, str(path), limits)
     elif kind in ("generator", "policy"):
         rehearse("onnx", content, str(path), limits)
-        _check_interface(path, kind)
+        read = read_onnx if kind == "generator" else read_policy
+        read(path)
     elif kind == "weights":
         check_safetensors(content, str(path))
     elif kind == "trace":
-        from racines_envs.agents.trace_file import read_trace
-
         read_trace(path)
     elif kind == "scores":
         read_json(path, {"generators": "generator-scores", "agents": "agent-scores"}[track])
 
 
-def _check_interface(path: Path, kind: str) -> None:
-    from racines_envs.agents.onnx.format import read_policy
-    from racines_models.exchange.onnx.format import read_onnx
-
-    if kind == "generator":
-        read_onnx(path)
-    else:
-        read_policy(path)
-
-
 def check_parquet(content: bytes, where: str) -> None:
-    """Check a Parquet file's marks, and by its footer how much it says that it holds.
-
-    Raises:
-        RacinesError: no Parquet file, or one that claims too much.
-    """
+    """Check a Parquet file's marks, and by its footer how much it says that it holds."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -72,11 +61,11 @@ def check_parquet(content: bytes, where: str) -> None:
         columns = [group.column(i) for group in groups for i in range(group.num_columns)]
     except Exception as error:
         raise RacinesError(f"{where}: not readable as Parquet: {error}; write it again") from error
-    unpacked = sum(column.total_uncompressed_size for column in columns)
-    sizes = (*(column.total_uncompressed_size for column in columns), stated.num_rows, 0)
-    if stated.num_rows > MAX_ROWS or unpacked > MAX_UNPACKED or min(sizes) < 0:
+    sizes = [column.total_uncompressed_size for column in columns]
+    rows, unpacked = stated.num_rows, sum(sizes)
+    if rows > MAX_ROWS or unpacked > MAX_UNPACKED or min(*sizes, rows, 0) < 0:
         raise RacinesError(
-            f"{where}: claims {stated.num_rows:,} rows, {unpacked:,} bytes unpacked: at most "
+            f"{where}: claims {rows:,} rows, {unpacked:,} bytes unpacked: at most "
             f"{MAX_ROWS:,} and {MAX_UNPACKED:,}"
         )
     if stated.num_row_groups > MAX_GROUPS:
@@ -84,11 +73,7 @@ def check_parquet(content: bytes, where: str) -> None:
 
 
 def check_safetensors(content: bytes, where: str) -> None:
-    """Check a safetensors file: its header, and that the tensors fill the rest byte for byte.
-
-    Raises:
-        RacinesError: no safetensors file, or a header that does not fit the file.
-    """
+    """Check a safetensors file: its header, and that the tensors fill the rest byte for byte."""
     from safetensors import SafetensorError, deserialize
 
     length = int.from_bytes(content[:8], "little")

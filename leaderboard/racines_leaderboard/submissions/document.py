@@ -1,23 +1,78 @@
-"""Submissions: one folder a system, with one YAML and the artefacts that it names."""
+"""A submission's YAML, read as what a stranger wrote: plain data, bounded, one meaning only."""
 
+import math
+import unicodedata
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.records.schema import check
 from racines_leaderboard.submissions.artefacts import YAML, check_artefacts, files_of
-from racines_leaderboard.submissions.file_checks import measure, opened
-from racines_leaderboard.submissions.text import read_yaml
+from racines_leaderboard.submissions.file_checks import measure, opened, read_bounded
+
+MAX_BYTES = 64 * 2**10
+MAX_DEPTH = 12
+CONTROLS = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
+"""Unicode categories that cannot be seen, or that turn the text around them."""
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """Safe YAML without what makes it more than data: aliases, merges, doubled keys, depth."""
+
+    depth = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError("aliases (*name) are refused: write the value out")
+        self.depth += 1
+        if self.depth > MAX_DEPTH:
+            raise yaml.YAMLError(f"nested more than {MAX_DEPTH} deep")
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        keys = [key.value for key, _ in node.value]
+        for key in keys:
+            if not isinstance(key, str) or key == "<<" or keys.count(key) > 1:
+                raise yaml.YAMLError(f"key {str(key)[:80]!r}: refused, or stands twice")
+        return super().construct_mapping(node, deep)
+
+
+def _check_text(value: Any, where: str) -> None:
+    """Check that every text can be shown on one line as it is, and every number is finite."""
+    if isinstance(value, dict):
+        for key, each in value.items():
+            _check_text(key, where)
+            _check_text(each, f"{where}: {key}")
+    elif isinstance(value, list):
+        for i, each in enumerate(value):
+            _check_text(each, f"{where}.{i}")
+    elif isinstance(value, str):
+        bad = next((c for c in value if unicodedata.category(c) in CONTROLS), None)
+        if bad is not None:
+            raise RacinesError(f"{where}: character U+{ord(bad):04X} refused: visible text only")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise RacinesError(f"{where}: {value}: give a finite number, or leave it out")
+    elif isinstance(value, int) and abs(value) >= 2**63:
+        raise RacinesError(f"{where}: a number beyond 64 bits")
 
 
 def read_document(path: Path) -> dict[str, Any]:
     """Read and check a submission's YAML, not the files that it names.
 
     Raises:
-        RacinesError: no regular file, not plain YAML, an unknown, absent or faulty field, or an
-            artefact that may not be.
+        RacinesError: no regular file, over 64 KiB, not YAML or more than plain data, an unknown,
+            absent or faulty field, or an artefact that may not be.
     """
-    document = read_yaml(path.parent, path.name)
+    content = read_bounded(path.parent, path.name, str(path.parent), MAX_BYTES)
+    try:
+        document = yaml.load(content.decode(), _PlainLoader)
+    except (UnicodeDecodeError, ValueError, yaml.YAMLError, RecursionError) as error:
+        raise RacinesError(f"{path}: not readable as YAML: {error}") from error
+    _check_text(document, str(path))
     if isinstance(document, dict) and document.get("schema") != "racines.submission/2":
         raise RacinesError(
             f"{path}: schema: give racines.submission/2 (a template: racines submit --new FOLDER)"
@@ -43,11 +98,7 @@ def read_submission(path: Path) -> dict[str, Any]:
 
 
 def check_file(folder: Path, artefact: dict[str, Any], where: str) -> bool:
-    """Check one artefact's file against its entry; return whether it is there.
-
-    Raises:
-        RacinesError: see `read_submission`.
-    """
+    """Check one artefact's file as `read_submission` does; return whether it is there."""
     name = artefact["path"]
     if "url" in artefact and not (folder / name).is_symlink() and not (folder / name).exists():
         return False
@@ -57,11 +108,7 @@ def check_file(folder: Path, artefact: dict[str, Any], where: str) -> bool:
 
 
 def check_measured(artefact: dict[str, Any], measured: tuple[str, int], where: str) -> None:
-    """Check the digest and size that were found against those that the entry claims.
-
-    Raises:
-        RacinesError: they differ.
-    """
+    """Check that the digest and size that were found are those that the entry claims."""
     digest, size = measured
     if (digest, size) != (artefact["sha256"], artefact["size"]):
         raise RacinesError(

@@ -1,14 +1,19 @@
-"""Taking a submission in: every check on a copy of our own, then one rename."""
+"""Taking a submission in: every check on a copy of our own, then one rename.
+
+Artefacts at a URL are fetched when asked for, bounded, and kept only if the digest is right.
+"""
 
 import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from http.client import HTTPMessage
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, BinaryIO
 
 import yaml
 
@@ -18,8 +23,56 @@ from racines_leaderboard.submissions.artefacts import YAML, files_of
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_leaderboard.submissions.content_checks import check_content
 from racines_leaderboard.submissions.document import check_measured, read_document
-from racines_leaderboard.submissions.fetch import Opener, fetch, open_https
 from racines_leaderboard.submissions.file_checks import measure, opened
+
+SECONDS = 60
+"""The longest that a server may be silent."""
+WHOLE_SECONDS = 1800
+"""The longest that it may take in all."""
+Opener = Callable[[str], BinaryIO]
+
+
+class _SameScheme(urllib.request.HTTPRedirectHandler):
+    """Follows a redirection to https only: not to a file, nor in the clear."""
+
+    def redirect_request(
+        self, req: Any, fp: IO[bytes], code: int, msg: str, headers: HTTPMessage, newurl: str
+    ) -> Any:
+        if not newurl.startswith("https://"):
+            raise RacinesError(f"{req.full_url}: leads to {newurl[:200]!r}, which is not https")
+        return super().redirect_request(req, fp, code, msg, headers, newurl)
+
+
+def open_https(url: str) -> BinaryIO:
+    """Open a URL; only https, redirections included."""
+    opener = urllib.request.OpenerDirector()
+    for handler in (
+        urllib.request.ProxyHandler(),
+        urllib.request.HTTPSHandler(),
+        urllib.request.HTTPDefaultErrorHandler(),
+        urllib.request.HTTPErrorProcessor(),
+        urllib.request.UnknownHandler(),
+        _SameScheme(),
+    ):
+        opener.add_handler(handler)
+    return opener.open(url, timeout=SECONDS)
+
+
+class _Bounded:
+    """A stream that ends in an error once it gives more, or takes longer, than it may."""
+
+    def __init__(self, stream: BinaryIO, size: int, url: str) -> None:
+        self._stream, self._left, self._size, self._url = stream, size, size, url
+        self._end = time.monotonic() + WHOLE_SECONDS
+
+    def read(self, count: int, /) -> bytes:
+        chunk = self._stream.read(min(count, self._left + 1))
+        self._left -= len(chunk)
+        if time.monotonic() > self._end:
+            raise RacinesError(f"{self._url}: took more than {WHOLE_SECONDS} s: stopped")
+        if self._left < 0:
+            raise RacinesError(f"{self._url}: more than the {self._size:,} bytes of its entry")
+        return chunk
 
 
 @dataclass(frozen=True)
@@ -76,9 +129,6 @@ def look_at(source: Path, limits: Limits | None = None) -> Taken:
     """Check a submission where it lies, as `take_in` does; nothing is written beside it.
 
     Its name may be taken: what is looked at may be what took it.
-
-    Raises:
-        RacinesError: anything at fault.
     """
     path = source / YAML if source.is_dir() else source
     document = read_document(path)
@@ -116,28 +166,30 @@ def _gather(
     """Bring all artefacts into the stage and check what they hold; return those left remote."""
     remote = []
     for artefact in files_of(document):
-        if _bring(path, artefact, stage, opener):
-            check_content(stage / artefact["path"], artefact["kind"], document["track"], limits)
+        name, out = artefact["path"], stage / artefact["path"]
+        if "url" not in artefact or os.path.lexists(path.parent / name):
+            with opened(path.parent, name, str(path)) as stream, out.open("xb") as file:
+                measured = measure(stream, f"{path}: {name}", file)
+        elif opener is not None:
+            measured = _fetch(artefact["url"], artefact["size"], out, opener)
         else:
-            remote.append(artefact["path"])
+            remote.append(name)
+            continue
+        check_measured(artefact, measured, str(path))
+        check_content(out, artefact["kind"], document["track"], limits)
     return tuple(remote)
 
 
-def _bring(path: Path, artefact: dict[str, Any], stage: Path, opener: Opener | None) -> bool:
-    """Copy or fetch an artefact into the stage; False if it stays at its URL."""
-    name, out = artefact["path"], stage / artefact["path"]
-    if "url" in artefact and not os.path.lexists(path.parent / name):
-        if opener is None:
-            return False
-        measured = fetch(artefact, out, opener)
-    else:
-        with opened(path.parent, name, str(path)) as stream, out.open("xb") as file:
-            measured = measure(stream, f"{path}: {name}", file)
-    check_measured(artefact, measured, str(path))
-    return True
+def _fetch(url: str, size: int, out: Path, opener: Opener) -> tuple[str, int]:
+    """Fetch at most `size` bytes into a new file; return its digest and size."""
+    try:
+        with opener(url) as stream, out.open("xb") as file:
+            return measure(_Bounded(stream, size, url), url, file)
+    except (OSError, ValueError) as error:
+        raise RacinesError(f"{url}: cannot be fetched: {error}") from error
 
 
-@contextmanager
+@contextlib.contextmanager
 def _staged(parent: Path) -> Iterator[Path]:
     """Give a folder beside the place where it will stand; what is left of it goes."""
     missing = [each for each in (parent, *parent.parents) if not each.exists()]

@@ -52,18 +52,17 @@ def write_template(folder: Path, track: str) -> Path:
     path = folder / YAML
     if path.exists():
         raise RacinesError(f"{path}: is there already: edit it, or remove it")
-    files = sorted(folder.iterdir()) if folder.is_dir() else []
-    entries = [_entry(each, track) for each in files if _may_be(each)]
+    endings = {kind.suffix for kind in KINDS.values()} - {""}
+    entries = [
+        _entry(file, track)
+        for file in (sorted(folder.iterdir()) if folder.is_dir() else ())
+        if file.suffix in endings and file.is_file() and NAME.fullmatch(file.name)
+    ]
     blank = ENTRY.format(kind="KIND", path="FILE", sha256="0" * 64, size=1)
     name = folder.resolve().name.lower().replace("_", "-")
     text = TEXT.format(name=name, track=track, zeros="0" * 64, artefacts="".join(entries) or blank)
     write_atomic(path, text)
     return path
-
-
-def _may_be(path: Path) -> bool:
-    endings = {kind.suffix for kind in KINDS.values()} - {""}
-    return path.suffix in endings and path.is_file() and bool(NAME.fullmatch(path.name))
 
 
 def _entry(path: Path, track: str) -> str:
@@ -80,7 +79,7 @@ def _kind(path: Path, track: str) -> str:
         except (ValueError, AttributeError, RecursionError):
             said = ""
         return "trace" if str(said).startswith("racines.trace/") else "scores"
-    kinds = [n for n, kind in KINDS.items() if kind.suffix == path.suffix and track in kind.tracks]
-    if not kinds:
-        raise RacinesError(f"{path}: no artefact of {track}: put it elsewhere")
-    return kinds[0]
+    for name, kind in KINDS.items():
+        if kind.suffix == path.suffix and track in kind.tracks:
+            return name
+    raise RacinesError(f"{path}: no artefact of {track}: put it elsewhere")

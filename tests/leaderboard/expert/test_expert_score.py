@@ -18,8 +18,8 @@ from racines_leaderboard.expert.kappa import (
     nominal,
     quadratic,
 )
-from racines_leaderboard.expert.picture import draw, write_picture
 from racines_leaderboard.expert.ratings import read_all
+from racines_leaderboard.expert.report import draw, write_picture
 from racines_leaderboard.expert.score import REMARKS, score
 from racines_leaderboard.records.schema import check
 from tests.leaderboard.expert_kit import Judge, kit_of

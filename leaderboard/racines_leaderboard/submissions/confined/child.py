@@ -22,10 +22,13 @@ Run = Callable[[bytes], bytes]
 def main() -> None:
     """Serve the mode and the limits that the command line names, until the wire closes."""
     mode, limits = sys.argv[1], json.loads(sys.argv[2])
-    _bound(resource.RLIMIT_AS, limits["memory"])
-    _bound(resource.RLIMIT_CORE, 0)
-    _bound(resource.RLIMIT_FSIZE, 0)
-    _bound(resource.RLIMIT_CPU, limits["cpu_seconds"])
+    for what, limit in (
+        (resource.RLIMIT_AS, limits["memory"]),
+        (resource.RLIMIT_CORE, 0),
+        (resource.RLIMIT_FSIZE, 0),
+        (resource.RLIMIT_CPU, limits["cpu_seconds"]),
+    ):
+        resource.setrlimit(what, (limit, limit))
     asked, answers = Connection(0, writable=False), Connection(1, readable=False)
     try:
         opened = MODES[mode]()
@@ -51,17 +54,13 @@ def main() -> None:
             return
 
 
-def _bound(what: int, limit: int) -> None:
-    resource.setrlimit(what, (limit, limit))
-
-
 def _close_the_doors() -> None:
     """Forbid further files, sockets, processes and privileges; the libraries are loaded by now."""
     with contextlib.suppress(OSError, ValueError, AttributeError):
         ctypes.CDLL(None).prctl(38, 1, 0, 0, 0)  # PR_SET_NO_NEW_PRIVS, Linux
     with contextlib.suppress(OSError, ValueError):
-        _bound(resource.RLIMIT_NPROC, 0)
-    _bound(resource.RLIMIT_NOFILE, 3)
+        resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, 3))
 
 
 def _allow_seconds(seconds: int) -> None:

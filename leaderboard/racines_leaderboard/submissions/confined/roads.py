@@ -11,26 +11,16 @@ from racines_models.exchange.onnx.generator import OnnxGenerator
 
 
 class ConfinedGenerator(OnnxGenerator):
-    """Draws what `OnnxGenerator` draws, byte for byte, on the CPU.
+    """Draws what `OnnxGenerator` draws, byte for byte, on the CPU; RacinesError if it may not."""
 
-    Raises:
-        RacinesError: the file is refused, or broke a limit; so do its methods.
-    """
-
-    def __init__(self, path: Path, limits: Limits | None = None):
-        """Open a file under limits."""
+    def __init__(self, path: Path, limits: Limits | None = None) -> None:
         super().__init__(path, "cpu", _confined(path, limits))
 
 
 class ConfinedPolicyAgent(OnnxPolicyAgent):
-    """Acts as `OnnxPolicyAgent` acts, on the CPU.
-
-    Raises:
-        RacinesError: the file is refused, or broke a limit; so do its methods.
-    """
+    """Acts as `OnnxPolicyAgent` acts, on the CPU; RacinesError if it may not."""
 
     def __init__(self, path: Path, limits: Limits | None = None) -> None:
-        """Open a file under limits."""
         super().__init__(path, "cpu", _confined(path, limits))
 
 

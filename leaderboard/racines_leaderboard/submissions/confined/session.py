@@ -49,25 +49,23 @@ class Limits:
 
 
 class Child:
-    """One process that serves one file; ends with this object, or when a limit is broken."""
+    """One process that serves one file; ends with this object, or when a limit is broken.
 
-    def __init__(self, mode: str, content: bytes, where: str, limits: Limits | None = None):
-        """Start it and hand it the file.
+    It runs one of `child.MODES` on the content; errors call the file `where`.
 
-        Args:
-            mode: One of `child.MODES`.
-            content: The file.
-            where: Its name, for errors.
-            limits: The defaults by default.
+    Raises:
+        RacinesError: the file is refused, or broke a limit; so does `ask`, and the child is gone.
+    """
 
-        Raises:
-            RacinesError: the file is refused, or broke a limit.
-        """
+    def __init__(self, mode: str, content: bytes, where: str, limits: Limits | None = None) -> None:
         self.where, self.limits = where, limits or Limits()
         packages = (racines_data, racines_models, racines_leaderboard)
         roots = "|".join(str(Path(str(p.__file__)).resolve().parents[1]) for p in packages)
         # -I: neither the environment nor the current folder says what is imported.
         words = [sys.executable, "-I", "-c", START, roots, mode, json.dumps(asdict(self.limits))]
+        # Of this process's environment it sees where libraries lie, and no secret.
+        seen = {key: value for key, value in os.environ.items() if key == "LD_LIBRARY_PATH"}
+        seen |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         asked, self._asks = Pipe(duplex=False)
         self._answers, answers = Pipe(duplex=False)
         with asked, answers:  # the child's ends
@@ -77,18 +75,14 @@ class Child:
                 stdout=answers.fileno(),
                 stderr=subprocess.DEVNULL,
                 cwd="/",
-                env=_environment(),
+                env=seen,
                 start_new_session=True,
             )
-        self._end = weakref.finalize(self, _kill, self._process)
+        self._end = weakref.finalize(self, _stop, self._process, collect=True)
         self.ask(wire.OPEN, content)
 
     def ask(self, kind: bytes, payload: bytes) -> bytes:
-        """Send a message and return the answer's payload.
-
-        Raises:
-            RacinesError: refused, or a limit was broken; the child is gone then.
-        """
+        """Send a message and return the answer's payload."""
         seconds = self.limits.open_seconds if kind == wire.OPEN else self.limits.call_seconds
         deadline = time.monotonic() + seconds
         # Whatever is waited for ends with the child: the pipes have no other holder.
@@ -142,32 +136,21 @@ class Child:
         return f"the memory limit is {self.limits.memory / 2**20:,.0f} MiB"
 
 
-def _environment() -> dict[str, str]:
-    """Return what a child sees of this process's environment: where libraries lie, no secret."""
-    kept = {name: os.environ[name] for name in ("LD_LIBRARY_PATH",) if name in os.environ}
-    return kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-
-
-def _stop(process: subprocess.Popen[bytes]) -> None:
+def _stop(process: subprocess.Popen[bytes], collect: bool = False) -> None:
     """Kill a child with all that it may have started."""
     if process.poll() is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a child, and collect it."""
-    _stop(process)
-    process.wait()
+    if collect:
+        process.wait()
 
 
 class ConfinedSession:
-    """Looks like the onnxruntime session of a file, and runs it in a child."""
+    """Looks like the onnxruntime session of a file, and runs it in a child, always on the CPU."""
 
     def __init__(
         self, content: bytes, where: str, device: str = "cpu", limits: Limits | None = None
-    ):
-        """Open the file's bytes; the device is the CPU whatever is named."""
+    ) -> None:
         self._child = Child("session", content, where, limits)
 
     def get_providers(self) -> list[str]:
@@ -175,11 +158,7 @@ class ConfinedSession:
         return ["CPUExecutionProvider"]
 
     def run(self, names: Sequence[str], inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
-        """Return the named outputs.
-
-        Raises:
-            RacinesError: the graph failed, or broke a limit.
-        """
+        """Return the named outputs; RacinesError if the graph failed, or broke a limit."""
         answer = self._child.ask(wire.RUN, wire.pack_arrays(inputs))
         try:
             outputs = wire.unpack_arrays(answer)
@@ -190,15 +169,8 @@ class ConfinedSession:
 
 
 def rehearse(kind: str, content: bytes, where: str, limits: Limits | None = None) -> None:
-    """Parse a file in a child first, so that this process parses only what parses within limits.
+    """Parse an `onnx` or `parquet` file in a child first; RacinesError if that fails.
 
-    Args:
-        kind: `onnx` or `parquet`.
-        content: The file.
-        where: Its name, for errors.
-        limits: The defaults by default.
-
-    Raises:
-        RacinesError: the parser refuses it, or it broke a limit.
+    So this process parses only what parses within limits.
     """
     Child(kind, content, where, limits).close()

@@ -39,21 +39,13 @@ def hear(pipe: Connection, limit: int | None = None) -> tuple[bytes, bytes]:
 
 
 def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """Return arrays as bytes.
-
-    Raises:
-        WireError: another type than float32 or uint8.
-    """
+    """Return arrays as bytes; a WireError says that one is neither float32 nor uint8."""
     _check_types(arrays)
     return save({name: np.asarray(array, order="C") for name, array in arrays.items()})
 
 
 def unpack_arrays(payload: bytes) -> dict[str, np.ndarray]:
-    """Return the arrays of `pack_arrays`.
-
-    Raises:
-        WireError: a length that does not fit the bytes, or another type.
-    """
+    """Return the arrays of `pack_arrays`; a WireError, where length or type does not fit."""
     try:
         arrays = load(payload)
     except (SafetensorError, KeyError, ValueError, TypeError) as error:

@@ -1,4 +1,8 @@
-"""Which poses a study shows: as many of each view, and of each range of its grades."""
+"""The design of a study: poses balanced over views and grades, and names that tell nothing."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -54,10 +58,9 @@ def stratify(
     """
     bins = np.digitize(np.nan_to_num(grades), GRADE_EDGES)
     bins[(views < 0) | (views == random)] = 0
-    present = np.unique(views)
-    wanted = allocate(total, np.array([(views == view).sum() for view in present]))
+    present, counts = np.unique(views, return_counts=True)
     chosen = []
-    for view, count in zip(present, wanted, strict=True):
+    for view, count in zip(present, allocate(total, counts), strict=True):
         groups = [np.flatnonzero((views == view) & (bins == b)) for b in np.unique(bins)]
         shares = allocate(int(count), np.array([len(group) for group in groups]))
         for group, share in zip(groups, shares, strict=True):
@@ -75,3 +78,49 @@ def _spread(
         own = order[trajectories[order] == trajectory]
         turn[own] = np.arange(len(own))
     return places[order[np.argsort(turn[order], kind="stable")][:count]]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The names of M = images + repeats entries, and the blocks in which they are shown."""
+
+    entries: np.ndarray
+    """(M,) which image each entry shows; the repeats come last."""
+    names: list[str]
+    """(M,) the blind name of each entry."""
+    blocks: list[list[str]]
+    """Three blocks of sorted names. The two of a repeated image lie in the first and the last, so
+    that at least the middle block lies between them, however each block is shuffled."""
+
+    def named(self, answers: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        """Return the answer to each name, in order, with the name that it repeats."""
+        named = {}
+        for place, (entry, name) in enumerate(zip(self.entries, self.names, strict=True)):
+            first = self.names[entry] if place >= len(answers) else None
+            named[name] = answers[entry] | {"repeat_of": first}
+        return dict(sorted(named.items()))
+
+
+def blind(systems: Sequence[str], repeats: int, rng: np.random.Generator) -> Plan:
+    """Choose which of N images are repeated, as many of each system, and name all by chance.
+
+    `repeats` is at most half of the images.
+    """
+    names = np.array(systems)
+    present, counts = np.unique(names, return_counts=True)
+    shares = zip(present, allocate(repeats, counts), strict=True)
+    chosen = [rng.permutation(np.flatnonzero(names == name))[:share] for name, share in shares]
+    again = np.concatenate(chosen)
+    total = len(names) + repeats
+    width = max(4, len(str(total)))
+    blind_names = [f"{number:0{width}d}" for number in rng.permutation(total) + 1]
+    twins = np.arange(len(names), total)
+    # Which of the two comes in the first block is chance: the first is the one that is scored.
+    swap = rng.random(repeats) < 0.5
+    first, last = np.where(swap, twins, again), np.where(swap, again, twins)
+    others = rng.permutation(np.setdiff1d(np.arange(len(names)), again))
+    cut = np.array([total // 3 - repeats, total - 2 * (total // 3)]).cumsum()
+    a, b, c = np.split(others, cut)
+    blocks = [np.concatenate([first, a]), b, np.concatenate([last, c])]
+    shown = [sorted(blind_names[entry] for entry in block) for block in blocks]
+    return Plan(np.concatenate([np.arange(len(names)), again]), blind_names, shown)
