@@ -68,7 +68,7 @@ MOVED = {
         "backends backends_replay=replay_images data_versions exploration forces making "
         "pose_index recorded=recorded_world"
     ),
-    "racines_leaderboard.audit": "audit.compare=numbers audit.figures=metrics",
+    "racines_leaderboard.audit": "audit.compare=numbers audit.figures=numbers",
     "racines_leaderboard.board": "chart=pages collect groups=rank pages rank recompute table",
     "racines_leaderboard.cli": (
         "cli_audit=audit cli_determinism=audit cli_studio=studio cli_submit=submit "

@@ -3,18 +3,18 @@
 import functools
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from racines_data.build.dataset import recipe_of
 from racines_data.config import PROFILES, fill, read_params, section
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
+from racines_data.store.frames import FrameStore, open_store
+from racines_envs.evaluation.run import EvaluationConfig
 from racines_leaderboard.submissions.confined.session import Limits
-
-if TYPE_CHECKING:
-    from racines_data.store.frames import FrameStore
-    from racines_envs.evaluation.run import EvaluationConfig
-    from racines_models.sample import Sample
-    from racines_models.scores.judge import ScoresConfig
+from racines_models.sample import Sample, take_sample
+from racines_models.scores import scoring
+from racines_models.scores.judge import ScoresConfig
 
 JUDGES = {"grader": "grader.safetensors", "pose": "model.safetensors"}
 """File of a judge's weights in its folder."""
@@ -62,24 +62,18 @@ class Bench:
         return next((values for values in packaged if values.get("board") == self.board), None)
 
     @functools.cached_property
-    def scores(self) -> "ScoresConfig":
+    def scores(self) -> ScoresConfig:
         """How the board scores generators; defaults where its settings are unknown."""
-        from racines_models.scores.judge import ScoresConfig
-
         return fill(ScoresConfig, section(self.settings or {}, "scores"), "scores")
 
     @functools.cached_property
-    def evaluation(self) -> "EvaluationConfig":
+    def evaluation(self) -> EvaluationConfig:
         """How the board evaluates agents, likewise."""
-        from racines_envs.evaluation.run import EvaluationConfig
-
         return fill(EvaluationConfig, section(self.settings or {}, "evaluation"), "evaluation")
 
     @functools.cached_property
     def recipe(self) -> str | None:
         """Recipe digest of the dataset that the settings build; None for imported data."""
-        from racines_data.build.dataset import recipe_of
-
         if self.settings is None:
             return None
         try:
@@ -88,30 +82,24 @@ class Bench:
             return None
 
     @functools.cached_property
-    def store(self) -> "FrameStore | None":
+    def store(self) -> FrameStore | None:
         """The dataset here, if there is one."""
-        from racines_data.store.frames import open_store
-
         return open_store(self.places.data) if self.places.data.is_dir() else None
 
-    def data_for(self, recipe: str | None) -> "FrameStore | None":
+    def data_for(self, recipe: str | None) -> FrameStore | None:
         """Return the dataset here if it is of a recipe."""
         store = self.store
         return store if store is not None and store.manifest["recipe_digest"] == recipe else None
 
     @functools.cached_property
-    def sample(self) -> "Sample":
+    def sample(self) -> Sample:
         """The frames of the dataset here that generators are scored on."""
-        from racines_models.sample import take_sample
-
         assert self.store is not None
         return take_sample(self.store, self.scores.split, self.scores.samples)
 
     @functools.cached_property
     def inception(self) -> dict[str, Any]:
         """The settings of Inception's features here."""
-        from racines_models.scores import scoring
-
         return scoring.InceptionFeatures("cpu").settings
 
     def judge(self, kind: str, sha256: str | None) -> Path | None:

@@ -16,10 +16,19 @@ from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
+from racines_envs.agents import load_agent
+from racines_envs.cli.settings import phantom_config
+from racines_envs.evaluation.entries import find_entry
+from racines_envs.evaluation.run import evaluate
+from racines_envs.worlds.backends import make_grader
 from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.weights import named, published, run_of, submission_of, submitted
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.board.recompute import Ground, recompute_scores, score_on
+from racines_models.protocol import Run
+from racines_models.provenance import weights_sha256
+from racines_models.registry import generator_class, open_runs, weights_of
+from racines_models.training.repeats import train_seeds
 
 HALF = "half precision"
 
@@ -68,8 +77,6 @@ def _judge(record: Record, bench: Bench, extractor: str) -> Path | None:
 
 
 def _generator(record: Record, bench: Bench) -> Road | str:
-    from racines_models.registry import generator_class, weights_of
-
     name, folder = record["name"], run_of(record, bench)
     try:
         cls = generator_class(name)
@@ -93,10 +100,6 @@ def score_fitted(record: Record, bench: Bench, folder: Path | None = None) -> di
 
     The run is kept in `folder` and, if it was cut short, goes on there; None keeps nothing.
     """
-    from racines_models.protocol import Run
-    from racines_models.registry import generator_class
-    from racines_models.training.repeats import train_seeds
-
     assert bench.settings is not None and bench.store is not None
     store, name = bench.store, record["name"]
     cls = generator_class(name)
@@ -112,8 +115,6 @@ def score_fitted(record: Record, bench: Bench, folder: Path | None = None) -> di
 
 def score_run(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
     """Return the scores of the generator in a run's folder, by the judges that a record names."""
-    from racines_models.registry import open_runs, weights_of
-
     assert bench.store is not None
     name = record["name"]
     opened = open_runs(name, folder, device="cpu")
@@ -127,8 +128,6 @@ def _agent(record: Record, bench: Bench) -> Road | str:
         return "the grader that it goes by is not here"
     if not claimed:
         return Road("no weights", "it learns nothing", lambda: score_agent(record, bench, folder))
-    from racines_models.provenance import weights_sha256
-
     if folder.is_dir() and weights_sha256(folder) == claimed:
         return Road("run", f"the policy in {folder}", lambda: score_agent(record, bench, folder))
     return f"no policy of it in {folder}; --retrain trains anew"
@@ -139,12 +138,6 @@ def score_agent(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
 
     The graders that had a say are those that the record names.
     """
-    from racines_envs.agents import load_agent
-    from racines_envs.cli.settings import phantom_config
-    from racines_envs.evaluation.entries import find_entry
-    from racines_envs.evaluation.run import evaluate
-    from racines_envs.worlds.backends import make_grader
-
     assert bench.settings is not None
     entry, view = find_entry(bench.settings, record["name"]), record["scores"]["task"]["view"]
     judge, guide = (_judge(record, bench, kind) for kind in ("grader", "guide"))

@@ -12,10 +12,12 @@ from typing import Any
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_leaderboard.audit import ground, metrics, weights
+from racines_envs.agents import agent_class
+from racines_envs.cli.settings import phantom_config
+from racines_envs.evaluation.entries import find_entry
+from racines_leaderboard.audit import claims, weights
 from racines_leaderboard.audit.bench import Bench
-from racines_leaderboard.audit.claims import check_claims
-from racines_leaderboard.audit.numbers import agreement, compare_numbers
+from racines_leaderboard.audit.numbers import agreement, check_metrics, compare_numbers
 from racines_leaderboard.audit.roads import find_road, score_agent, score_fitted
 from racines_leaderboard.audit.verdicts import (
     SKIPPED,
@@ -100,18 +102,18 @@ def _report(record: Record, verdicts: list[Verdict], how: dict[str, Any]) -> Rep
 
 def _check(path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
     """Give the verdicts that need no scoring; the other records of the track have a say."""
-    yield from check_claims(record, bench)
+    yield from claims.check_claims(record, bench)
     if record["track"] == "generators":
-        yield from ground.dataset(record, bench)
-        yield from ground.drawing_seeds(record, bench)
+        yield from claims.dataset(record, bench)
+        yield from claims.drawing_seeds(record, bench)
     else:
-        yield from ground.task(record, bench)
+        yield from claims.task(record, bench)
     others = [_read(other, bench) for other in sorted(path.parent.glob("*.json")) if other != path]
     peers = [other for other in others if not isinstance(other, Report)]
-    yield from ground.judges(record, bench, peers)
+    yield from claims.judges(record, bench, peers)
     yield from weights.check_weights(record, bench)
     yield from weights.check_content(record, bench)
-    yield from metrics.check_metrics(record, bench)
+    yield from check_metrics(record, bench)
 
 
 def _recomputed(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, Any]]:
@@ -150,10 +152,6 @@ def _train(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
     """Train a system by the board's settings; return its scores."""
     if record["track"] == "generators":
         return score_fitted(record, bench, folder)
-    from racines_envs.agents import agent_class
-    from racines_envs.cli.settings import phantom_config
-    from racines_envs.evaluation.entries import find_entry
-
     if weights.named(record):
         assert bench.settings is not None
         entry = find_entry(bench.settings, record["name"])

@@ -2,7 +2,11 @@
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
+
+from rich.console import Console
+from rich.text import Text
 
 from racines_data.tables import console_table, escape, markdown_table
 
@@ -33,26 +37,21 @@ class Verdict:
     """The largest difference that passes; None where values are equal or are not."""
 
 
-def holds(subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
-    """Say that a claim holds."""
-    return Verdict(subject, HOLDS, reason, claimed, found)
+def _say(
+    verdict: str, subject: str, reason: str, claimed: Any = None, found: Any = None
+) -> Verdict:
+    return Verdict(subject, verdict, reason, claimed, found)
 
 
-def fails(subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
-    """Say that a claim does not hold."""
-    return Verdict(subject, FAILS, reason, claimed, found)
-
-
-def unknown(subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
-    """Say that a claim cannot be checked."""
-    return Verdict(subject, UNKNOWN, reason, claimed, found)
+holds, fails, unknown = (partial(_say, verdict) for verdict in (HOLDS, FAILS, UNKNOWN))
+"""Say of a subject that its claim holds, does not, or cannot be checked, and why."""
 
 
 def tell(
     passes: bool, subject: str, reason: str, claimed: Any = None, found: Any = None
 ) -> Verdict:
     """Say whether a claim holds."""
-    return Verdict(subject, HOLDS if passes else FAILS, reason, claimed, found)
+    return _say(HOLDS if passes else FAILS, subject, reason, claimed, found)
 
 
 def equal(subject: str, claimed: Any, found: Any, reason: str) -> Verdict:
@@ -148,9 +147,6 @@ def _short(value: Any) -> str:
 
 def show(report: Report, details: bool) -> None:
     """Print a report: all rows with `details`, else those that do not plainly hold."""
-    from rich.console import Console
-    from rich.text import Text
-
     console = Console()
     shown = [
         [Text(cell, MARKS.get(row[1], "")) for cell in row]

@@ -7,10 +7,12 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
+from racines_envs.agents.trace_file import read_trace
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, unknown
 from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.submissions.artefacts import files_of, rescored
+from racines_models.exchange.predictions.reader import Predictions
 
 
 def named(record: Record) -> dict[str, str]:
@@ -131,8 +133,6 @@ def check_content(record: Record, bench: Bench) -> Iterator[Verdict]:
 
 
 def _predictions(subject: str, path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
-    from racines_models.exchange.predictions.reader import Predictions
-
     dataset = record["scores"]["dataset"]
     store = bench.data_for(dataset["recipe_digest"])
     if store is None:
@@ -144,8 +144,6 @@ def _predictions(subject: str, path: Path, record: Record, bench: Bench) -> Iter
 
 
 def _trace(subject: str, path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
-    from racines_envs.agents.trace_file import read_trace
-
     recorded, task = read_trace(path).told, record["scores"]["task"]
     for key in ("start_set", "backend", "reward"):
         reason = "recorded on what the record names"

@@ -5,21 +5,27 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
+from racines_data.store.frames import FrameStore, open_store
+from racines_envs.agents.trace_agent import TraceAgent
+from racines_envs.cli.settings import phantom_config
+from racines_envs.evaluation.run import EvaluationConfig, evaluate
+from racines_envs.worlds.making import find_task, make_phantom, phantom_recipe
 from racines_leaderboard.board.collect import Record, one_dataset, record_of
 from racines_leaderboard.records.schema import check, write_record
 from racines_leaderboard.records.tracks import GENERATORS, TRACK, TRACKS
 from racines_leaderboard.submissions.artefacts import YAML, files_of, rescored
+from racines_leaderboard.submissions.confined.roads import ConfinedGenerator, ConfinedPolicyAgent
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_leaderboard.submissions.content_checks import check_content
 from racines_leaderboard.submissions.document import find_submission
-
-if TYPE_CHECKING:
-    from racines_data.store.frames import FrameStore
-    from racines_models.scores.scoring import ScoresConfig
+from racines_models.exchange.predictions.reader import Predictions
+from racines_models.judges.grader.model import Grader
+from racines_models.judges.pose.regressor import PoseRegressor
+from racines_models.scores.scoring import ScoresConfig, score
 
 
 @dataclass(frozen=True)
@@ -120,11 +126,6 @@ def _check_data(document: dict[str, Any], here: dict[str, Any], where: str) -> N
 def _generator_scores(
     document: dict[str, Any], kind: str, paths: list[Path], ground: Ground
 ) -> dict[str, Any]:
-    from racines_data.store.frames import open_store
-    from racines_leaderboard.submissions.confined.roads import ConfinedGenerator
-    from racines_models.exchange.predictions.reader import Predictions
-    from racines_models.scores.scoring import ScoresConfig
-
     store = open_store(ground.data)
     _check_data(document, store.manifest, str(ground.data))
     config = fill(ScoresConfig, section(ground.settings, "scores"), "scores")
@@ -142,13 +143,9 @@ def _generator_scores(
 
 
 def score_on(
-    ground: Ground, store: "FrameStore", config: "ScoresConfig", sources: Sequence[Any], name: str
+    ground: Ground, store: FrameStore, config: ScoresConfig, sources: Sequence[Any], name: str
 ) -> dict[str, Any]:
     """Return the scores of generators by a ground's judges, without their speed."""
-    from racines_models.judges.grader.model import Grader
-    from racines_models.judges.pose.regressor import PoseRegressor
-    from racines_models.scores.scoring import score
-
     return score(
         sources,
         store,
@@ -163,12 +160,6 @@ def score_on(
 def _agent_scores(
     document: dict[str, Any], kind: str, paths: list[Path], ground: Ground
 ) -> dict[str, Any]:
-    from racines_envs.agents.trace_agent import TraceAgent
-    from racines_envs.cli.settings import phantom_config
-    from racines_envs.evaluation.run import EvaluationConfig, evaluate
-    from racines_envs.worlds.making import find_task, make_phantom, phantom_recipe
-    from racines_leaderboard.submissions.confined.roads import ConfinedPolicyAgent
-
     path, traced = paths[0], kind == "trace"
     agent: Any = TraceAgent(path) if traced else ConfinedPolicyAgent(path, ground.limits)
     config = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation")

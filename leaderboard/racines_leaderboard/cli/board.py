@@ -7,6 +7,8 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
+from racines_data.config import read_params
+from racines_data.errors import RacinesError
 
 CACHE = Path("models/runs/scores/reference")
 """What is computed of the reference alone, shared with `racines eval generator`."""
@@ -42,11 +44,8 @@ def leaderboard(
 
     With --params, `board` of that file names the board.
     """
-    from racines_data.config import read_params
-    from racines_data.errors import RacinesError
     from racines_data.files import write_atomic
     from racines_leaderboard.board import collect as results_of
-    from racines_leaderboard.board import recompute as scoring
     from racines_leaderboard.board.pages import with_tables, write_page
 
     if params is not None:
@@ -59,6 +58,8 @@ def leaderboard(
             typer.echo(f"racines: left out {path}: made for another board than {board}", err=True)
         results_of.collect(collect, results, submissions, board, others)
     if recompute:
+        from racines_leaderboard.board import recompute as scoring
+
         settings = params or Path("params.yaml")
         board = _board_of(settings, board)
         grader = None if no_grader else opt.GRADER
@@ -80,9 +81,6 @@ def leaderboard(
 
 
 def _board_of(params: Path, board: str | None) -> str:
-    from racines_data.config import read_params
-    from racines_data.errors import RacinesError
-
     named = read_params(params).get("board")
     if not isinstance(named, str):
         raise RacinesError(f"{params}: board: expected the name of a board")

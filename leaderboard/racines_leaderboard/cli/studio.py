@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
+from racines_data.errors import RacinesError
 from racines_models.cli.device import Device
 
 
@@ -34,7 +35,6 @@ def studio(
     ] = 200,
 ) -> None:
     """Show the boards, the study and the data in a browser, on this machine alone by default."""
-    from racines_data.errors import RacinesError
     from racines_leaderboard.studio.place import Place
 
     if find_spec("gradio") is None:

@@ -15,10 +15,7 @@ GRADE_EDGES = (4.0, 7.0)
 def allocate(total: int, capacities: np.ndarray) -> np.ndarray:
     """Share `total` out over (G,) groups as evenly as their capacities allow; (G,) int64.
 
-    What does not divide goes to the first groups that have room.
-
-    Raises:
-        RacinesError: the groups hold fewer than `total`.
+    What does not divide goes to the first groups that have room; RacinesError if all are too few.
     """
     capacities = np.asarray(capacities, np.int64)
     if total > capacities.sum():
@@ -46,15 +43,12 @@ def stratify(
         views: (N,) labels, -1 where unknown, which counts as one more view.
         grades: (N,) grades 0-10, NaN where unknown.
         trajectories: (N,) the trajectory of each, an integer.
-        total: Frames wanted.
+        total: Frames wanted; RacinesError if there are fewer.
         random: The label of `Random`, whose frames have one grade.
         rng: Decides which frames, and their order.
 
     Returns:
         (total,) int64 places of the chosen frames, in random order.
-
-    Raises:
-        RacinesError: there are fewer frames.
     """
     bins = np.digitize(np.nan_to_num(grades), GRADE_EDGES)
     bins[(views < 0) | (views == random)] = 0

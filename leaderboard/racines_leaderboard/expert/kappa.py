@@ -9,6 +9,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import torch
+from torchmetrics.functional.nominal import fleiss_kappa
 
 from racines_models.statistics import LEVEL, jackknife
 
@@ -85,9 +87,6 @@ def fleiss_metric(
     views: np.ndarray, groups: np.ndarray, size: int, resamples: int = 1000, seed: int = 0
 ) -> dict[str, Any]:
     """Return Fleiss' kappa of (R, n) views over the images that all R raters answered."""
-    import torch
-    from torchmetrics.functional.nominal import fleiss_kappa
-
     complete = (views >= 0).all(0)
     votes = torch.from_numpy((views[:, complete, None] == np.arange(size)).sum(0))
     unique, cluster = np.unique(groups[complete], return_inverse=True)

@@ -43,11 +43,7 @@ class Kit:
 
     @classmethod
     def open(cls, folder: Path | str) -> "Kit":
-        """Read a kit.
-
-        Raises:
-            RacinesError: no kit there, or `kit.json` was changed since it was made.
-        """
+        """Read a kit; RacinesError if none is there, or `kit.json` was changed."""
         folder = Path(folder)
         document = read_json(folder / KIT, "expert-kit")
         if _digest(document) != document["digest"]:
@@ -107,10 +103,9 @@ class Kit:
             raise RacinesError(f"{where}: images were changed after the kit was made")
 
     def read_key(self, path: Path | None = None) -> dict[str, Any]:
-        """Return the answers of the kit, from its own folder or from where they were kept.
+        """Return the answers, from the kit's folder or from where the key was kept.
 
-        Raises:
-            RacinesError: no key there, or not the one that the kit was sealed with.
+        RacinesError if no key is there, or another than the one that the kit was sealed with.
         """
         path = path or self.folder / KEY
         if not path.is_file():

@@ -52,7 +52,6 @@ class Session:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Go on where the file ends, if there is one."""
         if len(self.about) > ABOUT:
             length = f"{len(self.about)} characters, at most {ABOUT}"
             raise RacinesError(f"rater {self.rater}: about: {length}")
@@ -119,8 +118,12 @@ class Session:
             file.write(line)
             file.flush()
             os.fsync(file.fileno())
-        if self._read == 0:
-            _sync_folder(self.path.parent)
+        if self._read == 0:  # a new file's name outlives a crash, as its content does
+            handle = os.open(self.path.parent, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
         self._answered.add(image)
         self._read += len(line)
 
@@ -156,12 +159,3 @@ def order_of(kit: Kit, rater: str, seed: int = 0) -> list[str]:
     if rng.random() < 0.5:
         blocks.reverse()
     return [image for block in blocks for image in block]
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make sure that a new file's name outlives a crash, as its content does."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -4,10 +4,17 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.parquet as pq
+from safetensors import SafetensorError, deserialize
+
 from racines_data.errors import RacinesError
+from racines_envs.agents.onnx.format import read_policy
+from racines_envs.agents.trace_file import read_trace
 from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.submissions.confined.session import Limits, rehearse
 from racines_leaderboard.submissions.file_checks import MAX_BYTES, read_bounded
+from racines_models.exchange.onnx.format import read_onnx
 
 MAX_UNPACKED = 2**30
 MAX_ROWS = 1_000_000
@@ -24,10 +31,6 @@ def check_content(path: Path, kind: str, track: str, limits: Limits | None = Non
         RacinesError: another format, a claim or a content beyond the bounds, external data,
             operators beyond the standard, another interface, numbers that are not finite.
     """
-    from racines_envs.agents.onnx.format import read_policy
-    from racines_envs.agents.trace_file import read_trace
-    from racines_models.exchange.onnx.format import read_onnx
-
     limit = MAX_JSON if path.suffix == ".json" else MAX_BYTES
     content = read_bounded(path.parent, path.name, str(path.parent), limit)
     if kind == "predictions":
@@ -47,9 +50,6 @@ def check_content(path: Path, kind: str, track: str, limits: Limits | None = Non
 
 def check_parquet(content: bytes, where: str) -> None:
     """Check a Parquet file's marks, and by its footer how much it says that it holds."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     footer = int.from_bytes(content[-8:-4], "little")
     if len(content) < 12 or content[:4] != b"PAR1" or content[-4:] != b"PAR1":
         raise RacinesError(f"{where}: not a Parquet file: write it again")
@@ -74,8 +74,6 @@ def check_parquet(content: bytes, where: str) -> None:
 
 def check_safetensors(content: bytes, where: str) -> None:
     """Check a safetensors file: its header, and that the tensors fill the rest byte for byte."""
-    from safetensors import SafetensorError, deserialize
-
     length = int.from_bytes(content[:8], "little")
     if length > MAX_HEADER:
         raise RacinesError(f"{where}: a header of {length:,} bytes: at most {MAX_HEADER:,}")

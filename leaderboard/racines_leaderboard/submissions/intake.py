@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from http.client import HTTPMessage
 from pathlib import Path
 from typing import IO, Any, BinaryIO
+from urllib.error import URLError
 
 import yaml
 
@@ -45,17 +46,9 @@ class _SameScheme(urllib.request.HTTPRedirectHandler):
 
 def open_https(url: str) -> BinaryIO:
     """Open a URL; only https, redirections included."""
-    opener = urllib.request.OpenerDirector()
-    for handler in (
-        urllib.request.ProxyHandler(),
-        urllib.request.HTTPSHandler(),
-        urllib.request.HTTPDefaultErrorHandler(),
-        urllib.request.HTTPErrorProcessor(),
-        urllib.request.UnknownHandler(),
-        _SameScheme(),
-    ):
-        opener.add_handler(handler)
-    return opener.open(url, timeout=SECONDS)
+    if not url.startswith("https://"):
+        raise URLError(f"unknown url type: {url.partition(':')[0]}")
+    return urllib.request.build_opener(_SameScheme).open(url, timeout=SECONDS)
 
 
 class _Bounded:
