@@ -1,5 +1,6 @@
 """What the records of a board are held against: its settings, the data and the judges here."""
 
+import contextlib
 import functools
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.evaluation.run import EvaluationConfig
+from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_models.sample import Sample, take_sample
 from racines_models.scores import scoring
@@ -54,12 +56,10 @@ class Bench:
     @functools.cached_property
     def settings(self) -> dict[str, Any] | None:
         """The settings of the board; None where neither params file nor profile is for it."""
-        if self.places.params.is_file():
-            values = read_params(self.places.params)
-            if values.get("board") == self.board:
-                return values
-        packaged = (read_params(profile=name) for name in PROFILES)
-        return next((values for values in packaged if values.get("board") == self.board), None)
+        own = self.places.params
+        found = [read_params(own)] if own.is_file() else []
+        found += [read_params(profile=name) for name in PROFILES]
+        return next((values for values in found if values.get("board") == self.board), None)
 
     @functools.cached_property
     def scores(self) -> ScoresConfig:
@@ -74,22 +74,19 @@ class Bench:
     @functools.cached_property
     def recipe(self) -> str | None:
         """Recipe digest of the dataset that the settings build; None for imported data."""
-        if self.settings is None:
-            return None
-        try:
-            return recipe_of(section(self.settings, "data"))
-        except RacinesError:
-            return None
+        with contextlib.suppress(RacinesError):
+            return None if self.settings is None else recipe_of(section(self.settings, "data"))
+        return None
 
     @functools.cached_property
     def store(self) -> FrameStore | None:
         """The dataset here, if there is one."""
         return open_store(self.places.data) if self.places.data.is_dir() else None
 
-    def data_for(self, recipe: str | None) -> FrameStore | None:
-        """Return the dataset here if it is of a recipe."""
-        store = self.store
-        return store if store is not None and store.manifest["recipe_digest"] == recipe else None
+    def data_for(self, record: Record) -> FrameStore | None:
+        """Return the dataset here if it is of the recipe that a record rests on."""
+        here = self.store and self.store.manifest["recipe_digest"] == basis_of(record)
+        return self.store if here else None
 
     @functools.cached_property
     def sample(self) -> Sample:

@@ -1,8 +1,4 @@
-"""Claims that are checked without scoring, by the repository and by what the board rests on.
-
-First what the repository alone can tell: seal, submission, code, the run's own scores. Then the
-dataset and the judges, or the phantom and its task; and the seeds.
-"""
+"""Claims on what scores rest on: seal, submission, code and machine; data, judges, task, seeds."""
 
 import json
 import subprocess
@@ -24,7 +20,7 @@ from racines_leaderboard.audit.weights import data_of
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.seal import KEY, seal_of
 from racines_leaderboard.submissions.document import find_submission
-from racines_models import provenance
+from racines_models.provenance import environment
 from racines_models.scores.scoring import take_turns
 
 MACHINE = ("torch", "cpu", "threads", "device")
@@ -32,29 +28,26 @@ MACHINE = ("torch", "cpu", "threads", "device")
 
 
 def check_claims(record: Record, bench: Bench) -> Iterator[Verdict]:
-    """Check the seal, the submission, the version and commit of the code, and the machine.
-
-    The scores file that a run left is a second copy of its numbers: whoever edits a record has to
-    edit it as well.
-    """
+    """Check the seal, the submission, the version and commit of the code, and the machine."""
     code = record["scores"]["code"]
-    yield _seal(record)
+    if KEY in record:
+        reason = "the sha256 of the record as it was written; another one means that it was edited"
+        yield equal("seal", record[KEY], seal_of(record), reason)
+    else:
+        yield unknown("seal", "the record has no seal: racines audit --seal gives one")
     yield _submission(record, bench)
     yield equal("code.version", code["version"], version("racines"), "the package here")
     if commit := code.get("commit"):
         yield _commit(commit)
-    yield _environment(record)
+    if others := differing(record["scores"]["environment"], environment()):
+        reason = f"made elsewhere ({', '.join(others)} differ): numbers are held within tolerance"
+        yield unknown("environment", reason)
+    else:
+        yield holds("environment", f"as here: {', '.join(MACHINE)}")
     folder = bench.places.runs if record["track"] == "generators" else bench.places.agents
     path = folder / "scores" / f"{record['name']}.json"
     if record["tier"] == "self-reported" and path.is_file():
         yield from _scores_file(record, path, bench)
-
-
-def _seal(record: Record) -> Verdict:
-    if KEY not in record:
-        return unknown("seal", "the record has no seal: racines audit --seal gives one")
-    reason = "the sha256 of the record as it was written; another one means that it was edited"
-    return equal("seal", record[KEY], seal_of(record), reason)
 
 
 def _submission(record: Record, bench: Bench) -> Verdict:
@@ -93,13 +86,6 @@ def _commit(commit: str) -> Verdict:
     return unknown("code.commit", reason, commit)
 
 
-def _environment(record: Record) -> Verdict:
-    if others := differing(record["scores"]["environment"], provenance.environment()):
-        reason = f"made elsewhere ({', '.join(others)} differ): numbers are held within tolerance"
-        return unknown("environment", reason)
-    return holds("environment", f"as here: {', '.join(MACHINE)}")
-
-
 def differing(claimed: dict[str, Any], here: dict[str, Any]) -> list[str]:
     """Return in which of what floating point depends on two environments differ."""
     versions = [machine["python"].split(".")[:2] for machine in (claimed, here)]
@@ -108,6 +94,7 @@ def differing(claimed: dict[str, Any], here: dict[str, Any]) -> list[str]:
 
 
 def _scores_file(record: Record, path: Path, bench: Bench) -> Iterator[Verdict]:
+    """Hold a record to the scores file of its run: whoever edits one has to edit both."""
     try:
         here = json.loads(path.read_text())
         board = here.get("board") or (here.get("dataset") or {}).get("board")
@@ -130,7 +117,7 @@ def dataset(record: Record, bench: Bench) -> Iterator[Verdict]:
         reason = "the recipe that the board's settings build"
         yield equal("dataset.recipe_digest", recipe, bench.recipe, reason)
     yield equal("dataset.split", claimed["split"], bench.scores.split, "scores.split")
-    store = bench.data_for(recipe)
+    store = bench.data_for(record)
     if store is None:
         reason = f"no dataset of that recipe in {bench.places.data}"
         keys = [key for key in ("source", "version", "digest", "sample") if key in claimed]

@@ -26,6 +26,7 @@ from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.tracks import TRACK
 from racines_models.scores.diversity import places_again
 from racines_models.scores.judge import PRDC_FRAMES
+from racines_models.statistics import wilson
 
 OF_VIEW = re.compile(r"(grade_agreement|grade_error|pose_error_(mm|deg)_view)(_truth)?")
 """Metrics over the frames of a view alone."""
@@ -48,10 +49,7 @@ CONTINUOUS = ("ssim", "psnr", "fid", "kid", "final_grade", "spl", "position_erro
 
 def check_metrics(record: Record, bench: Bench) -> Iterator[Verdict]:
     """Check each metric's n, interval and parts against one another and the board's settings."""
-    scores = record["scores"]
-    groups = {"metrics": scores["metrics"]}
-    groups |= {f"by_seed.{seed}": each for seed, each in scores.get("by_seed", {}).items()}
-    for place, metrics in groups.items():
+    for place, metrics in _groups(record["scores"]).items():
         counts = _counts(record, bench, place, metrics)
         for key, metric in metrics.items():
             subject = f"{place}.{key}"
@@ -61,6 +59,12 @@ def check_metrics(record: Record, bench: Bench) -> Iterator[Verdict]:
                 yield equal(f"{subject}.n", metric["n"], n, reason)
             yield from _parts(subject, metric)
     yield from _methods(record, bench)
+
+
+def _groups(scores: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the metrics by place: those of all runs together, and those of each seed."""
+    seeds = scores.get("by_seed", {}).items()
+    return {"metrics": scores["metrics"]} | {f"by_seed.{seed}": each for seed, each in seeds}
 
 
 def _interval(subject: str, metric: dict[str, Any]) -> Verdict:
@@ -82,8 +86,6 @@ def _parts(subject: str, metric: dict[str, Any]) -> Iterator[Verdict]:
         close = abs(mean - value) <= CLOSE * max(1.0, abs(mean))
         yield tell(close, f"{subject}.by_set", "the mean of its sets", value, mean)
     if settings.get("interval") == "Wilson" and n:
-        from racines_models.statistics import wilson
-
         here = wilson(np.arange(n) < round(value * n))
         claimed, recomputed = ([one[key] for key in ENDS] for one in (metric, here))
         close = np.allclose(claimed, recomputed, rtol=0, atol=CLOSE)
@@ -97,7 +99,7 @@ def _counts(
     """Return the n that each metric must have, and why, as far as it is known."""
     if record["track"] == "agents":
         return _episodes(record, place, metrics)
-    store = bench.data_for(record["scores"]["dataset"]["recipe_digest"])
+    store = bench.data_for(record)
     if store is None:
         most = bench.scores.samples
         reason = f"at most {most:,} frames are scored; how many show a view, the data would tell"
@@ -140,7 +142,7 @@ def _methods(record: Record, bench: Bench) -> Iterator[Verdict]:
         wanted = {"resamples": bench.evaluation.resamples}
     else:
         wanted = {"resamples": bench.scores.resamples}
-        if bench.data_for(record["scores"]["dataset"]["recipe_digest"]) is not None:
+        if bench.data_for(record) is not None:
             trajectories = len(np.unique(bench.sample.trajectory))
             wanted |= {"blocks": min(bench.scores.blocks, trajectories)}
     metrics = record["scores"]["metrics"].values()
@@ -169,36 +171,25 @@ def agreement(record: Record, made: dict[str, Any], road: str) -> str:
 
 
 def compare_numbers(record: Record, made: dict[str, Any], tier: str) -> Iterator[Verdict]:
-    """Give one verdict for each number of a record; `made` is what was recomputed, as JSON has it.
-
-    The settings of each extractor that took part are compared as well.
-    """
-    extractors = record["scores"].get("extractors", {})
-    for subject, key, claimed, here in _pairs(record["scores"], made):
-        if TIMED.fullmatch(key):
-            yield unknown(subject, "a time: it depends on the machine", claimed["value"])
-        elif here is None:
-            reason = "its judge is not here, or its road does not draw again"
-            if key == "success_grader" and not extractors:
+    """Hold each number of a record, and the settings of its extractors, to what was made again."""
+    extractors, there = record["scores"].get("extractors", {}), _groups(made)
+    for place, metrics in _groups(record["scores"]).items():
+        for key, claimed in metrics.items():
+            subject, here = f"{place}.{key}", there.get(place, {}).get(key)
+            if TIMED.fullmatch(key):
+                yield unknown(subject, "a time: it depends on the machine", claimed["value"])
+            elif here is not None:
+                yield from _numbers(subject, key, claimed, here, tier, record["track"])
+            elif key == "success_grader" and not extractors:
                 reason = "the record does not say which grader saw it"
-            yield unknown(subject, reason, claimed["value"])
-        else:
-            yield from _numbers(subject, key, claimed, here, tier, record["track"])
+                yield unknown(subject, reason, claimed["value"])
+            else:
+                reason = "its judge is not here, or its road does not draw again"
+                yield unknown(subject, reason, claimed["value"])
     for kind, claimed in extractors.items():
         if kind in made.get("extractors", {}):
             same = claimed == made["extractors"][kind]
             yield tell(same, f"extractors.{kind}.settings", "those that it was scored with")
-
-
-def _pairs(
-    claimed: dict[str, Any], made: dict[str, Any]
-) -> Iterator[tuple[str, str, dict[str, Any], dict[str, Any] | None]]:
-    for key, metric in claimed["metrics"].items():
-        yield f"metrics.{key}", key, metric, made["metrics"].get(key)
-    for seed, metrics in claimed.get("by_seed", {}).items():
-        here = made.get("by_seed", {}).get(seed, {})
-        for key, metric in metrics.items():
-            yield f"by_seed.{seed}.{key}", key, metric, here.get(key)
 
 
 def _numbers(

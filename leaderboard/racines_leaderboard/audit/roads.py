@@ -48,7 +48,7 @@ def find_road(record: Record, bench: Bench) -> Road | str:
     if bench.settings is None:
         return bench.no_settings
     generator = record["track"] == "generators"
-    if generator and bench.data_for(record["scores"]["dataset"]["recipe_digest"]) is None:
+    if generator and bench.data_for(record) is None:
         return bench.no_data
     if submitted(record):
         on, folder = _ground(record, bench), submission_of(record, bench)
@@ -101,8 +101,7 @@ def score_fitted(record: Record, bench: Bench, folder: Path | None = None) -> di
     The run is kept in `folder` and, if it was cut short, goes on there; None keeps nothing.
     """
     assert bench.settings is not None and bench.store is not None
-    store, name = bench.store, record["name"]
-    cls = generator_class(name)
+    store, name, cls = bench.store, record["name"], generator_class(record["name"])
     settings = section(bench.settings, "generators").get(name) or {}
     config: Any = fill(cls.Config, settings, f"generators.{name}")
     repeats = getattr(getattr(config, "training", None), "repeats", 1)

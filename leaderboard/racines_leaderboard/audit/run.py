@@ -29,20 +29,14 @@ from racines_leaderboard.audit.verdicts import (
     tell,
     unknown,
 )
-from racines_leaderboard.board.collect import Record, basis_of, read_record
+from racines_leaderboard.board.collect import Record, read_record
 from racines_leaderboard.records.schema import write_record
 from racines_leaderboard.records.seal import sealed
 from racines_leaderboard.records.tracks import TRACK
 
 
 def audit(path: Path, bench: Bench, quick: bool = False) -> Report:
-    """Audit the record in a file `<results>/<board>/<track>/<name>.json`.
-
-    Args:
-        path: The file.
-        bench: Its board.
-        quick: Recompute no number.
-    """
+    """Audit a record, `<results>/<board>/<track>/<name>.json`; `quick` recomputes no number."""
     record = _read(path, bench)
     if isinstance(record, Report):
         return record
@@ -64,10 +58,7 @@ def audit(path: Path, bench: Bench, quick: bool = False) -> Report:
 def retrain(path: Path, bench: Bench, into: Path) -> Report:
     """Audit a record by training its system again; write the tier if all that ranks holds.
 
-    Args:
-        path: The record.
-        bench: Its board.
-        into: Folder of the runs; one that was killed goes on.
+    The runs are kept in the folder `into`; one that was killed goes on.
     """
     record = _read(path, bench)
     if isinstance(record, Report):
@@ -143,7 +134,7 @@ def _obstacle(record: Record, bench: Bench) -> str | None:
         return "its code is not merged: only its artefacts can be scored again"
     if bench.settings is None:
         return bench.no_settings
-    if record["track"] == "generators" and bench.data_for(basis_of(record)) is None:
+    if record["track"] == "generators" and bench.data_for(record) is None:
         return bench.no_data
     return None
 
@@ -186,11 +177,7 @@ def _within(record: Record, made: dict[str, Any]) -> Iterator[Verdict]:
 
 
 def find_records(results: Path, names: list[str], board: str | None) -> list[Path]:
-    """Return the records of some names, NAME or TRACK/NAME; all of them if no name is given.
-
-    Raises:
-        RacinesError: a board without results, or a name that no board has.
-    """
+    """Return the records of some names, NAME or TRACK/NAME; all of them if no name is given."""
     paths = [p for p in sorted(results.glob(f"{board or '*'}/*/*.json")) if p.parts[-2] in TRACK]
     if not paths:
         raise RacinesError(f"{results}: no results of {board or 'any board'}")

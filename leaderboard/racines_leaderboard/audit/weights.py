@@ -133,8 +133,7 @@ def check_content(record: Record, bench: Bench) -> Iterator[Verdict]:
 
 
 def _predictions(subject: str, path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
-    dataset = record["scores"]["dataset"]
-    store = bench.data_for(dataset["recipe_digest"])
+    dataset, store = record["scores"]["dataset"], bench.data_for(record)
     if store is None:
         yield unknown(f"{subject}.dataset", bench.no_data)
         return

@@ -49,11 +49,7 @@ def write_page(page: Path, results: Path) -> None:
 
 
 def with_tables(text: str, results: Path, where: str) -> str:
-    """Return a README's text with the tables between its marks made anew.
-
-    Raises:
-        RacinesError: no marks, a mark without its end, or a board without results.
-    """
+    """Return a README's text with the tables between its marks made anew."""
     opening, closing = BEGIN.split("{board}")
     before, found, rest = text.partition(opening)
     board, named, rest = rest.partition(closing)

@@ -18,8 +18,11 @@ from racines_leaderboard.board.collect import Record, one_dataset, record_of
 from racines_leaderboard.records.schema import check, write_record
 from racines_leaderboard.records.tracks import GENERATORS, TRACK, TRACKS
 from racines_leaderboard.submissions.artefacts import YAML, files_of, rescored
-from racines_leaderboard.submissions.confined.roads import ConfinedGenerator, ConfinedPolicyAgent
-from racines_leaderboard.submissions.confined.session import Limits
+from racines_leaderboard.submissions.confined.session import (
+    ConfinedGenerator,
+    ConfinedPolicyAgent,
+    Limits,
+)
 from racines_leaderboard.submissions.content_checks import check_content
 from racines_leaderboard.submissions.document import find_submission
 from racines_models.exchange.predictions.reader import Predictions
@@ -46,11 +49,7 @@ class Ground:
 
 
 def find(submissions: Path, name: str) -> Path:
-    """Return the folder of a submission by NAME or TRACK/NAME.
-
-    Raises:
-        RacinesError: none, or one in each track.
-    """
+    """Return the folder of a submission by NAME, if one track alone has it, or TRACK/NAME."""
     names = {track.name: name.removeprefix(f"{track.name}/") for track in TRACKS}
     folders = [submissions / track / bare for track, bare in names.items() if "/" not in bare]
     found = [folder for folder in folders if (folder / YAML).is_file()]
@@ -61,15 +60,10 @@ def find(submissions: Path, name: str) -> Path:
 
 
 def recompute(folder: Path, ground: Ground, results: Path) -> Record:
-    """Score the artefact of a submission and write its record, of tier `recomputed`.
+    """Score the artefact in `<submissions>/<track>/<name>`; write a record of tier `recomputed`.
 
     Graphs run in a confined child; no code of the submitter's runs. Timings are left out: they
     would be those of the confinement.
-
-    Args:
-        folder: `<submissions>/<track>/<name>`.
-        ground: The board's data, settings and judges.
-        results: Folder of the boards.
 
     Raises:
         RacinesError: a submission at fault or without an artefact that can be scored, one made for

@@ -45,10 +45,7 @@ def stratify(
         trajectories: (N,) the trajectory of each, an integer.
         total: Frames wanted; RacinesError if there are fewer.
         random: The label of `Random`, whose frames have one grade.
-        rng: Decides which frames, and their order.
-
-    Returns:
-        (total,) int64 places of the chosen frames, in random order.
+        rng: Decides which (total,) int64 places of frames are returned, and their order.
     """
     bins = np.digitize(np.nan_to_num(grades), GRADE_EDGES)
     bins[(views < 0) | (views == random)] = 0
@@ -96,10 +93,7 @@ class Plan:
 
 
 def blind(systems: Sequence[str], repeats: int, rng: np.random.Generator) -> Plan:
-    """Choose which of N images are repeated, as many of each system, and name all by chance.
-
-    `repeats` is at most half of the images.
-    """
+    """Choose at most half of N images to repeat, as many of each system; name all by chance."""
     names = np.array(systems)
     present, counts = np.unique(names, return_counts=True)
     shares = zip(present, allocate(repeats, counts), strict=True)

@@ -65,12 +65,7 @@ def kappa_metric(
 ) -> dict[str, Any]:
     """Return the mean of R raters' kappas with an interval by trajectory.
 
-    Args:
-        counts: (R, C, K, K) counts by rater and trajectory.
-        cost: (K, K) disagreement of each pair of answers.
-        rule: What the metric is, for its settings.
-        resamples: Bootstrap resamples.
-        seed: Of the resamples.
+    `counts` are (R, C, K, K), by rater and trajectory; `rule` says what it is, for its settings.
     """
     n = int(counts.sum((1, 2, 3)).max(initial=0))
     seen = counts[:, counts.sum((0, 2, 3)) > 0]

@@ -118,10 +118,7 @@ class Kit:
 def sealed_document(
     labels: Sequence[str], blocks: list[list[str]], images: list[Path], key: Path
 ) -> dict[str, Any]:
-    """Return the content of `kit.json`, which holds the hashes of the images and of the key.
-
-    Of the view labels, the last says that there is no view.
-    """
+    """Return the content of `kit.json`, which holds the hashes of the images and of the key."""
     document = {
         "schema": "racines.expert-kit/1",
         "preface": PREFACE,

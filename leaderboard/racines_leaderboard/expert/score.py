@@ -34,11 +34,7 @@ def score(
 ) -> dict[str, Any]:
     """Return the report of a study, as its schema `expert-scores` has it.
 
-    Args:
-        kit: What was rated.
-        key: Its answers, see `Kit.read_key`.
-        everyone: Raters of one kind, see `ratings.read_all`.
-        resamples: Of the bootstrap.
+    The key is that of the kit, and everyone a rater of one kind (`ratings.read_all`).
 
     Raises:
         RacinesError: nothing to compare with but the rater's own opinion.

@@ -150,8 +150,7 @@ class Session:
 def order_of(kit: Kit, rater: str, seed: int = 0) -> list[str]:
     """Return the kit's images in a rater's order: blocks shuffled, forwards or backwards.
 
-    An image and its repeat lie in the first and the last block, so at least the middle one, a third
-    of the kit, is between them.
+    So the middle block, a third of the kit, is always between an image and its repeat.
     """
     digest = hashlib.sha256(f"{kit.digest} {rater} {seed}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:16], "big"))

@@ -85,11 +85,8 @@ def read_document(path: Path) -> dict[str, Any]:
 def read_submission(path: Path) -> dict[str, Any]:
     """Read a submission, and check that its artefacts are those that the YAML names.
 
-    An artefact with a URL may be absent.
-
-    Raises:
-        RacinesError: as `read_document`; a file that is absent, no regular file, too large, a
-            pickle or an archive, or of another size or digest.
+    An artefact with a URL may be absent. None may be a link, too large, a pickle or an archive, or
+    of another size or digest.
     """
     document = read_document(path)
     for artefact in files_of(document):

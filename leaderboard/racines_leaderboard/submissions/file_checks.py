@@ -54,11 +54,7 @@ REMEDY = (
 
 
 def check_name(name: object, where: str) -> str:
-    """Return the name of a file if it can only lie in the folder that it is put in.
-
-    Raises:
-        RacinesError: a path, a hidden or overlong name, or other characters than those of NAME.
-    """
+    """Return the name of a file; refuse one that is a path, hidden, overlong or reserved."""
     if not isinstance(name, str) or not NAME.fullmatch(name) or RESERVED.fullmatch(name):
         raise RacinesError(
             f"{where}: {str(name)[:120]!r} refused: give the bare name of a file in the "
@@ -69,11 +65,7 @@ def check_name(name: object, where: str) -> str:
 
 @contextmanager
 def opened(folder: Path, name: str, where: str, limit: int = MAX_BYTES) -> Iterator[BinaryIO]:
-    """Open a regular file of a folder, no link, of at most `limit` bytes.
-
-    Raises:
-        RacinesError: absent, a link, a device or folder, empty, or too large.
-    """
+    """Open a regular file of a folder, no link, device or folder, of 1 to `limit` bytes."""
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         handle = os.open(folder / name, flags)
@@ -109,8 +101,7 @@ def measure(
 ) -> tuple[str, int]:
     """Return the sha256 and the size of a stream, copied into `out` on the way.
 
-    Raises:
-        RacinesError: it is longer than MAX_BYTES, or begins as a pickle or an archive does.
+    One longer than MAX_BYTES is refused, and one that begins as a pickle or an archive does.
     """
     digest, size = hashlib.sha256(), 0
     while chunk := stream.read(CHUNK):

@@ -13,8 +13,9 @@ import sys
 import threading
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from multiprocessing.connection import Pipe
 from pathlib import Path
 
@@ -24,7 +25,10 @@ import racines_data
 import racines_leaderboard
 import racines_models
 from racines_data.errors import RacinesError
+from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_leaderboard.submissions.confined import wire
+from racines_leaderboard.submissions.file_checks import MAX_BYTES, read_bounded
+from racines_models.exchange.onnx.generator import OnnxGenerator
 
 START = (
     "import sys; sys.path[:0] = sys.argv.pop(1).split('|'); "
@@ -174,3 +178,24 @@ def rehearse(kind: str, content: bytes, where: str, limits: Limits | None = None
     So this process parses only what parses within limits.
     """
     Child(kind, content, where, limits).close()
+
+
+class ConfinedGenerator(OnnxGenerator):
+    """Draws what `OnnxGenerator` draws, byte for byte, on the CPU; RacinesError if it may not."""
+
+    def __init__(self, path: Path, limits: Limits | None = None) -> None:
+        super().__init__(path, "cpu", _confined(path, limits))
+
+
+class ConfinedPolicyAgent(OnnxPolicyAgent):
+    """Acts as `OnnxPolicyAgent` acts, on the CPU; RacinesError if it may not."""
+
+    def __init__(self, path: Path, limits: Limits | None = None) -> None:
+        super().__init__(path, "cpu", _confined(path, limits))
+
+
+def _confined(path: Path, limits: Limits | None) -> Callable[..., ConfinedSession]:
+    """Rehearse a file's parse; return what opens it."""
+    content = read_bounded(path.parent, path.name, str(path.parent), MAX_BYTES)
+    rehearse("onnx", content, str(path), limits)
+    return partial(ConfinedSession, limits=limits)
