@@ -52,12 +52,8 @@ def check_metrics(record: Record, bench: Bench) -> Iterator[Verdict]:
     for place, metrics in _groups(record["scores"]).items():
         counts = _counts(record, bench, place, metrics)
         for key, metric in metrics.items():
-            subject = f"{place}.{key}"
-            yield _interval(f"{subject}.interval", metric)
-            if key in counts and not TIMED.fullmatch(key):
-                n, reason = counts[key]
-                yield equal(f"{subject}.n", metric["n"], n, reason)
-            yield from _parts(subject, metric)
+            count = None if TIMED.fullmatch(key) else counts.get(key)
+            yield from _by_itself(f"{place}.{key}", metric, count)
     yield from _methods(record, bench)
 
 
@@ -67,20 +63,22 @@ def _groups(scores: dict[str, Any]) -> dict[str, dict[str, Any]]:
     return {"metrics": scores["metrics"]} | {f"by_seed.{seed}": each for seed, each in seeds}
 
 
-def _interval(subject: str, metric: dict[str, Any]) -> Verdict:
+def _by_itself(
+    subject: str, metric: dict[str, Any], count: tuple[int, str] | None
+) -> Iterator[Verdict]:
+    """Check a metric's interval, its n where it is known, and what follows from other numbers."""
     value, low, high = (metric[key] for key in ENDS)
+    settings, n = metric.get("settings", {}), metric["n"]
     if (low is None) != (high is None):
-        return fails(subject, "one end is missing", [low, high])
-    if value is None or low is None:
-        return holds(subject, "none given", [low, high])
-    slack = CLOSE * max(1.0, abs(value))
-    inside = low - slack <= value <= high + slack
-    return tell(inside, subject, "low ≤ value ≤ high", [low, value, high])
-
-
-def _parts(subject: str, metric: dict[str, Any]) -> Iterator[Verdict]:
-    """Check what follows from other numbers of a metric: means of parts, Wilson's interval."""
-    settings, value, n = metric.get("settings", {}), metric["value"], metric["n"]
+        yield fails(f"{subject}.interval", "one end is missing", [low, high])
+    elif value is None or low is None:
+        yield holds(f"{subject}.interval", "none given", [low, high])
+    else:
+        slack = CLOSE * max(1.0, abs(value))
+        inside, ends = low - slack <= value <= high + slack, [low, value, high]
+        yield tell(inside, f"{subject}.interval", "low ≤ value ≤ high", ends)
+    if count is not None:
+        yield equal(f"{subject}.n", n, *count)
     if (sets := settings.get("by_set")) and value is not None:
         mean = float(np.mean(sets))
         close = abs(mean - value) <= CLOSE * max(1.0, abs(mean))

@@ -98,7 +98,10 @@ class Report:
         """Give a row a metric that holds, a claim that fails, a reason that leaves some open."""
         groups: dict[str, list[Verdict]] = {}
         for verdict in self.verdicts:
-            groups.setdefault(_group(verdict.subject), []).append(verdict)
+            first, _, rest = verdict.subject.partition(".")
+            metric = f"metrics.{rest.partition('.')[0]}"
+            name = {"metrics": metric, "by_seed": first}.get(first, verdict.subject)
+            groups.setdefault(name, []).append(verdict)
         alike: dict[tuple[str, str], list[str]] = {}
         for name, verdicts in groups.items():
             worst = min((each.verdict for each in verdicts), key=VERDICTS.index)
@@ -107,7 +110,7 @@ class Report:
                 for each in those:
                     yield each.subject, worst, each.reason, _short(each.claimed), _short(each.found)
             elif worst == HOLDS:
-                yield name, worst, _reasons(verdicts), *_values(verdicts)
+                yield name, worst, *_told(verdicts)
             else:
                 alike.setdefault((worst, those[0].reason), []).append(name)
         for (worst, reason), names in alike.items():
@@ -115,27 +118,18 @@ class Report:
             yield ", ".join(names[:3]) + more, worst, reason, "", ""
 
 
-def _group(subject: str) -> str:
-    """Return the metric that a verdict is on; all of single seeds are one."""
-    parts = subject.split(".")
-    return {"metrics": ".".join(parts[:2]), "by_seed": "by_seed"}.get(parts[0], subject)
-
-
-def _reasons(verdicts: list[Verdict]) -> str:
-    """Return what is told of a metric that holds: how far off it was, where it was."""
+def _told(verdicts: list[Verdict]) -> tuple[str, str, str]:
+    """Return of what holds how far off it was, where it was, and the values there and here."""
     reasons = [verdict.reason for verdict in verdicts]
     recomputed = [reason for reason in reasons if reason.startswith("recomputed")]
     differing = [reason for reason in recomputed if "equal" not in reason]
     counted = f" ({len(reasons)} checks)" if len(reasons) > 1 else ""
-    return (differing or recomputed or reasons)[0] + counted
-
-
-def _values(verdicts: list[Verdict]) -> tuple[str, str]:
+    why = (differing or recomputed or reasons)[0] + counted
     values = [each for each in verdicts if each.subject.endswith(".value")]
     if not values and len(verdicts) > 1:
-        return "", ""
+        return why, "", ""
     each = (values or verdicts)[0]
-    return _short(each.claimed), _short(each.found)
+    return why, _short(each.claimed), _short(each.found)
 
 
 def _short(value: Any) -> str:

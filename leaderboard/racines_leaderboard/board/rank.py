@@ -12,13 +12,13 @@ better metric.
 from dataclasses import dataclass
 from typing import Any
 
+from scipy.stats import rankdata
+
 from racines_leaderboard.records.tracks import Column, Track
 
 Record = dict[str, Any]
 EXPERT = "expert_"
 """Begins the keys of metrics that an expert study gave."""
-
-
 SHOWN = {
     "image": " from the image",
     "params": " from the pose",
@@ -125,20 +125,14 @@ def _badness(record: Record, column: Column) -> tuple[float, float, float]:
 def _group_ranks(column: Column, records: list[Record]) -> list[float]:
     """Return each record's rank by one metric; a group shares the mean of its members' ranks."""
     metrics = [_badness(record, column) for record in records]
-    groups: list[list[int]] = []
-    reach = -float("inf")
+    groups = [0] * len(records)
+    group, reach = 0, -float("inf")
     for i in sorted(range(len(records)), key=lambda i: metrics[i][0]):
         _, best, worst = metrics[i]
-        if not groups or best > reach:
-            groups.append([])
-            reach = worst
-        groups[-1].append(i)
-    ranks, before = [0.0] * len(records), 0
-    for group in groups:
-        for i in group:
-            ranks[i] = before + (1 + len(group)) / 2
-        before += len(group)
-    return ranks
+        if best > reach or not group:
+            group, reach = group + 1, worst
+        groups[i] = group
+    return rankdata(groups).tolist()
 
 
 def _mean_ranks(columns: list[Column], records: list[Record]) -> list[tuple[float, ...]]:
@@ -167,5 +161,5 @@ def _plain_keys(
     values = [[_badness(record, column)[0] for record in records] for column in columns]
     if not track.mean_rank:
         return list(zip(*values, strict=True))
-    ranks = [[1 + sum(o < v for o in column) for v in column] for column in values]
+    ranks = [rankdata(column, "min").tolist() for column in values]
     return [(sum(each) / len(columns),) for each in zip(*ranks, strict=True)]

@@ -71,7 +71,12 @@ def show(table: Table, console: Console) -> None:
 
 
 def _drawn(title: str, rows: Sequence[Sequence[str]]) -> RichTable:
-    return console_table(rows[0], (map(_stacked, row) for row in rows[1:]), title, 2, padding=0)
+    """Return a table, the interval and n of a metric under it, so that a wide one fits."""
+    stacked = (
+        [cell.replace(" (", "\n(").replace(" – ", "–").replace(", n = ", "\nn = ") for cell in row]
+        for row in rows[1:]
+    )
+    return console_table(rows[0], stacked, title, 2, padding=0)
 
 
 def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
@@ -86,11 +91,6 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
         ]
         for track in TRACKS
     }
-
-
-def _stacked(text: str) -> str:
-    """Put the interval and n of a metric under it, so that a wide table fits a terminal."""
-    return text.replace(" (", "\n(").replace(" – ", "–").replace(", n = ", "\nn = ")
 
 
 @functools.cache

@@ -1,7 +1,6 @@
 """The commands `racines audit` and `racines study determinism`: what holds, and what repeats."""
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +9,6 @@ import typer
 from racines_data.cli import options as opt
 
 if TYPE_CHECKING:
-    from racines_leaderboard.audit.bench import Places
     from racines_leaderboard.audit.verdicts import Report
 
 
@@ -22,8 +20,7 @@ def audit(
     board: opt.Board = None,
     quick: Annotated[bool, typer.Option("--quick", help="Make no number again.")] = False,
     retrain: Annotated[
-        bool,
-        typer.Option("--retrain", help="Train anew; where all holds, the tier is reproduced."),
+        bool, typer.Option("--retrain", help="Train anew; where all holds, the tier is reproduced.")
     ] = False,
     retrain_into: Annotated[
         Path, typer.Option(help="With --retrain: folder of the runs; a killed one goes on.")
@@ -47,7 +44,8 @@ def audit(
     Markdown. Exits 1 if anything does not hold.
     """
     from racines_data.files import write_atomic, write_json
-    from racines_leaderboard.audit.bench import Places
+    from racines_leaderboard.audit import run
+    from racines_leaderboard.audit.bench import Bench, Places
     from racines_leaderboard.audit.verdicts import audit_markdown, show
 
     judges = {"grader": grader, "pose": pose}
@@ -57,9 +55,14 @@ def audit(
         raise typer.BadParameter("give names, or --all")
     if quick and retrain:
         raise typer.BadParameter("--quick makes no number again, --retrain does: give one")
+    benches: dict[str, Bench] = {}
     reports = []
-    into = retrain_into if retrain else None
-    for path, report in _reports(names or [], board, places, quick, into):
+    for path in run.find_records(places.results, names or [], board):
+        bench = benches.setdefault(path.parts[-3], Bench(path.parts[-3], places))
+        if retrain:
+            report = run.retrain(path, bench, retrain_into)
+        else:
+            report = run.audit(path, bench, quick)
         reports.append(report)
         if not as_json:
             show(report, details)
@@ -74,22 +77,6 @@ def audit(
         typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
     if not document["holds"]:
         raise typer.Exit(1)
-
-
-def _reports(
-    names: list[str], board: str | None, places: "Places", quick: bool, into: Path | None
-) -> Iterator[tuple[Path, "Report"]]:
-    """Give each record's file and its report as it is made."""
-    from racines_leaderboard.audit import run
-    from racines_leaderboard.audit.bench import Bench
-
-    benches: dict[str, Bench] = {}
-    for path in run.find_records(places.results, names, board):
-        bench = benches.setdefault(path.parts[-3], Bench(path.parts[-3], places))
-        yield (
-            path,
-            run.audit(path, bench, quick) if into is None else run.retrain(path, bench, into),
-        )
 
 
 def _document(reports: list["Report"]) -> dict[str, Any]:

@@ -17,8 +17,7 @@ def studio(
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 7860,
     tab: Annotated[
-        list[str] | None,
-        typer.Option(help="Show this tab; repeatable.  [default: all]"),
+        list[str] | None, typer.Option(help="Show this tab; repeatable.  [default: all]")
     ] = None,
     data: opt.Data = opt.DATA,
     results: opt.Results = opt.RESULTS,

@@ -48,10 +48,7 @@ def show(report: dict[str, Any], console: Console) -> None:
 
 
 def _print(
-    console: Console,
-    title: str,
-    head: tuple[str, str],
-    rows: dict[tuple[str, ...], dict[str, Any]],
+    console: Console, title: str, head: tuple[str, str], rows: dict[tuple[str, ...], dict[str, Any]]
 ) -> None:
     lines = []
     for names, metrics in rows.items():

@@ -150,11 +150,7 @@ def _check_free(target: Path, document: dict[str, Any], replace: bool, path: Pat
 
 
 def _gather(
-    path: Path,
-    document: dict[str, Any],
-    stage: Path,
-    opener: Opener | None,
-    limits: Limits | None,
+    path: Path, document: dict[str, Any], stage: Path, opener: Opener | None, limits: Limits | None
 ) -> tuple[str, ...]:
     """Bring all artefacts into the stage and check what they hold; return those left remote."""
     remote = []
