@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.expert.agreement import Answers, agreement
-from racines_leaderboard.expert.kappa import fleiss_metric
+from racines_leaderboard.expert.agreement import Answers, agreement, fleiss_metric
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.expert.ratings import Ratings
 from racines_leaderboard.records.names import EXPERT, OVERALL, TRUE_FRAMES

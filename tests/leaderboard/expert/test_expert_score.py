@@ -9,8 +9,9 @@ from torchmetrics.functional.classification import multiclass_cohen_kappa
 from racines_data.errors import RacinesError
 from racines_data.views import LABELS
 from racines_leaderboard.expert import raters
-from racines_leaderboard.expert.agreement import Answers, agreement
-from racines_leaderboard.expert.kappa import (
+from racines_leaderboard.expert.agreement import (
+    Answers,
+    agreement,
     confusion,
     fleiss_metric,
     kappa,
