@@ -88,6 +88,13 @@ class Bench:
         here = self.store and self.store.manifest["recipe_digest"] == basis_of(record)
         return self.store if here else None
 
+    def lacks_for(self, record: Record) -> str | None:
+        """Say what is not here of what a record's scores are made on; None if nothing."""
+        if self.settings is None:
+            return self.no_settings
+        generator = record["track"] == "generators"
+        return self.no_data if generator and self.data_for(record) is None else None
+
     @functools.cached_property
     def sample(self) -> Sample:
         """The frames of the dataset here that generators are scored on."""

@@ -45,16 +45,13 @@ class Road:
 
 def find_road(record: Record, bench: Bench) -> Road | str:
     """Return the best way to recompute a record's numbers, or why there is none."""
-    if bench.settings is None:
-        return bench.no_settings
-    generator = record["track"] == "generators"
-    if generator and bench.data_for(record) is None:
-        return bench.no_data
+    if lacking := bench.lacks_for(record):
+        return lacking
     if submitted(record):
         on, folder = _ground(record, bench), submission_of(record, bench)
         source = f"the artefacts in {folder}"
         return Road("artefacts", source, lambda: recompute_scores(folder, on)[1])
-    return _generator(record, bench) if generator else _agent(record, bench)
+    return (_generator if record["track"] == "generators" else _agent)(record, bench)
 
 
 def _ground(record: Record, bench: Bench) -> Ground:

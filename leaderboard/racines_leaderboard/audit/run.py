@@ -26,7 +26,6 @@ from racines_leaderboard.audit.verdicts import (
     equal,
     fails,
     holds,
-    tell,
     unknown,
 )
 from racines_leaderboard.board.collect import Record, read_record
@@ -64,7 +63,8 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
     if isinstance(record, Report):
         return record
     verdicts = list(_check(path, record, bench))
-    if reason := _obstacle(record, bench):
+    not_merged = "its code is not merged: only its artefacts can be scored again"
+    if reason := not_merged if weights.submitted(record) else bench.lacks_for(record):
         return _report(record, [*verdicts, unknown("reproduced", reason)], {})
     folder = into / bench.board / record["track"] / record["name"]
     made = json.loads(json.dumps(_train(record, bench, folder)))
@@ -128,17 +128,6 @@ def _recomputed(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, 
     return verdicts, how | {"environment": made["environment"]}
 
 
-def _obstacle(record: Record, bench: Bench) -> str | None:
-    """Say why a system cannot be trained again."""
-    if weights.submitted(record):
-        return "its code is not merged: only its artefacts can be scored again"
-    if bench.settings is None:
-        return bench.no_settings
-    if record["track"] == "generators" and bench.data_for(record) is None:
-        return bench.no_data
-    return None
-
-
 def _train(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
     """Train a system by the board's settings; return its scores."""
     if record["track"] == "generators":
@@ -170,7 +159,8 @@ def _within(record: Record, made: dict[str, Any]) -> Iterator[Verdict]:
         inside = claimed["low"] <= here["value"] <= claimed["high"]
         interval = f"95 % interval {claimed['low']:.6g} to {claimed['high']:.6g}"
         if key in TRACK[record["track"]].ranked_by:
-            yield tell(inside, subject, f"in its {interval}", *both)
+            say = holds if inside else fails
+            yield say(subject, f"in its {interval}", *both)
         else:
             where = "inside" if inside else "outside"
             yield unknown(subject, f"does not rank: {where} its {interval}", *both)

@@ -9,7 +9,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_envs.agents.trace_file import read_trace
 from racines_leaderboard.audit.bench import Bench
-from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, unknown
+from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, unknown
 from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.submissions.artefacts import files_of, rescored
 from racines_models.exchange.predictions.reader import Predictions
@@ -75,11 +75,10 @@ def _file(record: Record, name: str, sha256: str, bench: Bench) -> Iterator[Verd
     subject, path = f"weights.{name}", run_of(record, bench) / name
     if path.is_file():
         here = sha256_file(path)
-        if here == sha256:
-            yield holds(subject, f"the file {path}", sha256, here)
-            return
-        if data_of(path.parent) in (None, basis_of(record)):
-            yield fails(subject, f"the file {path}, trained on these data", sha256, here)
+        same = here == sha256
+        if same or data_of(path.parent) in (None, basis_of(record)):
+            trained = "" if same else ", trained on these data"
+            yield tell(same, subject, f"the file {path}{trained}", sha256, here)
             return
     copied = published(record, bench)
     if copied is None or name not in copied:
@@ -101,9 +100,8 @@ def _file(record: Record, name: str, sha256: str, bench: Bench) -> Iterator[Verd
 def published(record: Record, bench: Bench) -> dict[str, Any] | None:
     """Return what is said of the half-precision files of a record's weights, if they lie here."""
     described = bench.places.weights / record["name"] / "config.json"
-    if not described.is_file() or record["track"] != "generators":
-        return None
-    if data_of(described.parent) != basis_of(record):
+    there = described.is_file() and record["track"] == "generators"
+    if not there or data_of(described.parent) != basis_of(record):
         return None
     return json.loads(described.read_text()).get("weights_files", {}).get("files")
 

@@ -26,11 +26,7 @@ def boards(results: Path) -> list[str]:
 
 
 def read_board(results: Path, board: str) -> dict[str, list[Record]]:
-    """Read the records of a board, by track; generators with what experts say of them.
-
-    Raises:
-        RacinesError: a damaged record, or one that says it belongs elsewhere.
-    """
+    """Return the sound records of a board, by track; generators with what experts say of them."""
     content = {}
     for track in TRACKS:
         paths = sorted((results / board / track.name).glob("*.json"))
@@ -121,11 +117,7 @@ def _read_scores(path: Path) -> tuple[dict[str, Any], Track]:
 
 
 def read_record(path: Path, board: str, track: Track) -> Record:
-    """Read one record.
-
-    Raises:
-        RacinesError: damaged, against the schemas, or one that says it belongs elsewhere.
-    """
+    """Read one record; refuse what is damaged, or says that it belongs elsewhere."""
     record = read_json(path, "record")
     for key, value in (("board", board), ("track", track.name), ("name", path.stem)):
         if record[key] != value:
@@ -135,11 +127,7 @@ def read_record(path: Path, board: str, track: Track) -> Record:
 
 
 def one_dataset(new: dict[Path, Record], results: Path, board: str) -> None:
-    """Check that each track of a board stays on one dataset once new records are written.
-
-    Raises:
-        RacinesError: two records rest on different recipes.
-    """
+    """Check that each track of a board rests on one recipe once new records are written."""
     kept = {
         results / board / name / f"{record['name']}.json": record
         for name, records in read_board(results, board).items()

@@ -94,15 +94,12 @@ def panel(axis: Axes, column: Column, ranking: Sequence[Ranked]) -> None:
             ends = [metric["low"] * column.scale, metric["high"] * column.scale]
             axis.plot(ends, [row, row], color=INK, alpha=0.45, linewidth=3, solid_capstyle="butt")
         axis.plot([value], [row], "o", color=INK, markersize=5)
-    axis.set_yticks(range(len(ranking)), [_label(r.record) for r in ranking], size=9)
+    named = [(ranked.record["name"], ranked.record["scores"].get("task")) for ranked in ranking]
+    labels = [f"{name} ({task['view']})" if task else name for name, task in named]
+    axis.set_yticks(range(len(ranking)), labels, size=9)
     axis.set_ylim(len(ranking) - 0.4, -0.6)
     axis.set_title(column.title, size=9)
     axis.tick_params(axis="x", labelsize=8)
     axis.grid(axis="x", color="#dddddd", linewidth=0.7)
     axis.set_axisbelow(True)
     axis.spines[["top", "right", "left"]].set_visible(False)
-
-
-def _label(record: Record) -> str:
-    task = record["scores"].get("task")
-    return f"{record['name']} ({task['view']})" if task else record["name"]

@@ -2,11 +2,9 @@
 
 By one metric: the best leads a group of all that follow, as far as their 95 % intervals overlap the
 leader's; the next one leads the next group. A group shares the mean of the ranks that its members
-would take alone, as in 1.5, 1.5, 3: so the ranks of all add up to the same sum whoever is tied, and
-a tie of others neither helps nor hurts. A leader is what keeps the rule sound. Overlap is not
-transitive, so without one a long chain of neighbours would share a rank with a first and a last
-that are far apart. And groups are runs of the order by value, so a wide interval never overtakes a
-better metric.
+would take alone, as in 1.5, 1.5, 3, so a tie of others neither helps nor hurts. Overlap is not
+transitive: without a leader a long chain of neighbours would share a rank, with a first and a last
+that are far apart. Groups are runs of the order by value: a wide interval overtakes no better one.
 """
 
 from dataclasses import dataclass

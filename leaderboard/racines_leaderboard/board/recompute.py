@@ -18,11 +18,8 @@ from racines_leaderboard.board.collect import Record, one_dataset, record_of
 from racines_leaderboard.records.schema import check, write_record
 from racines_leaderboard.records.tracks import GENERATORS, TRACK, TRACKS
 from racines_leaderboard.submissions.artefacts import YAML, files_of, rescored
-from racines_leaderboard.submissions.confined.session import (
-    ConfinedGenerator,
-    ConfinedPolicyAgent,
-    Limits,
-)
+from racines_leaderboard.submissions.confined import session as confined
+from racines_leaderboard.submissions.confined.session import Limits
 from racines_leaderboard.submissions.content_checks import check_content
 from racines_leaderboard.submissions.document import find_submission
 from racines_models.exchange.predictions.reader import Predictions
@@ -126,7 +123,7 @@ def _generator_scores(
     opened = [
         Predictions(path, store, config.split)
         if kind == "predictions"
-        else ConfinedGenerator(path, ground.limits)
+        else confined.ConfinedGenerator(path, ground.limits)
         for path in paths
     ]
     if ground.grader is not None and not ground.grader.is_dir():
@@ -155,7 +152,7 @@ def _agent_scores(
     document: dict[str, Any], kind: str, paths: list[Path], ground: Ground
 ) -> dict[str, Any]:
     path, traced = paths[0], kind == "trace"
-    agent: Any = TraceAgent(path) if traced else ConfinedPolicyAgent(path, ground.limits)
+    agent: Any = TraceAgent(path) if traced else confined.ConfinedPolicyAgent(path, ground.limits)
     config = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation")
     judge = str(ground.grader) if ground.grader is not None and config.grader else ""
     view = getattr(agent, "view", config.view)

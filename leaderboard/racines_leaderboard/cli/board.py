@@ -44,9 +44,12 @@ def leaderboard(
 
     With --params, `board` of that file names the board.
     """
+    from rich.console import Console
+
     from racines_data.files import write_atomic
     from racines_leaderboard.board import collect as results_of
     from racines_leaderboard.board.pages import with_tables, write_page
+    from racines_leaderboard.board.table import board_tables, plain, published, show
 
     if params is not None:
         board = _board_of(params, board)
@@ -77,23 +80,7 @@ def leaderboard(
         if not readme.is_file():
             raise RacinesError(f"{readme}: no such file")
         write_atomic(readme, with_tables(readme.read_text(), results, str(readme)))
-    _show({name: results_of.read_board(results, name) for name in names}, as_json, details)
-
-
-def _board_of(params: Path, board: str | None) -> str:
-    named = read_params(params).get("board")
-    if not isinstance(named, str):
-        raise RacinesError(f"{params}: board: expected the name of a board")
-    if board not in (None, named):
-        raise RacinesError(f"--board {board} differs from {named!r}, the board of {params}")
-    return named
-
-
-def _show(content: dict[str, dict], as_json: bool, details: bool) -> None:
-    from rich.console import Console
-
-    from racines_leaderboard.board.table import board_tables, plain, published, show
-
+    content = {name: results_of.read_board(results, name) for name in names}
     if as_json:
         ranked = {name: plain(records) for name, records in content.items()}
         document = {"boards": ranked, "reported_in_the_paper": published()}
@@ -103,3 +90,12 @@ def _show(content: dict[str, dict], as_json: bool, details: bool) -> None:
     for name, records in content.items():
         for table in board_tables(name, records, details):
             show(table, console)
+
+
+def _board_of(params: Path, board: str | None) -> str:
+    named = read_params(params).get("board")
+    if not isinstance(named, str):
+        raise RacinesError(f"{params}: board: expected the name of a board")
+    if board not in (None, named):
+        raise RacinesError(f"--board {board} differs from {named!r}, the board of {params}")
+    return named

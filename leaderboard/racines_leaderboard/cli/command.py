@@ -79,7 +79,6 @@ COMMANDS = {
 """Where the function of each command stands; heavy imports stand inside it, for a quick --help."""
 
 PLUGINS = Plugins("command", "racines.commands", or_give="")
-_PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
 
 app = typer.Typer(
     help="RACINES, the open benchmark for robotic cardiac ultrasound. Not a medical device.",
@@ -100,10 +99,11 @@ def _assemble() -> None:
         group, _, name = words.rpartition(" ")
         groups[group].command(name)(resolve_name(function))
     taken = {each.name for each in (*app.registered_commands, *app.registered_groups)}
+    passed_on = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
     for name, point in PLUGINS.points().items():
         if name not in taken:  # ours keep their names
             about = f"Of another package ({point.value})."
-            app.command(name, help=about, context_settings=dict(_PASS_ON))(_call)
+            app.command(name, help=about, context_settings=dict(passed_on))(_call)
 
 
 def _call(context: typer.Context) -> Any:

@@ -4,8 +4,8 @@
     FOLDER/kit.json              names, views, scale, instructions; nothing of the answers
     FOLDER/key.json              the answers; not for raters
 
-`kit.json` holds the SHA-256 of the key and of the images, and its own digest, which every rating
-repeats. So neither can be changed once ratings exist.
+`kit.json` holds the SHA-256 of key and images, and its own digest, which every rating repeats: none
+can be changed once ratings exist.
 """
 
 import functools

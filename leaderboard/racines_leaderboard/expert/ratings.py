@@ -85,8 +85,7 @@ def read_ratings(path: Path, kit: Kit) -> Ratings:
         raise RacinesError(f"{path}: no ratings yet")
     first = {key: records[0].get(key, "") for key in ("rater", "kind", "about")}
     check_rater(first["rater"], first["kind"])
-    answers: dict[str, Rating] = {}
-    faults = []
+    answers, faults = {}, []
     for number, record in enumerate(records, 1):
         image = record["image"]
         if image in answers:

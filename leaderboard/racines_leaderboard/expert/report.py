@@ -30,33 +30,30 @@ BARS = (("view_agreement", "view", OURS, -0.13), ("grade_agreement", "grade ± 1
 def show(report: dict[str, Any], console: Console) -> None:
     """Print a report."""
     raters, between = report["raters"], report["between"]
-    systems = {
-        (name, reference): agreement["metrics"]
+    everyone = f"{report['kind']} ({', '.join(each['rater'] for each in raters)})"
+    systems = [
+        (name, reference, agreement["metrics"])
         for name, system in report["systems"].items()
         for reference, agreement in system["references"].items()
-    }
-    title = f"{report['kind']} ({', '.join(each['rater'] for each in raters)})"
-    _print(console, title, ("system", "against"), systems)
-    repeats = {(r["rater"], "itself"): r["repeats"]["metrics"] for r in raters if r["repeats"]}
-    _print(console, "images shown twice", ("rater", "against"), repeats)
-    if between is not None:
-        pairs = {tuple(pair["raters"]): pair["metrics"] for pair in between["pairs"]}
-        _print(console, "raters with each other", ("rater", "against"), pairs)
+    ]
+    again = [(r["rater"], "itself", r["repeats"]["metrics"]) for r in raters if r["repeats"]]
+    pairs = [(*pair["raters"], pair["metrics"]) for pair in between["pairs"]] if between else []
+    for title, first, rows in (
+        (everyone, "system", systems),
+        ("images shown twice", "rater", again),
+        ("raters with each other", "rater", pairs),
+    ):
+        lines = []
+        for *names, metrics in rows:
+            cells = [_cell(metrics[key], scale, n) for key, (_, scale, n) in COLUMNS.items()]
+            lines.append((*names, *cells, str(metrics["view_agreement"]["n"])))
+        if lines:
+            head = (first, "against", *(name for name, *_ in COLUMNS.values()), "n")
+            console.print(console_table(head, lines, title, right=2))
+    if between:
         fleiss = between["fleiss_kappa"]
         console.print(f"Fleiss' κ of the views: {_cell(fleiss, 1.0, 3)}, n = {fleiss['n']}")
     console.print(f"Lines below a figure: 95 % interval. {report['remark']}", style="dim")
-
-
-def _print(
-    console: Console, title: str, head: tuple[str, str], rows: dict[tuple[str, ...], dict[str, Any]]
-) -> None:
-    lines = []
-    for names, metrics in rows.items():
-        cells = [_cell(metrics[key], scale, digits) for key, (_, scale, digits) in COLUMNS.items()]
-        lines.append((*names, *cells, str(metrics["view_agreement"]["n"])))
-    if lines:
-        columns = (*head, *(name for name, _, _ in COLUMNS.values()), "n")
-        console.print(console_table(columns, lines, title, right=2))
 
 
 def _cell(metric: dict[str, Any], scale: float, digits: int) -> str:

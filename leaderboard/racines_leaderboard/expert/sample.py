@@ -82,8 +82,13 @@ def make_kit(
     drawn, answers = [], []
     for system, share in zip(systems, shares, strict=True):
         batch = Batch(*(column[:share] for column in frames))
-        drawn.append(_images(system, batch, study.seed, progress))
-        answers += _answers(system, batch, drawn[-1], store, grader)
+        images = batch.images
+        if system.source is not None:
+            images = draw(system.source, batch, study.seed, progress)
+        elif progress is not None:
+            progress(len(images))
+        drawn.append(images)
+        answers += _answers(system, batch, images, store, grader)
     plan = blind([answer["system"] for answer in answers], study.repeats, rng)
     key = {
         "schema": "racines.expert-key/1",
@@ -129,14 +134,6 @@ def _poses(store: FrameStore, study: Study, count: int, rng: np.random.Generator
     views, grades, trajectories = (column[rows].numpy() for column in columns)
     random = len(store.labels) - 1
     return store.take(rows[stratify(views, grades, trajectories, count, random, rng)])
-
-
-def _images(system: System, frames: Batch, seed: int, progress: Progress | None) -> Tensor:
-    if system.source is not None:
-        return draw(system.source, frames, seed, progress)
-    if progress is not None:
-        progress(len(frames.images))
-    return frames.images
 
 
 def _answers(

@@ -37,11 +37,7 @@ class Progress:
 
 @dataclass
 class Session:
-    """One rater at one kit.
-
-    Raises:
-        RacinesError: a name that is refused, or a file that is another kit's or another kind's.
-    """
+    """One rater at one kit; the name must be fit, and the file of that kit and kind."""
 
     kit: Kit
     path: Path
@@ -114,7 +110,11 @@ class Session:
             if image in self._answered:
                 raise RacinesError(f"rater {self.rater}: image {image} has an answer already")
             file.truncate(self._read)  # what a crash left of a line
-            line = self._line(image, view, grade, seconds)
+            record = {"schema": SCHEMA, "kit": self.kit.digest, "rater": self.rater}
+            record |= {"kind": self.kind, "about": self.about, "image": image, "view": view}
+            taken = None if seconds is None else round(float(seconds), 3)
+            record |= {"grade": int(grade), "seconds": taken}
+            line = json.dumps(record, ensure_ascii=False).encode() + b"\n"
             file.write(line)
             file.flush()
             os.fsync(file.fileno())
@@ -126,13 +126,6 @@ class Session:
                 os.close(handle)
         self._answered.add(image)
         self._read += len(line)
-
-    def _line(self, image: str, view: str, grade: int, seconds: float | None) -> bytes:
-        record = {"schema": SCHEMA, "kit": self.kit.digest, "rater": self.rater}
-        record |= {"kind": self.kind, "about": self.about, "image": image, "view": view}
-        taken = None if seconds is None else round(float(seconds), 3)
-        record |= {"grade": int(grade), "seconds": taken}
-        return json.dumps(record, ensure_ascii=False).encode() + b"\n"
 
     def _catch_up(self, text: bytes) -> None:
         """Take in the complete lines that stand in the file since it was last read."""

@@ -27,9 +27,8 @@ MAX_JSON = 20 * 2**20
 def check_content(path: Path, kind: str, track: str, limits: Limits | None = None) -> None:
     """Check that a file holds what its kind says, within bounds; nothing of it is run.
 
-    Raises:
-        RacinesError: another format, a claim or a content beyond the bounds, external data,
-            operators beyond the standard, another interface, numbers that are not finite.
+    Refused: another format or interface, a claim or content beyond the bounds, external data,
+    operators beyond the standard, numbers that are not finite.
     """
     limit = MAX_JSON if path.suffix == ".json" else MAX_BYTES
     content = read_bounded(path.parent, path.name, str(path.parent), limit)

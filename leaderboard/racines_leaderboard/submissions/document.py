@@ -63,9 +63,7 @@ def _check_text(value: Any, where: str) -> None:
 def read_document(path: Path) -> dict[str, Any]:
     """Read and check a submission's YAML, not the files that it names.
 
-    Raises:
-        RacinesError: no regular file, over 64 KiB, not YAML or more than plain data, an unknown,
-            absent or faulty field, or an artefact that may not be.
+    Refused: more than 64 KiB or than plain data, a faulty field, an artefact that may not be.
     """
     content = read_bounded(path.parent, path.name, str(path.parent), MAX_BYTES)
     try:
@@ -115,11 +113,7 @@ def check_measured(artefact: dict[str, Any], measured: tuple[str, int], where: s
 
 
 def find_submission(folder: Path, track: str, name: str) -> dict[str, Any] | None:
-    """Return the submission of a system, or None where none was written.
-
-    Raises:
-        RacinesError: it is at fault, or does not stand where its track and name say.
-    """
+    """Return the submission of a system, which stands where it says; None if none was written."""
     path = folder / track / name / YAML
     if (folder / name / YAML).exists():
         raise RacinesError(f"{folder / name}: move it to {folder / track / name}")

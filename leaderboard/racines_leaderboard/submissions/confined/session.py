@@ -94,23 +94,22 @@ class Child:
         clock.daemon = True
         clock.start()
         try:
-            with contextlib.suppress(BrokenPipeError):  # its last words say why
-                wire.say(self._asks, kind, payload)
-            kind, answer = wire.hear(self._answers, self.limits.answer)
-        except (EOFError, OSError) as error:
-            late = time.monotonic() >= deadline
-            reason = f"took more than {seconds} s: stopped" if late else self._cause(seconds)
-            self.close()
-            raise RacinesError(f"{self.where}: {reason}") from error
+            try:
+                with contextlib.suppress(BrokenPipeError):  # its last words say why
+                    wire.say(self._asks, kind, payload)
+                kind, answer = wire.hear(self._answers, self.limits.answer)
+            except (EOFError, OSError) as error:
+                late = time.monotonic() >= deadline
+                reason = f"took more than {seconds} s: stopped" if late else self._cause(seconds)
+                raise RacinesError(f"{self.where}: {reason}") from error
+            if kind != wire.ANSWER:
+                raise RacinesError(f"{self.where}: {self._told(answer)}")
+            return answer
         except BaseException:
             self.close()
             raise
         finally:
             clock.cancel()
-        if kind != wire.ANSWER:
-            self.close()
-            raise RacinesError(f"{self.where}: {self._told(answer)}")
-        return answer
 
     def close(self) -> None:
         """Kill the child, if it still runs."""
