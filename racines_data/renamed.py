@@ -87,7 +87,7 @@ MOVED = {
         "submission_text=document template"
     ),
     "racines_leaderboard.submissions.confined": (
-        "confined=session confined_child=child confined_roads=session confined_wire=wire"
+        "confined=session confined_child=child confined_roads=session confined_wire=child"
     ),
     "racines_models": "bootstrap=statistics publish=weights racines_envs.intervals=statistics",
     "racines_models.cli": (

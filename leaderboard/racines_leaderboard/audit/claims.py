@@ -176,8 +176,7 @@ def drawing_seeds(record: Record, bench: Bench) -> Iterator[Verdict]:
     allowed = []
     for stochastic in (True, False):  # what draws the same whatever the seed draws once a run
         stand_in: Any = SimpleNamespace(card=SimpleNamespace(stochastic=stochastic))
-        turns = take_turns([stand_in] * runs, bench.scores.seeds)
-        allowed.append([seed for _, seed in turns])
+        allowed.append([seed for _, seed in take_turns([stand_in] * runs, bench.scores.seeds)])
     reason = "scores.seeds of the board's settings; without noise the first alone"
     yield tell(claimed in allowed, "seeds", reason, claimed, allowed[0])
 

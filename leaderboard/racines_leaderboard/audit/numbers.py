@@ -141,8 +141,7 @@ def _methods(record: Record, bench: Bench) -> Iterator[Verdict]:
     else:
         wanted = {"resamples": bench.scores.resamples}
         if bench.data_for(record) is not None:
-            trajectories = len(np.unique(bench.sample.trajectory))
-            wanted |= {"blocks": min(bench.scores.blocks, trajectories)}
+            wanted |= {"blocks": min(bench.scores.blocks, len(np.unique(bench.sample.trajectory)))}
     metrics = record["scores"]["metrics"].values()
     methods = " ".join(metric.get("settings", {}).get("interval", "") for metric in metrics)
     for key, number in wanted.items():

@@ -37,21 +37,17 @@ class Verdict:
     """The largest difference that passes; None where values are equal or are not."""
 
 
-def _say(
-    verdict: str, subject: str, reason: str, claimed: Any = None, found: Any = None
-) -> Verdict:
-    return Verdict(subject, verdict, reason, claimed, found)
+def _say(kind: str, subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
+    return Verdict(subject, kind, reason, claimed, found)
 
 
-holds, fails, unknown = (partial(_say, verdict) for verdict in (HOLDS, FAILS, UNKNOWN))
+holds, fails, unknown = (partial(_say, kind) for kind in (HOLDS, FAILS, UNKNOWN))
 """Say of a subject that its claim holds, does not, or cannot be checked, and why."""
 
 
-def tell(
-    passes: bool, subject: str, reason: str, claimed: Any = None, found: Any = None
-) -> Verdict:
+def tell(right: bool, subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
     """Say whether a claim holds."""
-    return _say(HOLDS if passes else FAILS, subject, reason, claimed, found)
+    return _say(HOLDS if right else FAILS, subject, reason, claimed, found)
 
 
 def equal(subject: str, claimed: Any, found: Any, reason: str) -> Verdict:

@@ -26,7 +26,7 @@ def boards(results: Path) -> list[str]:
 
 
 def read_board(results: Path, board: str) -> dict[str, list[Record]]:
-    """Return the sound records of a board, by track; generators with what experts say of them."""
+    """Read the records of a board by track; generators with what experts say of them."""
     content = {}
     for track in TRACKS:
         paths = sorted((results / board / track.name).glob("*.json"))

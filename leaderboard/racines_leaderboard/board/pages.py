@@ -43,8 +43,7 @@ def write_page(page: Path, results: Path) -> None:
         for track in TRACKS:
             image = results / board / f"{track.name}.png"
             if _write_chart(image, track, content[track.name]):
-                link = os.path.relpath(image, page.parent)
-                parts.append(f"![{track.name} of {board}]({link})\n")
+                parts.append(f"![{track.name} of {board}]({os.path.relpath(image, page.parent)})\n")
     write_atomic(page, "\n".join(parts))
 
 

@@ -146,8 +146,7 @@ def _ranks_in_turn(columns: list[Column], records: list[Record]) -> list[tuple[f
         for i, key in enumerate(keys):
             groups.setdefault(key, []).append(i)
         for rows in groups.values():
-            ranks = _group_ranks(column, [records[i] for i in rows])
-            for i, rank in zip(rows, ranks, strict=True):
+            for i, rank in zip(rows, _group_ranks(column, [records[i] for i in rows]), strict=True):
                 keys[i] += (rank,)
     return keys
 

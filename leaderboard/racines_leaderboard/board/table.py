@@ -61,8 +61,7 @@ def show(table: Table, console: Console) -> None:
     """Draw a table on a terminal; on its side, one column a system, where it is too wide."""
     rows = [table.head, *table.rows]
     drawn = _drawn(table.title, rows)
-    free = console.options.update(width=10_000)
-    if console.measure(drawn, options=free).maximum > console.width:
+    if console.measure(drawn, options=console.options.update(width=10_000)).maximum > console.width:
         drawn = _drawn(table.title, [*zip(*rows, strict=True)][1:])
     console.print(drawn)
     for note in table.notes:

@@ -165,7 +165,7 @@ def confusion(
 
 
 def kappa_metric(
-    counts: np.ndarray, cost: np.ndarray, rule: str, resamples: int = 1000, seed: int = 0
+    counts: np.ndarray, cost: np.ndarray, rule: str, resamples: int = 1000
 ) -> dict[str, Any]:
     """Return the mean of R raters' kappas with an interval by trajectory.
 
@@ -179,11 +179,11 @@ def kappa_metric(
 
     value, settings = float(kappa(seen.sum(1), cost).mean()), {"rule": rule}
     settings |= {"trajectories": seen.shape[1]}
-    return _metric(value, n, settings, statistic, seen.shape[1], resamples, seed)
+    return _metric(value, n, settings, statistic, seen.shape[1], resamples)
 
 
 def fleiss_metric(
-    views: np.ndarray, groups: np.ndarray, size: int, resamples: int = 1000, seed: int = 0
+    views: np.ndarray, groups: np.ndarray, size: int, resamples: int = 1000
 ) -> dict[str, Any]:
     """Return Fleiss' kappa of (R, n) views over the images that all R raters answered."""
     complete = (views >= 0).all(0)
@@ -196,7 +196,7 @@ def fleiss_metric(
 
     value = float(statistic(np.ones((1, len(unique)), np.int64))[0]) if len(votes) else np.nan
     settings = {"rule": "Fleiss' kappa of the views", "library": "torchmetrics"}
-    return _metric(value, len(votes), settings, statistic, len(unique), resamples, seed)
+    return _metric(value, len(votes), settings, statistic, len(unique), resamples)
 
 
 def _metric(
@@ -206,17 +206,16 @@ def _metric(
     statistic: Statistic,
     clusters: int,
     resamples: int,
-    seed: int,
 ) -> dict[str, Any]:
     """Return a value, None if it is not finite, with its interval and how that was made."""
     known = bool(np.isfinite(value))
-    low, high, method = _interval(statistic, clusters if known else 0, resamples, seed)
+    low, high, method = _interval(statistic, clusters if known else 0, resamples)
     metric = {"value": value if known else None, "low": low, "high": high, "n": n}
     return metric | {"settings": settings | {"interval": method}}
 
 
 def _interval(
-    statistic: Statistic, clusters: int, resamples: int, seed: int
+    statistic: Statistic, clusters: int, resamples: int
 ) -> tuple[float | None, float | None, str]:
     """Return the ends of a 95 % interval and how it was made."""
     if clusters < 2:
@@ -228,6 +227,6 @@ def _interval(
             return None, None, "none: a trajectory alone holds all but one answer"
         return max(left.low, -1.0), min(left.high, 1.0), left.method
     share = np.full(clusters, 1 / clusters)
-    drawn = statistic(np.random.default_rng(seed).multinomial(clusters, share, size=resamples))
+    drawn = statistic(np.random.default_rng(0).multinomial(clusters, share, size=resamples))
     low, high = np.quantile(drawn[np.isfinite(drawn)], [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
     return float(low), float(high), f"percentile bootstrap by trajectory, {resamples} resamples"

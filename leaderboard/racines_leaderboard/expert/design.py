@@ -39,13 +39,9 @@ def stratify(
 ) -> np.ndarray:
     """Choose `total` of N frames, balanced over views, then grades, then trajectories.
 
-    Args:
-        views: (N,) labels, -1 where unknown, which counts as one more view.
-        grades: (N,) grades 0-10, NaN where unknown.
-        trajectories: (N,) the trajectory of each, an integer.
-        total: Frames wanted; RacinesError if there are fewer.
-        random: The label of `Random`, whose frames have one grade.
-        rng: Decides which (total,) int64 places of frames are returned, and their order.
+    Views are (N,) labels, -1 where unknown, which counts as one more; `random` is the label of
+    `Random`, whose frames have one grade. Grades are (N,), 0-10, NaN where unknown, trajectories
+    (N,) integers. Returns (total,) int64 places in random order; RacinesError if they are fewer.
     """
     bins = np.digitize(np.nan_to_num(grades), GRADE_EDGES)
     bins[(views < 0) | (views == random)] = 0

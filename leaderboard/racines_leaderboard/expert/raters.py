@@ -75,8 +75,7 @@ def oracle(kit: Kit, key: dict[str, Any], ratings: Path) -> Session:
 
 def grader(kit: Kit, key: dict[str, Any], ratings: Path) -> Session:
     """Let the grader answer as it judged when the kit was made; RacinesError without one."""
-    about = str((key["grader"] or {}).get("id"))
-    return _program(kit, key, ratings, "grader", "grader", about)
+    return _program(kit, key, ratings, "grader", "grader", str((key["grader"] or {}).get("id")))
 
 
 def _program(
@@ -99,6 +98,5 @@ def _known(kit: Kit, key: dict[str, Any], column: str, who: str) -> tuple[np.nda
 def _rate(session: Session, views: np.ndarray, grades: np.ndarray) -> Session:
     row = {image: i for i, image in enumerate(session.kit.images)}
     while (image := session.next_image()) is not None:
-        view = session.kit.labels[views[row[image]]]
-        session.save(image, view, int(grades[row[image]]))
+        session.save(image, session.kit.labels[views[row[image]]], int(grades[row[image]]))
     return session

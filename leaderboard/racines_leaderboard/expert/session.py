@@ -43,9 +43,13 @@ class Session:
     path: Path
     """The file of the ratings."""
     rater: str
+    """A pseudonym of a-z, 0-9 and single dashes."""
     kind: str = EXPERT
+    """Or `trial`, for somebody who tries the page out."""
     about: str = ""
+    """What the report says of the rater, as `sonographer, 12 years`."""
     seed: int = 0
+    """Decides the order together with the kit and the name."""
 
     def __post_init__(self) -> None:
         if len(self.about) > ABOUT:
@@ -69,16 +73,7 @@ class Session:
         about: str = "",
         seed: int = 0,
     ) -> "Session":
-        """Begin or resume a rater's session.
-
-        Args:
-            kit: The kit or its folder.
-            ratings: Folder of the ratings, a file `RATER.jsonl` a rater.
-            rater: A pseudonym of a-z, 0-9 and single dashes.
-            kind: `expert`, or `trial` for somebody who tries the page out.
-            about: What the report says of the rater, as `sonographer, 12 years`.
-            seed: Decides the order together with the kit and the name.
-        """
+        """Begin or resume at a kit or its folder; the ratings lie in `ratings/RATER.jsonl`."""
         kit = kit if isinstance(kit, Kit) else Kit.open(kit)
         path = Path(ratings) / f"{check_rater(rater, kind)}.jsonl"
         return cls(kit, path, rater, kind, about, seed)

@@ -87,15 +87,10 @@ def take_in(
     opener: Opener = open_https,
     limits: Limits | None = None,
 ) -> Taken:
-    """Check a submission and copy it to `submissions/<track>/<name>/`.
+    """Check a submission, its YAML or the folder with it; copy it to `submissions/<track>/<name>/`.
 
-    Args:
-        source: Its YAML, or the folder with its submission.yaml.
-        submissions: Where the folder of the submission is put.
-        replace: Let it take the place of one by the same author.
-        fetching: Fetch the artefacts that are absent and have a URL.
-        opener: What opens a URL.
-        limits: Of the process that looks into the artefacts.
+    With `replace` it may take the place of one by the same author. With `fetching`, artefacts that
+    are absent and have a URL are fetched through `opener`. What looks into them has `limits`.
 
     Raises:
         RacinesError: anything at fault; nothing is left behind then.

@@ -1,4 +1,4 @@
-"""A stranger's file in a confined process: `session` is ours, `child` its own, `wire` between."""
+"""A stranger's file in a confined process: `session` is our side of it."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
 """A stranger's file in a child process with limits of time, memory and everything else.
 
-The parent sends bytes and gets bytes back (`wire`); it unpickles nothing. What breaks a limit ends
+The parent sends bytes and gets bytes back (`child`); it unpickles nothing. What breaks a limit ends
 in a `RacinesError` that names the file and the limit, and the child is killed.
 """
 
@@ -26,7 +26,7 @@ import racines_leaderboard
 import racines_models
 from racines_data.errors import RacinesError
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
-from racines_leaderboard.submissions.confined import wire
+from racines_leaderboard.submissions.confined import child as wire
 from racines_leaderboard.submissions.file_checks import MAX_BYTES, read_bounded
 from racines_models.exchange.onnx.generator import OnnxGenerator
 
@@ -63,6 +63,7 @@ class Child:
 
     def __init__(self, mode: str, content: bytes, where: str, limits: Limits | None = None) -> None:
         self.where, self.limits = where, limits or Limits()
+        self._memory = f"the memory limit is {self.limits.memory / 2**20:,.0f} MiB"
         packages = (racines_data, racines_models, racines_leaderboard)
         roots = "|".join(str(Path(str(p.__file__)).resolve().parents[1]) for p in packages)
         # -I: neither the environment nor the current folder says what is imported.
@@ -129,14 +130,11 @@ class Child:
         if code == -signal.SIGXCPU:
             return f"took more than {seconds} s of the CPU: stopped"
         name = signal.Signals(-code).name if code and code < 0 else f"exit code {code}"
-        return f"its process died ({name}); {self._memory()}"
+        return f"its process died ({name}); {self._memory}"
 
     def _told(self, answer: bytes) -> str:
         text = "".join(c if c.isprintable() else " " for c in answer[1:].decode(errors="replace"))
-        return f"{text[:500]}; {self._memory()}" if answer[:1] == b"M" else f"refused: {text[:500]}"
-
-    def _memory(self) -> str:
-        return f"the memory limit is {self.limits.memory / 2**20:,.0f} MiB"
+        return f"{text[:500]}; {self._memory}" if answer[:1] == b"M" else f"refused: {text[:500]}"
 
 
 def _stop(process: subprocess.Popen[bytes], collect: bool = False) -> None:
