@@ -83,7 +83,7 @@ MOVED = {
         "studio.sweep_figures=trajectory_page studio.watch_page=watching"
     ),
     "racines_leaderboard.submissions": (
-        "artefacts content_checks fetch=intake file_checks intake submission=document "
+        "artefacts content_checks=intake fetch=intake file_checks intake submission=document "
         "submission_text=document template"
     ),
     "racines_leaderboard.submissions.confined": (

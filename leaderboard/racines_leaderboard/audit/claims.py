@@ -127,8 +127,7 @@ def dataset(record: Record, bench: Bench) -> Iterator[Verdict]:
     for key in ("source", "version"):
         yield equal(f"dataset.{key}", claimed[key], here[key], reason)
     built = "the same recipe, built elsewhere: a few pixels differ"
-    same = claimed["digest"] == here["digest"]
-    say, reason = (holds, reason) if same else (unknown, built)
+    say, reason = (holds, reason) if claimed["digest"] == here["digest"] else (unknown, built)
     yield say("dataset.digest", reason, claimed["digest"], here["digest"])
     if "sample" in claimed:
         reason = f"digest of the rows of {bench.scores.samples:,} frames at most"

@@ -16,7 +16,7 @@ from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
-from racines_envs.agents import load_agent
+from racines_envs.agents import agent_class, load_agent
 from racines_envs.cli.settings import phantom_config
 from racines_envs.evaluation.entries import find_entry
 from racines_envs.evaluation.run import evaluate
@@ -129,18 +129,24 @@ def _agent(record: Record, bench: Bench) -> Road | str:
     return f"no policy of it in {folder}; --retrain trains anew"
 
 
-def score_agent(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
+def score_agent(record: Record, bench: Bench, folder: Path, train: bool = False) -> dict[str, Any]:
     """Return the scores of a merged agent, its policy in a folder, by the board's settings.
 
-    The graders that had a say are those that the record names.
+    With `train`, what learns is trained there first; a run that was killed goes on. The graders
+    that had a say are those that the record names.
     """
     assert bench.settings is not None
     entry, view = find_entry(bench.settings, record["name"]), record["scores"]["task"]["view"]
+    phantom = phantom_config(bench.settings)
+    if train and named(record):
+        cls, seed = agent_class(entry.agent), bench.settings.get("seed", 0)
+        own: Any = fill(cls.Config, entry.settings, entry.where)
+        data = bench.places.data
+        cls.train(own, folder, seed=seed, phantom=phantom, data=data, progress=False)
     judge, guide = (_judge(record, bench, kind) for kind in ("grader", "guide"))
     settings = {"view": view, "grader": str(judge or ""), "latency": 0, "device": "cpu"}
     config = dataclasses.replace(bench.evaluation, **settings)
     agent: Any = load_agent(entry.agent, folder, config.device)
     if guide is not None:
         agent.guide = make_grader(guide, config.device)
-    phantom = phantom_config(bench.settings)
     return evaluate(entry.agent, folder, config, phantom, agent=agent, run=entry.name).scores

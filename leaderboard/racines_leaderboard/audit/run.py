@@ -10,11 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_envs.agents import agent_class
-from racines_envs.cli.settings import phantom_config
-from racines_envs.evaluation.entries import find_entry
 from racines_leaderboard.audit import claims, weights
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.numbers import agreement, check_metrics, compare_numbers
@@ -67,7 +63,11 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
     if reason := not_merged if weights.submitted(record) else bench.lacks_for(record):
         return _report(record, [*verdicts, unknown("reproduced", reason)], {})
     folder = into / bench.board / record["track"] / record["name"]
-    made = json.loads(json.dumps(_train(record, bench, folder)))
+    if record["track"] == "generators":
+        scores = score_fitted(record, bench, folder)
+    else:
+        scores = score_agent(record, bench, folder, train=True)
+    made = json.loads(json.dumps(scores))
     how = {"road": "trained again", "agreement": "interval", "from": "another training"}
     report = _report(record, [*verdicts, *_within(record, made)], how)
     if report.holds:
@@ -126,26 +126,6 @@ def _recomputed(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, 
         ]
     how = {"road": road.name, "agreement": tier, "from": road.source}
     return verdicts, how | {"environment": made["environment"]}
-
-
-def _train(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
-    """Train a system by the board's settings; return its scores."""
-    if record["track"] == "generators":
-        return score_fitted(record, bench, folder)
-    if weights.named(record):
-        assert bench.settings is not None
-        entry = find_entry(bench.settings, record["name"])
-        cls = agent_class(entry.agent)
-        config: Any = fill(cls.Config, entry.settings, entry.where)
-        cls.train(
-            config,
-            folder,
-            seed=bench.settings.get("seed", 0),
-            phantom=phantom_config(bench.settings),
-            data=bench.places.data,
-            progress=False,
-        )
-    return score_agent(record, bench, folder)
 
 
 def _within(record: Record, made: dict[str, Any]) -> Iterator[Verdict]:

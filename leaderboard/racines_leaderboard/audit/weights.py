@@ -33,10 +33,7 @@ def submission_of(record: Record, bench: Bench) -> Path:
 
 
 def run_of(record: Record, bench: Bench) -> Path:
-    """Return the folder of a merged system's weights: its run's, or of an agent the published one.
-
-    The published one counts where it alone holds the files that the record names.
-    """
+    """Return a merged system's run, or of an agent the published one where it alone holds."""
     if record["track"] == "generators":
         return bench.places.runs / record["name"]
     run, kept = (place / record["name"] for place in (bench.places.agents, bench.places.policies))

@@ -3,7 +3,7 @@
 A board is a folder `results/<board>/{generators,agents}/<name>.json`, one record a system.
 """
 
-from collections.abc import Collection
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +47,7 @@ def made_elsewhere(folders: list[Path], board: str) -> list[Path]:
 
 
 def collect(
-    folders: list[Path],
-    results: Path,
-    submissions: Path,
-    board: str,
-    without: Collection[Path] = (),
+    folders: list[Path], results: Path, submissions: Path, board: str, without: Sequence[Path] = ()
 ) -> list[Path]:
     """Write one self-reported record for each scores file in the folders; return their paths.
 

@@ -20,8 +20,8 @@ from racines_leaderboard.records.tracks import GENERATORS, TRACK, TRACKS
 from racines_leaderboard.submissions.artefacts import YAML, files_of, rescored
 from racines_leaderboard.submissions.confined import session as confined
 from racines_leaderboard.submissions.confined.session import Limits
-from racines_leaderboard.submissions.content_checks import check_content
 from racines_leaderboard.submissions.document import find_submission
+from racines_leaderboard.submissions.intake import check_content
 from racines_models.exchange.predictions.reader import Predictions
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor

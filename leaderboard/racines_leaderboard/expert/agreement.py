@@ -98,8 +98,7 @@ def round_half_up(grades: np.ndarray) -> np.ndarray:
 
 
 def _whole(grades: np.ndarray) -> np.ndarray:
-    whole = np.nan_to_num(round_half_up(grades), nan=-1.0)
-    return whole.clip(-1, GRADES - 1).astype(np.int64)
+    return np.nan_to_num(round_half_up(grades), nan=-1.0).clip(-1, GRADES - 1).astype(np.int64)
 
 
 def _mean(
@@ -177,9 +176,8 @@ def kappa_metric(
     def statistic(weights: np.ndarray) -> np.ndarray:
         return kappa(np.einsum("bc,rckl->brkl", weights, seen, optimize=True), cost).mean(1)
 
-    value, settings = float(kappa(seen.sum(1), cost).mean()), {"rule": rule}
-    settings |= {"trajectories": seen.shape[1]}
-    return _metric(value, n, settings, statistic, seen.shape[1], resamples)
+    value, count = float(kappa(seen.sum(1), cost).mean()), seen.shape[1]
+    return _metric(value, n, statistic, count, resamples, rule=rule, trajectories=count)
 
 
 def fleiss_metric(
@@ -195,17 +193,12 @@ def fleiss_metric(
         return np.array([float(fleiss_kappa(votes[row], mode="counts")) for row in rows])
 
     value = float(statistic(np.ones((1, len(unique)), np.int64))[0]) if len(votes) else np.nan
-    settings = {"rule": "Fleiss' kappa of the views", "library": "torchmetrics"}
-    return _metric(value, len(votes), settings, statistic, len(unique), resamples)
+    how = {"rule": "Fleiss' kappa of the views", "library": "torchmetrics"}
+    return _metric(value, len(votes), statistic, len(unique), resamples, **how)
 
 
 def _metric(
-    value: float,
-    n: int,
-    settings: dict[str, Any],
-    statistic: Statistic,
-    clusters: int,
-    resamples: int,
+    value: float, n: int, statistic: Statistic, clusters: int, resamples: int, **settings: Any
 ) -> dict[str, Any]:
     """Return a value, None if it is not finite, with its interval and how that was made."""
     known = bool(np.isfinite(value))

@@ -103,10 +103,7 @@ class Kit:
             raise RacinesError(f"{where}: images were changed after the kit was made")
 
     def read_key(self, path: Path | None = None) -> dict[str, Any]:
-        """Return the answers, from the kit's folder or from where the key was kept.
-
-        RacinesError if no key is there, or another than the one that the kit was sealed with.
-        """
+        """Return the answers by the sealed key, in the kit's folder or where it was kept."""
         path = path or self.folder / KEY
         if not path.is_file():
             raise RacinesError(f"{path}: no key; name the place where it was kept with --key")

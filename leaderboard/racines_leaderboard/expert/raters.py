@@ -55,10 +55,7 @@ def scale(grades: np.ndarray, views: np.ndarray, labels: int) -> np.ndarray:
 def simulate(
     kit: Kit, key: dict[str, Any], rater: Simulated, ratings: Path, name: str | None = None
 ) -> Session:
-    """Let a simulated rater answer what it has not answered yet; return its session.
-
-    RacinesError if the key does not say what an image shows, or the name is refused.
-    """
+    """Let a simulated rater answer what it has not answered yet; return its session."""
     about = f"error_view {rater.error_view:g}, grade_sd {rater.grade_sd:g}, seed {rater.seed}"
     session = Session.open(kit, ratings, name or f"simulated-{rater.seed}", "simulated", about)
     answers = rater.answer(*_known(kit, key, "truth", "the truth"), len(kit.labels))

@@ -99,11 +99,7 @@ def read_ratings(path: Path, kit: Kit) -> Ratings:
 
 
 def read_all(paths: Sequence[Path], kit: Kit, partial: bool = False) -> list[Ratings]:
-    """Read the files of several raters; with `partial` also of who has not answered every image.
-
-    Raises:
-        RacinesError: a file at fault, one rater in two files, kinds mixed, or images missing.
-    """
+    """Read the files of raters of one kind; with `partial` also of who has not answered all."""
     if not paths:
         raise RacinesError("no ratings: name at least one file")
     everyone = [read_ratings(path, kit) for path in paths]

@@ -114,9 +114,8 @@ def _check(out: Path, systems: Sequence[System], study: Study) -> None:
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise RacinesError(f"generator {twice[0]} is named twice")
     if any(system.name == TRUE_FRAMES and system.source is not None for system in systems):
-        raise RacinesError(
-            f"generator {TRUE_FRAMES}: the name is kept for the dataset's own frames"
-        )
+        kept = "the name is kept for the dataset's own frames"
+        raise RacinesError(f"generator {TRUE_FRAMES}: {kept}")
     if study.images < len(names):
         raise RacinesError(f"--images {study.images}: fewer than the {len(names)} systems")
     if not 0 <= 2 * study.repeats <= study.images:
@@ -162,8 +161,7 @@ def _opinions(views: Tensor, grades: Tensor, labels: Sequence[str]) -> list[dict
     opinions: list[dict[str, Any] | None] = []
     for view, grade in zip(views, grades, strict=True):
         graded = round(float(grade), 4) if bool(grade.isfinite()) else None
-        named = {"view": labels[int(view)], "grade": graded}
-        opinions.append(named if int(view) >= 0 else None)
+        opinions.append({"view": labels[int(view)], "grade": graded} if int(view) >= 0 else None)
     return opinions
 
 

@@ -94,8 +94,7 @@ class _Study:
 
     def compare(self, given: Answers, reference: Answers, rows: np.ndarray) -> dict[str, Any]:
         """Compare (R, n) answers with (n,) answers to the entries `rows`."""
-        places = self.trajectories[rows]
-        return agreement(given, reference, places, self.labels, self.resamples)
+        return agreement(given, reference, self.trajectories[rows], self.labels, self.resamples)
 
     def systems(self, given: Answers) -> dict[str, Any]:
         """Compare (R, N) answers with each reference, overall and by system."""
@@ -104,15 +103,12 @@ class _Study:
         generated = firsts[names != TRUE_FRAMES]
         groups = {OVERALL: generated if len(generated) else firsts}
         groups |= {str(name): firsts[names == name] for name in np.unique(names)}
-        return {
-            system: {
-                "references": {
-                    name: self.compare(given.of(rows), one.of(rows), rows)
-                    for name, one in self.references.items()
-                }
-            }
-            for system, rows in groups.items()
-        }
+        systems = {}
+        for system, rows in groups.items():
+            own, references = given.of(rows), self.references.items()
+            told = {name: self.compare(own, one.of(rows), rows) for name, one in references}
+            systems[system] = {"references": told}
+        return systems
 
     def repeats(self, own: Answers) -> dict[str, Any] | None:
         """Compare a rater's (N,) answers to images shown twice: the second name, the first."""

@@ -136,10 +136,7 @@ class Session:
 
 
 def order_of(kit: Kit, rater: str, seed: int = 0) -> list[str]:
-    """Return the kit's images in a rater's order: blocks shuffled, forwards or backwards.
-
-    So the middle block, a third of the kit, is always between an image and its repeat.
-    """
+    """Return the kit's images in a rater's order: blocks shuffled, forwards or backwards."""
     digest = hashlib.sha256(f"{kit.digest} {rater} {seed}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:16], "big"))
     blocks = [[block[i] for i in rng.permutation(len(block))] for block in kit.blocks]

@@ -91,10 +91,7 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
 
 
 def _check_adapter(target: str, where: str) -> None:
-    """Check that `module:Class` is code of this repository; nothing of it is imported.
-
-    It lies in a racines package, or an entry point that the repository's own declares names it.
-    """
+    """Check that `module:Class` is code of this repository; nothing of it is imported."""
     with contextlib.suppress(PackageNotFoundError):
         points = distribution("racines").entry_points
         if target in {point.value for point in points if point.group in GROUPS}:

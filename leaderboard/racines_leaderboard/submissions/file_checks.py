@@ -41,7 +41,6 @@ CONTAINERS = {bytes([0x80, protocol]): "a pickle" for protocol in range(1, 6)} |
     b"MZ": "a program",
     b"#!": "a script",
 }
-TAR_AT, TAR = 257, b"ustar"
 OLD_PICKLE = re.compile(rb"[(\]}]|c[\w.]+\n[\w.]+\n")
 """How pickles of protocol 0 and 1, which have no mark of their own, begin."""
 SAFETENSORS = b"\x00\x00\x00\x00{"
@@ -121,7 +120,7 @@ def _check_head(head: bytes, where: str) -> None:
     if head[4:9] == SAFETENSORS:
         return
     found = [what for mark, what in CONTAINERS.items() if head.startswith(mark)]
-    if head[TAR_AT : TAR_AT + len(TAR)] == TAR:
+    if head[257:262] == b"ustar":
         found.append("a tar archive")
     if OLD_PICKLE.match(head):
         found.append("a pickle")

@@ -1,9 +1,11 @@
 """Taking a submission in: every check on a copy of our own, then one rename.
 
-Artefacts at a URL are fetched when asked for, bounded, and kept only if the digest is right.
+Artefacts at a URL are fetched when asked for, bounded, and kept only if the digest is right. What
+they hold is looked at before anything is run: headers first, then a confined parse.
 """
 
 import contextlib
+import json
 import os
 import shutil
 import tempfile
@@ -16,21 +18,33 @@ from pathlib import Path
 from typing import IO, Any, BinaryIO
 from urllib.error import URLError
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import yaml
+from safetensors import SafetensorError, deserialize
 
 from racines_data.errors import RacinesError
 from racines_data.files import swap_folder
+from racines_envs.agents.onnx.format import read_policy
+from racines_envs.agents.trace_file import read_trace
+from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.submissions.artefacts import YAML, files_of
-from racines_leaderboard.submissions.confined.session import Limits
-from racines_leaderboard.submissions.content_checks import check_content
+from racines_leaderboard.submissions.confined.session import Limits, rehearse
 from racines_leaderboard.submissions.document import check_measured, read_document
-from racines_leaderboard.submissions.file_checks import measure, opened
+from racines_leaderboard.submissions.file_checks import MAX_BYTES, measure, opened, read_bounded
+from racines_models.exchange.onnx.format import read_onnx
 
 SECONDS = 60
 """The longest that a server may be silent."""
 WHOLE_SECONDS = 1800
 """The longest that it may take in all."""
 Opener = Callable[[str], BinaryIO]
+MAX_UNPACKED = 2**30
+MAX_ROWS = 1_000_000
+MAX_GROUPS = 10_000
+MAX_FOOTER = 8 * 2**20
+MAX_HEADER = 10 * 2**20
+MAX_JSON = 20 * 2**20
 
 
 class _SameScheme(urllib.request.HTTPRedirectHandler):
@@ -186,3 +200,69 @@ def _staged(parent: Path) -> Iterator[Path]:
         for each in missing:
             with contextlib.suppress(OSError):
                 each.rmdir()
+
+
+def check_content(path: Path, kind: str, track: str, limits: Limits | None = None) -> None:
+    """Check that a file holds what its kind says, within bounds; nothing of it is run.
+
+    Refused: another format or interface, a claim or content beyond the bounds, external data,
+    operators beyond the standard, numbers that are not finite.
+    """
+    limit = MAX_JSON if path.suffix == ".json" else MAX_BYTES
+    content = read_bounded(path.parent, path.name, str(path.parent), limit)
+    if kind == "predictions":
+        check_parquet(content, str(path))
+        rehearse("parquet", content, str(path), limits)
+    elif kind in ("generator", "policy"):
+        rehearse("onnx", content, str(path), limits)
+        read = read_onnx if kind == "generator" else read_policy
+        read(path)
+    elif kind == "weights":
+        check_safetensors(content, str(path))
+    elif kind == "trace":
+        read_trace(path)
+    elif kind == "scores":
+        read_json(path, {"generators": "generator-scores", "agents": "agent-scores"}[track])
+
+
+def check_parquet(content: bytes, where: str) -> None:
+    """Check a Parquet file's marks, and by its footer how much it says that it holds."""
+    footer = int.from_bytes(content[-8:-4], "little")
+    if len(content) < 12 or content[:4] != b"PAR1" or content[-4:] != b"PAR1":
+        raise RacinesError(f"{where}: not a Parquet file: write it again")
+    if footer > min(MAX_FOOTER, len(content) - 12):
+        raise RacinesError(f"{where}: a footer of {footer:,} bytes: at most {MAX_FOOTER:,}")
+    try:
+        stated = pq.read_metadata(pa.BufferReader(content))
+        groups = [stated.row_group(i) for i in range(min(stated.num_row_groups, MAX_GROUPS + 1))]
+        columns = [group.column(i) for group in groups for i in range(group.num_columns)]
+    except Exception as error:
+        raise RacinesError(f"{where}: not readable as Parquet: {error}; write it again") from error
+    sizes = [column.total_uncompressed_size for column in columns]
+    rows, unpacked = stated.num_rows, sum(sizes)
+    if rows > MAX_ROWS or unpacked > MAX_UNPACKED or min(*sizes, rows, 0) < 0:
+        raise RacinesError(
+            f"{where}: claims {rows:,} rows, {unpacked:,} bytes unpacked: at most "
+            f"{MAX_ROWS:,} and {MAX_UNPACKED:,}"
+        )
+    if stated.num_row_groups > MAX_GROUPS:
+        raise RacinesError(f"{where}: {stated.num_row_groups:,} row groups: at most {MAX_GROUPS:,}")
+
+
+def check_safetensors(content: bytes, where: str) -> None:
+    """Check a safetensors file: its header, and that the tensors fill the rest byte for byte."""
+    length = int.from_bytes(content[:8], "little")
+    if length > MAX_HEADER:
+        raise RacinesError(f"{where}: a header of {length:,} bytes: at most {MAX_HEADER:,}")
+    try:
+        deserialize(content)
+        # Of two tensors of one name the library takes the last.
+        json.loads(content[8 : 8 + length], object_pairs_hook=_once)
+    except (SafetensorError, ValueError, RecursionError) as error:
+        raise RacinesError(f"{where}: not a sound safetensors file: {error}") from error
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len(dict(pairs)) != len(pairs):
+        raise ValueError("a key stands twice")
+    return dict(pairs)

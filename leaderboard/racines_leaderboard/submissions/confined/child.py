@@ -75,13 +75,10 @@ def _check_types(arrays: Mapping[str, np.ndarray]) -> None:
 def main() -> None:
     """Serve the mode and the limits that the command line names, until the wire closes."""
     mode, limits = sys.argv[1], json.loads(sys.argv[2])
-    for what, limit in (
-        (resource.RLIMIT_AS, limits["memory"]),
-        (resource.RLIMIT_CORE, 0),
-        (resource.RLIMIT_FSIZE, 0),
-        (resource.RLIMIT_CPU, limits["cpu_seconds"]),
-    ):
-        resource.setrlimit(what, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_AS, (limits["memory"], limits["memory"]))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (limits["cpu_seconds"], limits["cpu_seconds"]))
     asked, answers = Connection(0, writable=False), Connection(1, readable=False)
     try:
         opened = MODES[mode]()

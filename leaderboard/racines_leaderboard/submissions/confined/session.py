@@ -170,10 +170,7 @@ class ConfinedSession:
 
 
 def rehearse(kind: str, content: bytes, where: str, limits: Limits | None = None) -> None:
-    """Parse an `onnx` or `parquet` file in a child first; RacinesError if that fails.
-
-    So this process parses only what parses within limits.
-    """
+    """Parse an `onnx` or `parquet` file in a child, before this process does, within limits."""
     Child(kind, content, where, limits).close()
 
 
