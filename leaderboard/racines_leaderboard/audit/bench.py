@@ -85,8 +85,8 @@ class Bench:
 
     def data_for(self, record: Record) -> FrameStore | None:
         """Return the dataset here if it is of the recipe that a record rests on."""
-        here = self.store and self.store.manifest["recipe_digest"] == basis_of(record)
-        return self.store if here else None
+        store, recipe = self.store, basis_of(record)
+        return store if store is not None and store.manifest["recipe_digest"] == recipe else None
 
     def lacks_for(self, record: Record) -> str | None:
         """Say what is not here of what a record's scores are made on; None if nothing."""
