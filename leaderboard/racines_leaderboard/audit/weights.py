@@ -139,6 +139,6 @@ def _predictions(subject: str, path: Path, record: Record, bench: Bench) -> Iter
 
 def _trace(subject: str, path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
     recorded, task = read_trace(path).told, record["scores"]["task"]
+    reason = "recorded on what the record names"
     for key in ("start_set", "backend", "reward"):
-        reason = "recorded on what the record names"
         yield equal(f"{subject}.{key}", task[key], recorded[key], reason)

@@ -27,6 +27,10 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...]
 
+    def bare(self) -> "Table":
+        """Return the table without its notes, to follow one that has them."""
+        return dataclasses.replace(self, notes=())
+
 
 def board_tables(
     board: str, content: dict[str, list[Record]], details: bool = False
@@ -43,8 +47,7 @@ def board_tables(
             tables.append(ranked_table(title, track, ranking))
             if details and shown_columns(track.details, ranking):
                 further = dataclasses.replace(track, columns=track.details)
-                detailed = ranked_table(f"{title} · in detail", further, ranking)
-                tables.append(dataclasses.replace(detailed, notes=()))
+                tables.append(ranked_table(f"{title} · in detail", further, ranking).bare())
         if content[track.name]:
             tables.append(reported_table(track))
     return tables
