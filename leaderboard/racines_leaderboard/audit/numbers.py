@@ -126,9 +126,10 @@ def _episodes(record: Record, place: str, metrics: dict[str, Any]) -> dict[str, 
         return {}
     n = (len(starts["seeds"]) if place == "metrics" else 1) * starts["starts"]
     successes = round((metrics["success_true"]["value"] or 0.0) * n)
-    counts = dict.fromkeys(metrics, (n, "episodes from the start sets"))
-    timed = counts.keys() & {"steps", "steps_median"}
-    return counts | dict.fromkeys(timed, (successes, "episodes with true success"))
+    counts: dict[str, tuple[int, str]] = dict.fromkeys(metrics, (n, "episodes from the start sets"))
+    for key in counts.keys() & {"steps", "steps_median"}:
+        counts[key] = (successes, "episodes with true success")
+    return counts
 
 
 def _methods(record: Record, bench: Bench) -> Iterator[Verdict]:

@@ -87,8 +87,8 @@ def _read(path: Path, bench: Bench) -> Record | Report:
 
 
 def _report(record: Record, verdicts: list[Verdict], how: dict[str, Any]) -> Report:
-    about = (record[key] for key in ("board", "track", "name", "tier"))
-    return Report(*about, tuple(verdicts), how)
+    track, name, tier = (record[key] for key in ("track", "name", "tier"))
+    return Report(record["board"], track, name, tier, tuple(verdicts), how)
 
 
 def _check(path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:

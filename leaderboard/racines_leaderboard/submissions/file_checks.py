@@ -45,7 +45,6 @@ OLD_PICKLE = re.compile(rb"[(\]}]|c[\w.]+\n[\w.]+\n")
 """How pickles of protocol 0 and 1, which have no mark of their own, begin."""
 SAFETENSORS = b"\x00\x00\x00\x00{"
 """Bytes 4 to 8 of a safetensors file. Those before are its header's length, which may be any."""
-HEAD = 512
 REMEDY = (
     "a pickle can run code when it is loaded and an archive can unpack to anything: give "
     "safetensors, ONNX, Parquet or JSON"
@@ -105,7 +104,7 @@ def measure(
     digest, size = hashlib.sha256(), 0
     while chunk := stream.read(CHUNK):
         if not size:
-            _check_head(chunk[:HEAD], where)
+            _check_head(chunk[:512], where)
         size += len(chunk)
         if size > MAX_BYTES:
             raise RacinesError(f"{where}: more than {MAX_BYTES:,} bytes: give a smaller file")

@@ -72,7 +72,7 @@ class _Bounded:
         self._stream, self._left, self._size, self._url = stream, size, size, url
         self._end = time.monotonic() + WHOLE_SECONDS
 
-    def read(self, count: int, /) -> bytes:
+    def read(self, count: int = 2**20, /) -> bytes:
         chunk = self._stream.read(min(count, self._left + 1))
         self._left -= len(chunk)
         if time.monotonic() > self._end:
