@@ -79,10 +79,10 @@ MOVED = {
         "worlds.data_versions=making worlds.pose_index=replay worlds.recorded_world=replay "
         "worlds.replay_images=replay"
     ),
-    "racines_leaderboard.audit": "audit.compare=numbers audit.figures=metrics",
-    "racines_leaderboard.board": "chart collect groups pages rank recompute table",
+    "racines_leaderboard.audit": "audit.compare=numbers audit.figures=numbers",
+    "racines_leaderboard.board": "chart=pages collect groups=rank pages rank recompute table",
     "racines_leaderboard.cli": (
-        "cli_audit=audit cli_determinism=study.determinism cli_studio=studio cli_submit=submit "
+        "cli_audit=audit cli_determinism=audit cli_studio=studio cli_submit=submit "
         "commands=board expert.cli=expert"
     ),
     "racines_leaderboard.expert": "expert.figures=agreement expert.instructions=kit",
@@ -94,11 +94,11 @@ MOVED = {
         "studio.sweep_figures=browsing studio.watch_page=watching"
     ),
     "racines_leaderboard.submissions": (
-        "artefacts content_checks fetch file_checks intake submission=document "
-        "submission_text=text template"
+        "artefacts content_checks=intake fetch=intake file_checks intake submission=document "
+        "submission_text=document template"
     ),
     "racines_leaderboard.submissions.confined": (
-        "confined=session confined_child=child confined_roads=roads confined_wire=wire"
+        "confined=session confined_child=child confined_roads=session confined_wire=child"
     ),
     "racines_models": "bootstrap=statistics publish=weights racines_envs.intervals=statistics",
     "racines_models.cli": (

@@ -301,7 +301,7 @@ TOUCHED = [
     "racines_leaderboard.board.rank",
     "racines_leaderboard.records.seal",
     "racines_leaderboard.submissions.intake",
-    "racines_leaderboard.expert.kappa",
+    "racines_leaderboard.expert.agreement",
     "racines_leaderboard.audit.claims",
     "racines_leaderboard.studio.app",
 ]

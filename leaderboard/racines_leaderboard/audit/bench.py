@@ -1,19 +1,22 @@
 """What the records of a board are held against: its settings, the data and the judges here."""
 
+import contextlib
 import functools
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from racines_data.build.dataset import recipe_of
 from racines_data.config import PROFILES, fill, read_params, section
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
+from racines_data.store.frames import FrameStore, open_store
+from racines_envs.evaluation.run import EvaluationConfig
+from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.submissions.confined.session import Limits
-
-if TYPE_CHECKING:
-    from racines_data.store.frames import FrameStore
-    from racines_models.sample import Sample
-    from racines_models.scores.scoring import ScoresConfig
+from racines_models.sample import Sample, take_sample
+from racines_models.scores import scoring
+from racines_models.scores.scoring import ScoresConfig
 
 JUDGES = {"grader": "grader.safetensors", "pose": "model.safetensors"}
 """File of a judge's weights in its folder."""
@@ -47,69 +50,66 @@ class Bench:
 
     def __init__(self, board: str, places: Places) -> None:
         self.board, self.places = board, places
+        self.no_settings = f"no settings of board {board} here: give --params"
+        self.no_data = f"no dataset of its recipe in {places.data}"
 
     @functools.cached_property
     def settings(self) -> dict[str, Any] | None:
         """The settings of the board; None where neither params file nor profile is for it."""
-        if self.places.params.is_file():
-            values = read_params(self.places.params)
-            if values.get("board") == self.board:
-                return values
-        packaged = (read_params(profile=name) for name in PROFILES)
-        return next((values for values in packaged if values.get("board") == self.board), None)
+        own = self.places.params
+        found = [read_params(own)] if own.is_file() else []
+        found += [read_params(profile=name) for name in PROFILES]
+        return next((values for values in found if values.get("board") == self.board), None)
 
     @functools.cached_property
-    def scores(self) -> "ScoresConfig":
+    def scores(self) -> ScoresConfig:
         """How the board scores generators; defaults where its settings are unknown."""
-        from racines_models.scores.scoring import ScoresConfig
-
         return fill(ScoresConfig, section(self.settings or {}, "scores"), "scores")
+
+    @functools.cached_property
+    def evaluation(self) -> EvaluationConfig:
+        """How the board evaluates agents, likewise."""
+        return fill(EvaluationConfig, section(self.settings or {}, "evaluation"), "evaluation")
 
     @functools.cached_property
     def recipe(self) -> str | None:
         """Recipe digest of the dataset that the settings build; None for imported data."""
-        from racines_data.build.dataset import recipe_of
-
-        if self.settings is None:
-            return None
-        try:
-            return recipe_of(section(self.settings, "data"))
-        except RacinesError:
-            return None
+        with contextlib.suppress(RacinesError):
+            return None if self.settings is None else recipe_of(section(self.settings, "data"))
+        return None
 
     @functools.cached_property
-    def store(self) -> "FrameStore | None":
+    def store(self) -> FrameStore | None:
         """The dataset here, if there is one."""
-        from racines_data.store.frames import open_store
-
         return open_store(self.places.data) if self.places.data.is_dir() else None
 
-    def data_for(self, recipe: str | None) -> "FrameStore | None":
-        """Return the dataset here if it is of a recipe."""
-        store = self.store
+    def data_for(self, record: Record) -> FrameStore | None:
+        """Return the dataset here if it is of the recipe that a record rests on."""
+        store, recipe = self.store, basis_of(record)
         return store if store is not None and store.manifest["recipe_digest"] == recipe else None
 
-    @functools.cached_property
-    def sample(self) -> "Sample":
-        """The frames of the dataset here that generators are scored on."""
-        from racines_models.sample import take_sample
+    def lacks_for(self, record: Record) -> str | None:
+        """Say what is not here of what a record's scores are made on; None if nothing."""
+        if self.settings is None:
+            return self.no_settings
+        generator = record["track"] == "generators"
+        return self.no_data if generator and self.data_for(record) is None else None
 
+    @functools.cached_property
+    def sample(self) -> Sample:
+        """The frames of the dataset here that generators are scored on."""
         assert self.store is not None
         return take_sample(self.store, self.scores.split, self.scores.samples)
 
     @functools.cached_property
     def inception(self) -> dict[str, Any]:
         """The settings of Inception's features here."""
-        from racines_models.scores import scoring
-
         return scoring.InceptionFeatures("cpu").settings
 
     def judge(self, kind: str, sha256: str | None) -> Path | None:
         """Return the folder of the judge whose weights have a hash, if it is here."""
-        for folder in self.judge_folders(kind):
-            if sha256 == sha256_file(folder / JUDGES[kind]):
-                return folder
-        return None
+        folders = self.judge_folders(kind)
+        return next((f for f in folders if sha256 == sha256_file(f / JUDGES[kind])), None)
 
     def judge_folders(self, kind: str) -> list[Path]:
         """Return where judges of a kind lie: the one given, or else those of the usual places."""

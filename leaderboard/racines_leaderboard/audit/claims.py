@@ -1,92 +1,89 @@
-"""Claims that hold or not by the repository alone: seal, submission, code, the run's own scores."""
+"""Claims on what scores rest on: seal, submission, code and machine; data, judges, task, seeds."""
 
-import hashlib
 import json
 import subprocess
+from collections.abc import Iterator
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
-from racines_data.digest import canonical_json
+from racines_data.digest import recipe_digest as digest_of
 from racines_data.errors import RacinesError
-from racines_leaderboard.audit.bench import Bench
-from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, unknown
+from racines_data.files import sha256_file
+from racines_envs.cli.settings import phantom_config
+from racines_envs.worlds.making import find_task, phantom_recipe
+from racines_leaderboard.audit.bench import JUDGES, KINDS, Bench
+from racines_leaderboard.audit.verdicts import UNKNOWN, Verdict, equal, fails, holds, tell, unknown
+from racines_leaderboard.audit.weights import data_of
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.seal import KEY, seal_of
 from racines_leaderboard.submissions.document import find_submission
+from racines_models.provenance import environment
+from racines_models.scores.scoring import take_turns
 
 MACHINE = ("torch", "cpu", "threads", "device")
 """What floating point depends on, of an environment."""
 
 
-def seal(record: Record) -> list[Verdict]:
-    """Check that a record says what it said when it was written."""
-    if KEY not in record:
-        reason = "the record has no seal: racines audit --seal gives one"
-        return [unknown("seal", reason)]
-    reason = "the sha256 of the record as it was written; another one means that it was edited"
-    return [equal("seal", record[KEY], seal_of(record), reason)]
+def check_claims(record: Record, bench: Bench) -> Iterator[Verdict]:
+    """Check the seal, the submission, the version and commit of the code, and the machine."""
+    code = record["scores"]["code"]
+    if KEY in record:
+        reason = "the sha256 of the record as it was written; another one means that it was edited"
+        yield equal("seal", record[KEY], seal_of(record), reason)
+    else:
+        yield unknown("seal", "the record has no seal: racines audit --seal gives one")
+    yield _submission(record, bench)
+    yield equal("code.version", code["version"], version("racines"), "the package here")
+    if commit := code.get("commit"):
+        yield _commit(commit)
+    if others := differing(record["scores"]["environment"], environment()):
+        reason = f"made elsewhere ({', '.join(others)} differ): numbers are held within tolerance"
+        yield unknown("environment", reason)
+    else:
+        yield holds("environment", f"as here: {', '.join(MACHINE)}")
+    folder = bench.places.runs if record["track"] == "generators" else bench.places.agents
+    path = folder / "scores" / f"{record['name']}.json"
+    if record["tier"] == "self-reported" and path.is_file():
+        yield from _scores_file(record, path, bench)
 
 
-def submission(record: Record, bench: Bench) -> list[Verdict]:
-    """Check the submission in a record against the YAML and the artefacts that lie here."""
-    held, scores = record["submission"], record["scores"]
-    name = held["name"] if held else scores.get("submission", record["name"])
+def _submission(record: Record, bench: Bench) -> Verdict:
+    """Hold the submission in a record against the YAML and the artefacts that lie here."""
+    held = record["submission"]
+    name = held["name"] if held else record["scores"].get("submission", record["name"])
     try:
         here = find_submission(bench.places.submissions, record["track"], name)
     except RacinesError as error:
-        return [fails("submission", str(error))]
+        return fails("submission", str(error))
+    if held is None and here is None:
+        return unknown("submission", f"nobody submitted {name}: it has scores alone")
     if held is None or here is None:
-        if held is here:
-            return [unknown("submission", f"nobody submitted {name}: it has scores alone")]
         where = "the record holds none" if held is None else f"none in {bench.places.submissions}"
-        return [fails("submission", f"of {name}: {where}: collect its scores again")]
+        return fails("submission", f"of {name}: {where}: collect its scores again")
+    reason = "digest of the submission.yaml held in the record, and of the one here"
     if held.get("schema") != here["schema"]:
         # Earlier records hold fewer fields; those that both have must agree.
         shared = sorted(set(held) & set(here))
         held, here = ({key: document[key] for key in shared} for document in (held, here))
         reason = f"an earlier format; the fields of both agree by digest: {', '.join(shared)}"
-    else:
-        reason = "digest of the submission.yaml held in the record, and of the one here"
-    return [equal("submission", _digest(held), _digest(here), reason)]
-
-
-def _digest(document: dict[str, Any]) -> str:
-    return hashlib.sha256(canonical_json(document).encode()).hexdigest()
-
-
-def code(record: Record) -> list[Verdict]:
-    """Check the version of the code, and whether its commit is part of this checkout's past."""
-    claimed = record["scores"]["code"]
-    verdicts = [equal("code.version", claimed["version"], version("racines"), "the package here")]
-    if commit := claimed.get("commit"):
-        verdicts.append(_commit(commit))
-    return verdicts
+    return equal("submission", digest_of(held), digest_of(here), reason)
 
 
 def _commit(commit: str) -> Verdict:
-    subject, folder = "code.commit", Path(__file__).parent
+    """Say whether a commit is part of this checkout's past."""
     words = ["git", "merge-base", "--is-ancestor", commit, "HEAD"]
     try:
-        done = subprocess.run(words, cwd=folder, capture_output=True, timeout=10)
+        done = subprocess.run(words, cwd=Path(__file__).parent, capture_output=True, timeout=10)
     except (OSError, subprocess.SubprocessError):
-        return unknown(subject, "no git here", commit)
+        return unknown("code.commit", "no git here", commit)
     if done.returncode == 0:
-        return holds(subject, "this checkout's own, or one before it", commit)
-    if done.returncode == 1:
-        return unknown(subject, "a commit of another branch", commit)
-    return unknown(subject, "no such commit in this checkout", commit)
-
-
-def environment(record: Record) -> list[Verdict]:
-    """Say whether the scores were made on a machine like this one."""
-    from racines_models import provenance
-
-    claimed = record["scores"]["environment"]
-    if others := differing(claimed, provenance.environment()):
-        reason = f"made elsewhere ({', '.join(others)} differ): numbers are held within tolerance"
-        return [unknown("environment", reason)]
-    return [holds("environment", f"as here: {', '.join(MACHINE)}")]
+        return holds("code.commit", "this checkout's own, or one before it", commit)
+    other = done.returncode == 1
+    reason = "a commit of another branch" if other else "no such commit in this checkout"
+    return unknown("code.commit", reason, commit)
 
 
 def differing(claimed: dict[str, Any], here: dict[str, Any]) -> list[str]:
@@ -96,21 +93,115 @@ def differing(claimed: dict[str, Any], here: dict[str, Any]) -> list[str]:
     return versions_differ + [key for key in MACHINE if claimed.get(key) != here.get(key)]
 
 
-def scores_file(record: Record, bench: Bench) -> list[Verdict]:
-    """Check a record that was collected against the scores file that its run left, if it is here.
-
-    The file is a second copy of the numbers: whoever edits a record has to edit it as well.
-    """
-    folder = bench.places.runs if record["track"] == "generators" else bench.places.agents
-    path = folder / "scores" / f"{record['name']}.json"
-    if record["tier"] != "self-reported" or not path.is_file():
-        return []
+def _scores_file(record: Record, path: Path, bench: Bench) -> Iterator[Verdict]:
+    """Hold a record to the scores file of its run: whoever edits one has to edit both."""
     try:
         here = json.loads(path.read_text())
         board = here.get("board") or (here.get("dataset") or {}).get("board")
     except (ValueError, AttributeError) as error:
-        return [fails("scores", f"{path}: not readable as JSON: {error}")]
-    if board not in (None, bench.board):
-        return []
-    reason = f"digest of the scores in the record, and of {path}"
-    return [equal("scores", _digest(record["scores"]), _digest(here), reason)]
+        yield fails("scores", f"{path}: not readable as JSON: {error}")
+        return
+    if board in (None, bench.board):
+        reason = f"digest of the scores in the record, and of {path}"
+        yield equal("scores", digest_of(record["scores"]), digest_of(here), reason)
+
+
+def dataset(record: Record, bench: Bench) -> Iterator[Verdict]:
+    """Check source, version, digests and sample of the dataset that a generator was scored on."""
+    claimed = record["scores"]["dataset"]
+    recipe = claimed["recipe_digest"]
+    if bench.recipe is None:
+        reason = f"no settings of board {bench.board} here that name a recipe: give --params"
+        yield unknown("dataset.recipe_digest", reason, recipe)
+    else:
+        reason = "the recipe that the board's settings build"
+        yield equal("dataset.recipe_digest", recipe, bench.recipe, reason)
+    yield equal("dataset.split", claimed["split"], bench.scores.split, "scores.split")
+    store = bench.data_for(record)
+    if store is None:
+        reason = f"no dataset of that recipe in {bench.places.data}"
+        keys = [key for key in ("source", "version", "digest", "sample") if key in claimed]
+        yield from (unknown(f"dataset.{key}", reason, claimed[key]) for key in keys)
+        return
+    here, reason = store.manifest, f"the manifest of {bench.places.data}"
+    for key in ("source", "version"):
+        yield equal(f"dataset.{key}", claimed[key], here[key], reason)
+    built = "the same recipe, built elsewhere: a few pixels differ"
+    say, reason = (holds, reason) if claimed["digest"] == here["digest"] else (unknown, built)
+    yield say("dataset.digest", reason, claimed["digest"], here["digest"])
+    if "sample" in claimed:
+        reason = f"digest of the rows of {bench.scores.samples:,} frames at most"
+        yield equal("dataset.sample", claimed["sample"], bench.sample.digest, reason)
+
+
+def judges(record: Record, bench: Bench, peers: list[Record]) -> Iterator[Verdict]:
+    """Check that the extractors are the benchmark's own; where they are not here, the board's."""
+    for kind, claimed in record["scores"].get("extractors", {}).items():
+        if kind == "inception":
+            reason = "weights, layer, resizer and range here"
+            yield equal(f"extractors.{kind}", claimed, bench.inception, reason)
+            continue
+        verdict = _judge(kind, claimed.get("sha256"), record, bench)
+        others = [peer["scores"].get("extractors", {}).get(kind) for peer in peers]
+        named = [other for other in others if other is not None]
+        strangers = [other for other in named if other != claimed]
+        if verdict.verdict == UNKNOWN and len(named) >= 2 and 2 * len(strangers) > len(named):
+            reason, theirs = "most rows of the board were judged by another", strangers[0]
+            verdict = fails(verdict.subject, reason, verdict.claimed, theirs.get("sha256"))
+        yield verdict
+
+
+def _judge(kind: str, sha256: str | None, record: Record, bench: Bench) -> Verdict:
+    subject = f"extractors.{kind}"
+    if kind not in KINDS:
+        return unknown(subject, "an extractor unknown to this code", sha256)
+    judge = KINDS[kind]
+    if folder := bench.judge(judge, sha256):
+        return holds(subject, f"the weights in {folder}", sha256, sha256)
+    own = (record["scores"].get("dataset") or {}).get("recipe_digest")
+    for folder in bench.judge_folders(judge):
+        if own is not None and data_of(folder) == own:
+            here = sha256_file(folder / JUDGES[judge])
+            return fails(subject, f"{folder}, trained on these data, is another", sha256, here)
+    return unknown(subject, f"no {judge} with these weights here", sha256)
+
+
+def drawing_seeds(record: Record, bench: Bench) -> Iterator[Verdict]:
+    """Check the seeds that images were drawn with against the board's settings."""
+    if bench.settings is None:
+        yield unknown("seeds", bench.no_settings)
+        return
+    claimed, runs = record["scores"]["seeds"], record["scores"].get("runs", 1)
+    allowed = []
+    for stochastic in (True, False):  # what draws the same whatever the seed draws once a run
+        stand_in: Any = SimpleNamespace(card=SimpleNamespace(stochastic=stochastic))
+        allowed.append([seed for _, seed in take_turns([stand_in] * runs, bench.scores.seeds)])
+    reason = "scores.seeds of the board's settings; without noise the first alone"
+    yield tell(claimed in allowed, "seeds", reason, claimed, allowed[0])
+
+
+def task(record: Record, bench: Bench) -> Iterator[Verdict]:
+    """Check phantom, task, reward, backend and starts of an agent's scores."""
+    if bench.settings is None:
+        yield unknown("task", bench.no_settings)
+        return
+    scores, claimed, config = record["scores"], record["scores"]["task"], bench.evaluation
+    phantom = phantom_config(bench.settings)
+    here = phantom_recipe(phantom) or {}
+    for key, value in (scores.get("phantom") or {}).items():
+        yield equal(f"phantom.{key}", value, here.get(key), "the phantom of the board's settings")
+    try:
+        defined = json.loads(json.dumps(asdict(find_task(claimed["view"], phantom))))
+    except RacinesError as error:
+        yield fails("task.view", str(error), claimed["view"])
+        return
+    if "definition" in claimed:
+        reason = "the task as it is here"
+        yield equal("task.definition", claimed["definition"], defined, reason)
+    for key in ("backend", "reward"):
+        reason = f"evaluation.{key} of the board's settings"
+        yield equal(f"task.{key}", claimed[key], getattr(config, key), reason)
+    starts = {"seeds": list(config.sets), "starts": config.starts}
+    reason = "the start sets of the board's settings"
+    yield equal("task.start_set", claimed["start_set"], starts, reason)
+    yield equal("seeds", scores["seeds"], starts["seeds"], reason)

@@ -1,4 +1,7 @@
-"""Recomputed numbers against those of a record, each within what its tier allows.
+"""The numbers of a record: by themselves, and against those that were recomputed.
+
+By themselves: n, intervals and means that cannot be what they say. Recomputed, each must come
+within what its tier allows:
 
 bitwise     the same libraries, processor, threads, data and weights: every bit
 tolerance   elsewhere: the metrics that rank within 0.0004; the others within 0.001 of their
@@ -9,26 +12,142 @@ half        from half-precision weights: the same, or a quarter of the interval'
 """
 
 import dataclasses
-import json
+import re
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
+from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.claims import differing
-from racines_leaderboard.audit.metrics import TIMED
 from racines_leaderboard.audit.roads import HALF
-from racines_leaderboard.audit.verdicts import Verdict, fails, holds, unknown
+from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, unknown
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.tracks import TRACK
+from racines_models.scores.diversity import places_again
+from racines_models.scores.scoring import PRDC_FRAMES
+from racines_models.statistics import wilson
 
+OF_VIEW = re.compile(r"(grade_agreement|grade_error|pose_error_(mm|deg)_view)(_truth)?")
+"""Metrics over the frames of a view alone."""
+PRDC = re.compile(r"(precision|recall|density|coverage)(_grader)?")
+TIMED = re.compile(r"images_per_second_(?P<batch>\d+)|latency")
+"""Metrics of the machine."""
+CLOSE = 1e-9
+"""What the last bits of a sum may differ by, relative."""
 BITWISE, TOLERANCE = "bitwise", "tolerance"
 PRIMARY = 4e-4
 """Of the metrics that rank, in their own unit: below half of 0.001."""
 OTHERS, ITEMS = 1e-3, 2.0
 SHARE = 0.25
 """Of the half-width of an interval, for half-precision weights."""
-NUMBERS = ("value", "low", "high", "n")
+ENDS = ("value", "low", "high")
+NUMBERS = (*ENDS, "n")
 CONTINUOUS = ("ssim", "psnr", "fid", "kid", "final_grade", "spl", "position_error", "return")
 """Figures that are equal to the last bit by no accident."""
+
+
+def check_metrics(record: Record, bench: Bench) -> Iterator[Verdict]:
+    """Check each metric's n, interval and parts against one another and the board's settings."""
+    for place, metrics in _groups(record["scores"]).items():
+        counts = _counts(record, bench, place, metrics)
+        for key, metric in metrics.items():
+            count = None if TIMED.fullmatch(key) else counts.get(key)
+            yield from _by_itself(f"{place}.{key}", metric, count)
+    yield from _methods(record, bench)
+
+
+def _groups(scores: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the metrics by place: those of all runs together, and those of each seed."""
+    seeds = scores.get("by_seed", {}).items()
+    return {"metrics": scores["metrics"]} | {f"by_seed.{seed}": each for seed, each in seeds}
+
+
+def _by_itself(
+    subject: str, metric: dict[str, Any], count: tuple[int, str] | None
+) -> Iterator[Verdict]:
+    """Check a metric's interval, its n where it is known, and what follows from other numbers."""
+    value, low, high = (metric[key] for key in ENDS)
+    settings, n = metric.get("settings", {}), metric["n"]
+    if (low is None) != (high is None):
+        yield fails(f"{subject}.interval", "one end is missing", [low, high])
+    elif value is None or low is None:
+        yield holds(f"{subject}.interval", "none given", [low, high])
+    else:
+        slack = CLOSE * max(1.0, abs(value))
+        inside, ends = low - slack <= value <= high + slack, [low, value, high]
+        yield tell(inside, f"{subject}.interval", "low ≤ value ≤ high", ends)
+    if count is not None:
+        yield equal(f"{subject}.n", n, *count)
+    if (sets := settings.get("by_set")) and value is not None:
+        mean = float(np.mean(sets))
+        close = abs(mean - value) <= CLOSE * max(1.0, abs(mean))
+        yield tell(close, f"{subject}.by_set", "the mean of its sets", value, mean)
+    if settings.get("interval") == "Wilson" and n:
+        here = wilson(np.arange(n) < round(value * n))
+        claimed, recomputed = ([one[key] for key in ENDS] for one in (metric, here))
+        close = np.allclose(claimed, recomputed, rtol=0, atol=CLOSE)
+        reason = f"a rate of {n} and Wilson's interval for n = {n}"
+        yield tell(close, f"{subject}.wilson", reason, claimed, recomputed)
+
+
+def _counts(
+    record: Record, bench: Bench, place: str, metrics: dict[str, Any]
+) -> dict[str, tuple[int, str]]:
+    """Return the n that each metric must have, and why, as far as it is known."""
+    if record["track"] == "agents":
+        return _episodes(record, place, metrics)
+    store = bench.data_for(record)
+    if store is None:
+        most = bench.scores.samples
+        reason = f"at most {most:,} frames are scored; how many show a view, the data would tell"
+        return {key: (min(metric["n"], most), reason) for key, metric in metrics.items()}
+    views = bench.sample.frames.views
+    frames, scores = len(views), record["scores"]
+    # Every run draws as many sets; where each draws one, the first run draws some poses again.
+    several = len(scores["seeds"]) > scores.get("runs", 1)
+    counts = {}
+    for key in metrics:
+        n, reason = frames, "frames of the sample"
+        if OF_VIEW.fullmatch(key):
+            n = int(((views >= 0) & (views != len(store.labels) - 1)).sum())
+            reason = "frames of the sample that show a view"
+        elif PRDC.fullmatch(key):
+            n = min(frames, PRDC_FRAMES)
+        elif key == "diversity_truth" or (key == "diversity" and not several):
+            n, reason = len(places_again(frames)), "poses drawn again"
+        counts[key] = (n, reason)
+    return counts
+
+
+def _episodes(record: Record, place: str, metrics: dict[str, Any]) -> dict[str, tuple[int, str]]:
+    starts = record["scores"]["task"]["start_set"]
+    if not isinstance(starts, dict):
+        return {}
+    n = (len(starts["seeds"]) if place == "metrics" else 1) * starts["starts"]
+    successes = round((metrics["success_true"]["value"] or 0.0) * n)
+    counts: dict[str, tuple[int, str]] = dict.fromkeys(metrics, (n, "episodes from the start sets"))
+    for key in counts.keys() & {"steps", "steps_median"}:
+        counts[key] = (successes, "episodes with true success")
+    return counts
+
+
+def _methods(record: Record, bench: Bench) -> Iterator[Verdict]:
+    """Check how the intervals say they were made: resamples, blocks and trajectories."""
+    if bench.settings is None:
+        yield unknown("intervals", bench.no_settings)
+        return
+    if record["track"] == "agents":
+        wanted = {"resamples": bench.evaluation.resamples}
+    else:
+        wanted = {"resamples": bench.scores.resamples}
+        if bench.data_for(record) is not None:
+            wanted |= {"blocks": min(bench.scores.blocks, len(np.unique(bench.sample.trajectory)))}
+    metrics = record["scores"]["metrics"].values()
+    methods = " ".join(metric.get("settings", {}).get("interval", "") for metric in metrics)
+    for key, number in wanted.items():
+        if stated := {int(each) for each in re.findall(rf"(\d+) {key}", methods)}:
+            yield equal(f"intervals.{key}", sorted(stated), [number], "the board's settings")
 
 
 def agreement(record: Record, made: dict[str, Any], road: str) -> str:
@@ -39,86 +158,64 @@ def agreement(record: Record, made: dict[str, Any], road: str) -> str:
     """
     if road == HALF:
         return HALF
-    same = not differing(record["scores"]["environment"], made["environment"])
+    scores = record["scores"]
+    same = not differing(scores["environment"], made["environment"])
     if record["track"] == "generators":
-        same &= record["scores"]["dataset"]["digest"] == made["dataset"]["digest"]
-    pairs = [
-        (metrics[key]["value"], made["metrics"][key]["value"])
-        for metrics in (record["scores"]["metrics"],)
-        for key in CONTINUOUS
-        if key in metrics and key in made["metrics"]
-    ]
-    equal = sum(a == b for a, b in pairs)
-    return BITWISE if same and 2 * equal >= len(pairs) else TOLERANCE
+        same &= scores["dataset"]["digest"] == made["dataset"]["digest"]
+    there, here = scores["metrics"], made["metrics"]
+    both = [key for key in CONTINUOUS if key in there and key in here]
+    exact = [key for key in both if there[key]["value"] == here[key]["value"]]
+    return BITWISE if same and 2 * len(exact) >= len(both) else TOLERANCE
 
 
-def compare_numbers(record: Record, made: dict[str, Any], tier: str) -> list[Verdict]:
-    """Return one verdict for each number of a record."""
-    made = json.loads(json.dumps(made))
-    verdicts = []
-    for subject, key, claimed, here in _pairs(record["scores"], made):
-        if TIMED.fullmatch(key):
-            verdicts.append(unknown(subject, "a time: it depends on the machine", claimed["value"]))
-        elif here is None:
-            reason = "its judge is not here, or its road does not draw again"
-            if key == "success_grader" and not record["scores"].get("extractors"):
+def compare_numbers(record: Record, made: dict[str, Any], tier: str) -> Iterator[Verdict]:
+    """Hold each number of a record, and the settings of its extractors, to what was made again."""
+    extractors, there = record["scores"].get("extractors", {}), _groups(made)
+    for place, metrics in _groups(record["scores"]).items():
+        for key, claimed in metrics.items():
+            subject, here = f"{place}.{key}", there.get(place, {}).get(key)
+            if TIMED.fullmatch(key):
+                yield unknown(subject, "a time: it depends on the machine", claimed["value"])
+            elif here is not None:
+                yield from _numbers(subject, key, claimed, here, tier, record["track"])
+            elif key == "success_grader" and not extractors:
                 reason = "the record does not say which grader saw it"
-            verdicts.append(unknown(subject, reason, claimed["value"]))
-        else:
-            verdicts.extend(_numbers(subject, key, claimed, here, tier, record["track"]))
-    for kind, claimed in record["scores"].get("extractors", {}).items():
+                yield unknown(subject, reason, claimed["value"])
+            else:
+                reason = "its judge is not here, or its road does not draw again"
+                yield unknown(subject, reason, claimed["value"])
+    for kind, claimed in extractors.items():
         if kind in made.get("extractors", {}):
-            here = made["extractors"][kind]
-            say = holds if claimed == here else fails
-            verdicts.append(say(f"extractors.{kind}.settings", "those that it was scored with"))
-    return verdicts
-
-
-def _pairs(
-    claimed: dict[str, Any], made: dict[str, Any]
-) -> Iterator[tuple[str, str, dict[str, Any], dict[str, Any] | None]]:
-    for key, metric in claimed["metrics"].items():
-        yield f"metrics.{key}", key, metric, made["metrics"].get(key)
-    for seed, metrics in claimed.get("by_seed", {}).items():
-        here = made.get("by_seed", {}).get(seed, {})
-        for key, metric in metrics.items():
-            yield f"by_seed.{seed}.{key}", key, metric, here.get(key)
+            same = claimed == made["extractors"][kind]
+            yield tell(same, f"extractors.{kind}.settings", "those that it was scored with")
 
 
 def _numbers(
     subject: str, key: str, claimed: dict[str, Any], here: dict[str, Any], tier: str, track: str
 ) -> Iterator[Verdict]:
-    allowed = _tolerance(key, claimed, tier, track)
-    doubtful = _doubtful(key, claimed, track) if tier == HALF else 0.0
+    allowed, doubtful = _bounds(key, claimed, tier, track)
     for number in NUMBERS:
         stated, value = claimed[number], here[number]
-        reason = "equal to the last bit"
-        passes = stated == value
         bound = 0.0 if number == "n" or tier == BITWISE else allowed
-        if not passes and None not in (stated, value):
-            passes = abs(stated - value) <= bound
-            reason = f"differs by {abs(stated - value):.2g}"
-        elif not passes:
-            reason = "one of the two is missing"
-        say = holds if passes else fails
-        near = None not in (stated, value) and abs(stated - value) <= doubtful
-        if not passes and near and number != "n":
-            say, reason = unknown, f"{reason}: the full weights would tell"
+        say, reason = fails, "one of the two is missing"
+        if stated == value:
+            say, reason = holds, "equal to the last bit"
+        elif None not in (stated, value):
+            off = abs(stated - value)
+            say, reason = holds if off <= bound else fails, f"differs by {off:.2g}"
+            if say is fails and off <= doubtful and number != "n":
+                say, reason = unknown, f"{reason}: the full weights would tell"
         verdict = say(f"{subject}.{number}", f"recomputed: {reason}", stated, value)
         yield dataclasses.replace(verdict, tolerance=bound)
 
 
-def _doubtful(key: str, claimed: dict[str, Any], track: str) -> float:
-    """Return what half-precision weights may move a metric by without a word against it."""
-    if key in TRACK[track].ranked_by or None in (claimed["low"], claimed["high"]):
-        return 0.0
-    return (claimed["high"] - claimed["low"]) / 2
-
-
-def _tolerance(key: str, claimed: dict[str, Any], tier: str, track: str) -> float:
-    bound = PRIMARY
-    if key not in TRACK[track].ranked_by:
-        bound = max(1.0, abs(claimed["value"] or 0.0)) * max(OTHERS, ITEMS / max(claimed["n"], 1))
+def _bounds(key: str, claimed: dict[str, Any], tier: str, track: str) -> tuple[float, float]:
+    """Return the difference that passes, and the larger one that half precision leaves open."""
+    ranks, doubtful = key in TRACK[track].ranked_by, 0.0
+    size = max(1.0, abs(claimed["value"] or 0.0))
+    bound = PRIMARY if ranks else size * max(OTHERS, ITEMS / max(claimed["n"], 1))
     if tier == HALF and None not in (claimed["low"], claimed["high"]):
-        return max(bound, SHARE * (claimed["high"] - claimed["low"]) / 2)
-    return bound
+        width = claimed["high"] - claimed["low"]
+        bound = max(bound, SHARE * width / 2)
+        doubtful = 0.0 if ranks else width / 2
+    return bound, doubtful

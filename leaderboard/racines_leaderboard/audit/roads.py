@@ -7,20 +7,28 @@ half precision  the published copy of the weights that the record names
 no weights      an agent that learns nothing
 """
 
-import contextlib
 import dataclasses
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
+from racines_envs.agents import agent_class, load_agent
+from racines_envs.cli.settings import phantom_config
+from racines_envs.evaluation.agent_specs import find_entry
+from racines_envs.evaluation.run import evaluate
+from racines_envs.worlds.backends import make_grader
 from racines_leaderboard.audit.bench import KINDS, Bench
-from racines_leaderboard.audit.weights import named, published, run_of, submitted
+from racines_leaderboard.audit.weights import named, published, run_of, submission_of, submitted
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.board.recompute import Ground, recompute_scores, score_on
+from racines_models.protocol import Run
+from racines_models.provenance import weights_sha256
+from racines_models.registry import generator_class, open_runs, weights_of
+from racines_models.training.repeats import train_seeds
 
 HALF = "half precision"
 
@@ -37,28 +45,24 @@ class Road:
 
 def find_road(record: Record, bench: Bench) -> Road | str:
     """Return the best way to recompute a record's numbers, or why there is none."""
-    if bench.settings is None:
-        return f"no settings of board {bench.board} here: give --params"
-    if record["track"] == "agents":
-        on = ground(record, bench)
-        return _artefact(record, bench, on) if submitted(record) else _agent(record, bench)
-    if bench.data_for(record["scores"]["dataset"]["recipe_digest"]) is None:
-        return f"no dataset of its recipe in {bench.places.data}"
+    if lacking := bench.lacks_for(record):
+        return lacking
     if submitted(record):
-        return _artefact(record, bench, ground(record, bench))
-    return _generator(record, bench)
+        on, folder = _ground(record, bench), submission_of(record, bench)
+        source = f"the artefacts in {folder}"
+        return Road("artefacts", source, lambda: recompute_scores(folder, on)[1])
+    return (_generator if record["track"] == "generators" else _agent)(record, bench)
 
 
-def ground(record: Record, bench: Bench) -> Ground:
+def _ground(record: Record, bench: Bench) -> Ground:
     """Return the board's ground with the judges that a record names, where they are here."""
-    judge = {kind: _judge(record, bench, kind) for kind in ("grader", "pose")}
     places = bench.places
     return Ground(
         bench.board,
         bench.settings or {},
         places.data,
-        grader=judge["grader"],
-        pose=judge["pose"],
+        grader=_judge(record, bench, "grader"),
+        pose=_judge(record, bench, "pose"),
         cache=places.runs / "scores" / "reference",
         limits=places.limits,
     )
@@ -69,14 +73,7 @@ def _judge(record: Record, bench: Bench, extractor: str) -> Path | None:
     return bench.judge(KINDS[extractor], card.get("sha256"))
 
 
-def _artefact(record: Record, bench: Bench, on: Ground) -> Road:
-    folder = bench.places.submissions / record["track"] / record["name"]
-    return Road("artefacts", f"the artefacts in {folder}", lambda: recompute_scores(folder, on)[1])
-
-
 def _generator(record: Record, bench: Bench) -> Road | str:
-    from racines_models.registry import generator_class, weights_of
-
     name, folder = record["name"], run_of(record, bench)
     try:
         cls = generator_class(name)
@@ -84,10 +81,9 @@ def _generator(record: Record, bench: Bench) -> Road | str:
         return f"{name} is no registered generator, and has no artefact that can be scored again"
     if folder.is_dir() and weights_of(name, folder) == named(record):
         return Road("run", f"the weights in {folder}", lambda: score_run(record, bench, folder))
-    trains = "training" in {each.name for each in dataclasses.fields(cls.Config)}
-    if not trains:
+    if "training" not in {each.name for each in dataclasses.fields(cls.Config)}:
         source = "it does not train: fitted again on the data"
-        return Road("fitted", source, lambda: _fitted(record, bench))
+        return Road("fitted", source, lambda: score_fitted(record, bench))
     copies = published(record, bench)
     if copies is not None and set(copies) == set(named(record)):
         copy = bench.places.weights / name
@@ -96,27 +92,13 @@ def _generator(record: Record, bench: Bench) -> Road | str:
     return f"no weights of it here: neither {folder} nor a published copy; --retrain trains anew"
 
 
-def _fitted(record: Record, bench: Bench) -> dict[str, Any]:
-    with fitted(record, bench, None) as folder:
-        return score_run(record, bench, folder)
+def score_fitted(record: Record, bench: Bench, folder: Path | None = None) -> dict[str, Any]:
+    """Fit a merged generator by the board's settings and return its scores.
 
-
-@contextlib.contextmanager
-def fitted(record: Record, bench: Bench, folder: Path | None) -> Iterator[Path]:
-    """Fit a merged generator by the board's settings; give the folder of its run.
-
-    Args:
-        record: Names it.
-        bench: Its board.
-        folder: Where the run is kept and, if it was cut short, goes on; None: nowhere.
+    The run is kept in `folder` and, if it was cut short, goes on there; None keeps nothing.
     """
-    from racines_models.protocol import Run
-    from racines_models.registry import generator_class
-    from racines_models.training.repeats import train_seeds
-
     assert bench.settings is not None and bench.store is not None
-    store, name = bench.store, record["name"]
-    cls = generator_class(name)
+    store, name, cls = bench.store, record["name"], generator_class(record["name"])
     settings = section(bench.settings, "generators").get(name) or {}
     config: Any = fill(cls.Config, settings, f"generators.{name}")
     repeats = getattr(getattr(config, "training", None), "repeats", 1)
@@ -124,17 +106,15 @@ def fitted(record: Record, bench: Bench, folder: Path | None) -> Iterator[Path]:
         place = Path(aside) / name if folder is None else folder
         run = Run(place, bench.settings.get("seed", 0), "cpu", progress=False)
         train_seeds(lambda one: cls(config).fit(store, one), run, repeats)
-        yield place
+        return score_run(record, bench, place)
 
 
 def score_run(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
     """Return the scores of the generator in a run's folder, by the judges that a record names."""
-    from racines_models.registry import open_runs, weights_of
-
     assert bench.store is not None
     name = record["name"]
     opened = open_runs(name, folder, device="cpu")
-    scores = score_on(ground(record, bench), bench.store, bench.scores, opened, name)
+    scores = score_on(_ground(record, bench), bench.store, bench.scores, opened, name)
     return scores | {"weights": weights_of(name, folder)}
 
 
@@ -144,34 +124,29 @@ def _agent(record: Record, bench: Bench) -> Road | str:
         return "the grader that it goes by is not here"
     if not claimed:
         return Road("no weights", "it learns nothing", lambda: score_agent(record, bench, folder))
-    from racines_models.provenance import weights_sha256
-
     if folder.is_dir() and weights_sha256(folder) == claimed:
         return Road("run", f"the policy in {folder}", lambda: score_agent(record, bench, folder))
     return f"no policy of it in {folder}; --retrain trains anew"
 
 
-def score_agent(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
+def score_agent(record: Record, bench: Bench, folder: Path, train: bool = False) -> dict[str, Any]:
     """Return the scores of a merged agent, its policy in a folder, by the board's settings.
 
-    The graders that had a say are those that the record names.
+    With `train`, what learns is trained there first; a run that was killed goes on. The graders
+    that had a say are those that the record names.
     """
-    from racines_envs.agents import load_agent
-    from racines_envs.cli.settings import phantom_config
-    from racines_envs.evaluation.agent_specs import find_entry
-    from racines_envs.evaluation.run import EvaluationConfig, evaluate
-    from racines_envs.worlds.backends import make_grader
-
     assert bench.settings is not None
-    entry = find_entry(bench.settings, record["name"])
-    config = fill(EvaluationConfig, section(bench.settings, "evaluation"), "evaluation")
-    view = record["scores"]["task"]["view"]
+    entry, view = find_entry(bench.settings, record["name"]), record["scores"]["task"]["view"]
+    phantom = phantom_config(bench.settings)
+    if train and named(record):
+        cls, seed = agent_class(entry.agent), bench.settings.get("seed", 0)
+        own: Any = fill(cls.Config, entry.settings, entry.where)
+        data = bench.places.data
+        cls.train(own, folder, seed=seed, phantom=phantom, data=data, progress=False)
     judge, guide = (_judge(record, bench, kind) for kind in ("grader", "guide"))
-    config = dataclasses.replace(
-        config, view=view, grader=str(judge or ""), latency=0, device="cpu"
-    )
+    settings = {"view": view, "grader": str(judge or ""), "latency": 0, "device": "cpu"}
+    config = dataclasses.replace(bench.evaluation, **settings)
     agent: Any = load_agent(entry.agent, folder, config.device)
     if guide is not None:
         agent.guide = make_grader(guide, config.device)
-    phantom = phantom_config(bench.settings)
     return evaluate(entry.agent, folder, config, phantom, agent=agent, run=entry.name).scores

@@ -1,8 +1,14 @@
-"""What an audit finds: one verdict a claim, and the report of a record."""
+"""What an audit finds: one verdict a claim, and the report of a record with its tables."""
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+
+from racines_data.tables import console_table, escape, markdown_table
 
 HOLDS = "holds"
 FAILS = "does not hold"
@@ -11,6 +17,10 @@ SKIPPED = "not checked"
 """Left out by `--quick`."""
 VERDICTS = (FAILS, UNKNOWN, SKIPPED, HOLDS)
 """The gravest first."""
+HEAD = ("Claim", "Verdict", "Why", "In the record", "Here")
+MARKS = {FAILS: "bold red", UNKNOWN: "yellow", SKIPPED: "dim"}
+SHOWN = 16
+"""Characters of a digest."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +35,24 @@ class Verdict:
     found: Any = None
     tolerance: float | None = None
     """The largest difference that passes; None where values are equal or are not."""
+
+
+def _say(kind: str, subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
+    return Verdict(subject, kind, reason, claimed, found)
+
+
+holds, fails, unknown = (partial(_say, kind) for kind in (HOLDS, FAILS, UNKNOWN))
+"""Say of a subject that its claim holds, does not, or cannot be checked, and why."""
+
+
+def tell(right: bool, subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
+    """Say whether a claim holds."""
+    return _say(HOLDS if right else FAILS, subject, reason, claimed, found)
+
+
+def equal(subject: str, claimed: Any, found: Any, reason: str) -> Verdict:
+    """Hold a claim against what was found; `reason` says where."""
+    return tell(claimed == found, subject, reason, claimed, found)
 
 
 @dataclass(frozen=True)
@@ -54,29 +82,76 @@ class Report:
         counts = {verdict: self.count(verdict) for verdict in VERDICTS}
         return asdict(self) | {"holds": self.holds, "counts": counts}
 
+    def summary(self) -> str:
+        """Return one line: the record, what it comes to, and how its numbers were recomputed."""
+        counts = [f"{self.count(v)} {v}" for v in (FAILS, UNKNOWN, SKIPPED) if self.count(v)]
+        claims = ", ".join([f"{len(self.verdicts)} claims", *counts])
+        verdict, how = "holds" if self.holds else "DOES NOT HOLD", self.made_again
+        again = f"; recomputed from {how['from']}, {how['agreement']}" if "agreement" in how else ""
+        return f"{self.board}/{self.track}/{self.name}: {verdict} ({claims}{again})"
 
-def holds(subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
-    """Say that a claim holds."""
-    return Verdict(subject, HOLDS, reason, claimed, found)
+    def rows(self) -> Iterator[tuple[str, str, str, str, str]]:
+        """Give a row a metric that holds, a claim that fails, a reason that leaves some open."""
+        groups: dict[str, list[Verdict]] = {}
+        for verdict in self.verdicts:
+            first, _, rest = verdict.subject.partition(".")
+            metric = f"metrics.{rest.partition('.')[0]}"
+            name = {"metrics": metric, "by_seed": first}.get(first, verdict.subject)
+            groups.setdefault(name, []).append(verdict)
+        alike: dict[tuple[str, str], list[str]] = {}
+        for name, verdicts in groups.items():
+            worst = min((each.verdict for each in verdicts), key=VERDICTS.index)
+            those = [each for each in verdicts if each.verdict == worst]
+            if worst == FAILS:
+                for each in those:
+                    yield each.subject, worst, each.reason, _short(each.claimed), _short(each.found)
+            elif worst == HOLDS:
+                yield name, worst, *_told(verdicts)
+            else:
+                alike.setdefault((worst, those[0].reason), []).append(name)
+        for (worst, reason), names in alike.items():
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            yield ", ".join(names[:3]) + more, worst, reason, "", ""
 
 
-def fails(subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
-    """Say that a claim does not hold."""
-    return Verdict(subject, FAILS, reason, claimed, found)
+def _told(verdicts: list[Verdict]) -> tuple[str, str, str]:
+    """Return of what holds how far off it was, where it was, and the values there and here."""
+    reasons = [verdict.reason for verdict in verdicts]
+    recomputed = [reason for reason in reasons if reason.startswith("recomputed")]
+    differing = [reason for reason in recomputed if "equal" not in reason]
+    counted = f" ({len(reasons)} checks)" if len(reasons) > 1 else ""
+    why = (differing or recomputed or reasons)[0] + counted
+    values = [each for each in verdicts if each.subject.endswith(".value")]
+    if not values and len(verdicts) > 1:
+        return why, "", ""
+    each = (values or verdicts)[0]
+    return why, _short(each.claimed), _short(each.found)
 
 
-def unknown(subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
-    """Say that a claim cannot be checked."""
-    return Verdict(subject, UNKNOWN, reason, claimed, found)
+def _short(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.8g}"
+    text = "" if value is None else str(value)
+    return text if len(text) <= 2 * SHOWN else f"{text[:SHOWN]}…"
 
 
-def equal(subject: str, claimed: Any, found: Any, reason: str) -> Verdict:
-    """Hold a claim against what was found; `reason` says where."""
-    say = holds if claimed == found else fails
-    return say(subject, reason, claimed, found)
+def show(report: Report, details: bool) -> None:
+    """Print a report: all rows with `details`, else those that do not plainly hold."""
+    console = Console()
+    shown = [
+        [Text(cell, MARKS.get(row[1], "")) for cell in row]
+        for row in report.rows()
+        if details or row[1] in MARKS
+    ]
+    console.print(report.summary(), style=None if report.holds else "bold red", markup=False)
+    if shown:
+        console.print(console_table(HEAD, shown, right=None))
 
 
-def gravest(verdicts: Iterable[Verdict]) -> str:
-    """Return the gravest of some verdicts."""
-    present = {verdict.verdict for verdict in verdicts}
-    return next(verdict for verdict in VERDICTS if verdict in present)
+def audit_markdown(reports: list[Report]) -> str:
+    """Return reports as a Markdown page."""
+    parts = ["# Audit", "", "Research software, not a medical device.", ""]
+    for each in reports:
+        parts += [f"## {each.board}/{each.track}/{each.name}", "", escape(each.summary())]
+        parts += ["", markdown_table(HEAD, each.rows()), ""]
+    return "\n".join(parts)

@@ -3,7 +3,7 @@
 A board is a folder `results/<board>/{generators,agents}/<name>.json`, one record a system.
 """
 
-from collections.abc import Collection
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +26,7 @@ def boards(results: Path) -> list[str]:
 
 
 def read_board(results: Path, board: str) -> dict[str, list[Record]]:
-    """Read the records of a board, by track; generators with what experts say of them.
-
-    Raises:
-        RacinesError: a damaged record, or one that says it belongs elsewhere.
-    """
+    """Read the records of a board by track; generators with what experts say of them."""
     content = {}
     for track in TRACKS:
         paths = sorted((results / board / track.name).glob("*.json"))
@@ -41,21 +37,17 @@ def read_board(results: Path, board: str) -> dict[str, list[Record]]:
 
 def made_elsewhere(folders: list[Path], board: str) -> list[Path]:
     """Return the scores files that were made for another board, as another profile leaves them."""
-    paths = [path for folder in folders for path in sorted(folder.glob("*.json"))]
-    return [path for path in paths if _board_of(path) not in (None, board)]
-
-
-def _board_of(path: Path) -> str | None:
-    scores = _read_scores(path)[0]
-    return scores.get("board") or (scores.get("dataset") or {}).get("board")
+    others = []
+    for path in (path for folder in folders for path in sorted(folder.glob("*.json"))):
+        scores, _ = _read_scores(path)
+        made_for = scores.get("board") or (scores.get("dataset") or {}).get("board")
+        if made_for not in (None, board):
+            others.append(path)
+    return others
 
 
 def collect(
-    folders: list[Path],
-    results: Path,
-    submissions: Path,
-    board: str,
-    without: Collection[Path] = (),
+    folders: list[Path], results: Path, submissions: Path, board: str, without: Sequence[Path] = ()
 ) -> list[Path]:
     """Write one self-reported record for each scores file in the folders; return their paths.
 
@@ -75,7 +67,11 @@ def collect(
         for path in (path for path in paths if path not in without):
             record = _record(path, submissions, board)
             place = results / board / record["track"] / f"{record['name']}.json"
-            records[place] = _still_reproduced(record, place)
+            before = read_json(place, "record") if place.is_file() else {}
+            if before.get("tier") == "reproduced" and before["scores"] == record["scores"]:
+                earned = {key: before[key] for key in ("tier", "reproduced") if key in before}
+                record = sealed(record | earned)
+            records[place] = record
     one_dataset(records, results, board)
     for path, record in records.items():
         write_record(path, record)
@@ -88,34 +84,24 @@ def basis_of(record: Record) -> str | None:
     return (scores.get("dataset") or scores.get("phantom") or {}).get("recipe_digest")
 
 
+def record_of(
+    board: str, track: Track, name: str, tier: str, submission: Any, scores: dict[str, Any]
+) -> Record:
+    """Return a sealed record."""
+    about = {"schema": "racines.record/1", "board": board, "track": track.name, "name": name}
+    return sealed(about | {"tier": tier, "submission": submission, "scores": scores})
+
+
 def _record(path: Path, submissions: Path, board: str) -> Record:
     scores, track = _read_scores(path)
     name = scores[track.subject]
     if name != path.stem:
         raise RacinesError(f"{path}: {track.subject}: {name!r} differs from the file's name")
-    record = {
-        "schema": "racines.record/1",
-        "board": board,
-        "track": track.name,
-        "name": name,
-        "tier": "self-reported",
-        # Several runs of one method share its submission.
-        "submission": find_submission(submissions, track.name, scores.get("submission", name)),
-        "scores": scores,
-    }
-    record = sealed(record)
+    # Several runs of one method share its submission.
+    submission = find_submission(submissions, track.name, scores.get("submission", name))
+    record = record_of(board, track, name, "self-reported", submission, scores)
     check(record, "record", str(path))
     return record
-
-
-def _still_reproduced(record: Record, place: Path) -> Record:
-    """Return a record with the tier of the one at its place, if that was earned by these scores."""
-    if not place.is_file():
-        return record
-    before = read_json(place, "record")
-    if before["tier"] != "reproduced" or before["scores"] != record["scores"]:
-        return record
-    return sealed(record | {key: before[key] for key in ("tier", "reproduced") if key in before})
 
 
 def _read_scores(path: Path) -> tuple[dict[str, Any], Track]:
@@ -127,14 +113,9 @@ def _read_scores(path: Path) -> tuple[dict[str, Any], Track]:
 
 
 def read_record(path: Path, board: str, track: Track) -> Record:
-    """Read one record.
-
-    Raises:
-        RacinesError: damaged, against the schemas, or one that says it belongs elsewhere.
-    """
+    """Read one record; refuse what is damaged, or says that it belongs elsewhere."""
     record = read_json(path, "record")
-    expected = {"board": board, "track": track.name, "name": path.stem}
-    for key, value in expected.items():
+    for key, value in (("board", board), ("track", track.name), ("name", path.stem)):
         if record[key] != value:
             raise RacinesError(f"{path}: {key}: {record[key]!r}, expected {value!r} by its place")
     check(record["scores"], track.schema, f"{path}: scores")
@@ -142,19 +123,14 @@ def read_record(path: Path, board: str, track: Track) -> Record:
 
 
 def one_dataset(new: dict[Path, Record], results: Path, board: str) -> None:
-    """Check that each track of a board stays on one dataset once new records are written.
-
-    Raises:
-        RacinesError: two records rest on different recipes.
-    """
-    kept = [
-        (results / board / name / f"{record['name']}.json", record)
+    """Check that each track of a board rests on one recipe once new records are written."""
+    kept = {
+        results / board / name / f"{record['name']}.json": record
         for name, records in read_board(results, board).items()
         for record in records
-    ]
-    merged = dict(kept) | new
+    }
     seen: dict[str, dict[str, Path]] = {track.name: {} for track in TRACKS}
-    for path, record in merged.items():
+    for path, record in (kept | new).items():
         if (digest := basis_of(record)) is not None:
             seen[record["track"]].setdefault(digest, path)
     for paths in seen.values():

@@ -1,14 +1,19 @@
-"""Pages made of boards: the leaderboard's Markdown, and the block of tables in a README."""
+"""Pages made of boards: the leaderboard's Markdown with its charts, and the tables of a README."""
 
+import io
 import os
+from collections.abc import Sequence
 from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
-from racines_leaderboard.board.chart import write_chart
 from racines_leaderboard.board.collect import boards, read_board
+from racines_leaderboard.board.rank import Ranked, Record, metric_of, rankings
 from racines_leaderboard.board.table import board_tables, titled_markdown
-from racines_leaderboard.records.tracks import TRACKS
+from racines_leaderboard.records.tracks import TRACKS, Column, Track
 
 BEGIN = "<!-- leaderboard {board}: written by `racines leaderboard --readme` -->"
 END = "<!-- end of leaderboard -->"
@@ -19,9 +24,11 @@ One board a dataset; results stand in `results/<board>/`, one JSON file a system
 Tiers: *self-reported* (the submitter's own run), *recomputed* (scores made again from the
 artefacts), *reproduced* (trained again).
 """
+INK = "#1f3a5f"
+PANELS_A_ROW = 5
 
 
-def board_markdown(results: Path, board: str, details: bool = False) -> str:
+def _tables(results: Path, board: str, details: bool = False) -> str:
     """Return the tables of a board as Markdown, with `details` also of the further figures."""
     tables = board_tables(board, read_board(results, board), details)
     return "\n\n".join(titled_markdown(table) for table in tables)
@@ -31,18 +38,17 @@ def write_page(page: Path, results: Path) -> None:
     """Write the page of all boards, and beside each board's results its charts."""
     parts = [HEAD]
     for board in boards(results):
-        parts.append(f"## {board}\n\n{board_markdown(results, board, details=True)}\n")
-        parts.extend(_chart_links(page, results, board))
-    page.parent.mkdir(parents=True, exist_ok=True)
+        parts.append(f"## {board}\n\n{_tables(results, board, details=True)}\n")
+        content = read_board(results, board)
+        for track in TRACKS:
+            image = results / board / f"{track.name}.png"
+            if _write_chart(image, track, content[track.name]):
+                parts.append(f"![{track.name} of {board}]({os.path.relpath(image, page.parent)})\n")
     write_atomic(page, "\n".join(parts))
 
 
 def with_tables(text: str, results: Path, where: str) -> str:
-    """Return a README's text with the tables between its marks made anew.
-
-    Raises:
-        RacinesError: no marks, a mark without its end, or a board without results.
-    """
+    """Return a README's text with the tables between its marks made anew."""
     opening, closing = BEGIN.split("{board}")
     before, found, rest = text.partition(opening)
     board, named, rest = rest.partition(closing)
@@ -51,16 +57,48 @@ def with_tables(text: str, results: Path, where: str) -> str:
         raise RacinesError(f"{where}: needs the lines {BEGIN.format(board='BOARD')!r} and {END!r}")
     if board not in boards(results):
         raise RacinesError(f"{where}: board {board!r} has no results under {results}")
-    tables = board_markdown(results, board)
-    return f"{before}{BEGIN.format(board=board)}\n\n{tables}\n\n{END}{after}"
+    return f"{before}{opening}{board}{closing}\n\n{_tables(results, board)}\n\n{END}{after}"
 
 
-def _chart_links(page: Path, results: Path, board: str) -> list[str]:
-    content = read_board(results, board)
-    links = []
-    for track in TRACKS:
-        image = results / board / f"{track.name}.png"
-        if write_chart(image, track, content[track.name]):
-            link = os.path.relpath(image, page.parent)
-            links.append(f"![{track.name} of {board}]({link})\n")
-    return links
+def _write_chart(path: Path, track: Track, records: list[Record]) -> bool:
+    """Draw the results of a track, a panel a figure; return False where there is none to draw."""
+    ranking = rankings(track, records)
+    columns = [c for c in track.columns if any(metric_of(r.record, c.key) for r in ranking)]
+    if not columns:
+        return False
+    down = -(-len(columns) // PANELS_A_ROW)
+    across = -(-len(columns) // down)
+    height = 0.9 + 0.32 * len(ranking)
+    canvas = Figure(figsize=(1.6 + 2.5 * across, 0.5 + height * down), layout="constrained")
+    axes = canvas.subplots(down, across, squeeze=False, sharey=True)
+    for axis in axes.flat[len(columns) :]:
+        axis.set_visible(False)
+    for axis, column in zip(axes.flat, columns, strict=False):
+        panel(axis, column, ranking)
+    canvas.suptitle(f"{track.name.capitalize()}: best at the top; bars are 95 % intervals", size=10)
+    image = io.BytesIO()
+    canvas.savefig(image, format="png", dpi=130)
+    write_atomic(path, image.getvalue())
+    return True
+
+
+def panel(axis: Axes, column: Column, ranking: Sequence[Ranked]) -> None:
+    """Draw one figure of N results, a line each, as dots with their 95 % intervals."""
+    for row, ranked in enumerate(ranking):
+        metric = metric_of(ranked.record, column.key)
+        if metric is None:
+            continue
+        value = metric["value"] * column.scale
+        if metric["low"] is not None and metric["high"] is not None:
+            ends = [metric["low"] * column.scale, metric["high"] * column.scale]
+            axis.plot(ends, [row, row], color=INK, alpha=0.45, linewidth=3, solid_capstyle="butt")
+        axis.plot([value], [row], "o", color=INK, markersize=5)
+    named = [(ranked.record["name"], ranked.record["scores"].get("task")) for ranked in ranking]
+    labels = [f"{name} ({task['view']})" if task else name for name, task in named]
+    axis.set_yticks(range(len(ranking)), labels, size=9)
+    axis.set_ylim(len(ranking) - 0.4, -0.6)
+    axis.set_title(column.title, size=9)
+    axis.tick_params(axis="x", labelsize=8)
+    axis.grid(axis="x", color="#dddddd", linewidth=0.7)
+    axis.set_axisbelow(True)
+    axis.spines[["top", "right", "left"]].set_visible(False)

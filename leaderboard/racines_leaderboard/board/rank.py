@@ -2,21 +2,26 @@
 
 By one metric: the best leads a group of all that follow, as far as their 95 % intervals overlap the
 leader's; the next one leads the next group. A group shares the mean of the ranks that its members
-would take alone, as in 1.5, 1.5, 3: so the ranks of all add up to the same sum whoever is tied, and
-a tie of others neither helps nor hurts. A leader is what keeps the rule sound. Overlap is not
-transitive, so without one a long chain of neighbours would share a rank with a first and a last
-that are far apart. And groups are runs of the order by value, so a wide interval never overtakes a
-better metric.
+would take alone, as in 1.5, 1.5, 3, so a tie of others neither helps nor hurts. Overlap is not
+transitive: without a leader a long chain of neighbours would share a rank, with a first and a last
+that are far apart. Groups are runs of the order by value: a wide interval overtakes no better one.
 """
 
 from dataclasses import dataclass
 from typing import Any
+
+from scipy.stats import rankdata
 
 from racines_leaderboard.records.tracks import Column, Track
 
 Record = dict[str, Any]
 EXPERT = "expert_"
 """Begins the keys of metrics that an expert study gave."""
+SHOWN = {
+    "image": " from the image",
+    "params": " from the pose",
+    "multimodal": " from image and pose",
+}
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,40 @@ def metric_of(record: Record, key: str) -> dict[str, Any] | None:
     return metric if metric is not None and metric["value"] is not None else None
 
 
+def by_task(records: list[Record]) -> dict[str, list[Record]]:
+    """Group the results that compare: generators all together, agents by task.
+
+    A task is a view, what is shown of it, and what draws the images. Bounds stand in every group of
+    their view and backend; in one of their own where there is no other.
+    """
+    groups: dict[tuple[str, str, str], list[Record]] = {}
+    bounds: dict[tuple[str, str], list[Record]] = {}
+    for record in records:
+        task = record["scores"].get("task") or dict.fromkeys(("view", "backend", "observation"), "")
+        place = task["view"], task["backend"]
+        if is_bound(record):
+            bounds.setdefault(place, []).append(record)
+        else:
+            groups.setdefault((*place, task["observation"]), []).append(record)
+    for place, floor_and_ceiling in bounds.items():
+        held = [group for key, group in groups.items() if key[:2] == place]
+        for group in held or [groups.setdefault((*place, ""), [])]:
+            group.extend(floor_and_ceiling)
+    return {
+        f"{view}{SHOWN.get(shown, '')}, {backend} backend" if view else "": group
+        for (view, backend, shown), group in sorted(groups.items())
+    }
+
+
+def rankings(track: Track, records: list[Record]) -> list[Ranked]:
+    """Return the ranked results of all tasks, one after another; a bound in the first alone."""
+    first: dict[str, Ranked] = {}
+    for group in by_task(records).values():
+        for ranked in rank(track, group):
+            first.setdefault(ranked.record["name"], ranked)
+    return list(first.values())
+
+
 def rank(track: Track, records: list[Record]) -> list[Ranked]:
     """Order the results of a track by its rule, best first; tied ones by metric, then by name.
 
@@ -57,13 +96,11 @@ def rank(track: Track, records: list[Record]) -> list[Ranked]:
         range(len(rivals)), key=lambda i: (keys[i], by_metrics[id(rivals[i])], rivals[i]["name"])
     )
     ranking = [Ranked(1 + sum(key < keys[i] for key in keys), rivals[i]) for i in order]
-    for bound in sorted((r for r in records if is_bound(r)), key=lambda r: r["name"], reverse=True):
-        worse = [
-            i
-            for i, each in enumerate(ranking)
-            if by_metrics[id(each.record)] > by_metrics[id(bound)]
-        ]
-        ranking.insert(worse[0] if worse else len(ranking), Ranked(None, bound))
+    bounds = (record for record in records if is_bound(record))
+    for bound in sorted(bounds, key=lambda record: record["name"], reverse=True):
+        own = by_metrics[id(bound)]
+        worse = (i for i, each in enumerate(ranking) if by_metrics[id(each.record)] > own)
+        ranking.insert(next(worse, len(ranking)), Ranked(None, bound))
     return ranking
 
 
@@ -78,29 +115,22 @@ def _badness(record: Record, column: Column) -> tuple[float, float, float]:
     metric = metric_of(record, column.key)
     if metric is None:
         return float("inf"), float("inf"), float("inf")
-    ends = [metric["value"] if metric[key] is None else metric[key] for key in ("low", "high")]
-    if column.better == "higher":
-        return -metric["value"], -ends[1], -ends[0]
-    return metric["value"], ends[0], ends[1]
+    value = metric["value"]
+    low, high = (value if metric[key] is None else metric[key] for key in ("low", "high"))
+    return (-value, -high, -low) if column.better == "higher" else (value, low, high)
 
 
 def _group_ranks(column: Column, records: list[Record]) -> list[float]:
     """Return each record's rank by one metric; a group shares the mean of its members' ranks."""
     metrics = [_badness(record, column) for record in records]
-    groups: list[list[int]] = []
-    reach = -float("inf")
+    groups = [0] * len(records)
+    group, reach = 0, -float("inf")
     for i in sorted(range(len(records)), key=lambda i: metrics[i][0]):
         _, best, worst = metrics[i]
-        if not groups or best > reach:
-            groups.append([])
-            reach = worst
-        groups[-1].append(i)
-    ranks, before = [0.0] * len(records), 0
-    for group in groups:
-        for i in group:
-            ranks[i] = before + (1 + len(group)) / 2
-        before += len(group)
-    return ranks
+        if best > reach or not group:
+            group, reach = group + 1, worst
+        groups[i] = group
+    return rankdata(groups).tolist()
 
 
 def _mean_ranks(columns: list[Column], records: list[Record]) -> list[tuple[float, ...]]:
@@ -116,8 +146,7 @@ def _ranks_in_turn(columns: list[Column], records: list[Record]) -> list[tuple[f
         for i, key in enumerate(keys):
             groups.setdefault(key, []).append(i)
         for rows in groups.values():
-            ranks = _group_ranks(column, [records[i] for i in rows])
-            for i, rank in zip(rows, ranks, strict=True):
+            for i, rank in zip(rows, _group_ranks(column, [records[i] for i in rows]), strict=True):
                 keys[i] += (rank,)
     return keys
 
@@ -129,5 +158,5 @@ def _plain_keys(
     values = [[_badness(record, column)[0] for record in records] for column in columns]
     if not track.mean_rank:
         return list(zip(*values, strict=True))
-    ranks = [[1 + sum(o < v for o in column) for v in column] for column in values]
+    ranks = [rankdata(column, "min").tolist() for column in values]
     return [(sum(each) / len(columns),) for each in zip(*ranks, strict=True)]

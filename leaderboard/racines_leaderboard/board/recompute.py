@@ -5,22 +5,27 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
-from racines_leaderboard.board.collect import Record, one_dataset
+from racines_data.store.frames import FrameStore, open_store
+from racines_envs.agents.trace_agent import TraceAgent
+from racines_envs.cli.settings import phantom_config
+from racines_envs.evaluation.run import EvaluationConfig, evaluate
+from racines_envs.worlds.making import find_task, make_phantom, phantom_recipe
+from racines_leaderboard.board.collect import Record, one_dataset, record_of
 from racines_leaderboard.records.schema import check, write_record
-from racines_leaderboard.records.seal import sealed
 from racines_leaderboard.records.tracks import GENERATORS, TRACK, TRACKS
 from racines_leaderboard.submissions.artefacts import YAML, files_of, rescored
+from racines_leaderboard.submissions.confined import session as confined
 from racines_leaderboard.submissions.confined.session import Limits
-from racines_leaderboard.submissions.content_checks import check_content
 from racines_leaderboard.submissions.document import find_submission
-
-if TYPE_CHECKING:
-    from racines_data.store.frames import FrameStore
-    from racines_models.scores.scoring import ScoresConfig
+from racines_leaderboard.submissions.intake import check_content
+from racines_models.exchange.predictions.reader import Predictions
+from racines_models.judges.grader.model import Grader
+from racines_models.judges.pose.regressor import PoseRegressor
+from racines_models.scores.scoring import ScoresConfig, score
 
 
 @dataclass(frozen=True)
@@ -41,17 +46,10 @@ class Ground:
 
 
 def find(submissions: Path, name: str) -> Path:
-    """Return the folder of a submission by NAME or TRACK/NAME.
-
-    Raises:
-        RacinesError: none, or one in each track.
-    """
-    found = [
-        submissions / track.name / name.removeprefix(f"{track.name}/")
-        for track in TRACKS
-        if "/" not in name.removeprefix(f"{track.name}/")
-    ]
-    found = [folder for folder in found if (folder / YAML).is_file()]
+    """Return the folder of a submission by NAME, if one track alone has it, or TRACK/NAME."""
+    names = {track.name: name.removeprefix(f"{track.name}/") for track in TRACKS}
+    folders = [submissions / track / bare for track, bare in names.items() if "/" not in bare]
+    found = [folder for folder in folders if (folder / YAML).is_file()]
     if len(found) != 1:
         where = f"in both tracks of {submissions}: give TRACK/NAME"
         raise RacinesError(f"{name!r}: {where if found else f'no submission in {submissions}'}")
@@ -59,30 +57,33 @@ def find(submissions: Path, name: str) -> Path:
 
 
 def recompute(folder: Path, ground: Ground, results: Path) -> Record:
-    """Score the artefact of a submission and write its record, of tier `recomputed`.
+    """Score the artefact in `<submissions>/<track>/<name>`; write a record of tier `recomputed`.
 
     Graphs run in a confined child; no code of the submitter's runs. Timings are left out: they
     would be those of the confinement.
-
-    Args:
-        folder: `<submissions>/<track>/<name>`.
-        ground: The board's data, settings and judges.
-        results: Folder of the boards.
 
     Raises:
         RacinesError: a submission at fault or without an artefact that can be scored, one made for
             other data, a file that breaks a limit, or metrics that do not belong on the board.
     """
     document, scores = recompute_scores(folder, ground)
-    return _write(document, scores, ground.board, results)
+    track, board = TRACK[document["track"]], ground.board
+    path = results / board / track.name / f"{document['name']}.json"
+    try:
+        # As it will be read: with lists where there are tuples.
+        scores = json.loads(json.dumps(scores, allow_nan=False))
+    except ValueError as error:
+        raise RacinesError(f"{path}: a figure is not finite: {error}") from error
+    record = record_of(board, track, document["name"], "recomputed", document, scores)
+    check(record, "record", str(path))
+    check(record["scores"], track.schema, f"{path}: scores")
+    one_dataset({path: record}, results, board)
+    write_record(path, record)
+    return record
 
 
 def recompute_scores(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return a submission's document, and the scores of its artefact; nothing is written.
-
-    Raises:
-        RacinesError: see `recompute`.
-    """
+    """Return a submission's document, and the scores of its artefact; nothing is written."""
     document = find_submission(folder.parents[1], folder.parent.name, folder.name)
     if document is None:
         raise RacinesError(f"{folder}: no submission there")
@@ -98,32 +99,7 @@ def recompute_scores(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict
     paths = [folder / artefact["path"] for artefact in artefacts]
     make = _generator_scores if document["track"] == GENERATORS.name else _agent_scores
     scores = make(document, artefacts[0]["kind"], paths, ground)
-    files = {artefact["path"]: artefact["sha256"] for artefact in artefacts}
-    return document, scores | {"weights": files}
-
-
-def _write(document: dict[str, Any], scores: dict[str, Any], board: str, results: Path) -> Record:
-    track = TRACK[document["track"]]
-    record = {
-        "schema": "racines.record/1",
-        "board": board,
-        "track": track.name,
-        "name": document["name"],
-        "tier": "recomputed",
-        "submission": document,
-        "scores": scores,
-    }
-    path = results / board / track.name / f"{document['name']}.json"
-    try:
-        text = json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False)
-    except ValueError as error:
-        raise RacinesError(f"{path}: a figure is not finite: {error}") from error
-    record = sealed(json.loads(text))  # as it will be read: with lists where there are tuples
-    check(record, "record", str(path))
-    check(record["scores"], track.schema, f"{path}: scores")
-    one_dataset({path: record}, results, board)
-    write_record(path, record)
-    return record
+    return document, scores | {"weights": {each["path"]: each["sha256"] for each in artefacts}}
 
 
 def _check_data(document: dict[str, Any], here: dict[str, Any], where: str) -> None:
@@ -141,19 +117,15 @@ def _check_data(document: dict[str, Any], here: dict[str, Any], where: str) -> N
 def _generator_scores(
     document: dict[str, Any], kind: str, paths: list[Path], ground: Ground
 ) -> dict[str, Any]:
-    from racines_data.store.frames import open_store
-    from racines_leaderboard.submissions.confined.roads import ConfinedGenerator
-    from racines_models.exchange.predictions.reader import Predictions
-    from racines_models.scores.scoring import ScoresConfig
-
     store = open_store(ground.data)
     _check_data(document, store.manifest, str(ground.data))
     config = fill(ScoresConfig, section(ground.settings, "scores"), "scores")
-    opened: list[Any]
-    if kind == "predictions":
-        opened = [Predictions(path, store, config.split) for path in paths]
-    else:
-        opened = [ConfinedGenerator(path, ground.limits) for path in paths]
+    opened = [
+        Predictions(path, store, config.split)
+        if kind == "predictions"
+        else confined.ConfinedGenerator(path, ground.limits)
+        for path in paths
+    ]
     if ground.grader is not None and not ground.grader.is_dir():
         raise RacinesError(f"{ground.grader}: no grader; run: racines train grader")
     scores = score_on(ground, store, config, opened, document["name"])
@@ -162,13 +134,9 @@ def _generator_scores(
 
 
 def score_on(
-    ground: Ground, store: "FrameStore", config: "ScoresConfig", sources: Sequence[Any], name: str
+    ground: Ground, store: FrameStore, config: ScoresConfig, sources: Sequence[Any], name: str
 ) -> dict[str, Any]:
     """Return the scores of generators by a ground's judges, without their speed."""
-    from racines_models.judges.grader.model import Grader
-    from racines_models.judges.pose.regressor import PoseRegressor
-    from racines_models.scores.scoring import score
-
     return score(
         sources,
         store,
@@ -183,15 +151,8 @@ def score_on(
 def _agent_scores(
     document: dict[str, Any], kind: str, paths: list[Path], ground: Ground
 ) -> dict[str, Any]:
-    from racines_envs.agents.trace_agent import TraceAgent
-    from racines_envs.cli.settings import phantom_config
-    from racines_envs.evaluation.run import EvaluationConfig, evaluate
-    from racines_envs.worlds.making import find_task, make_phantom, phantom_recipe
-    from racines_leaderboard.submissions.confined.roads import ConfinedPolicyAgent
-
-    agent: Any = (
-        TraceAgent(paths[0]) if kind == "trace" else ConfinedPolicyAgent(paths[0], ground.limits)
-    )
+    path, traced = paths[0], kind == "trace"
+    agent: Any = TraceAgent(path) if traced else confined.ConfinedPolicyAgent(path, ground.limits)
     config = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation")
     judge = str(ground.grader) if ground.grader is not None and config.grader else ""
     view = getattr(agent, "view", config.view)
@@ -199,5 +160,5 @@ def _agent_scores(
     phantom = phantom_config(ground.settings)
     phantom = make_phantom(phantom, "cpu", find_task(view, phantom).anatomy)
     _check_data(document, phantom_recipe(phantom) or {}, f"the phantom of board {ground.board}")
-    scores = evaluate("", paths[0].parent, config, phantom, agent=agent).scores
+    scores = evaluate("", path.parent, config, phantom, agent=agent).scores
     return scores | {"agent": document["name"]}

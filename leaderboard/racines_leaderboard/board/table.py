@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any
@@ -12,8 +12,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from racines_data.tables import console_table, escape, markdown_table
-from racines_leaderboard.board.groups import by_task, rankings
-from racines_leaderboard.board.rank import Ranked, Record, metric_of, rank, tied
+from racines_leaderboard.board.rank import Ranked, Record, by_task, metric_of, rank, rankings, tied
 from racines_leaderboard.records.tracks import TRACKS, Column, Track, board_tracks
 
 REPORTED = "reported in the paper, on other data"
@@ -65,8 +64,7 @@ def show(table: Table, console: Console) -> None:
     """Draw a table on a terminal; on its side, one column a system, where it is too wide."""
     rows = [table.head, *table.rows]
     drawn = _drawn(table.title, rows)
-    free = console.options.update(width=10_000)
-    if console.measure(drawn, options=free).maximum > console.width:
+    if console.measure(drawn, options=console.options.update(width=10_000)).maximum > console.width:
         drawn = _drawn(table.title, [*zip(*rows, strict=True)][1:])
     console.print(drawn)
     for note in table.notes:
@@ -75,7 +73,12 @@ def show(table: Table, console: Console) -> None:
 
 
 def _drawn(title: str, rows: Sequence[Sequence[str]]) -> RichTable:
-    return console_table(rows[0], (map(_stacked, row) for row in rows[1:]), title, 2, padding=0)
+    """Return a table, the interval and n of a metric under it, so that a wide one fits."""
+    stacked = (
+        [cell.replace(" (", "\n(").replace(" – ", "–").replace(", n = ", "\nn = ") for cell in row]
+        for row in rows[1:]
+    )
+    return console_table(rows[0], stacked, title, 2, padding=0)
 
 
 def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
@@ -92,44 +95,43 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
     }
 
 
-def _stacked(text: str) -> str:
-    """Put the interval and n of a metric under it, so that a wide table fits a terminal."""
-    return text.replace(" (", "\n(").replace(" – ", "–").replace(", n = ", "\nn = ")
-
-
 @functools.cache
 def published() -> dict[str, Any]:
     """Return the metrics of the paper."""
     return json.loads((resources.files("racines_leaderboard") / "published.json").read_text())
 
 
-def cell(record: Record, column: Column, usual_n: int) -> str:
+def _cell(record: Record, column: Column, usual_n: int) -> str:
     """Return a metric with its 95 % interval; with its n where that is not the row's."""
     metric = shown_metric(record, column)
     if metric is None:
         return "–"
-    text = _number(metric["value"], column)
-    if metric["low"] is not None and metric["high"] is not None:
-        text += f" ({_number(metric['low'], column)} – {_number(metric['high'], column)})"
+    value, low, high = (
+        None if metric[key] is None else f"{metric[key] * column.scale:.{column.digits}f}"
+        for key in ("value", "low", "high")
+    )
+    text = str(value) if low is None or high is None else f"{value} ({low} – {high})"
     return text if metric["n"] == usual_n else f"{text}, n = {metric['n']:,}"
 
 
 def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     """Return one ranking as a table, with what there is to say of it; `ranking` holds a result."""
     columns = shown_columns(track.columns, ranking)
-    rows, shared = [], tied(ranking)
-    for ranked in ranking:
-        usual = _usual_n(ranked.record, columns)
-        cells = [cell(ranked.record, column, usual) for column in columns]
-        place = f"{ranked.place or '–'}{'=' if ranked.place in shared else ''}"
-        system = (place, ranked.record["name"], *_sees(track, ranked.record))
-        rows.append((*system, *cells, f"{usual:,}", ranked.record["tier"]))
-    sees = ("Sees",) if track.name == "agents" else ()
+    agents, rows, shared = track.name == "agents", [], tied(ranking)
+    for place, record in ((each.place, each.record) for each in ranking):
+        counts = [m["n"] for c in columns if (m := shown_metric(record, c))]
+        usual = max(counts, key=counts.count, default=0)
+        system = [f"{place or '–'}{'=' if place in shared else ''}", record["name"]]
+        if agents:  # older records do not tell what an agent goes by
+            system.append(record["scores"].get("sees", record["scores"]["task"]["observation"]))
+        cells = [_cell(record, column, usual) for column in columns]
+        rows.append((*system, *cells, f"{usual:,}", record["tier"]))
+    sees = ("Sees",) if agents else ()
     head = ("#", "System", *sees, *(column.title for column in columns), "n", "Tier")
-    basis = f"In brackets: 95 % intervals. n: {track.counted}."
-    basis = " ".join(filter(None, (basis, _basis(ranking), _ceiling(ranking))))
-    notes = (track.rule, basis, _methods(ranking), _experts(ranking))
-    return Table(title, head, tuple(rows), tuple(filter(None, notes)))
+    intervals = f"In brackets: 95 % intervals. n: {track.counted}."
+    basis = " ".join([intervals, *_basis(ranking[0].record)])
+    notes = tuple(filter(None, (track.rule, basis, *_notes(ranking))))
+    return Table(title, head, tuple(rows), notes)
 
 
 def shown_metric(record: Record, column: Column) -> dict[str, Any] | None:
@@ -142,65 +144,41 @@ def shown_columns(columns: Sequence[Column], ranking: Sequence[Ranked]) -> list[
     return [c for c in columns if any(shown_metric(r.record, c) for r in ranking)]
 
 
-def _methods(ranking: list[Ranked]) -> str:
-    """Say in a few words what each submitted system is."""
-    methods = [
-        f"{r.record['name']}, {r.record['submission']['method']}"
-        for r in ranking
-        if r.record["submission"]
-    ]
-    return f"Systems: {'; '.join(methods)}." if methods else ""
-
-
-def _experts(ranking: list[Ranked]) -> str:
-    """Say what experts agree with, and whose study is left out."""
+def _notes(ranking: list[Ranked]) -> Iterator[str]:
+    """Say what each submitted system is, what experts agree with, whose study is left out."""
+    records = [ranked.record for ranked in ranking]
+    methods = [f"{r['name']}, {r['submission']['method']}" for r in records if r["submission"]]
+    if methods:
+        yield f"Systems: {'; '.join(methods)}."
     notes = []
-    if any("expert" in r.record for r in ranking):
+    if any("expert" in record for record in records):
         notes.append(
             "Expert: a blinded study of the generator's images, views that agree with the truth of "
             "the pose, and grades that differ from it by at most 1; it does not rank."
         )
-    if stale := [r.record["name"] for r in ranking if r.record.get("expert_stale")]:
+    if stale := [record["name"] for record in records if record.get("expert_stale")]:
         notes.append(f"Left out: studies of other weights or data ({', '.join(stale)}).")
-    return " ".join(notes)
+    if notes:
+        yield " ".join(notes)
 
 
-def _sees(track: Track, record: Record) -> tuple[str, ...]:
-    """Return what an agent goes by, in a tuple; a generator looks at nothing."""
-    if track.name != "agents":
-        return ()
-    scores = record["scores"]
-    return (scores.get("sees", scores["task"]["observation"]),)  # older records do not tell
-
-
-def _usual_n(record: Record, columns: list[Column]) -> int:
-    counts = [m["n"] for c in columns if (m := shown_metric(record, c))]
-    return max(counts, key=counts.count) if counts else 0
-
-
-def _basis(ranking: list[Ranked]) -> str:
-    """Say which data, or which phantom, the results rest on."""
-    scores = ranking[0].record["scores"]
-    data = scores.get("dataset") or scores.get("phantom")
-    if not data:
-        return ""
-    source = data.get("source", "phantom")
-    simulated = " (simulated)" if source == "phantom" else ""
-    return f"Data: {source} {data['version']}{simulated}, recipe {data['recipe_digest'][:12]}."
-
-
-def _ceiling(ranking: list[Ranked]) -> str:
-    """Say how right the judges are where the images are the true ones."""
-    record, findings = ranking[0].record, []
+def _basis(record: Record) -> Iterator[str]:
+    """Say what data the results rest on, and how right the judges are on the true images."""
+    data = record["scores"].get("dataset") or record["scores"].get("phantom")
+    if data:
+        source = data.get("source", "phantom")
+        simulated = " (simulated)" if source == "phantom" else ""
+        yield f"Data: {source} {data['version']}{simulated}, recipe {data['recipe_digest'][:12]}."
+    findings = []
     if view := metric_of(record, "view_agreement_truth"):
         findings.append(f"the view agrees in {100 * view['value']:.1f} %")
-    error = [metric_of(record, f"pose_error_{unit}_truth") for unit in ("mm", "deg")]
-    if error[0] and error[1]:
-        millimetres, degrees = (each["value"] for each in error if each)
+    mm, deg = (metric_of(record, f"pose_error_{unit}_truth") for unit in ("mm", "deg"))
+    if mm and deg:
         findings.append(
-            f"the pose is read with an error of {millimetres:.1f} mm and {degrees:.1f}°"
+            f"the pose is read with an error of {mm['value']:.1f} mm and {deg['value']:.1f}°"
         )
-    return f"On the true frames {' and '.join(findings)}." if findings else ""
+    if findings:
+        yield f"On the true frames {' and '.join(findings)}."
 
 
 def reported_table(track: Track) -> Table:
@@ -214,7 +192,3 @@ def reported_table(track: Track) -> Table:
     )
     notes = (paper["remark"][track.name], f"Source: {paper['citation']}.")
     return Table(f"{track.name} · {REPORTED}", ("", "System", *names), rows, notes)
-
-
-def _number(value: float, column: Column) -> str:
-    return f"{value * column.scale:.{column.digits}f}"

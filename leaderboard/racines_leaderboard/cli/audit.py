@@ -1,4 +1,4 @@
-"""The command `racines audit`."""
+"""The commands `racines audit` and `racines study determinism`: what holds, and what repeats."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,6 @@ import typer
 from racines_data.cli import options as opt
 
 if TYPE_CHECKING:
-    from racines_leaderboard.audit.bench import Places
     from racines_leaderboard.audit.verdicts import Report
 
 
@@ -21,8 +20,7 @@ def audit(
     board: opt.Board = None,
     quick: Annotated[bool, typer.Option("--quick", help="Make no number again.")] = False,
     retrain: Annotated[
-        bool,
-        typer.Option("--retrain", help="Train anew; where all holds, the tier is reproduced."),
+        bool, typer.Option("--retrain", help="Train anew; where all holds, the tier is reproduced.")
     ] = False,
     retrain_into: Annotated[
         Path, typer.Option(help="With --retrain: folder of the runs; a killed one goes on.")
@@ -45,8 +43,10 @@ def audit(
     Judges are those of models/runs, or else of models/weights. The report goes to --out: .json, or
     Markdown. Exits 1 if anything does not hold.
     """
-    from racines_leaderboard.audit.bench import Places
-    from racines_leaderboard.audit.pages import show
+    from racines_data.files import write_atomic, write_json
+    from racines_leaderboard.audit import run
+    from racines_leaderboard.audit.bench import Bench, Places
+    from racines_leaderboard.audit.verdicts import audit_markdown, show
 
     judges = {"grader": grader, "pose": pose}
     given = {kind: folder for kind, folder in judges.items() if folder is not None}
@@ -55,38 +55,28 @@ def audit(
         raise typer.BadParameter("give names, or --all")
     if quick and retrain:
         raise typer.BadParameter("--quick makes no number again, --retrain does: give one")
+    benches: dict[str, Bench] = {}
     reports = []
-    for report in _reports(names or [], board, places, quick, retrain_into if retrain else None):
+    for path in run.find_records(places.results, names or [], board):
+        bench = benches.setdefault(path.parts[-3], Bench(path.parts[-3], places))
+        if retrain:
+            report = run.retrain(path, bench, retrain_into)
+        else:
+            report = run.audit(path, bench, quick)
         reports.append(report)
         if not as_json:
             show(report, details)
         if seal and report.holds:
-            _seal(places.results / report.board / report.track / f"{report.name}.json")
+            _seal(path)
     document = _document(reports)
-    if out is not None:
-        _write(out, document, reports)
+    if out is not None and out.suffix == ".json":
+        write_json(out, document)
+    elif out is not None:
+        write_atomic(out, audit_markdown(reports))
     if as_json:
         typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
     if not document["holds"]:
         raise typer.Exit(1)
-
-
-def _reports(
-    names: list[str], board: str | None, places: "Places", quick: bool, into: Path | None
-) -> Any:
-    """Give the report of each record as it is made."""
-    from racines_leaderboard.audit.bench import Bench
-    from racines_leaderboard.audit.retrain import retrain
-    from racines_leaderboard.audit.run import audit as audit_record
-    from racines_leaderboard.audit.run import find_records
-
-    benches: dict[str, Bench] = {}
-    for path in find_records(places.results, names, board):
-        bench = benches.setdefault(path.parts[-3], Bench(path.parts[-3], places))
-        if into is None:
-            yield audit_record(path, bench, quick)
-        else:
-            yield retrain(path, bench, into)
 
 
 def _document(reports: list["Report"]) -> dict[str, Any]:
@@ -105,22 +95,34 @@ def _document(reports: list["Report"]) -> dict[str, Any]:
     return document
 
 
-def _write(out: Path, document: dict[str, Any], reports: list["Report"]) -> None:
-    from racines_data.files import write_atomic, write_json
-    from racines_leaderboard.audit.pages import audit_markdown
-
-    if out.suffix == ".json":
-        write_json(out, document)
-    else:
-        write_atomic(out, audit_markdown(reports))
-
-
 def _seal(path: Path) -> None:
     """Seal a record that has no seal."""
-    from racines_data.files import write_atomic
+    from racines_leaderboard.records.schema import write_record
     from racines_leaderboard.records.seal import KEY, sealed
 
     record = json.loads(path.read_text())
     if KEY not in record:
-        write_atomic(path, json.dumps(sealed(record), indent=2, ensure_ascii=False) + "\n")
+        write_record(path, sealed(record))
         typer.echo(f"racines: sealed: {path}", err=True)
+
+
+def determinism(
+    stage: Annotated[
+        list[str] | None, typer.Option(help="Only stages that begin so; repeatable.")
+    ] = None,
+    out: opt.OwnOutFile = None,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Measure how far each stage repeats itself: bitwise, or by the largest difference.
+
+    With --out the report is written as JSON, stage by stage; a killed run goes on.
+    """
+    from racines_leaderboard.determinism.run import Outcome, determinism_markdown, measure
+
+    def tell(outcome: Outcome) -> None:
+        said = outcome.note or ("bitwise" if outcome.bitwise else f"{outcome.largest:.2g}")
+        line = f"{outcome.stage}, {outcome.compared}: {said} ({outcome.seconds} s)"
+        typer.echo(f"racines: {line}", err=True)
+
+    document = measure(stage or (), tell, out)
+    typer.echo(json.dumps(document, indent=2) if as_json else determinism_markdown(document))

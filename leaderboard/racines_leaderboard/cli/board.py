@@ -7,6 +7,8 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
+from racines_data.config import read_params
+from racines_data.errors import RacinesError
 
 CACHE = Path("models/runs/scores/reference")
 """What is computed of the reference alone, shared with `racines eval generator`."""
@@ -42,10 +44,12 @@ def leaderboard(
 
     With --params, `board` of that file names the board.
     """
-    from racines_data.errors import RacinesError
+    from rich.console import Console
+
     from racines_data.files import write_atomic
     from racines_leaderboard.board import collect as results_of
     from racines_leaderboard.board.pages import with_tables, write_page
+    from racines_leaderboard.board.table import board_tables, plain, published, show
 
     if params is not None:
         board = _board_of(params, board)
@@ -57,7 +61,16 @@ def leaderboard(
             typer.echo(f"racines: left out {path}: made for another board than {board}", err=True)
         results_of.collect(collect, results, submissions, board, others)
     if recompute:
-        board = _recompute(recompute, params, board, data, no_grader, results, submissions)
+        from racines_leaderboard.board import recompute as scoring
+
+        settings = params or Path("params.yaml")
+        board = _board_of(settings, board)
+        grader = None if no_grader else opt.GRADER
+        pose = opt.POSE if opt.POSE.is_dir() else None
+        ground = scoring.Ground(board, read_params(settings), data, grader, pose, CACHE)
+        for folder in [scoring.find(submissions, name) for name in recompute]:
+            record = scoring.recompute(folder, ground, results)
+            typer.echo(f"racines: scored again: {record['track']}/{record['name']}", err=True)
     names = [board] if board else results_of.boards(results)
     if not set(names) <= set(results_of.boards(results)) or not names:
         raise RacinesError(f"{results}: no results of {board or 'any board'}")
@@ -67,56 +80,7 @@ def leaderboard(
         if not readme.is_file():
             raise RacinesError(f"{readme}: no such file")
         write_atomic(readme, with_tables(readme.read_text(), results, str(readme)))
-    _show({name: results_of.read_board(results, name) for name in names}, as_json, details)
-
-
-def _recompute(
-    names: list[str],
-    params: Path | None,
-    board: str | None,
-    data: opt.Data,
-    no_grader: opt.NoGrader,
-    results: opt.Results,
-    submissions: opt.Submissions,
-) -> str:
-    """Score submissions again with the settings of a params file; return its board."""
-    from racines_data.config import read_params
-    from racines_leaderboard.board.recompute import Ground, find, recompute
-
-    params = params or Path("params.yaml")
-    board = _board_of(params, board)
-    folders = [find(submissions, name) for name in names]
-    ground = Ground(
-        board,
-        read_params(params),
-        data,
-        grader=None if no_grader else opt.GRADER,
-        pose=opt.POSE if opt.POSE.is_dir() else None,
-        cache=CACHE,
-    )
-    for folder in folders:
-        record = recompute(folder, ground, results)
-        typer.echo(f"racines: scored again: {record['track']}/{record['name']}", err=True)
-    return board
-
-
-def _board_of(params: Path, board: str | None) -> str:
-    from racines_data.config import read_params
-    from racines_data.errors import RacinesError
-
-    named = read_params(params).get("board")
-    if not isinstance(named, str):
-        raise RacinesError(f"{params}: board: expected the name of a board")
-    if board not in (None, named):
-        raise RacinesError(f"--board {board} differs from {named!r}, the board of {params}")
-    return named
-
-
-def _show(content: dict[str, dict], as_json: bool, details: bool) -> None:
-    from rich.console import Console
-
-    from racines_leaderboard.board.table import board_tables, plain, published, show
-
+    content = {name: results_of.read_board(results, name) for name in names}
     if as_json:
         ranked = {name: plain(records) for name, records in content.items()}
         document = {"boards": ranked, "reported_in_the_paper": published()}
@@ -126,3 +90,12 @@ def _show(content: dict[str, dict], as_json: bool, details: bool) -> None:
     for name, records in content.items():
         for table in board_tables(name, records, details):
             show(table, console)
+
+
+def _board_of(params: Path, board: str | None) -> str:
+    named = read_params(params).get("board")
+    if not isinstance(named, str):
+        raise RacinesError(f"{params}: board: expected the name of a board")
+    if board not in (None, named):
+        raise RacinesError(f"--board {board} differs from {named!r}, the board of {params}")
+    return named

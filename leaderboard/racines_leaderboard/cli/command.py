@@ -1,15 +1,23 @@
-"""The `racines` command, put together from the commands of the four packages."""
+"""The `racines` command, put together from the commands of the four packages and of others.
+
+Another package adds `racines NAME …` by an entry point of the group `racines.commands`:
+
+    [project.entry-points."racines.commands"]
+    hello = "my_package.hello:hello"        # a function for typer, or a typer.Typer
+
+A command's module is imported when the command is called, so a broken one harms no other.
+"""
 
 import os
 import sys
 from importlib.metadata import version
 from pkgutil import resolve_name
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.cli.plugins import register
+from racines_data.plugins import Plugins
 from racines_leaderboard.cli.renamed import RenamingGroup
 
 GROUPS = {
@@ -50,7 +58,7 @@ COMMANDS = {
     "study curves": "racines_envs.cli.study.curves:curves",
     "study forces": "racines_envs.cli.study.forces:forces",
     "study speed": "racines_envs.cli.study.speed:speed",
-    "study determinism": "racines_leaderboard.cli.study.determinism:determinism",
+    "study determinism": "racines_leaderboard.cli.audit:determinism",
     "export generator": "racines_models.cli.export:export_generator",
     "export agent": "racines_envs.cli.export:export_agent",
     "export weights": "racines_models.cli.export:export_weights",
@@ -70,6 +78,8 @@ COMMANDS = {
 }
 """Where the function of each command stands; heavy imports stand inside it, for a quick --help."""
 
+PLUGINS = Plugins("command", "racines.commands", or_give="")
+
 app = typer.Typer(
     help="RACINES, the open benchmark for robotic cardiac ultrasound. Not a medical device.",
     cls=RenamingGroup,
@@ -88,7 +98,23 @@ def _assemble() -> None:
     for words, function in COMMANDS.items():
         group, _, name = words.rpartition(" ")
         groups[group].command(name)(resolve_name(function))
-    register(app)
+    taken = {each.name for each in (*app.registered_commands, *app.registered_groups)}
+    passed_on = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
+    for name, point in PLUGINS.points().items():
+        if name not in taken:  # ours keep their names
+            about = f"Of another package ({point.value})."
+            app.command(name, help=about, context_settings=dict(passed_on))(_call)
+
+
+def _call(context: typer.Context) -> Any:
+    """Run the command of another package."""
+    name = str(context.info_name)
+    made = PLUGINS.load(name)
+    if not isinstance(made, typer.Typer):
+        function, made = made, typer.Typer(add_completion=False)
+        made.command()(function)
+    command = typer.main.get_command(made)
+    return command.main(context.args, prog_name=f"racines {name}", standalone_mode=False)
 
 
 _assemble()

@@ -110,10 +110,11 @@ def score(
     """
     from rich.console import Console
 
+    from racines_data.files import write_json
     from racines_leaderboard.expert import score as scoring
     from racines_leaderboard.expert.kit import Kit
     from racines_leaderboard.expert.ratings import read_all
-    from racines_leaderboard.expert.tables import show
+    from racines_leaderboard.expert.report import show, write_picture
     from racines_leaderboard.records.experts import publish
     from racines_leaderboard.records.schema import check
 
@@ -122,7 +123,11 @@ def score(
     everyone = read_all(ratings, opened, partial)
     report = scoring.score(opened, opened.read_key(key), everyone, resamples)
     check(report, "expert-scores", "report")
-    written = _write(out, report) if out is not None else []
+    written = []
+    if out is not None:
+        written = [out / "report.json", out / "report.png"]
+        write_json(written[0], report)
+        write_picture(written[1], report)
     if board is not None:
         written += publish(report, results, board)
     if as_json:
@@ -131,15 +136,6 @@ def score(
     show(report, Console())
     for path in written:
         typer.echo(str(path))
-
-
-def _write(out: Path, report: dict[str, Any]) -> list[Path]:
-    from racines_data.files import write_json
-    from racines_leaderboard.expert.picture import write_picture
-
-    write_json(out / "report.json", report)
-    write_picture(out / "report.png", report)
-    return [out / "report.json", out / "report.png"]
 
 
 def _system(spec: str, store: "FrameStore", split: str, device: str) -> "System":

@@ -9,20 +9,12 @@ from typer.core import TyperGroup
 COMMANDS = {
     "phantom sheet": "study sheet",
     "data leakage": "study leakage",
-    "eval gallery": "study gallery",
-    "eval realism": "study realism",
-    "eval ablation": "study ablation",
-    "eval floor": "study floor",
-    "eval conditioning": "study conditioning",
-    "eval transfer": "study transfer",
-    "eval rewards": "study rewards",
-    "eval curves": "study curves",
-    "eval forces": "study forces",
-    "eval speed": "study speed",
     "determinism": "study determinism",
     "expert simulate": "expert rate --by simulated",
     "expert oracle": "expert rate --by oracle",
 }
+_STUDIES = "gallery realism ablation floor conditioning transfer rewards curves forces speed"
+COMMANDS |= {f"eval {name}": f"study {name}" for name in _STUDIES.split()}
 OPTIONS = {
     "train agent": {"--run-dir": "--out"},
     "eval agent": {"--run-dir": "--run", "--scores": "--out", "--latency": "--set=latency="},

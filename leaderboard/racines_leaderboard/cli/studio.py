@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
+from racines_data.errors import RacinesError
 from racines_models.cli.device import Device
 
 
@@ -16,8 +17,7 @@ def studio(
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 7860,
     tab: Annotated[
-        list[str] | None,
-        typer.Option(help="Show this tab; repeatable.  [default: all]"),
+        list[str] | None, typer.Option(help="Show this tab; repeatable.  [default: all]")
     ] = None,
     data: opt.Data = opt.DATA,
     results: opt.Results = opt.RESULTS,
@@ -34,7 +34,6 @@ def studio(
     ] = 200,
 ) -> None:
     """Show the boards, the study and the data in a browser, on this machine alone by default."""
-    from racines_data.errors import RacinesError
     from racines_leaderboard.studio.place import Place
 
     if find_spec("gradio") is None:

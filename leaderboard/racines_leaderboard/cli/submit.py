@@ -2,14 +2,11 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from racines_data.cli import options as opt
-
-if TYPE_CHECKING:
-    from racines_leaderboard.submissions.intake import Taken
 
 
 def submit(
@@ -36,39 +33,26 @@ def submit(
         return
     if check and (force or fetch):
         raise typer.BadParameter("--check copies nothing: leave out --force and --fetch")
+    from racines_leaderboard.submissions.artefacts import KINDS, rescored
     from racines_leaderboard.submissions.intake import look_at, take_in
 
     taken = look_at(source) if check else take_in(source, out, replace=force, fetching=fetch)
+    document, again = taken.document, rescored(taken.document)
     if as_json:
-        typer.echo(json.dumps(_plain(taken), indent=2, ensure_ascii=False))
+        told = {"folder": str(taken.folder), "rescored": [each["path"] for each in again]}
+        told = document | told | {"remote": list(taken.remote)}
+        typer.echo(json.dumps(told, indent=2, ensure_ascii=False))
         return
-    document = taken.document
     typer.echo(f"{taken.folder}: sound ({document['name']}, {document['track']}).")
     for name in taken.remote:
         typer.echo(f"Left at its URL and not looked into: {name}; --fetch takes it in.")
-    for line in _next_steps(document):
-        typer.echo(line)
-
-
-def _plain(taken: "Taken") -> dict[str, Any]:
-    from racines_leaderboard.submissions.artefacts import rescored
-
-    again = [each["path"] for each in rescored(taken.document)]
-    return taken.document | {
-        "folder": str(taken.folder), "rescored": again, "remote": list(taken.remote)
-    }  # fmt: skip
-
-
-def _next_steps(document: dict[str, Any]) -> list[str]:
-    """Say what will be scored again, and by which command."""
-    from racines_leaderboard.submissions.artefacts import KINDS, rescored
-
-    again = rescored(document)
     if again:
         what = ", ".join(f"{each['path']} ({KINDS[each['kind']].told})" for each in again)
+        typer.echo(f"Scored again: {what}.")
         place = f"{document['track']}/{document['name']}"
-        return [f"Scored again: {what}.", f"Next: racines leaderboard --recompute {place}"]
-    return [
-        "Nothing here can be scored again: scores stay self-reported until it is trained again.",
-        "Next: racines leaderboard --collect FOLDER_OF_SCORES",
-    ]
+        typer.echo(f"Next: racines leaderboard --recompute {place}")
+    else:
+        typer.echo(
+            "Nothing here can be scored again: scores stay self-reported until it is trained again."
+        )
+        typer.echo("Next: racines leaderboard --collect FOLDER_OF_SCORES")

@@ -4,8 +4,8 @@
     FOLDER/kit.json              names, views, scale, instructions; nothing of the answers
     FOLDER/key.json              the answers; not for raters
 
-`kit.json` holds the SHA-256 of the key and of the images, and its own digest, which every rating
-repeats. So neither can be changed once ratings exist.
+`kit.json` holds the SHA-256 of key and images, and its own digest, which every rating repeats: none
+can be changed once ratings exist.
 """
 
 import functools
@@ -43,14 +43,10 @@ class Kit:
 
     @classmethod
     def open(cls, folder: Path | str) -> "Kit":
-        """Read a kit.
-
-        Raises:
-            RacinesError: no kit there, or `kit.json` was changed since it was made.
-        """
+        """Read a kit; RacinesError if none is there, or `kit.json` was changed."""
         folder = Path(folder)
         document = read_json(folder / KIT, "expert-kit")
-        if digest_of(document) != document["digest"]:
+        if _digest(document) != document["digest"]:
             raise RacinesError(f"{folder / KIT}: digest: the file was changed after it was made")
         return cls(folder, document)
 
@@ -75,11 +71,7 @@ class Kit:
         return tuple(view["name"] for view in self.document["views"])
 
     def image_path(self, image: str) -> Path:
-        """Return the file of an image.
-
-        Raises:
-            RacinesError: the kit has no such image.
-        """
+        """Return the file of an image; one that the kit does not have raises RacinesError."""
         if image not in self.images:
             raise RacinesError(f"{self.folder}: no image {image!r}")
         return self.folder / IMAGES / f"{image}.png"
@@ -102,26 +94,16 @@ class Kit:
         return None
 
     def check_images(self) -> None:
-        """Check that the images are those that the kit was made with.
-
-        Raises:
-            RacinesError: one is missing or differs.
-        """
+        """Check that none of the images is missing or differs from those of the making."""
         paths = [self.image_path(image) for image in self.images]
-        missing = [path.name for path in paths if not path.is_file()]
-        if missing:
+        if missing := [path.name for path in paths if not path.is_file()]:
             raise RacinesError(f"{self.folder / IMAGES}: missing: {', '.join(missing[:5])}")
-        if images_sha256(paths) != self.document["images_sha256"]:
-            raise RacinesError(
-                f"{self.folder / IMAGES}: images were changed after the kit was made"
-            )
+        if _images_sha256(paths) != self.document["images_sha256"]:
+            where = self.folder / IMAGES
+            raise RacinesError(f"{where}: images were changed after the kit was made")
 
     def read_key(self, path: Path | None = None) -> dict[str, Any]:
-        """Return the answers of the kit, from its own folder or from where they were kept.
-
-        Raises:
-            RacinesError: no key there, or not the one that the kit was sealed with.
-        """
+        """Return the answers by the sealed key, in the kit's folder or where it was kept."""
         path = path or self.folder / KEY
         if not path.is_file():
             raise RacinesError(f"{path}: no key; name the place where it was kept with --key")
@@ -130,28 +112,31 @@ class Kit:
         return read_json(path, "expert-key")
 
 
-def described(labels: Sequence[str]) -> dict[str, Any]:
-    """Return the part of a kit's document that is the same for all its images.
-
-    `labels` are the view labels; the last says that there is no view.
-    """
-    return {
+def sealed_document(
+    labels: Sequence[str], blocks: list[list[str]], images: list[Path], key: Path
+) -> dict[str, Any]:
+    """Return the content of `kit.json`, which holds the hashes of the images and of the key."""
+    document = {
         "schema": "racines.expert-kit/1",
         "preface": PREFACE,
         "instructions": INSTRUCTIONS,
         "views": [{"name": name, "title": VIEW_TITLES.get(name, name)} for name in labels],
         "grades": {"no_view": 0, "lowest": 1, "highest": 10},
+        "blocks": blocks,
+        "images_sha256": _images_sha256(images),
+        "key_sha256": sha256_file(key),
     }
+    return document | {"digest": _digest(document)}
 
 
-def digest_of(document: dict[str, Any]) -> str:
+def _digest(document: dict[str, Any]) -> str:
     """Return the SHA-256 of a kit's document without its own digest."""
     content = {key: value for key, value in document.items() if key != "digest"}
     text = json.dumps(content, sort_keys=True, ensure_ascii=False, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def images_sha256(paths: list[Path]) -> str:
+def _images_sha256(paths: list[Path]) -> str:
     """Return one SHA-256 over all images: one an image would show which are repeats."""
     digest = hashlib.sha256()
     for path in sorted(paths):

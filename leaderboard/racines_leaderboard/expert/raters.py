@@ -27,7 +27,6 @@ class Simulated:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse a share that is none, and a negative error."""
         if not 0.0 <= self.error_view <= 1.0:
             raise RacinesError(f"--error-view {self.error_view}: give a share, 0 to 1")
         if not 0.0 <= self.grade_sd < float("inf"):
@@ -56,11 +55,7 @@ def scale(grades: np.ndarray, views: np.ndarray, labels: int) -> np.ndarray:
 def simulate(
     kit: Kit, key: dict[str, Any], rater: Simulated, ratings: Path, name: str | None = None
 ) -> Session:
-    """Let a simulated rater answer what it has not answered yet; return its session.
-
-    Raises:
-        RacinesError: the key does not say what an image shows, or the name is refused.
-    """
+    """Let a simulated rater answer what it has not answered yet; return its session."""
     about = f"error_view {rater.error_view:g}, grade_sd {rater.grade_sd:g}, seed {rater.seed}"
     session = Session.open(kit, ratings, name or f"simulated-{rater.seed}", "simulated", about)
     answers = rater.answer(*_known(kit, key, "truth", "the truth"), len(kit.labels))
@@ -68,27 +63,23 @@ def simulate(
 
 
 def oracle(kit: Kit, key: dict[str, Any], ratings: Path) -> Session:
-    """Let the phantom's truth of the pose answer; return its session.
-
-    Raises:
-        RacinesError: the images are not the phantom's, so no oracle knows them.
-    """
+    """Let the phantom's truth of the pose answer; RacinesError if the images are others."""
     if key["truth"] != "oracle":
         source = key["dataset"]["source"]
         raise RacinesError(f"the kit's dataset is {source}: only the phantom has an oracle")
-    views, grades = _known(kit, key, "truth", "the oracle")
-    session = Session.open(kit, ratings, "oracle", "oracle", "truth of the pose that was drawn")
-    return _rate(session, views, scale(grades, views, len(kit.labels)))
+    return _program(kit, key, ratings, "oracle", "truth", "truth of the pose that was drawn")
 
 
 def grader(kit: Kit, key: dict[str, Any], ratings: Path) -> Session:
-    """Let the grader network, as it judged the images when the kit was made, answer.
+    """Let the grader answer as it judged when the kit was made; RacinesError without one."""
+    return _program(kit, key, ratings, "grader", "grader", str((key["grader"] or {}).get("id")))
 
-    Raises:
-        RacinesError: the kit was made without a grader.
-    """
-    views, grades = _known(kit, key, "grader", "the grader")
-    session = Session.open(kit, ratings, "grader", "grader", str((key["grader"] or {}).get("id")))
+
+def _program(
+    kit: Kit, key: dict[str, Any], ratings: Path, kind: str, column: str, about: str
+) -> Session:
+    views, grades = _known(kit, key, column, f"the {kind}")
+    session = Session.open(kit, ratings, kind, kind, about)
     return _rate(session, views, scale(grades, views, len(kit.labels)))
 
 
@@ -104,6 +95,5 @@ def _known(kit: Kit, key: dict[str, Any], column: str, who: str) -> tuple[np.nda
 def _rate(session: Session, views: np.ndarray, grades: np.ndarray) -> Session:
     row = {image: i for i, image in enumerate(session.kit.images)}
     while (image := session.next_image()) is not None:
-        view = session.kit.labels[views[row[image]]]
-        session.save(image, view, int(grades[row[image]]))
+        session.save(image, session.kit.labels[views[row[image]]], int(grades[row[image]]))
     return session

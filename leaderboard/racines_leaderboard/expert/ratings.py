@@ -48,11 +48,7 @@ class Ratings:
 
 
 def check_rater(rater: str, kind: str) -> str:
-    """Return a rater's name if it can name a file and does not sound like another kind.
-
-    Raises:
-        RacinesError: other than lower-case letters, digits and dashes, too long, or misleading.
-    """
+    """Return a rater's name; one that cannot name a file or misleads raises RacinesError."""
     if not RATER.fullmatch(rater) or len(rater) > LONGEST:
         raise RacinesError(
             f"rater {rater[:80]!r}: give a pseudonym of 1 to {LONGEST} of a-z, 0-9 and single '-'"
@@ -66,19 +62,11 @@ def check_rater(rater: str, kind: str) -> str:
 
 
 def parse(text: bytes, where: str, kit: Kit) -> list[dict[str, Any]]:
-    """Return the records of complete lines, each checked by itself.
-
-    Raises:
-        RacinesError: lines at fault, each by number and reason.
-    """
-    records, faults = [], []
-    for number, line in enumerate(text.split(b"\n")[:-1], 1):
-        record, fault = _record(line, kit)
-        if fault is not None:
-            faults.append(f"line {number}: {fault}")
-        records.append(record)
+    """Return the records of complete lines; RacinesError names those at fault and why."""
+    checked = [_record(line, kit) for line in text.split(b"\n")[:-1]]
+    faults = [f"line {n}: {fault}" for n, (_, fault) in enumerate(checked, 1) if fault is not None]
     _refuse(where, faults)
-    return records
+    return [record for record, _ in checked]
 
 
 def read_ratings(path: Path, kit: Kit) -> Ratings:
@@ -97,8 +85,7 @@ def read_ratings(path: Path, kit: Kit) -> Ratings:
         raise RacinesError(f"{path}: no ratings yet")
     first = {key: records[0].get(key, "") for key in ("rater", "kind", "about")}
     check_rater(first["rater"], first["kind"])
-    answers: dict[str, Rating] = {}
-    faults = []
+    answers, faults = {}, []
     for number, record in enumerate(records, 1):
         image = record["image"]
         if image in answers:
@@ -112,16 +99,7 @@ def read_ratings(path: Path, kit: Kit) -> Ratings:
 
 
 def read_all(paths: Sequence[Path], kit: Kit, partial: bool = False) -> list[Ratings]:
-    """Read the files of several raters.
-
-    Args:
-        paths: A file a rater.
-        kit: What they rated.
-        partial: Take raters who have not answered every image.
-
-    Raises:
-        RacinesError: a file at fault, one rater in two files, kinds mixed, or images missing.
-    """
+    """Read the files of raters of one kind; with `partial` also of who has not answered all."""
     if not paths:
         raise RacinesError("no ratings: name at least one file")
     everyone = [read_ratings(path, kit) for path in paths]

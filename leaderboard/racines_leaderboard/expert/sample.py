@@ -1,5 +1,6 @@
 """Making a kit: poses of the test split, images of each system, blind names, the sealed key."""
 
+import io
 import os
 import shutil
 import tempfile
@@ -10,29 +11,24 @@ from typing import Any
 
 import numpy as np
 import torch
+from PIL import Image
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.files import sha256_file, write_json
+from racines_data.files import write_atomic, write_json
 from racines_data.imaging import ImageSource
 from racines_data.store.frames import Batch, FrameStore
-from racines_leaderboard.expert.blinding import Plan, blind, write_images
-from racines_leaderboard.expert.kit import (
-    IMAGES,
-    KEY,
-    KIT,
-    Kit,
-    described,
-    digest_of,
-    images_sha256,
-)
-from racines_leaderboard.expert.strata import stratify
+from racines_leaderboard.expert.design import Plan, blind, stratify
+from racines_leaderboard.expert.kit import IMAGES, KEY, KIT, Kit, sealed_document
 from racines_leaderboard.records.experts import TRUE_FRAMES
 from racines_leaderboard.records.schema import check
 from racines_models.exchange.naming import check_name
 from racines_models.judges.grader.model import Grader
 from racines_models.provenance import code_version, dataset_card
 from racines_models.sample import Progress, draw
+
+DATE = 315_532_800
+"""Time of every image: 1 January 1980, the earliest that archives can hold."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +65,8 @@ def make_kit(
 ) -> Kit:
     """Draw a study's images and write its kit; every system draws the same poses.
 
-    Args:
-        out: The kit's folder, which must not exist: ratings may rest on an older one.
-        store: The dataset.
-        systems: Who draws.
-        study: How many images, and the seed.
-        grader: Its view and grade of each image are put into the key.
-        progress: Told of images drawn, as they come.
+    The folder `out` must not exist: ratings may rest on an older kit. The grader's view and grade
+    of each image are put into the key; `progress` is told of images as they are drawn.
 
     Raises:
         RacinesError: `out` is there, too few frames, or settings or systems that cannot be.
@@ -88,16 +79,16 @@ def make_kit(
     frames = _poses(store, study, max(shares), rng)
     if grader is None and bool((frames.views < 0).all()):
         raise RacinesError("the frames have no view, so there is nothing to agree with: --grader")
-    batches = [Batch(*(column[:share] for column in frames)) for share in shares]
-    drawn = [
-        _images(system, batch, study.seed, progress)
-        for system, batch in zip(systems, batches, strict=True)
-    ]
-    answers = [
-        answer
-        for system, batch, images in zip(systems, batches, drawn, strict=True)
-        for answer in _answers(system, batch, images, store, grader)
-    ]
+    drawn, answers = [], []
+    for system, share in zip(systems, shares, strict=True):
+        batch = Batch(*(column[:share] for column in frames))
+        images = batch.images
+        if system.source is not None:
+            images = draw(system.source, batch, study.seed, progress)
+        elif progress is not None:
+            progress(len(images))
+        drawn.append(images)
+        answers += _answers(system, batch, images, store, grader)
     plan = blind([answer["system"] for answer in answers], study.repeats, rng)
     key = {
         "schema": "racines.expert-key/1",
@@ -120,13 +111,11 @@ def _check(out: Path, systems: Sequence[System], study: Study) -> None:
     names = [check_name(system.name, "generator") for system in systems]
     if not names:
         raise RacinesError("nothing to show: give --generator, --truth, or both")
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
+    if twice := sorted({name for name in names if names.count(name) > 1}):
         raise RacinesError(f"generator {twice[0]} is named twice")
     if any(system.name == TRUE_FRAMES and system.source is not None for system in systems):
-        raise RacinesError(
-            f"generator {TRUE_FRAMES}: the name is kept for the dataset's own frames"
-        )
+        kept = "the name is kept for the dataset's own frames"
+        raise RacinesError(f"generator {TRUE_FRAMES}: {kept}")
     if study.images < len(names):
         raise RacinesError(f"--images {study.images}: fewer than the {len(names)} systems")
     if not 0 <= 2 * study.repeats <= study.images:
@@ -146,19 +135,13 @@ def _poses(store: FrameStore, study: Study, count: int, rng: np.random.Generator
     return store.take(rows[stratify(views, grades, trajectories, count, random, rng)])
 
 
-def _images(system: System, frames: Batch, seed: int, progress: Progress | None) -> Tensor:
-    if system.source is not None:
-        return draw(system.source, frames, seed, progress)
-    if progress is not None:
-        progress(len(frames.images))
-    return frames.images
-
-
 def _answers(
     system: System, frames: Batch, images: Tensor, store: FrameStore, grader: Grader | None
 ) -> list[dict[str, Any]]:
-    views, grades = frames.views, frames.grades
-    seen, graded = (None, None) if grader is None else grader.judge(images)[:2]
+    truth = _opinions(frames.views, frames.grades, store.labels)
+    judged = [None] * len(truth)
+    if grader is not None:
+        judged = _opinions(*grader.judge(images)[:2], store.labels)
     return [
         {
             "system": system.name,
@@ -166,20 +149,20 @@ def _answers(
             "trajectory": store.trajectories[int(store.trajectory_index[row])],
             "frame": int(store.frame[row]),
             "pose": [None if np.isnan(x) else round(x, 6) for x in frames.parameters[i].tolist()],
-            "truth": _answer(views[i], grades[i], store.labels),
-            "grader": None
-            if seen is None or graded is None
-            else _answer(seen[i], graded[i], store.labels),
+            "truth": truth[i],
+            "grader": judged[i],
         }
         for i, row in enumerate(frames.index)
     ]
 
 
-def _answer(view: Tensor, grade: Tensor, labels: Sequence[str]) -> dict[str, Any] | None:
-    if int(view) < 0:
-        return None
-    graded = round(float(grade), 4) if bool(grade.isfinite()) else None
-    return {"view": labels[int(view)], "grade": graded}
+def _opinions(views: Tensor, grades: Tensor, labels: Sequence[str]) -> list[dict[str, Any] | None]:
+    """Return each image's view by name and grade; None where no view is known."""
+    opinions: list[dict[str, Any] | None] = []
+    for view, grade in zip(views, grades, strict=True):
+        graded = round(float(grade), 4) if bool(grade.isfinite()) else None
+        opinions.append({"view": labels[int(view)], "grade": graded} if int(view) >= 0 else None)
+    return opinions
 
 
 def _write(
@@ -188,13 +171,10 @@ def _write(
     out.parent.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     try:
-        paths = write_images(folder / IMAGES, plan.names, images)
+        paths = _write_images(folder / IMAGES, plan.names, images)
         write_json(folder / KEY, key)
         os.chmod(folder / KEY, 0o600)
-        document = described(labels) | {"blocks": plan.blocks}
-        document["images_sha256"] = images_sha256(paths)
-        document["key_sha256"] = sha256_file(folder / KEY)
-        document["digest"] = digest_of(document)
+        document = sealed_document(labels, plan.blocks, paths, folder / KEY)
         check(document, "expert-kit", str(out / KIT))
         write_json(folder / KIT, document)
         os.chmod(folder, 0o755)
@@ -203,3 +183,18 @@ def _write(
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return Kit.open(out)
+
+
+def _write_images(folder: Path, names: Sequence[str], images: np.ndarray) -> list[Path]:
+    """Write (M, H, W) uint8 images as PNG files of one size and one date; return their paths.
+
+    Uncompressed: the size of a compressed file would tell dark images from bright ones, and show
+    which two are the same.
+    """
+    paths = [folder / f"{name}.png" for name in names]
+    for path, image in sorted(zip(paths, images, strict=True), key=lambda pair: pair[0]):
+        buffer = io.BytesIO()
+        Image.fromarray(image).save(buffer, "PNG", compress_level=0)
+        write_atomic(path, buffer.getvalue())
+        os.utime(path, (DATE, DATE))
+    return paths

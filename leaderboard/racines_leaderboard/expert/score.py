@@ -1,15 +1,13 @@
 """Scoring a study: answers against the key, by system and overall, and raters with each other."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.expert.agreement import Answers, agreement
-from racines_leaderboard.expert.kappa import fleiss_metric
+from racines_leaderboard.expert.agreement import Answers, agreement, fleiss_metric
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.expert.ratings import Ratings
 from racines_leaderboard.records.experts import EXPERT, OVERALL, TRUE_FRAMES
@@ -35,21 +33,16 @@ def score(
 ) -> dict[str, Any]:
     """Return the report of a study, as its schema `expert-scores` has it.
 
-    Args:
-        kit: What was rated.
-        key: Its answers, see `Kit.read_key`.
-        everyone: Raters of one kind, see `ratings.read_all`.
-        resamples: Bootstrap resamples.
+    The key is that of the kit, and everyone a rater of one kind (`ratings.read_all`).
 
     Raises:
         RacinesError: nothing to compare with but the rater's own opinion.
     """
     kind = everyone[0].kind
-    given = [_given(ratings, kit) for ratings in everyone]
-    study = _Study.of(kit, key, kind, resamples)
-    together = Answers(
-        np.stack([own.views for own in given]), np.stack([own.grades for own in given])
-    )
+    study = _Study(kit, key, kind, resamples)
+    told = [[ratings.answers.get(image) for image in kit.images] for ratings in everyone]
+    given = [_answers(kit, [each and vars(each) for each in own]) for own in told]
+    together = Answers(np.stack([o.views for o in given]), np.stack([o.grades for o in given]))
     return {
         "schema": "racines.expert-scores/1",
         "kind": kind,
@@ -73,51 +66,35 @@ def score(
     }
 
 
-@dataclass(frozen=True)
 class _Study:
     """The key as arrays over the N entries of a kit, in the order of their names."""
 
-    systems_of: np.ndarray
-    """(N,) name of the maker of each."""
-    trajectories: np.ndarray
-    """(N,) integers."""
-    twins: np.ndarray
-    """(P, 2) entries that show one image: that of the first name, that of the second."""
-    references: dict[str, Answers]
-    """(N,) answers each; never the rater's own."""
-    labels: int
-    resamples: int
-
-    @classmethod
-    def of(cls, kit: Kit, key: dict[str, Any], kind: str, resamples: int) -> "_Study":
+    def __init__(self, kit: Kit, key: dict[str, Any], kind: str, resamples: int) -> None:
+        self.labels, self.resamples = len(kit.labels), resamples
         table = [key["images"][image] for image in kit.images]
-        row = {image: i for i, image in enumerate(kit.images)}
-        pairs = [(row[e["repeat_of"]], i) for i, e in enumerate(table) if e["repeat_of"]]
         sources = {key["truth"]: "truth", "grader": "grader"}
-        references = {name: _opinion(table, column, kit) for name, column in sources.items()}
-        references = {n: one for n, one in references.items() if n != kind and one.views.max() >= 0}
-        if not references:
+        told = {n: _answers(kit, [e[column] for e in table]) for n, column in sources.items()}
+        self.references = {n: one for n, one in told.items() if n != kind and one.views.max() >= 0}
+        """(N,) answers each; never the rater's own."""
+        if not self.references:
             raise RacinesError(
                 f"the kit holds no opinion but that of the {kind} itself: make it with --grader"
             )
-        return cls(
-            np.array([entry["system"] for entry in table]),
-            np.unique([entry["trajectory"] for entry in table], return_inverse=True)[1],
-            np.array(pairs, np.int64).reshape(-1, 2),
-            references,
-            len(kit.labels),
-            resamples,
-        )
-
-    @property
-    def firsts(self) -> np.ndarray:
+        self.systems_of = np.array([entry["system"] for entry in table])
+        """(N,) name of the maker of each."""
+        trajectories = [entry["trajectory"] for entry in table]
+        self.trajectories = np.unique(trajectories, return_inverse=True)[1]
+        """(N,) integers."""
+        row = {image: i for i, image in enumerate(kit.images)}
+        pairs = [(row[e["repeat_of"]], i) for i, e in enumerate(table) if e["repeat_of"]]
+        self.twins = np.array(pairs, np.int64).reshape(-1, 2)
+        """(P, 2) entries that show one image: that of the first name, that of the second."""
+        self.firsts = np.setdiff1d(np.arange(len(table)), self.twins[:, 1])
         """Entries without the second ones of an image."""
-        return np.setdiff1d(np.arange(len(self.systems_of)), self.twins[:, 1])
 
     def compare(self, given: Answers, reference: Answers, rows: np.ndarray) -> dict[str, Any]:
         """Compare (R, n) answers with (n,) answers to the entries `rows`."""
-        places = self.trajectories[rows]
-        return agreement(given, reference, places, self.labels, self.resamples)
+        return agreement(given, reference, self.trajectories[rows], self.labels, self.resamples)
 
     def systems(self, given: Answers) -> dict[str, Any]:
         """Compare (R, N) answers with each reference, overall and by system."""
@@ -126,15 +103,12 @@ class _Study:
         generated = firsts[names != TRUE_FRAMES]
         groups = {OVERALL: generated if len(generated) else firsts}
         groups |= {str(name): firsts[names == name] for name in np.unique(names)}
-        return {
-            system: {
-                "references": {
-                    name: self.compare(given.of(rows), one.of(rows), rows)
-                    for name, one in self.references.items()
-                }
-            }
-            for system, rows in groups.items()
-        }
+        systems = {}
+        for system, rows in groups.items():
+            own, references = given.of(rows), self.references.items()
+            told = {name: self.compare(own, one.of(rows), rows) for name, one in references}
+            systems[system] = {"references": told}
+        return systems
 
     def repeats(self, own: Answers) -> dict[str, Any] | None:
         """Compare a rater's (N,) answers to images shown twice: the second name, the first."""
@@ -158,15 +132,9 @@ class _Study:
         return {"pairs": pairs, "fleiss_kappa": fleiss}
 
 
-def _given(ratings: Ratings, kit: Kit) -> Answers:
-    answers = [ratings.answers.get(image) for image in kit.images]
-    views = [-1 if a is None else kit.labels.index(a.view) for a in answers]
-    grades = [np.nan if a is None else a.grade for a in answers]
-    return Answers(np.array(views, np.int64), np.array(grades, np.float64))
-
-
-def _opinion(table: list[dict[str, Any]], column: str, kit: Kit) -> Answers:
-    known = [entry[column] or {"view": None, "grade": None} for entry in table]
+def _answers(kit: Kit, opinions: Sequence[dict[str, Any] | None]) -> Answers:
+    """Return the (N,) answers of one who told view and grade of each entry, or nothing."""
+    known = [each or {"view": None, "grade": None} for each in opinions]
     views = [-1 if a["view"] is None else kit.labels.index(a["view"]) for a in known]
     grades = [np.nan if a["grade"] is None else a["grade"] for a in known]
     return Answers(np.array(views, np.int64), np.array(grades, np.float64))

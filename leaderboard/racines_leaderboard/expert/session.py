@@ -35,33 +35,33 @@ class Progress:
     total: int
 
 
+@dataclass
 class Session:
-    """One rater at one kit.
+    """One rater at one kit; the name must be fit, and the file of that kit and kind."""
 
-    Raises:
-        RacinesError: a name that is refused, or a file that is another kit's or another kind's.
-    """
+    kit: Kit
+    path: Path
+    """The file of the ratings."""
+    rater: str
+    """A pseudonym of a-z, 0-9 and single dashes."""
+    kind: str = EXPERT
+    """Or `trial`, for somebody who tries the page out."""
+    about: str = ""
+    """What the report says of the rater, as `sonographer, 12 years`."""
+    seed: int = 0
+    """Decides the order together with the kit and the name."""
 
-    def __init__(
-        self,
-        kit: Kit,
-        path: Path,
-        rater: str,
-        kind: str = EXPERT,
-        about: str = "",
-        seed: int = 0,
-    ) -> None:
-        if len(about) > ABOUT:
-            raise RacinesError(f"rater {rater}: about: {len(about)} characters, at most {ABOUT}")
-        self.kit, self.path = kit, path
-        self.rater, self.kind, self.about = check_rater(rater, kind), kind, about
-        self.order = order_of(kit, rater, seed)
+    def __post_init__(self) -> None:
+        if len(self.about) > ABOUT:
+            length = f"{len(self.about)} characters, at most {ABOUT}"
+            raise RacinesError(f"rater {self.rater}: about: {length}")
+        check_rater(self.rater, self.kind)
+        self.order = order_of(self.kit, self.rater, self.seed)
         """All images in the order in which this rater sees them."""
         self._answered: set[str] = set()
         self._read = 0
-        if path.exists():
-            with path.open("rb") as file:
-                self._catch_up(file.read())
+        if self.path.exists():
+            self._catch_up(self.path.read_bytes())
 
     @classmethod
     def open(
@@ -73,16 +73,7 @@ class Session:
         about: str = "",
         seed: int = 0,
     ) -> "Session":
-        """Begin or resume a rater's session.
-
-        Args:
-            kit: The kit or its folder.
-            ratings: Folder of the ratings, a file `RATER.jsonl` a rater.
-            rater: A pseudonym of a-z, 0-9 and single dashes.
-            kind: `expert`, or `trial` for somebody who tries the page out.
-            about: What the report says of the rater, as `sonographer, 12 years`.
-            seed: Decides the order together with the kit and the name.
-        """
+        """Begin or resume at a kit or its folder; the ratings lie in `ratings/RATER.jsonl`."""
         kit = kit if isinstance(kit, Kit) else Kit.open(kit)
         path = Path(ratings) / f"{check_rater(rater, kind)}.jsonl"
         return cls(kit, path, rater, kind, about, seed)
@@ -114,21 +105,22 @@ class Session:
             if image in self._answered:
                 raise RacinesError(f"rater {self.rater}: image {image} has an answer already")
             file.truncate(self._read)  # what a crash left of a line
-            line = self._line(image, view, grade, seconds)
+            record = {"schema": SCHEMA, "kit": self.kit.digest, "rater": self.rater}
+            record |= {"kind": self.kind, "about": self.about, "image": image, "view": view}
+            taken = None if seconds is None else round(float(seconds), 3)
+            record |= {"grade": int(grade), "seconds": taken}
+            line = json.dumps(record, ensure_ascii=False).encode() + b"\n"
             file.write(line)
             file.flush()
             os.fsync(file.fileno())
-        if self._read == 0:
-            _sync_folder(self.path.parent)
+        if self._read == 0:  # a new file's name outlives a crash, as its content does
+            handle = os.open(self.path.parent, os.O_RDONLY)
+            try:
+                os.fsync(handle)
+            finally:
+                os.close(handle)
         self._answered.add(image)
         self._read += len(line)
-
-    def _line(self, image: str, view: str, grade: int, seconds: float | None) -> bytes:
-        record = {"schema": SCHEMA, "kit": self.kit.digest, "rater": self.rater}
-        record |= {"kind": self.kind, "about": self.about}
-        record |= {"image": image, "view": view, "grade": int(grade)}
-        record |= {"seconds": None if seconds is None else round(float(seconds), 3)}
-        return json.dumps(record, ensure_ascii=False).encode() + b"\n"
 
     def _catch_up(self, text: bytes) -> None:
         """Take in the complete lines that stand in the file since it was last read."""
@@ -144,23 +136,10 @@ class Session:
 
 
 def order_of(kit: Kit, rater: str, seed: int = 0) -> list[str]:
-    """Return the kit's images in a rater's order: blocks shuffled, forwards or backwards.
-
-    An image and its repeat lie in the first and the last block, so at least the middle one, a third
-    of the kit, is between them.
-    """
+    """Return the kit's images in a rater's order: blocks shuffled, forwards or backwards."""
     digest = hashlib.sha256(f"{kit.digest} {rater} {seed}".encode()).digest()
     rng = np.random.default_rng(int.from_bytes(digest[:16], "big"))
     blocks = [[block[i] for i in rng.permutation(len(block))] for block in kit.blocks]
     if rng.random() < 0.5:
         blocks.reverse()
     return [image for block in blocks for image in block]
-
-
-def _sync_folder(folder: Path) -> None:
-    """Make sure that a new file's name outlives a crash, as its content does."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -11,10 +11,9 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from racines_leaderboard.board.chart import panel
 from racines_leaderboard.board.collect import boards, read_board
-from racines_leaderboard.board.groups import SHOWN, by_task
-from racines_leaderboard.board.rank import Ranked, Record, rank
+from racines_leaderboard.board.pages import panel
+from racines_leaderboard.board.rank import SHOWN, Ranked, Record, by_task, rank
 from racines_leaderboard.board.table import Table, ranked_table, reported_table, shown_columns
 from racines_leaderboard.records.tracks import TIERS, TRACK, Column, Track, board_tracks
 from racines_leaderboard.studio import html

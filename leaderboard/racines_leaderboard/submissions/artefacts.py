@@ -1,5 +1,6 @@
 """The kinds of artefact: their ending, the tracks that they serve, which can be scored again."""
 
+import contextlib
 import importlib.util
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
@@ -52,7 +53,8 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
 
     Raises:
         RacinesError: a kind of the other track, a name that is no bare file name or stands twice,
-            another ending than the kind's, or an adapter that is not merged.
+            another ending than the kind's, an adapter that is not merged, no plain choice of what
+            is scored, or a tier that cannot be reached.
     """
     seen = {YAML}
     for i, artefact in enumerate(document["artefacts"]):
@@ -60,7 +62,7 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
         if document["track"] not in kind.tracks:
             raise RacinesError(f"{field}.kind: {artefact['kind']} is none of {document['track']}")
         if "adapter" in artefact:
-            check_adapter(artefact["adapter"], f"{field}.adapter")
+            _check_adapter(artefact["adapter"], f"{field}.adapter")
             continue
         name = check_name(artefact["path"], f"{field}.path")
         if Path(name).suffix != kind.suffix:
@@ -74,36 +76,26 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
         raise RacinesError(
             f"{where}: dataset.digest: missing: the content or recipe digest of the data"
         )
-    _check_roads(document, where)
-
-
-def _check_roads(document: dict[str, Any], where: str) -> None:
-    """Check that it is plain what is scored, and that the tier asked for can be reached."""
     kinds = [each["kind"] for each in rescored(document)]
     if len(set(kinds)) > 1 or (len(kinds) > 1 and kinds[0] != "generator"):
         raise RacinesError(
             f"{where}: artefacts: {', '.join(kinds)}: give one that is scored again; only "
             "generators may be several, the seeds of one method"
         )
-    needs = {"recomputed": bool(kinds)}
-    needs["reproduced"] = any("adapter" in each for each in document["artefacts"])
-    if not needs.get(document["tier"], True):
-        wanted = (
-            "merged code, an adapter"
-            if document["tier"] == "reproduced"
-            else ("predictions, a generator, a policy or a trace")
-        )
-        raise RacinesError(f"{where}: tier: {document['tier']} needs {wanted}")
+    merged, tier = any("adapter" in each for each in document["artefacts"]), document["tier"]
+    if tier == "recomputed" and not kinds:
+        needs = "predictions, a generator, a policy or a trace"
+        raise RacinesError(f"{where}: tier: {tier} needs {needs}")
+    if tier == "reproduced" and not merged:
+        raise RacinesError(f"{where}: tier: {tier} needs merged code, an adapter")
 
 
-def check_adapter(target: str, where: str) -> None:
-    """Check that `module:Class` is code of this repository; nothing of it is imported.
-
-    Raises:
-        RacinesError: a module beyond the racines packages that no entry point of theirs names.
-    """
-    if target in _named():
-        return
+def _check_adapter(target: str, where: str) -> None:
+    """Check that `module:Class` is code of this repository; nothing of it is imported."""
+    with contextlib.suppress(PackageNotFoundError):
+        points = distribution("racines").entry_points
+        if target in {point.value for point in points if point.group in GROUPS}:
+            return
     module = target.partition(":")[0].split(".")
     if module[0] not in PACKAGES:
         raise RacinesError(
@@ -115,12 +107,3 @@ def check_adapter(target: str, where: str) -> None:
     file = root.joinpath(*module[1:])
     if not (file.with_suffix(".py").is_file() or (file / "__init__.py").is_file()):
         raise RacinesError(f"{where}: {target!r}: no such module in {module[0]}")
-
-
-def _named() -> set[str]:
-    """Return the targets of the entry points that the repository's own package declares."""
-    try:
-        points = distribution("racines").entry_points
-    except PackageNotFoundError:
-        return set()
-    return {point.value for point in points if point.group in GROUPS}

@@ -12,9 +12,12 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import TYPE_CHECKING, BinaryIO
 
 from racines_data.errors import RacinesError
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsRead
 
 MAX_BYTES = 200 * 2**20
 """Largest artefact."""
@@ -22,12 +25,7 @@ CHUNK = 2**20
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
 """Devices under Windows, whatever the ending."""
-CONTAINERS = {
-    b"\x80\x01": "a pickle",
-    b"\x80\x02": "a pickle",
-    b"\x80\x03": "a pickle",
-    b"\x80\x04": "a pickle",
-    b"\x80\x05": "a pickle",
+CONTAINERS = {bytes([0x80, protocol]): "a pickle" for protocol in range(1, 6)} | {
     b"PK\x03\x04": "a zip archive (torch.save writes pickles in one)",
     b"PK\x05\x06": "a zip archive",
     b"PK\x07\x08": "a zip archive",
@@ -43,20 +41,18 @@ CONTAINERS = {
     b"MZ": "a program",
     b"#!": "a script",
 }
-TAR_AT, TAR = 257, b"ustar"
 OLD_PICKLE = re.compile(rb"[(\]}]|c[\w.]+\n[\w.]+\n")
 """How pickles of protocol 0 and 1, which have no mark of their own, begin."""
 SAFETENSORS = b"\x00\x00\x00\x00{"
 """Bytes 4 to 8 of a safetensors file. Those before are its header's length, which may be any."""
-HEAD = 512
+REMEDY = (
+    "a pickle can run code when it is loaded and an archive can unpack to anything: give "
+    "safetensors, ONNX, Parquet or JSON"
+)
 
 
 def check_name(name: object, where: str) -> str:
-    """Return the name of a file if it can only lie in the folder that it is put in.
-
-    Raises:
-        RacinesError: a path, a hidden or overlong name, or other characters than those of NAME.
-    """
+    """Return the name of a file; refuse one that is a path, hidden, overlong or reserved."""
     if not isinstance(name, str) or not NAME.fullmatch(name) or RESERVED.fullmatch(name):
         raise RacinesError(
             f"{where}: {str(name)[:120]!r} refused: give the bare name of a file in the "
@@ -67,11 +63,7 @@ def check_name(name: object, where: str) -> str:
 
 @contextmanager
 def opened(folder: Path, name: str, where: str, limit: int = MAX_BYTES) -> Iterator[BinaryIO]:
-    """Open a regular file of a folder, no link, of at most `limit` bytes.
-
-    Raises:
-        RacinesError: absent, a link, a device or folder, empty, or too large.
-    """
+    """Open a regular file of a folder, no link, device or folder, of 1 to `limit` bytes."""
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         handle = os.open(folder / name, flags)
@@ -94,11 +86,7 @@ def opened(folder: Path, name: str, where: str, limit: int = MAX_BYTES) -> Itera
 
 
 def read_bounded(folder: Path, name: str, where: str, limit: int) -> bytes:
-    """Return a file's bytes, at most `limit` even if it grows meanwhile.
-
-    Raises:
-        RacinesError: as `opened`.
-    """
+    """Return the bytes of a file `opened`, at most `limit` even if it grows meanwhile."""
     with opened(folder, name, where, limit) as stream:
         content = stream.read(limit + 1)
     if len(content) > limit:
@@ -106,24 +94,17 @@ def read_bounded(folder: Path, name: str, where: str, limit: int) -> bytes:
     return content
 
 
-class Readable(Protocol):
-    """Gives bytes."""
-
-    def read(self, count: int, /) -> bytes:
-        """Return at most `count` bytes; none at the end."""
-        ...
-
-
-def measure(stream: Readable, where: str, out: BinaryIO | None = None) -> tuple[str, int]:
+def measure(
+    stream: "SupportsRead[bytes]", where: str, out: BinaryIO | None = None
+) -> tuple[str, int]:
     """Return the sha256 and the size of a stream, copied into `out` on the way.
 
-    Raises:
-        RacinesError: it is longer than MAX_BYTES, or begins as a pickle or an archive does.
+    One longer than MAX_BYTES is refused, and one that begins as a pickle or an archive does.
     """
     digest, size = hashlib.sha256(), 0
     while chunk := stream.read(CHUNK):
         if not size:
-            check_head(chunk[:HEAD], where)
+            _check_head(chunk[:512], where)
         size += len(chunk)
         if size > MAX_BYTES:
             raise RacinesError(f"{where}: more than {MAX_BYTES:,} bytes: give a smaller file")
@@ -133,24 +114,14 @@ def measure(stream: Readable, where: str, out: BinaryIO | None = None) -> tuple[
     return digest.hexdigest(), size
 
 
-def check_head(head: bytes, where: str) -> None:
-    """Refuse what runs code or unpacks, by its first bytes and whatever its name.
-
-    Raises:
-        RacinesError: a pickle, an archive or a program.
-    """
+def _check_head(head: bytes, where: str) -> None:
+    """Refuse what runs code or unpacks, by its first bytes and whatever its name."""
     if head[4:9] == SAFETENSORS:
         return
-    for mark, what in CONTAINERS.items():
-        if head.startswith(mark):
-            raise RacinesError(f"{where} holds {what}: refused; {REMEDY}")
-    if head[TAR_AT : TAR_AT + len(TAR)] == TAR:
-        raise RacinesError(f"{where} holds a tar archive: refused; {REMEDY}")
+    found = [what for mark, what in CONTAINERS.items() if head.startswith(mark)]
+    if head[257:262] == b"ustar":
+        found.append("a tar archive")
     if OLD_PICKLE.match(head):
-        raise RacinesError(f"{where} holds a pickle: refused; {REMEDY}")
-
-
-REMEDY = (
-    "a pickle can run code when it is loaded and an archive can unpack to anything: give "
-    "safetensors, ONNX, Parquet or JSON"
-)
+        found.append("a pickle")
+    if found:
+        raise RacinesError(f"{where} holds {found[0]}: refused; {REMEDY}")

@@ -1,25 +1,85 @@
-"""Taking a submission in: every check on a copy of our own, then one rename."""
+"""Taking a submission in: every check on a copy of our own, then one rename.
+
+Artefacts at a URL are fetched when asked for, bounded, and kept only if the digest is right. What
+they hold is looked at before anything is run: headers first, then a confined parse.
+"""
 
 import contextlib
+import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from http.client import HTTPMessage
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, BinaryIO
+from urllib.error import URLError
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import yaml
+from safetensors import SafetensorError, deserialize
 
 from racines_data.errors import RacinesError
 from racines_data.files import swap_folder
+from racines_envs.agents.onnx.format import read_policy
+from racines_envs.agents.trace_file import read_trace
+from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.submissions.artefacts import YAML, files_of
-from racines_leaderboard.submissions.confined.session import Limits
-from racines_leaderboard.submissions.content_checks import check_content
+from racines_leaderboard.submissions.confined.session import Limits, rehearse
 from racines_leaderboard.submissions.document import check_measured, read_document
-from racines_leaderboard.submissions.fetch import Opener, fetch, open_https
-from racines_leaderboard.submissions.file_checks import measure, opened
+from racines_leaderboard.submissions.file_checks import MAX_BYTES, measure, opened, read_bounded
+from racines_models.exchange.onnx.format import read_onnx
+
+SECONDS = 60
+"""The longest that a server may be silent."""
+WHOLE_SECONDS = 1800
+"""The longest that it may take in all."""
+Opener = Callable[[str], BinaryIO]
+MAX_UNPACKED = 2**30
+MAX_ROWS = 1_000_000
+MAX_GROUPS = 10_000
+MAX_FOOTER = 8 * 2**20
+MAX_HEADER = 10 * 2**20
+MAX_JSON = 20 * 2**20
+
+
+class _SameScheme(urllib.request.HTTPRedirectHandler):
+    """Follows a redirection to https only: not to a file, nor in the clear."""
+
+    def redirect_request(
+        self, req: Any, fp: IO[bytes], code: int, msg: str, headers: HTTPMessage, newurl: str
+    ) -> Any:
+        if not newurl.startswith("https://"):
+            raise RacinesError(f"{req.full_url}: leads to {newurl[:200]!r}, which is not https")
+        return super().redirect_request(req, fp, code, msg, headers, newurl)
+
+
+def open_https(url: str) -> BinaryIO:
+    """Open a URL; only https, redirections included."""
+    if not url.startswith("https://"):
+        raise URLError(f"unknown url type: {url.partition(':')[0]}")
+    return urllib.request.build_opener(_SameScheme).open(url, timeout=SECONDS)
+
+
+class _Bounded:
+    """A stream that ends in an error once it gives more, or takes longer, than it may."""
+
+    def __init__(self, stream: BinaryIO, size: int, url: str) -> None:
+        self._stream, self._left, self._size, self._url = stream, size, size, url
+        self._end = time.monotonic() + WHOLE_SECONDS
+
+    def read(self, count: int = 2**20, /) -> bytes:
+        chunk = self._stream.read(min(count, self._left + 1))
+        self._left -= len(chunk)
+        if time.monotonic() > self._end:
+            raise RacinesError(f"{self._url}: took more than {WHOLE_SECONDS} s: stopped")
+        if self._left < 0:
+            raise RacinesError(f"{self._url}: more than the {self._size:,} bytes of its entry")
+        return chunk
 
 
 @dataclass(frozen=True)
@@ -41,15 +101,10 @@ def take_in(
     opener: Opener = open_https,
     limits: Limits | None = None,
 ) -> Taken:
-    """Check a submission and copy it to `submissions/<track>/<name>/`.
+    """Check a submission, its YAML or the folder with it; copy it to `submissions/<track>/<name>/`.
 
-    Args:
-        source: Its YAML, or the folder with its submission.yaml.
-        submissions: Where the folder of the submission is put.
-        replace: Let it take the place of one by the same author.
-        fetching: Fetch the artefacts that are absent and have a URL.
-        opener: What opens a URL.
-        limits: Of the process that looks into the artefacts.
+    With `replace` it may take the place of one by the same author. With `fetching`, artefacts that
+    are absent and have a URL are fetched through `opener`. What looks into them has `limits`.
 
     Raises:
         RacinesError: anything at fault; nothing is left behind then.
@@ -76,9 +131,6 @@ def look_at(source: Path, limits: Limits | None = None) -> Taken:
     """Check a submission where it lies, as `take_in` does; nothing is written beside it.
 
     Its name may be taken: what is looked at may be what took it.
-
-    Raises:
-        RacinesError: anything at fault.
     """
     path = source / YAML if source.is_dir() else source
     document = read_document(path)
@@ -107,37 +159,35 @@ def _check_free(target: Path, document: dict[str, Any], replace: bool, path: Pat
 
 
 def _gather(
-    path: Path,
-    document: dict[str, Any],
-    stage: Path,
-    opener: Opener | None,
-    limits: Limits | None,
+    path: Path, document: dict[str, Any], stage: Path, opener: Opener | None, limits: Limits | None
 ) -> tuple[str, ...]:
     """Bring all artefacts into the stage and check what they hold; return those left remote."""
     remote = []
     for artefact in files_of(document):
-        if _bring(path, artefact, stage, opener):
-            check_content(stage / artefact["path"], artefact["kind"], document["track"], limits)
+        name, out = artefact["path"], stage / artefact["path"]
+        if "url" not in artefact or os.path.lexists(path.parent / name):
+            with opened(path.parent, name, str(path)) as stream, out.open("xb") as file:
+                measured = measure(stream, f"{path}: {name}", file)
+        elif opener is not None:
+            measured = _fetch(artefact["url"], artefact["size"], out, opener)
         else:
-            remote.append(artefact["path"])
+            remote.append(name)
+            continue
+        check_measured(artefact, measured, str(path))
+        check_content(out, artefact["kind"], document["track"], limits)
     return tuple(remote)
 
 
-def _bring(path: Path, artefact: dict[str, Any], stage: Path, opener: Opener | None) -> bool:
-    """Copy or fetch an artefact into the stage; False if it stays at its URL."""
-    name, out = artefact["path"], stage / artefact["path"]
-    if "url" in artefact and not os.path.lexists(path.parent / name):
-        if opener is None:
-            return False
-        measured = fetch(artefact, out, opener)
-    else:
-        with opened(path.parent, name, str(path)) as stream, out.open("xb") as file:
-            measured = measure(stream, f"{path}: {name}", file)
-    check_measured(artefact, measured, str(path))
-    return True
+def _fetch(url: str, size: int, out: Path, opener: Opener) -> tuple[str, int]:
+    """Fetch at most `size` bytes into a new file; return its digest and size."""
+    try:
+        with opener(url) as stream, out.open("xb") as file:
+            return measure(_Bounded(stream, size, url), url, file)
+    except (OSError, ValueError) as error:
+        raise RacinesError(f"{url}: cannot be fetched: {error}") from error
 
 
-@contextmanager
+@contextlib.contextmanager
 def _staged(parent: Path) -> Iterator[Path]:
     """Give a folder beside the place where it will stand; what is left of it goes."""
     missing = [each for each in (parent, *parent.parents) if not each.exists()]
@@ -150,3 +200,69 @@ def _staged(parent: Path) -> Iterator[Path]:
         for each in missing:
             with contextlib.suppress(OSError):
                 each.rmdir()
+
+
+def check_content(path: Path, kind: str, track: str, limits: Limits | None = None) -> None:
+    """Check that a file holds what its kind says, within bounds; nothing of it is run.
+
+    Refused: another format or interface, a claim or content beyond the bounds, external data,
+    operators beyond the standard, numbers that are not finite.
+    """
+    limit = MAX_JSON if path.suffix == ".json" else MAX_BYTES
+    content = read_bounded(path.parent, path.name, str(path.parent), limit)
+    if kind == "predictions":
+        check_parquet(content, str(path))
+        rehearse("parquet", content, str(path), limits)
+    elif kind in ("generator", "policy"):
+        rehearse("onnx", content, str(path), limits)
+        read = read_onnx if kind == "generator" else read_policy
+        read(path)
+    elif kind == "weights":
+        check_safetensors(content, str(path))
+    elif kind == "trace":
+        read_trace(path)
+    elif kind == "scores":
+        read_json(path, {"generators": "generator-scores", "agents": "agent-scores"}[track])
+
+
+def check_parquet(content: bytes, where: str) -> None:
+    """Check a Parquet file's marks, and by its footer how much it says that it holds."""
+    footer = int.from_bytes(content[-8:-4], "little")
+    if len(content) < 12 or content[:4] != b"PAR1" or content[-4:] != b"PAR1":
+        raise RacinesError(f"{where}: not a Parquet file: write it again")
+    if footer > min(MAX_FOOTER, len(content) - 12):
+        raise RacinesError(f"{where}: a footer of {footer:,} bytes: at most {MAX_FOOTER:,}")
+    try:
+        stated = pq.read_metadata(pa.BufferReader(content))
+        groups = [stated.row_group(i) for i in range(min(stated.num_row_groups, MAX_GROUPS + 1))]
+        columns = [group.column(i) for group in groups for i in range(group.num_columns)]
+    except Exception as error:
+        raise RacinesError(f"{where}: not readable as Parquet: {error}; write it again") from error
+    sizes = [column.total_uncompressed_size for column in columns]
+    rows, unpacked = stated.num_rows, sum(sizes)
+    if rows > MAX_ROWS or unpacked > MAX_UNPACKED or min(*sizes, rows, 0) < 0:
+        raise RacinesError(
+            f"{where}: claims {rows:,} rows, {unpacked:,} bytes unpacked: at most "
+            f"{MAX_ROWS:,} and {MAX_UNPACKED:,}"
+        )
+    if stated.num_row_groups > MAX_GROUPS:
+        raise RacinesError(f"{where}: {stated.num_row_groups:,} row groups: at most {MAX_GROUPS:,}")
+
+
+def check_safetensors(content: bytes, where: str) -> None:
+    """Check a safetensors file: its header, and that the tensors fill the rest byte for byte."""
+    length = int.from_bytes(content[:8], "little")
+    if length > MAX_HEADER:
+        raise RacinesError(f"{where}: a header of {length:,} bytes: at most {MAX_HEADER:,}")
+    try:
+        deserialize(content)
+        # Of two tensors of one name the library takes the last.
+        json.loads(content[8 : 8 + length], object_pairs_hook=_once)
+    except (SafetensorError, ValueError, RecursionError) as error:
+        raise RacinesError(f"{where}: not a sound safetensors file: {error}") from error
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len(dict(pairs)) != len(pairs):
+        raise ValueError("a key stands twice")
+    return dict(pairs)

@@ -42,34 +42,25 @@ ENTRY = """\
 
 
 def write_template(folder: Path, track: str) -> Path:
-    """Write a submission.yaml into a folder, with an entry for each file there that may be one.
-
-    Raises:
-        RacinesError: there is one already, or an unknown track.
-    """
+    """Write a new submission.yaml into a folder, with an entry for each file that may be one."""
     if track not in ("generators", "agents"):
         raise RacinesError(f"track {track!r}: choose generators or agents")
     path = folder / YAML
     if path.exists():
         raise RacinesError(f"{path}: is there already: edit it, or remove it")
-    files = sorted(folder.iterdir()) if folder.is_dir() else []
-    entries = [_entry(each, track) for each in files if _may_be(each)]
+    endings = {kind.suffix for kind in KINDS.values()} - {""}
+    entries = ""
+    for file in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if file.suffix in endings and file.is_file() and NAME.fullmatch(file.name):
+            with opened(folder, file.name, str(folder)) as stream:
+                sha256, size = measure(stream, str(file))
+            kind = _kind(file, track)
+            entries += ENTRY.format(kind=kind, path=file.name, sha256=sha256, size=size)
     blank = ENTRY.format(kind="KIND", path="FILE", sha256="0" * 64, size=1)
     name = folder.resolve().name.lower().replace("_", "-")
-    text = TEXT.format(name=name, track=track, zeros="0" * 64, artefacts="".join(entries) or blank)
+    text = TEXT.format(name=name, track=track, zeros="0" * 64, artefacts=entries or blank)
     write_atomic(path, text)
     return path
-
-
-def _may_be(path: Path) -> bool:
-    endings = {kind.suffix for kind in KINDS.values()} - {""}
-    return path.suffix in endings and path.is_file() and bool(NAME.fullmatch(path.name))
-
-
-def _entry(path: Path, track: str) -> str:
-    with opened(path.parent, path.name, str(path.parent)) as stream:
-        sha256, size = measure(stream, str(path))
-    return ENTRY.format(kind=_kind(path, track), path=path.name, sha256=sha256, size=size)
 
 
 def _kind(path: Path, track: str) -> str:
@@ -80,7 +71,7 @@ def _kind(path: Path, track: str) -> str:
         except (ValueError, AttributeError, RecursionError):
             said = ""
         return "trace" if str(said).startswith("racines.trace/") else "scores"
-    kinds = [n for n, kind in KINDS.items() if kind.suffix == path.suffix and track in kind.tracks]
-    if not kinds:
-        raise RacinesError(f"{path}: no artefact of {track}: put it elsewhere")
-    return kinds[0]
+    for name, kind in KINDS.items():
+        if kind.suffix == path.suffix and track in kind.tracks:
+            return name
+    raise RacinesError(f"{path}: no artefact of {track}: put it elsewhere")

@@ -1,5 +1,4 @@
-from racines_leaderboard.board.groups import by_task, rankings
-from racines_leaderboard.board.rank import rank
+from racines_leaderboard.board.rank import by_task, rank, rankings
 from racines_leaderboard.board.table import board_tables
 from racines_leaderboard.records.tracks import AGENTS, GENERATORS
 from tests.leaderboard.conftest import agent_scores, generator_scores

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.cli.study.determinism import determinism
+from racines_leaderboard.cli.audit import determinism
 from racines_leaderboard.determinism import run as module
 from racines_leaderboard.determinism.run import (
     cell,

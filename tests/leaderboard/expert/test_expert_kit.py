@@ -7,10 +7,9 @@ from PIL import Image
 
 from racines_data.errors import RacinesError
 from racines_data.views import LABELS
-from racines_leaderboard.expert.blinding import blind
+from racines_leaderboard.expert.design import allocate, blind, stratify
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.expert.sample import Study, System, make_kit
-from racines_leaderboard.expert.strata import allocate, stratify
 from tests.leaderboard.expert_kit import Inverse, Judge, frames, kit_of
 
 

@@ -9,8 +9,9 @@ from torchmetrics.functional.classification import multiclass_cohen_kappa
 from racines_data.errors import RacinesError
 from racines_data.views import LABELS
 from racines_leaderboard.expert import raters
-from racines_leaderboard.expert.agreement import Answers, agreement
-from racines_leaderboard.expert.kappa import (
+from racines_leaderboard.expert.agreement import (
+    Answers,
+    agreement,
     confusion,
     fleiss_metric,
     kappa,
@@ -18,8 +19,8 @@ from racines_leaderboard.expert.kappa import (
     nominal,
     quadratic,
 )
-from racines_leaderboard.expert.picture import draw, write_picture
 from racines_leaderboard.expert.ratings import read_all
+from racines_leaderboard.expert.report import draw, write_picture
 from racines_leaderboard.expert.score import REMARKS, score
 from racines_leaderboard.records.schema import check
 from tests.leaderboard.expert_kit import Judge, kit_of

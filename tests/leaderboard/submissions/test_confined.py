@@ -13,10 +13,11 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.agents.protocol import Agent
 from racines_envs.worlds.making import make_core
-from racines_leaderboard.submissions.confined import wire
-from racines_leaderboard.submissions.confined.roads import ConfinedGenerator, ConfinedPolicyAgent
+from racines_leaderboard.submissions.confined import child as wire
 from racines_leaderboard.submissions.confined.session import (
     Child,
+    ConfinedGenerator,
+    ConfinedPolicyAgent,
     ConfinedSession,
     Limits,
     rehearse,

@@ -11,9 +11,9 @@ from onnx import TensorProto, helper, load_model, numpy_helper
 from safetensors.numpy import save
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.submissions import content_checks
+from racines_leaderboard.submissions import intake as content_checks
 from racines_leaderboard.submissions.confined.session import Limits
-from racines_leaderboard.submissions.content_checks import check_content, check_safetensors
+from racines_leaderboard.submissions.intake import check_content, check_safetensors
 from racines_models.exchange.predictions.file import PREDICTION_COLUMNS
 from tests.leaderboard.conftest import agent_scores, generator_scores
 from tests.leaderboard.graphs import sound_generator, sound_policy

@@ -19,8 +19,7 @@ from typer.testing import CliRunner
 from racines_data.errors import RacinesError
 from racines_leaderboard.cli.command import app
 from racines_leaderboard.submissions.document import find_submission
-from racines_leaderboard.submissions.fetch import open_https
-from racines_leaderboard.submissions.intake import take_in
+from racines_leaderboard.submissions.intake import open_https, take_in
 from tests.leaderboard.conftest import artefact, generator_scores, write_submission
 from tests.leaderboard.graphs import sound_generator
 from tests.leaderboard.submissions.test_submission import Payload

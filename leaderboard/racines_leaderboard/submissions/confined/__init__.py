@@ -1,7 +1,4 @@
-"""A stranger's file in a child process with limits of time, memory and everything else.
-
-`session` is the parent's side, `child` the confined one, `wire` what they say to each other.
-"""
+"""A stranger's file in a confined process: `session` is our side of it."""
 
 import lazy_loader
 

@@ -2,6 +2,11 @@
 
 It is given the file's bytes, never its path; once the libraries are loaded it can open no file, no
 socket and no process. Standard input and output are the wire; what libraries print is lost.
+
+Parent and child send bytes, never pickles. A message is its kind and its payload, two byte strings
+of `multiprocessing.connection`, of which `send_bytes` and `recv_bytes` alone are used: its `send`
+and `recv` would unpickle. Arrays are packed by safetensors, whose reader checks every length before
+it takes the bytes.
 """
 
 import contextlib
@@ -9,50 +14,94 @@ import ctypes
 import json
 import resource
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
 from typing import Any
 
-from racines_leaderboard.submissions.confined import wire
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
 
 MAX_TEXT = 500
 Run = Callable[[bytes], bytes]
+OPEN, RUN, ANSWER, REFUSED = b"O", b"R", b"A", b"X"
+"""Kinds: a file's bytes, inputs, outputs, and one line of text that says what is wrong."""
+TYPES = (np.dtype("<f4"), np.dtype("u1"))
+
+
+class WireError(Exception):
+    """Bytes that are no message."""
+
+
+def say(pipe: Connection, kind: bytes, payload: bytes = b"") -> None:
+    """Send a message."""
+    pipe.send_bytes(kind)
+    pipe.send_bytes(payload)
+
+
+def hear(pipe: Connection, limit: int | None = None) -> tuple[bytes, bytes]:
+    """Return the kind and the payload of the next message.
+
+    Raises:
+        EOFError: the other side is gone.
+        OSError: it went in the middle of a message; or, the pipe being closed then, what came is no
+            message, or one of more than `limit` bytes.
+    """
+    return pipe.recv_bytes(1), pipe.recv_bytes(limit)
+
+
+def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """Return arrays as bytes; a WireError says that one is neither float32 nor uint8."""
+    _check_types(arrays)
+    return save({name: np.asarray(array, order="C") for name, array in arrays.items()})
+
+
+def unpack_arrays(payload: bytes) -> dict[str, np.ndarray]:
+    """Return the arrays of `pack_arrays`; a WireError, where length or type does not fit."""
+    try:
+        arrays = load(payload)
+    except (SafetensorError, KeyError, ValueError, TypeError) as error:
+        raise WireError(f"arrays that do not fit their header: {error}") from error
+    _check_types(arrays)
+    return arrays
+
+
+def _check_types(arrays: Mapping[str, np.ndarray]) -> None:
+    for name, array in arrays.items():
+        if array.dtype not in TYPES:
+            raise WireError(f"{name[:80]}: {array.dtype}: give float32 or uint8")
 
 
 def main() -> None:
     """Serve the mode and the limits that the command line names, until the wire closes."""
     mode, limits = sys.argv[1], json.loads(sys.argv[2])
-    _bound(resource.RLIMIT_AS, limits["memory"])
-    _bound(resource.RLIMIT_CORE, 0)
-    _bound(resource.RLIMIT_FSIZE, 0)
-    _bound(resource.RLIMIT_CPU, limits["cpu_seconds"])
+    resource.setrlimit(resource.RLIMIT_AS, (limits["memory"], limits["memory"]))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CPU, (limits["cpu_seconds"], limits["cpu_seconds"]))
     asked, answers = Connection(0, writable=False), Connection(1, readable=False)
     try:
         opened = MODES[mode]()
         _close_the_doors()
     except Exception as error:
-        wire.say(answers, wire.REFUSED, _text(error))
+        say(answers, REFUSED, _text(error))
         return
     run: Run | None = None
     while True:
         try:
-            kind, payload = wire.hear(asked)
+            kind, payload = hear(asked)
         except EOFError:
             return
-        _allow_seconds(limits["open_seconds" if kind == wire.OPEN else "call_seconds"])
+        _allow_seconds(limits["open_seconds" if kind == OPEN else "call_seconds"])
         try:
-            if kind == wire.OPEN:
+            if kind == OPEN:
                 run = opened(payload)
-                wire.say(answers, wire.ANSWER)
+                say(answers, ANSWER)
             elif run is not None:
-                wire.say(answers, wire.ANSWER, run(payload))
+                say(answers, ANSWER, run(payload))
         except BaseException as error:
-            wire.say(answers, wire.REFUSED, _text(error))
+            say(answers, REFUSED, _text(error))
             return
-
-
-def _bound(what: int, limit: int) -> None:
-    resource.setrlimit(what, (limit, limit))
 
 
 def _close_the_doors() -> None:
@@ -60,8 +109,8 @@ def _close_the_doors() -> None:
     with contextlib.suppress(OSError, ValueError, AttributeError):
         ctypes.CDLL(None).prctl(38, 1, 0, 0, 0)  # PR_SET_NO_NEW_PRIVS, Linux
     with contextlib.suppress(OSError, ValueError):
-        _bound(resource.RLIMIT_NPROC, 0)
-    _bound(resource.RLIMIT_NOFILE, 3)
+        resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (3, 3))
 
 
 def _allow_seconds(seconds: int) -> None:
@@ -91,8 +140,8 @@ def _session() -> Callable[[bytes], Run]:
         names = [output.name for output in session.get_outputs()]
 
         def run(payload: bytes) -> bytes:
-            outputs: list[Any] = list(session.run(names, wire.unpack_arrays(payload)))
-            return wire.pack_arrays(dict(zip(names, outputs, strict=True)))
+            outputs: list[Any] = list(session.run(names, unpack_arrays(payload)))
+            return pack_arrays(dict(zip(names, outputs, strict=True)))
 
         return run
 
@@ -104,8 +153,7 @@ def _parse_onnx() -> Callable[[bytes], Run]:
     import onnx
 
     def opened(content: bytes) -> Run:
-        model = onnx.load_model_from_string(content)
-        onnx.checker.check_model(model)
+        onnx.checker.check_model(onnx.load_model_from_string(content))
         return bytes
 
     return opened

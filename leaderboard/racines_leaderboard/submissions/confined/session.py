@@ -1,6 +1,6 @@
 """A stranger's file in a child process with limits of time, memory and everything else.
 
-The parent sends bytes and gets bytes back (`wire`); it unpickles nothing. What breaks a limit ends
+The parent sends bytes and gets bytes back (`child`); it unpickles nothing. What breaks a limit ends
 in a `RacinesError` that names the file and the limit, and the child is killed.
 """
 
@@ -13,8 +13,9 @@ import sys
 import threading
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from multiprocessing.connection import Pipe
 from pathlib import Path
 
@@ -24,7 +25,10 @@ import racines_data
 import racines_leaderboard
 import racines_models
 from racines_data.errors import RacinesError
-from racines_leaderboard.submissions.confined import wire
+from racines_envs.agents.onnx.policy import OnnxPolicyAgent
+from racines_leaderboard.submissions.confined import child as wire
+from racines_leaderboard.submissions.file_checks import MAX_BYTES, read_bounded
+from racines_models.exchange.onnx.generator import OnnxGenerator
 
 START = (
     "import sys; sys.path[:0] = sys.argv.pop(1).split('|'); "
@@ -49,25 +53,24 @@ class Limits:
 
 
 class Child:
-    """One process that serves one file; ends with this object, or when a limit is broken."""
+    """One process that serves one file; ends with this object, or when a limit is broken.
 
-    def __init__(self, mode: str, content: bytes, where: str, limits: Limits | None = None):
-        """Start it and hand it the file.
+    It runs one of `child.MODES` on the content; errors call the file `where`.
 
-        Args:
-            mode: One of `child.MODES`.
-            content: The file.
-            where: Its name, for errors.
-            limits: The defaults by default.
+    Raises:
+        RacinesError: the file is refused, or broke a limit; so does `ask`, and the child is gone.
+    """
 
-        Raises:
-            RacinesError: the file is refused, or broke a limit.
-        """
+    def __init__(self, mode: str, content: bytes, where: str, limits: Limits | None = None) -> None:
         self.where, self.limits = where, limits or Limits()
+        self._memory = f"the memory limit is {self.limits.memory / 2**20:,.0f} MiB"
         packages = (racines_data, racines_models, racines_leaderboard)
         roots = "|".join(str(Path(str(p.__file__)).resolve().parents[1]) for p in packages)
         # -I: neither the environment nor the current folder says what is imported.
         words = [sys.executable, "-I", "-c", START, roots, mode, json.dumps(asdict(self.limits))]
+        # Of this process's environment it sees where libraries lie, and no secret.
+        seen = {key: value for key, value in os.environ.items() if key == "LD_LIBRARY_PATH"}
+        seen |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         asked, self._asks = Pipe(duplex=False)
         self._answers, answers = Pipe(duplex=False)
         with asked, answers:  # the child's ends
@@ -77,18 +80,14 @@ class Child:
                 stdout=answers.fileno(),
                 stderr=subprocess.DEVNULL,
                 cwd="/",
-                env=_environment(),
+                env=seen,
                 start_new_session=True,
             )
-        self._end = weakref.finalize(self, _kill, self._process)
+        self._end = weakref.finalize(self, _stop, self._process, collect=True)
         self.ask(wire.OPEN, content)
 
     def ask(self, kind: bytes, payload: bytes) -> bytes:
-        """Send a message and return the answer's payload.
-
-        Raises:
-            RacinesError: refused, or a limit was broken; the child is gone then.
-        """
+        """Send a message and return the answer's payload."""
         seconds = self.limits.open_seconds if kind == wire.OPEN else self.limits.call_seconds
         deadline = time.monotonic() + seconds
         # Whatever is waited for ends with the child: the pipes have no other holder.
@@ -96,23 +95,22 @@ class Child:
         clock.daemon = True
         clock.start()
         try:
-            with contextlib.suppress(BrokenPipeError):  # its last words say why
-                wire.say(self._asks, kind, payload)
-            kind, answer = wire.hear(self._answers, self.limits.answer)
-        except (EOFError, OSError) as error:
-            late = time.monotonic() >= deadline
-            reason = f"took more than {seconds} s: stopped" if late else self._cause(seconds)
-            self.close()
-            raise RacinesError(f"{self.where}: {reason}") from error
+            try:
+                with contextlib.suppress(BrokenPipeError):  # its last words say why
+                    wire.say(self._asks, kind, payload)
+                kind, answer = wire.hear(self._answers, self.limits.answer)
+            except (EOFError, OSError) as error:
+                late = time.monotonic() >= deadline
+                reason = f"took more than {seconds} s: stopped" if late else self._cause(seconds)
+                raise RacinesError(f"{self.where}: {reason}") from error
+            if kind != wire.ANSWER:
+                raise RacinesError(f"{self.where}: {self._told(answer)}")
+            return answer
         except BaseException:
             self.close()
             raise
         finally:
             clock.cancel()
-        if kind != wire.ANSWER:
-            self.close()
-            raise RacinesError(f"{self.where}: {self._told(answer)}")
-        return answer
 
     def close(self) -> None:
         """Kill the child, if it still runs."""
@@ -132,42 +130,28 @@ class Child:
         if code == -signal.SIGXCPU:
             return f"took more than {seconds} s of the CPU: stopped"
         name = signal.Signals(-code).name if code and code < 0 else f"exit code {code}"
-        return f"its process died ({name}); {self._memory()}"
+        return f"its process died ({name}); {self._memory}"
 
     def _told(self, answer: bytes) -> str:
         text = "".join(c if c.isprintable() else " " for c in answer[1:].decode(errors="replace"))
-        return f"{text[:500]}; {self._memory()}" if answer[:1] == b"M" else f"refused: {text[:500]}"
-
-    def _memory(self) -> str:
-        return f"the memory limit is {self.limits.memory / 2**20:,.0f} MiB"
+        return f"{text[:500]}; {self._memory}" if answer[:1] == b"M" else f"refused: {text[:500]}"
 
 
-def _environment() -> dict[str, str]:
-    """Return what a child sees of this process's environment: where libraries lie, no secret."""
-    kept = {name: os.environ[name] for name in ("LD_LIBRARY_PATH",) if name in os.environ}
-    return kept | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-
-
-def _stop(process: subprocess.Popen[bytes]) -> None:
+def _stop(process: subprocess.Popen[bytes], collect: bool = False) -> None:
     """Kill a child with all that it may have started."""
     if process.poll() is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    """Kill a child, and collect it."""
-    _stop(process)
-    process.wait()
+    if collect:
+        process.wait()
 
 
 class ConfinedSession:
-    """Looks like the onnxruntime session of a file, and runs it in a child."""
+    """Looks like the onnxruntime session of a file, and runs it in a child, always on the CPU."""
 
     def __init__(
         self, content: bytes, where: str, device: str = "cpu", limits: Limits | None = None
-    ):
-        """Open the file's bytes; the device is the CPU whatever is named."""
+    ) -> None:
         self._child = Child("session", content, where, limits)
 
     def get_providers(self) -> list[str]:
@@ -175,11 +159,7 @@ class ConfinedSession:
         return ["CPUExecutionProvider"]
 
     def run(self, names: Sequence[str], inputs: dict[str, np.ndarray]) -> list[np.ndarray]:
-        """Return the named outputs.
-
-        Raises:
-            RacinesError: the graph failed, or broke a limit.
-        """
+        """Return the named outputs; RacinesError if the graph failed, or broke a limit."""
         answer = self._child.ask(wire.RUN, wire.pack_arrays(inputs))
         try:
             outputs = wire.unpack_arrays(answer)
@@ -190,15 +170,26 @@ class ConfinedSession:
 
 
 def rehearse(kind: str, content: bytes, where: str, limits: Limits | None = None) -> None:
-    """Parse a file in a child first, so that this process parses only what parses within limits.
-
-    Args:
-        kind: `onnx` or `parquet`.
-        content: The file.
-        where: Its name, for errors.
-        limits: The defaults by default.
-
-    Raises:
-        RacinesError: the parser refuses it, or it broke a limit.
-    """
+    """Parse an `onnx` or `parquet` file in a child, before this process does, within limits."""
     Child(kind, content, where, limits).close()
+
+
+class ConfinedGenerator(OnnxGenerator):
+    """Draws what `OnnxGenerator` draws, byte for byte, on the CPU; RacinesError if it may not."""
+
+    def __init__(self, path: Path, limits: Limits | None = None) -> None:
+        super().__init__(path, "cpu", _confined(path, limits))
+
+
+class ConfinedPolicyAgent(OnnxPolicyAgent):
+    """Acts as `OnnxPolicyAgent` acts, on the CPU; RacinesError if it may not."""
+
+    def __init__(self, path: Path, limits: Limits | None = None) -> None:
+        super().__init__(path, "cpu", _confined(path, limits))
+
+
+def _confined(path: Path, limits: Limits | None) -> Callable[..., ConfinedSession]:
+    """Rehearse a file's parse; return what opens it."""
+    content = read_bounded(path.parent, path.name, str(path.parent), MAX_BYTES)
+    rehearse("onnx", content, str(path), limits)
+    return partial(ConfinedSession, limits=limits)
