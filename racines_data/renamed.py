@@ -39,12 +39,15 @@ MOVED = {
         "validate_oracle=oracle validate_report=report validate_rows=rows "
         "validate_splits=splits validate_statistics=statistics validate_survey=survey"
     ),
-    "racines_envs.agents": "agents.trace=trace_agent rollout trace=trace_file",
-    "racines_envs.agents.onnx": (
-        "agents.onnx_policy=policy agents.onnx_policy_export=export "
-        "agents.onnx_policy_format=format"
+    "racines_envs.agents": (
+        "agents.encoders=networks agents.identity=training agents.trace_agent=trace "
+        "agents.trace_file=trace agents.training_config=training agents.training_run=training "
+        "rollout trace"
     ),
-    "racines_envs.agents.training": "agents.training_config=config agents.training_run=run",
+    "racines_envs.agents.onnx": (
+        "agents.onnx.format=policy agents.onnx_policy=policy agents.onnx_policy_export=export "
+        "agents.onnx_policy_format=policy"
+    ),
     "racines_envs.apis": "gym_env gym_vector rendering torchrl_env",
     "racines_envs.cli": (
         "cli_drive=drive cli_encoder=train.encoder cli_eval=study.transfer cli_explain=explain "
@@ -55,7 +58,7 @@ MOVED = {
         "entries latency measures pictures runs=agent_specs trace_recording"
     ),
     "racines_envs.explain": (
-        "explain_figure=figure explain_maps=maps explain_scores=scores explain_truth=truth"
+        "explain_figure=explanation explain_maps=maps explain_scores=scores explain_truth=truth"
     ),
     "racines_envs.recordings": "recorder=episode_writer replay=rerun",
     "racines_envs.studies": "curves forces_report=forces step_profile task_table",

@@ -16,10 +16,9 @@ from torch.optim import AdamW, Optimizer
 from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.agents.demonstrations import Demonstrations, demonstrations, encode_params
-from racines_envs.agents.encoders import open_encoder
-from racines_envs.agents.identity import settings_identity
+from racines_envs.agents.networks import open_encoder
 from racines_envs.agents.policy import PolicyAgent, make_actor
-from racines_envs.agents.training.run import copy_state
+from racines_envs.agents.training import copy_state, seeded, settings_identity
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom
 from racines_models import statistics
@@ -33,6 +32,8 @@ from racines_models.training.trainer import train
 
 READ = 256
 """Images encoded at once."""
+KEPT = ("best", "best_state", "history")
+"""Attributes of the learner that a checkpoint holds."""
 
 
 @dataclass(frozen=True)
@@ -97,31 +98,18 @@ class BehaviourCloningAgent(PolicyAgent):
     ) -> "BehaviourCloningAgent":
         """Learn the split `train` and keep the weights of least loss on `validation`.
 
-        Args:
-            config: The settings.
-            run_dir: Receives policy, metrics and curves, and a checkpoint an epoch.
-            data: Folder of the dataset, or its open store; data/racines by default.
-            seed: Of weights and order.
-            phantom: A phantom or its configuration, for the workspace that `params` are scaled by.
-            resume: As `PPOAgent.train`.
-            progress: Draw a progress bar.
-            where: Taken for the protocol's sake; nothing more is known.
+        Arguments are those of `LearningAgent.train`. The phantom's workspace scales `params`, and
+        `data` may be an open store.
 
         Raises:
             RacinesError: no dataset, no demonstrations in it, or a checkpoint of another run.
         """
         store = open_store(data) if data is None or isinstance(data, (str, Path)) else data
-        config, before = on_device(config), torch.get_num_threads()
+        config = on_device(config)
         run = Run(Path(run_dir), seed, config.device, resume, progress)
-        torch.set_num_threads(config.threads or before)
-        try:
-            with torch.random.fork_rng(enabled=True):
-                torch.manual_seed(seed)
-                learner = CloningLearner(config, store, seed, phantom)
-                figures = train(learner, store, learner.training, run, learner)
-                return learner.keep(run.folder, figures)
-        finally:
-            torch.set_num_threads(before)
+        with seeded(seed, config.threads):
+            learner = CloningLearner(config, store, seed, phantom)
+            return learner.keep(run.folder, train(learner, store, learner.training, run, learner))
 
 
 class _Examples:
@@ -136,12 +124,9 @@ class _Examples:
             self.numbers["params"] = encode_params(store.parameters[shown.rows], space)
         if "features" in keys:
             device = next(encoder.parameters()).device
+            shots = (store.take(rows).images for rows in shown.rows.split(READ))
             with torch.no_grad():
-                parts = [
-                    encoder(store.take(rows).images.to(device)).cpu()
-                    for rows in shown.rows.split(READ)
-                ]
-            self.numbers["features"] = torch.cat(parts)
+                self.numbers["features"] = torch.cat([encoder(x.to(device)).cpu() for x in shots])
 
     def seen(self, index: Tensor, device: torch.device) -> list[Tensor]:
         """Return the network's inputs at (B,) demonstrations."""
@@ -157,11 +142,7 @@ class CloningLearner(Course):
     name = BehaviourCloningAgent.name
 
     def __init__(
-        self,
-        config: BehaviourCloningConfig,
-        store: FrameStore,
-        seed: int,
-        phantom: WorldLike,
+        self, config: BehaviourCloningConfig, store: FrameStore, seed: int, phantom: WorldLike
     ) -> None:
         if config.epochs < 1 or config.batch_size < 2:
             raise RacinesError("agents.behaviour-cloning: epochs >= 1 and batch_size >= 2, please")
@@ -277,12 +258,12 @@ class CloningLearner(Course):
 
     def state(self) -> dict[str, Any]:
         """Return the best weights so far, and the epochs."""
-        return {"best": self.best, "best_state": self.best_state, "history": self.history}
+        return {name: getattr(self, name) for name in KEPT}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue after an epoch."""
-        self.best, self.best_state = state["best"], state["best_state"]
-        self.history = state["history"]
+        for name in KEPT:
+            setattr(self, name, state[name])
 
     def keep(self, folder: Path, figures: dict[str, Any]) -> BehaviourCloningAgent:
         """Save the best weights, with the trainer's figures among the metrics."""

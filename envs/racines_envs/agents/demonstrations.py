@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose, geodesic, parameters_to_pose, rotation_6d
+from racines_data.geometry import Pose, parameters_to_pose, rotation_6d
 from racines_data.store.frames import FrameStore
+from racines_envs.agents.planner import cost_to_go
 from racines_envs.task.actions import ACTIONS, IDLE, ActionTable
 from racines_envs.task.tasks import Task
 
@@ -90,19 +91,13 @@ def demonstrations(
 
 
 def costs(pose: Pose, goal: Pose, task: Task) -> Tensor:
-    """Return the (M, 13) squared distances from M goals after each action, in unit steps.
-
-    The distance is the planner's: |Δp|²/u² + θ²/w² with the unit steps u and w.
-    """
+    """Return the planner's (M, 13) costs to go to M goals after each action."""
     table = ActionTable.make(task.step_translation, task.step_rotation, pose.position.device)
     count, parts = len(ACTIONS), []
     for rows in torch.arange(len(pose.position)).split(CHUNK):
         each = rows.repeat_interleave(count)
         moved = table.move(_rows(pose, each), torch.arange(count).repeat(len(rows)))
-        aim = _rows(goal, each)
-        metres = (moved.position - aim.position).norm(dim=-1) / task.step_translation
-        radians = geodesic(moved.rotation, aim.rotation) / task.step_rotation
-        parts.append((metres**2 + radians**2).view(-1, count))
+        parts.append(cost_to_go(moved, _rows(goal, each), task).view(-1, count))
     return torch.cat(parts)
 
 

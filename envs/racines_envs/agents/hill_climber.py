@@ -7,13 +7,14 @@ the image alone; each try is a step of the episode.
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Self
 
 import torch
 from torch import Tensor
 
+from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.randomness import uniform
 from racines_envs.agents.protocol import SETTINGS, Untrained
@@ -155,9 +156,8 @@ class HillClimberAgent(Untrained):
 
     def _start(self, score: Tensor, seeds: Tensor) -> _Memory:
         none = torch.zeros_like(seeds)
-        order = _order(seeds)
         no = none > 0
-        return _Memory(score, order, none, none, none + IDLE, no, none, no, none)
+        return _Memory(score, _order(seeds), none, none, none + IDLE, no, none, no, none)
 
     def _next(self, memory: _Memory, score: Tensor, seeds: Tensor) -> Tensor:
         """Advance all rows' searches by one look and return their steps."""
@@ -196,10 +196,6 @@ class HillClimberAgent(Untrained):
         Raises:
             RacinesError: settings of another agent.
         """
-        from dataclasses import replace
-
-        from racines_data.config import fill
-
         path = Path(run_dir) / SETTINGS
         config = HillClimberConfig()
         if path.is_file():

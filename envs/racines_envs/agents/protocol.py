@@ -1,12 +1,13 @@
 """What an agent is."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 import torch
 from torch import Tensor
 
+from racines_data.files import write_json
 from racines_envs.task.core import ScanCore
 
 SETTINGS = "config.json"
@@ -63,11 +64,16 @@ def sees(agent: Agent) -> str:
     return getattr(agent, "sees", agent.observation)
 
 
+@dataclass(frozen=True)
+class NoConfig:
+    """Nothing to set."""
+
+
 class Untrained:
     """The part of the protocol that agents without weights share."""
 
     name: ClassVar[str]
-    Config: ClassVar[type]
+    Config: ClassVar[type] = NoConfig
     observation: str = "params"
 
     def attach(self, core: ScanCore) -> None:
@@ -76,8 +82,6 @@ class Untrained:
     @classmethod
     def train(cls, config: Any, run_dir: Path, **where: Any) -> Self:
         """Write the settings down, so that a run has its folder; there is nothing to learn."""
-        from racines_data.files import write_json
-
         write_json(Path(run_dir) / "metrics.json", {})
         write_json(Path(run_dir) / SETTINGS, {"agent": cls.name, "config": asdict(config)})
         return cls.load(Path(run_dir))

@@ -18,7 +18,7 @@ AGENTS = Plugins(
 )
 FILES = {
     ".onnx": "racines_envs.agents.onnx.policy:OnnxPolicyAgent",
-    ".json": "racines_envs.agents.trace_agent:TraceAgent",
+    ".json": "racines_envs.agents.trace:TraceAgent",
 }
 """What opens a file, by its ending."""
 
@@ -28,18 +28,13 @@ def agent_names() -> list[str]:
     return list(AGENTS.names())
 
 
-def is_file(spec: str) -> bool:
-    """Return whether a spec is the path of a policy or a trace."""
-    return Path(spec).suffix.lower() in FILES
-
-
 def agent_class(spec: str) -> type[Agent]:
     """Return the class of a registered name, of `module:Class`, or of what opens a file.
 
     Raises:
         RacinesError: unknown name, or a class that is no agent.
     """
-    return AGENTS.load(FILES[Path(spec).suffix.lower()] if is_file(spec) else spec)
+    return AGENTS.load(FILES.get(Path(spec).suffix.lower(), spec))
 
 
 def load_agent(spec: str, run_dir: Path | str, device: torch.device | str = "cpu") -> Agent:
@@ -48,4 +43,5 @@ def load_agent(spec: str, run_dir: Path | str, device: torch.device | str = "cpu
     Raises:
         RacinesError: unknown name, or no policy in the folder.
     """
-    return agent_class(spec).load(Path(spec if is_file(spec) else run_dir), device)
+    is_file = Path(spec).suffix.lower() in FILES
+    return agent_class(spec).load(Path(spec if is_file else run_dir), device)

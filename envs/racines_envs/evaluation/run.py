@@ -18,7 +18,7 @@ from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import Episodes, rollout
-from racines_envs.agents.trace_agent import TraceAgent
+from racines_envs.agents.trace import TraceAgent
 from racines_envs.evaluation.latency import decision_times, latency_figure
 from racines_envs.evaluation.measures import Figures, measure, measure_by_seed
 from racines_envs.task.core import ScanCore

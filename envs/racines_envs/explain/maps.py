@@ -84,29 +84,25 @@ def integrated_gradients(
     """
     from captum.attr import IntegratedGradients
 
-    method = IntegratedGradients(judge)
-    attributed, errors = [], []
-    for i in range(0, len(images), BATCH):
-        part = images[i : i + BATCH].float()
-        drawn, error = method.attribute(
-            part,
-            baselines=torch.zeros_like(part),
-            target=targets[i : i + BATCH],
-            additional_forward_args=(params[i : i + BATCH],),
+    method, found = IntegratedGradients(judge), []
+    parts = zip(images.split(BATCH), params.split(BATCH), targets.split(BATCH), strict=True)
+    for part, given, wanted in parts:
+        attributed = method.attribute(
+            part.float(),
+            baselines=torch.zeros_like(part, dtype=torch.float32),
+            target=wanted,
+            additional_forward_args=(given,),
             n_steps=steps,
             internal_batch_size=BATCH,
             return_convergence_delta=True,
         )
-        attributed.append(drawn.detach().float())
-        errors.append(error.detach().float())
-    return torch.cat(attributed), torch.cat(errors)
+        found.append(attributed)
+    maps, errors = (torch.cat(column).detach().float() for column in zip(*found, strict=True))
+    return maps, errors
 
 
 @torch.no_grad()
 def outputs(judge: Explained, images: Tensor, params: Tensor) -> Tensor:
     """Return (N, outputs) of (N, 128, 128) images of any type."""
-    parts = [
-        judge(images[i : i + BATCH].float(), params[i : i + BATCH])
-        for i in range(0, len(images), BATCH)
-    ]
-    return torch.cat(parts)
+    parts = zip(images.split(BATCH), params.split(BATCH), strict=True)
+    return torch.cat([judge(part.float(), given) for part, given in parts])

@@ -6,7 +6,9 @@ from torch.nn import functional
 
 from racines_data.geometry import Pose, rotate
 from racines_data.imaging import IMAGE_SIZE
+from racines_data.phantom.anatomy import load_anatomy
 from racines_data.phantom.config import ProbeConfig
+from racines_data.phantom.scan import pixel_grid, sector_mask
 from racines_data.world import World
 
 WALL = 2
@@ -15,8 +17,6 @@ WALL = 2
 
 def sector_of(world: World) -> Tensor:
     """Return the (128, 128) bool mask of the sector; everything where the probe is unknown."""
-    from racines_data.phantom.scan import sector_mask
-
     if world.config is None:
         return torch.ones(IMAGE_SIZE, IMAGE_SIZE, dtype=torch.bool)
     return sector_mask(world.config.probe)
@@ -24,8 +24,6 @@ def sector_of(world: World) -> Tensor:
 
 def plane_points(probe: ProbeConfig, pose: Pose) -> Tensor:
     """Return the (N, 128, 128, 3) points of the block under the pixels, base frame, m."""
-    from racines_data.phantom.scan import pixel_grid
-
     lateral, axial = (x.float() for x in pixel_grid(probe))
     local = torch.stack([lateral, torch.zeros_like(lateral), axial], -1)
     turned = rotate(pose.rotation.cpu()[:, None, None], local)
@@ -39,8 +37,6 @@ def true_regions(world: World, pose: Pose, view: str) -> dict[str, Tensor]:
     inside the spheres of the structures that the view has to show. Empty for a stand-in phantom
     without an anatomy.
     """
-    from racines_data.phantom.anatomy import load_anatomy
-
     config = world.config
     if config is None:
         return {}
@@ -55,13 +51,8 @@ def true_regions(world: World, pose: Pose, view: str) -> dict[str, Tensor]:
         if structure.name in wanted:
             away = (points - torch.tensor(structure.centre)).norm(dim=-1)
             landmarks |= away < structure.radius
-    return {"organ": tissue != 0, "borders": _borders(tissue), "landmarks": landmarks}
-
-
-def _borders(tissue: Tensor) -> Tensor:
-    """Return where a (N, H, W) map of tissues changes."""
-    level = tissue.float().unsqueeze(1)
-    size = 2 * WALL + 1
+    level, size = tissue.float().unsqueeze(1), 2 * WALL + 1
     highest = functional.max_pool2d(level, size, 1, WALL)
     lowest = -functional.max_pool2d(-level, size, 1, WALL)
-    return (highest != lowest).squeeze(1)
+    borders = (highest != lowest).squeeze(1)
+    return {"organ": tissue != 0, "borders": borders, "landmarks": landmarks}

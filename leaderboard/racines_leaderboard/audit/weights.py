@@ -149,7 +149,7 @@ def _predictions(subject: str, path: Path, record: Record, bench: Bench) -> list
 
 
 def _trace(subject: str, path: Path, record: Record) -> list[Verdict]:
-    from racines_envs.agents.trace_file import read_trace
+    from racines_envs.agents.trace import read_trace
 
     recorded, task = read_trace(path).told, record["scores"]["task"]
     reason = "recorded on what the record names"

@@ -183,7 +183,7 @@ def score_on(
 def _agent_scores(
     document: dict[str, Any], kind: str, paths: list[Path], ground: Ground
 ) -> dict[str, Any]:
-    from racines_envs.agents.trace_agent import TraceAgent
+    from racines_envs.agents.trace import TraceAgent
     from racines_envs.cli.settings import phantom_config
     from racines_envs.evaluation.run import EvaluationConfig, evaluate
     from racines_envs.worlds.making import find_task, make_phantom, phantom_recipe

@@ -35,7 +35,7 @@ def check_content(path: Path, kind: str, track: str, limits: Limits | None = Non
     elif kind == "weights":
         check_safetensors(content, str(path))
     elif kind == "trace":
-        from racines_envs.agents.trace_file import read_trace
+        from racines_envs.agents.trace import read_trace
 
         read_trace(path)
     elif kind == "scores":
@@ -43,7 +43,7 @@ def check_content(path: Path, kind: str, track: str, limits: Limits | None = Non
 
 
 def _check_interface(path: Path, kind: str) -> None:
-    from racines_envs.agents.onnx.format import read_policy
+    from racines_envs.agents.onnx.policy import read_policy
     from racines_models.exchange.onnx.format import read_onnx
 
     if kind == "generator":

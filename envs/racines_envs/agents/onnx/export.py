@@ -10,12 +10,13 @@ from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
-from racines_envs.agents.onnx.format import IMAGE, OUTPUT, PARAMS, SCHEMA, read_policy
-from racines_envs.agents.policy import PolicyAgent
+from racines_envs.agents.onnx.policy import IMAGE, OUTPUT, PARAMS, SCHEMA, SHOWN, read_policy
+from racines_envs.agents.policy import PolicyAgent, actor_logits
 from racines_envs.agents.registry import agent_class
 from racines_envs.task.core import PARAMS_SIZE
 from racines_models.exchange.onnx.export import EXAMPLES, write_onnx
 from racines_models.provenance import code_version
+from racines_models.weights import read_described
 
 
 class PolicyNetwork(nn.Module):
@@ -24,30 +25,17 @@ class PolicyNetwork(nn.Module):
     def __init__(self, agent: PolicyAgent) -> None:
         super().__init__()
         self.actor, self.encoder = agent.actor, agent.encoder
-        self.names = {"image": [IMAGE], "params": [PARAMS], "multimodal": [IMAGE, PARAMS]}[
-            agent.observation
-        ]
+        self.names = SHOWN[agent.observation]
 
     def forward(self, *inputs: Tensor) -> Tensor:
         """Return (B, 13) logits of `image` (B, 128, 128) uint8 and/or `params` (B, 9)."""
-        seen = dict(zip(self.names, inputs, strict=True))
-        if self.encoder is not None and IMAGE in seen:
-            seen["features"] = self.encoder(seen[IMAGE])
-        elif IMAGE in seen:
-            seen[IMAGE] = seen[IMAGE].unsqueeze(1)
-        return self.actor(*(seen[key] for key in self.actor.keys))
+        return actor_logits(self.actor, self.encoder, dict(zip(self.names, inputs, strict=True)))
 
 
 def export_policy(agent: Any, path: Path, about: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Write a trained policy as an ONNX file (interface: `onnx_policy_format`).
+    """Write a trained policy as an ONNX file (interface: see `read_policy`).
 
-    Args:
-        agent: A `PolicyAgent`.
-        path: The file.
-        about: What else its card says.
-
-    Returns:
-        Path, size in bytes, opset, observation.
+    Its card also says what `about` does. Returns path, size in bytes, opset, observation.
 
     Raises:
         RacinesError: the agent has no network, or the optional packages are missing.
@@ -60,12 +48,20 @@ def export_policy(agent: Any, path: Path, about: dict[str, Any] | None = None) -
         IMAGE: torch.zeros(EXAMPLES, IMAGE_SIZE, IMAGE_SIZE, dtype=torch.uint8),
         PARAMS: torch.zeros(EXAMPLES, PARAMS_SIZE),
     }
+    card = {
+        "agent": agent.name,
+        "view": agent.view,
+        "observation": agent.observation,
+        "encoder": agent.encoder.sha256 if agent.encoder is not None else None,
+        "config": asdict(agent.config),
+        "code": code_version(),
+    }
     metadata = {
         "racines.schema": SCHEMA,
         "racines.name": agent.name,
         "racines.view": agent.view,
         "racines.temperature": json.dumps(getattr(agent.config, "temperature", 0.0)),
-        "racines.card": json.dumps(_card(agent) | (about or {})),
+        "racines.card": json.dumps(card | (about or {})),
     }
     examples = {name: shapes[name] for name in network.names}
     written = write_onnx(network, examples, OUTPUT, metadata, path)
@@ -75,23 +71,9 @@ def export_policy(agent: Any, path: Path, about: dict[str, Any] | None = None) -
 
 def export_run(run_dir: Path, path: Path) -> dict[str, Any]:
     """Export the policy that a training left in a folder; arguments and errors as above."""
-    described = run_dir / "config.json"
-    if not described.is_file():
-        raise RacinesError(f"{run_dir}: no trained policy: run `racines train agent NAME`")
-    content = json.loads(described.read_text())
+    content = read_described(run_dir, "no trained policy: run `racines train agent NAME`")
     agent = agent_class(str(content.get("agent"))).load(run_dir)
     kept = run_dir / "metrics.json"
     metrics = json.loads(kept.read_text()) if kept.is_file() else {}
     about = {key: metrics[key] for key in ("phantom", "data") if key in metrics}
     return export_policy(agent, path, about | {"seed": content.get("seed")})
-
-
-def _card(agent: PolicyAgent) -> dict[str, Any]:
-    return {
-        "agent": agent.name,
-        "view": agent.view,
-        "observation": agent.observation,
-        "encoder": agent.encoder.sha256 if agent.encoder is not None else None,
-        "config": asdict(agent.config),
-        "code": code_version(),
-    }
