@@ -50,8 +50,8 @@ MOVED = {
     ),
     "racines_envs.apis": "gym_env gym_vector rendering torchrl_env",
     "racines_envs.cli": (
-        "cli_drive=drive cli_encoder=train.encoder cli_eval=study.transfer cli_explain=explain "
-        "cli_export=export cli_forces=study.forces cli_speed=study.speed settings"
+        "cli_drive=episodes cli_encoder=train.encoder cli_eval=study cli_explain=episodes "
+        "cli_export=export cli_forces=study cli_speed=study settings"
     ),
     "racines_envs.driving": "keyboard terminal",
     "racines_envs.evaluation": (

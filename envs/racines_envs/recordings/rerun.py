@@ -10,6 +10,7 @@ import torch
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, geodesic
+from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
 from racines_envs.recordings.episode_writer import CONTACT, SCHEMA
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
@@ -129,8 +130,6 @@ def _core(recording: RecordedEpisode, path: Path) -> ScanCore:
 
 def _phantom(header: dict[str, Any], path: Path) -> Any:
     """Return the configuration of the recorded phantom; its forces decide what was refused."""
-    from racines_data.phantom import PHANTOM_VERSION, PhantomConfig
-
     recorded = header["phantom"]
     if header["forces"] != CONTACT:
         raise RacinesError(
