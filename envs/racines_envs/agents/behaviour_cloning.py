@@ -7,7 +7,7 @@ reward, grader nor oracle; only the recorded images, poses, views and grades.
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor, nn
@@ -17,12 +17,12 @@ from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.agents.demonstrations import Demonstrations, demonstrations, encode_params
 from racines_envs.agents.networks import open_encoder
-from racines_envs.agents.policy import PolicyAgent, make_actor
-from racines_envs.agents.training import copy_state, seeded, settings_identity
+from racines_envs.agents.policy import make_actor
+from racines_envs.agents.training import LearningAgent, copy_state, seeded, settings_identity
 from racines_envs.task.actions import ACTIONS, IDLE
+from racines_envs.worlds.backends import JudgeLike
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom
 from racines_models import statistics
-from racines_models.devices import on_device
 from racines_models.protocol import Run
 from racines_models.provenance import dataset_card
 from racines_models.training.checkpoint import discard_checkpoint
@@ -32,6 +32,8 @@ from racines_models.training.trainer import train
 
 READ = 256
 """Images encoded at once."""
+LABELLED_BY = ("horizon", "both_ways", "least_grade", "still_grade")
+"""Settings of the demonstrations."""
 KEPT = ("best", "best_state", "history")
 """Attributes of the learner that a checkpoint holds."""
 
@@ -77,56 +79,22 @@ class BehaviourCloningConfig:
     device: str = "cpu"
 
 
-class BehaviourCloningAgent(PolicyAgent):
-    """A policy that imitates; draws its actions (see `temperature`)."""
-
-    name: ClassVar[str] = "behaviour-cloning"
-    Config: ClassVar[type] = BehaviourCloningConfig
-
-    @classmethod
-    def train(
-        cls,
-        config: BehaviourCloningConfig,
-        run_dir: Path,
-        *,
-        data: FrameStore | Path | str | None = None,
-        seed: int = 0,
-        phantom: WorldLike = None,
-        resume: bool | None = None,
-        progress: bool = True,
-        **where: Any,
-    ) -> "BehaviourCloningAgent":
-        """Learn the split `train` and keep the weights of least loss on `validation`.
-
-        Arguments are those of `LearningAgent.train`. The phantom's workspace scales `params`, and
-        `data` may be an open store.
-
-        Raises:
-            RacinesError: no dataset, no demonstrations in it, or a checkpoint of another run.
-        """
-        store = open_store(data) if data is None or isinstance(data, (str, Path)) else data
-        config = on_device(config)
-        run = Run(Path(run_dir), seed, config.device, resume, progress)
-        with seeded(seed, config.threads):
-            learner = CloningLearner(config, store, seed, phantom)
-            return learner.keep(run.folder, train(learner, store, learner.training, run, learner))
-
-
 class _Examples:
-    """What the network reads at M demonstrations; images stay in the store."""
+    """What an actor reads at the M demonstrations of a split; images stay in the store."""
 
-    def __init__(
-        self, store: FrameStore, shown: Demonstrations, keys: list[str], encoder: Any, space: Any
-    ) -> None:
-        self.store, self.shown, self.keys = store, shown, keys
+    def __init__(self, learner: "CloningLearner", split: str) -> None:
+        self.store, self.keys = learner.store, learner.actor.keys
+        settings = {name: getattr(learner.config, name) for name in LABELLED_BY}
+        self.shown = demonstrations(self.store, split, learner.task, **settings)
         self.numbers: dict[str, Tensor] = {}
-        if "params" in keys:
-            self.numbers["params"] = encode_params(store.parameters[shown.rows], space)
-        if "features" in keys:
-            device = next(encoder.parameters()).device
-            shots = (store.take(rows).images for rows in shown.rows.split(READ))
+        if "params" in self.keys:
+            parameters = self.store.parameters[self.shown.rows]
+            self.numbers["params"] = encode_params(parameters, learner.space)
+        if learner.encoder is not None:
+            shots = (self.store.take(rows).images for rows in self.shown.rows.split(READ))
             with torch.no_grad():
-                self.numbers["features"] = torch.cat([encoder(x.to(device)).cpu() for x in shots])
+                parts = [learner.encoder(images.to(learner.device)).cpu() for images in shots]
+            self.numbers["features"] = torch.cat(parts)
 
     def seen(self, index: Tensor, device: torch.device) -> list[Tensor]:
         """Return the network's inputs at (B,) demonstrations."""
@@ -139,7 +107,7 @@ class _Examples:
 class CloningLearner(Course):
     """What the trainer needs of an actor that imitates; the best epoch's weights are kept."""
 
-    name = BehaviourCloningAgent.name
+    name = "behaviour-cloning"
 
     def __init__(
         self, config: BehaviourCloningConfig, store: FrameStore, seed: int, phantom: WorldLike
@@ -147,11 +115,10 @@ class CloningLearner(Course):
         if config.epochs < 1 or config.batch_size < 2:
             raise RacinesError("agents.behaviour-cloning: epochs >= 1 and batch_size >= 2, please")
         self.config, self.store, self.seed = config, store, seed
-        self.device = torch.device(config.device)
-        self.task = find_task(config.view, phantom)
+        self.device, self.task = torch.device(config.device), find_task(config.view, phantom)
         looks = config.observation != "params"
         self.encoder = open_encoder(config.encoder, config.device) if looks else None
-        self.space = None
+        self.space: Any = None
         if config.observation != "image":
             self.space = make_phantom(phantom, "cpu", self.task.anatomy).workspace
         self.identity = settings_identity(self.name, config, seed, self.encoder)
@@ -160,7 +127,7 @@ class CloningLearner(Course):
         self.best, self.best_state, self.history = float("inf"), copy_state(self.actor), []
         self.weight = torch.ones(len(ACTIONS), device=self.device)
         self.weight[IDLE] = config.idle_weight
-        self.train, self.held = (self._examples(split) for split in ("train", "validation"))
+        self.train, self.held = (_Examples(self, split) for split in ("train", "validation"))
         # A last batch of one has no variance to normalise by.
         count, rest = divmod(len(self.train.shown.action), config.batch_size)
         self.per_epoch = count + (rest > 1)
@@ -169,32 +136,13 @@ class CloningLearner(Course):
     def _forget(self) -> None:
         self._loss, self._right, self._seen = torch.zeros(()), torch.zeros(()), 0
 
-    def _examples(self, split: str) -> _Examples:
-        config = self.config
-        shown = demonstrations(
-            self.store,
-            split,
-            self.task,
-            horizon=config.horizon,
-            both_ways=config.both_ways,
-            least_grade=config.least_grade,
-            still_grade=config.still_grade,
-        )
-        return _Examples(self.store, shown, self.actor.keys, self.encoder, self.space)
-
     @property
     def training(self) -> Training:
         """The trainer's settings: all epochs; a look and a checkpoint an epoch."""
         config, epoch = self.config, self.per_epoch * self.config.batch_size
-        return Training(
-            images=config.epochs * epoch,
-            batch_size=config.batch_size,
-            precision=config.precision,
-            ema=config.ema,
-            log_every=epoch,
-            sample_every=epoch,
-            checkpoint_every=epoch,
-        )
+        every = {"log_every": epoch, "sample_every": epoch, "checkpoint_every": epoch}
+        images, size = config.epochs * epoch, config.batch_size
+        return Training(images, size, config.precision, config.ema, **every)
 
     def modules(self) -> dict[str, nn.Module]:
         """Return the actor."""
@@ -265,8 +213,8 @@ class CloningLearner(Course):
         for name in KEPT:
             setattr(self, name, state[name])
 
-    def keep(self, folder: Path, figures: dict[str, Any]) -> BehaviourCloningAgent:
-        """Save the best weights, with the trainer's figures among the metrics."""
+    def finish(self, figures: dict[str, Any]) -> dict[str, Any]:
+        """Go back to the best weights; return the metrics, the trainer's figures among them."""
         self.actor.load_state_dict(self.best_state)
         self.actor.eval()
         right, helps = _verdicts(self._held_logits(), self.held.shown)
@@ -275,7 +223,7 @@ class CloningLearner(Course):
         def figure(hits: Tensor) -> dict[str, Any]:
             return statistics.mean(_by_group(hits, groups).numpy(), "mean over trajectories")
 
-        metrics = {
+        return {
             "epochs": len(self.history),
             "seconds": round(figures["seconds"], 1),
             "training": figures,
@@ -288,10 +236,6 @@ class CloningLearner(Course):
             "held_out_helps": figure(helps),
             "history": self.history,
         }
-        agent = BehaviourCloningAgent(self.config, self.actor, self.encoder)
-        agent.save(folder, metrics, self.seed)
-        discard_checkpoint(folder)
-        return agent
 
 
 def _verdicts(logits: Tensor, shown: Demonstrations) -> tuple[Tensor, Tensor]:
@@ -307,3 +251,24 @@ def _by_group(hits: Tensor, groups: Tensor) -> Tensor:
     """Return the mean of each group, so that a long trajectory counts as a short one."""
     place = groups.unique(return_inverse=True)[1]
     return torch.bincount(place, hits.double()) / torch.bincount(place)
+
+
+class BehaviourCloningAgent(LearningAgent):
+    """A policy that imitates; draws its actions (see `temperature`)."""
+
+    name: ClassVar[str] = CloningLearner.name
+    Config: ClassVar[type] = BehaviourCloningConfig
+
+    @classmethod
+    def _learn(
+        cls, config: Any, run: Run, phantom: WorldLike, grader: JudgeLike, data: Any
+    ) -> Self:
+        """Learn the split `train` and keep the weights of least loss on `validation`."""
+        store = open_store(data) if data is None or isinstance(data, (str, Path)) else data
+        with seeded(run.seed, config.threads):
+            learner = CloningLearner(config, store, run.seed, phantom)
+            metrics = learner.finish(train(learner, store, learner.training, run, learner))
+        agent = cls(config, learner.actor, learner.encoder)
+        agent.save(run.folder, metrics, run.seed)
+        discard_checkpoint(run.folder)
+        return agent

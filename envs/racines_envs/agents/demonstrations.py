@@ -112,20 +112,18 @@ def encode_params(parameters: Tensor, workspace: Any) -> Tensor:
 
 def _within(worth: Tensor, trajectory: Tensor, horizon: int, both_ways: bool) -> Tensor:
     """Return the (n,) best goals in the window of each frame's own trajectory, -1 for none."""
-    goal = torch.full_like(trajectory, -1)
-    counts = torch.unique_consecutive(trajectory, return_counts=True)[1]
-    first = 0
-    for count in counts.tolist():
-        rows, best = torch.arange(count), worth[first : first + count]
-        if bool((best > 0).any()):
-            ahead = rows[None] - rows[:, None]
-            near = (ahead.abs() if both_ways else ahead) <= horizon
-            near &= both_ways | (ahead >= 0)
-            value, index = torch.where(near, best[None], 0.0).max(1)
-            goal[first : first + count] = torch.where(value > 0, index + first, -1)
-        first += count
-    return goal
+    counts = torch.unique_consecutive(trajectory, return_counts=True)[1].tolist()
+    goals, first = [], 0
+    for best in worth.split(counts):
+        rows = torch.arange(len(best))
+        ahead = rows[None] - rows[:, None]
+        near = (ahead.abs() if both_ways else ahead) <= horizon
+        near &= both_ways | (ahead >= 0)
+        value, index = torch.where(near, best[None], 0.0).max(1)
+        goals.append(torch.where(value > 0, index + first, -1))
+        first += len(best)
+    return torch.cat(goals)
 
 
 def _rows(pose: Pose, rows: Tensor) -> Pose:
-    return Pose(pose.position[rows], pose.rotation[rows])
+    return Pose(*(each[rows] for each in pose))

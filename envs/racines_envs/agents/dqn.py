@@ -147,4 +147,4 @@ class DQNAgent(LearningAgent):
 
     name: ClassVar[str] = "dqn"
     Config: ClassVar[type] = DQNConfig
-    Run: ClassVar[type[TrainingRun]] = _Training
+    Learner: ClassVar[type[TrainingRun]] = _Training

@@ -16,8 +16,8 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import matrix_from_6d, matrix_to_euler
 from racines_envs.task.core import PARAMS_SIZE
 
-KEYS = {"image": ["image"], "params": ["params"], "multimodal": ["image", "params"]}
-"""What a network of each observation reads, in order."""
+SEEN = {"image": ["image"], "params": ["params"], "multimodal": ["image", "params"]}
+"""What each observation holds, in the order in which networks read it."""
 
 ROTATIONS = {"continuous": PARAMS_SIZE, "euler": 6}
 """Numbers of a pose by how its rotation is read."""
@@ -27,11 +27,6 @@ PUBLISHED = {"explored": Path("models/weights/encoder"), "pose": Path("models/we
 pose regressor of the dataset's sweeps, which is lost where tasks start."""
 BESIDE = "encoder"
 """Folder beside a policy that holds the encoder's own copy."""
-
-
-def keys_of(observation: str, encoded: bool) -> list[str]:
-    """Return what a network reads, in order; of an encoded image it reads the features."""
-    return ["features" if encoded and key == "image" else key for key in KEYS[observation]]
 
 
 class ObservationNetwork(nn.Module):
@@ -68,7 +63,7 @@ class ObservationNetwork(nn.Module):
         if rotation not in ROTATIONS:
             raise RacinesError(f"rotation is {rotation!r}: {' or '.join(ROTATIONS)}")
         self.rotation = rotation
-        self.keys = keys_of(observation, features > 0)
+        self.keys = ["features" if features and k == "image" else k for k in SEEN[observation]]
         self.image = _convolutions(hidden[0]) if "image" in self.keys else None
         self.params = self.scale = self.features = self.feature_scale = None
         if "features" in self.keys:

@@ -125,4 +125,4 @@ class PPOAgent(LearningAgent):
 
     name: ClassVar[str] = "ppo"
     Config: ClassVar[type] = PPOConfig
-    Run: ClassVar[type[TrainingRun]] = _Training
+    Learner: ClassVar[type[TrainingRun]] = _Training

@@ -19,6 +19,7 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
+from racines_data.store.frames import FrameStore, open_store
 from racines_envs.agents.networks import PoseEncoder, open_encoder
 from racines_envs.agents.policy import PolicyAgent, make_actor
 from racines_envs.agents.rollout import rollout
@@ -27,6 +28,7 @@ from racines_envs.task.starts import validation_seeds
 from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike, make_grader, source_weights
 from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
 from racines_models.devices import on_device
+from racines_models.protocol import Run
 from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
 
 PLACES = ("encoder", "grader", "generator")
@@ -116,7 +118,6 @@ class TrainingRun(ABC):
                 f"agents.{cls.name}.update_every is {config.update_every}: give a multiple of envs "
                 f"({config.envs})"
             )
-        config = on_device(config)
         self.folder, self.seed, self.progress = folder, seed, progress
         self.cls = cls
         self.config: Any = config
@@ -175,8 +176,8 @@ class TrainingRun(ABC):
         from torchrl.collectors import Collector
 
         config, began = self.config, time.perf_counter() - self.seconds
-        folder, resume = str(self.folder / "dvclive"), self.frames > 0
-        with Live(folder, resume=resume, save_dvc_exp=False, dvcyaml=None) as live:
+        folder, resume, every = self.folder / "dvclive", self.frames > 0, config.validate_every
+        with Live(str(folder), resume=resume, save_dvc_exp=False, dvcyaml=None) as live:
             self.env.set_seed(self.seed * 1_000_003 + self.frames)
             left = -(-(config.frames - self.frames) // config.update_every)
             collector = Collector(
@@ -186,24 +187,17 @@ class TrainingRun(ABC):
                 total_frames=left * config.update_every,
             )
             for batch in collector:
-                figures, last = self._update(batch), self.frames
+                row, last = self._update(batch) | finished(batch), self.frames // every
                 self.frames += batch.numel()
                 self.seconds = time.perf_counter() - began
-                speed = {"frames_per_second": self.frames / self.seconds}
-                self._log(live, figures | finished(batch) | speed | self._milestone(last))
+                row["frames_per_second"] = self.frames / self.seconds
+                if self.frames >= config.frames or self.frames // every > last:
+                    row |= self._validate()
+                self._log(live, row)
             collector.shutdown()
 
-    def _milestone(self, last: int) -> dict[str, float]:
-        """Validate and save where it is time, `last` frames having been seen before."""
-        every = self.config.validate_every
-        if self.frames < self.config.frames and self.frames // every == last // every:
-            return {}
-        figures = self._validate()
-        self.checkpoint.write(self._state())
-        return figures
-
     def _validate(self) -> dict[str, float]:
-        """Act greedily from the validation starts; keep the policy if none was better."""
+        """Act greedily from the validation starts, keep the policy if none was better, and save."""
         seeds = validation_seeds(self.config.validation_starts).to(self.config.device)
         final = rollout(self.validation, self.agent, seeds).final
         row = {f"validation/{key}": float(final[key].mean()) for key in VALIDATED}
@@ -211,6 +205,7 @@ class TrainingRun(ABC):
         if rank >= self.best:
             self.best, self.best_state = rank, copy_state(self.actor)
         self.history.append({"frames": self.frames, **row})
+        self.checkpoint.write(self._state())
         return row
 
     def _log(self, live: Any, row: dict[str, float]) -> None:
@@ -254,9 +249,9 @@ class TrainingRun(ABC):
 
 
 class LearningAgent(PolicyAgent):
-    """A policy that learns by acting; a subclass adds `name`, `Config` and `Run`."""
+    """A policy that learns; a subclass adds `name` and `Config`, and the `Learner` of its runs."""
 
-    Run: ClassVar[type[TrainingRun]]
+    Learner: ClassVar[type[TrainingRun]]
 
     @classmethod
     def train(
@@ -267,7 +262,7 @@ class LearningAgent(PolicyAgent):
         seed: int = 0,
         phantom: WorldLike = None,
         grader: JudgeLike = None,
-        data: Path | str | None = None,
+        data: FrameStore | Path | str | None = None,
         resume: bool | None = None,
         progress: bool = True,
         **where: Any,
@@ -280,17 +275,26 @@ class LearningAgent(PolicyAgent):
             seed: Of weights, episodes and draws.
             phantom: A phantom or its configuration; the shared default by default.
             grader: For the reward `paper`, instead of the folder in the settings.
-            data: Folder of the dataset, for the backend `replay`; data/racines by default.
+            data: Dataset to replay (its folder) or to imitate (also open); data/racines by default.
             resume: True: go on from the last checkpoint, which must be there; False: start anew;
                 None: go on if there is a checkpoint of this very run.
-            progress: Print a line a validation.
+            progress: Tell how far it is.
             where: Taken for the protocol's sake; nothing more is known.
 
         Raises:
-            RacinesError: settings that do not fit together, or a checkpoint of another run.
+            RacinesError: settings that do not fit together, nothing to learn from, or a checkpoint
+                of another run.
         """
-        run = cls.Run(cls, config, Path(run_dir), seed, phantom, grader, progress, data)
-        return run.run(resume)
+        config = on_device(config)
+        run = Run(Path(run_dir), seed, config.device, resume, progress)
+        return cls._learn(config, run, phantom, grader, data)
+
+    @classmethod
+    def _learn(
+        cls, config: Any, run: Run, phantom: WorldLike, grader: JudgeLike, data: Any
+    ) -> Self:
+        where = (run.folder, run.seed, phantom, grader, run.progress, data)
+        return cls.Learner(cls, config, *where).run(run.resume)
 
 
 def settings_identity(
@@ -304,9 +308,8 @@ def settings_identity(
 
 
 def environment_identity(
-    config: TrainingConfig, phantom: WorldLike, grader: JudgeLike = None,
-    data: Path | str | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    config: TrainingConfig, phantom: WorldLike, grader: JudgeLike = None, data: Any = None
+) -> dict[str, Any]:
     """Return what an environment is made of, by content; None for what it does without.
 
     `grader` goes before the folder in the settings, `data` is that of the backend `replay`.
@@ -320,8 +323,6 @@ def environment_identity(
     if config.backend == "generator" and config.generator:
         made["generator"] = source_weights(config.generator)
     if config.backend == "replay":
-        from racines_data.store.frames import open_store
-
         made["data"] = open_store(data).digest
     return made | {"phantom": phantom_recipe(phantom)}
 

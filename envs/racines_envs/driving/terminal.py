@@ -5,7 +5,6 @@ import re
 import termios
 import tty
 from collections.abc import Iterator
-from types import TracebackType
 from typing import Any
 
 from racines_data.errors import RacinesError
@@ -31,8 +30,7 @@ class Terminal:
             raise RacinesError("racines drive needs a terminal: run it in one, or give --keys")
         self._in, self._out = keys, out
         self._before: list[Any] = []
-        colours = os.environ.get("COLORTERM", "")
-        self._true_colour = colours in ("truecolor", "24bit")
+        self._true_colour = os.environ.get("COLORTERM", "") in ("truecolor", "24bit")
 
     def __enter__(self) -> "Terminal":
         """Take the terminal."""
@@ -41,10 +39,7 @@ class Terminal:
         self._write(_ENTER)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:  # fmt: skip
+    def __exit__(self, *raised: object) -> None:
         """Give it back as it was."""
         self._write(_LEAVE)
         termios.tcsetattr(self._in, termios.TCSADRAIN, self._before)

@@ -118,7 +118,7 @@ def explain(
         regions = {region: inside & sector for region, inside in truth.items()}
     questions = {"policy": _Question(config, frames, sector, judge, frames.actions, True)}
     if grader is not None:
-        target, judge = torch.full_like(frames.actions, task.target), grader_probabilities(grader)
+        judge, target = grader_probabilities(grader), torch.full_like(frames.actions, task.target)
         questions["grader"] = _Question(config, frames, sector, judge, target, False)
     maps, probabilities, metrics = {}, {}, {}
     for what, question in questions.items():

@@ -42,14 +42,10 @@ def ranks(maps: Tensor, sector: Tensor) -> Tensor:
 
     Pixels outside the (H, W) sector are black in every image and never taken.
     """
-    inside = sector.flatten().nonzero().squeeze(1)
-    order = maps.flatten(1)[:, inside].argsort(dim=1, descending=True, stable=True)
-    place = torch.empty_like(order, dtype=torch.float32)
-    steps = torch.arange(len(inside), dtype=torch.float32, device=maps.device) / len(inside)
-    place.scatter_(1, order, steps.expand(len(maps), -1))
-    result = torch.full_like(maps.flatten(1), 2.0, dtype=torch.float32)
-    result[:, inside] = place
-    return result.view(maps.shape)
+    order = maps[:, sector].argsort(dim=1, descending=True, stable=True)
+    place = torch.full_like(maps, 2.0, dtype=torch.float32)
+    place[:, sector] = order.argsort(dim=1).float() / order.shape[1]
+    return place
 
 
 def areas(

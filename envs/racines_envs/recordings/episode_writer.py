@@ -188,7 +188,6 @@ class EpisodeRecorder(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Reset, and begin a record."""
-        self._recorder.finish()
         result = self.env.reset(seed=seed, options=options)
         self._recorder.start([seed])
         return result

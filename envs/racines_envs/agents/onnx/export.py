@@ -10,7 +10,8 @@ from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
-from racines_envs.agents.onnx.policy import IMAGE, OUTPUT, PARAMS, SCHEMA, SHOWN, read_policy
+from racines_envs.agents.networks import SEEN
+from racines_envs.agents.onnx.policy import IMAGE, OUTPUT, PARAMS, SCHEMA, read_policy
 from racines_envs.agents.policy import PolicyAgent, actor_logits
 from racines_envs.agents.registry import agent_class
 from racines_envs.task.core import PARAMS_SIZE
@@ -25,7 +26,7 @@ class PolicyNetwork(nn.Module):
     def __init__(self, agent: PolicyAgent) -> None:
         super().__init__()
         self.actor, self.encoder = agent.actor, agent.encoder
-        self.names = SHOWN[agent.observation]
+        self.names = SEEN[agent.observation]
 
     def forward(self, *inputs: Tensor) -> Tensor:
         """Return (B, 13) logits of `image` (B, 128, 128) uint8 and/or `params` (B, 9)."""

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
+from racines_envs.agents.networks import SEEN
 from racines_envs.agents.policy import choose
 from racines_envs.agents.protocol import Untrained
 from racines_envs.task.actions import ACTIONS
@@ -43,8 +44,6 @@ INPUTS = {
     PARAMS: (f"float32 (B, {PARAMS_SIZE})", (PARAMS_SIZE,), (FLOAT,)),
 }
 """By name: what is wanted, sizes after the batch, element types."""
-SHOWN = {"image": [IMAGE], "params": [PARAMS], "multimodal": [IMAGE, PARAMS]}
-"""The inputs of each observation."""
 BATCH = 8
 """Rows a call where the graph leaves the batch free."""
 FILE = "policy.onnx"
@@ -97,7 +96,7 @@ def _inputs(graph: Any, path: Path) -> tuple[str, int | None]:
     # Old files list their weights among the inputs.
     weights = {tensor.name for tensor in graph.initializer}
     inputs = {value.name: value for value in graph.input if value.name not in weights}
-    observation = next((name for name, keys in SHOWN.items() if set(keys) == set(inputs)), None)
+    observation = next((name for name, keys in SEEN.items() if set(keys) == set(inputs)), None)
     if observation is None:
         raise RacinesError(f"{path}: inputs {sorted(inputs)}: give {IMAGE}, {PARAMS}, or both")
     batches = {check_value(value, path, *INPUTS[name]) for name, value in inputs.items()}
@@ -155,7 +154,7 @@ class OnnxPolicyAgent(Untrained):
 
     def logits(self, observation: dict[str, Tensor]) -> Tensor:
         """Return the (N, 13) float32 scores of the actions, on the CPU."""
-        keys = SHOWN[self.observation]
+        keys = SEEN[self.observation]
         missing = [key for key in keys if key not in observation]
         if missing:
             raise RacinesError(
