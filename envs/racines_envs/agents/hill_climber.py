@@ -55,24 +55,22 @@ class HillClimberConfig:
 class _Memory:
     """Where the search of N rows stands; every field has N rows."""
 
-    base: Tensor
-    """Score of the place that the search is at."""
-    order: Tensor
-    """(N, 12) directions in the order of trying."""
-    place: Tensor
-    """Which of the order is tried next."""
-    tried: Tensor
-    """Tries since the last rise."""
-    last: Tensor
-    """The last action."""
-    probing: Tensor
-    """Whether the last action was a try."""
-    depth: Tensor
-    """Steps from that place, on a try or on the way back."""
-    helped: Tensor
-    """Whether the direction under trial has raised the score before."""
-    walking: Tensor
-    """Steps of a walk still to go."""
+    base: Tensor  # score of the place that the search is at
+    order: Tensor  # (N, 12) directions in the order of trying
+    place: Tensor  # which of the order is tried next
+    tried: Tensor  # tries since the last rise
+    last: Tensor  # the last action
+    probing: Tensor  # whether the last action was a try
+    depth: Tensor  # steps from that place, on a try or on the way back
+    helped: Tensor  # whether the direction under trial has raised the score before
+    walking: Tensor  # steps of a walk still to go
+
+    @classmethod
+    def begin(cls, score: Tensor, seeds: Tensor) -> Self:
+        """Start where the rows are, with directions drawn from the (N,) seeds."""
+        none = torch.zeros_like(seeds)
+        no = none > 0
+        return cls(score, _order(seeds), none, none, none + IDLE, no, none, no, none)
 
 
 class HillClimberAgent(Untrained):
@@ -101,16 +99,13 @@ class HillClimberAgent(Untrained):
             RacinesError: no grader there, or one of other views.
         """
         if self.guide is None:
-            self.guide = make_grader(self._folder(), resolve_device(self.config.device))
+            trained = (GRADER_FOLDER / "grader.safetensors").is_file()
+            usual = PUBLISHED if PUBLISHED.is_dir() and not trained else GRADER_FOLDER
+            folder, device = self.config.grader or usual, resolve_device(self.config.device)
+            self.guide = make_grader(Path(folder), device)
         check_grader(self.guide, core.task)
         self._target, self._goal, self._memory = core.task.target, core.rewards, None
         self._ended = lambda: core.state.done
-
-    def _folder(self) -> Path:
-        if self.config.grader:
-            return Path(self.config.grader)
-        trained = (GRADER_FOLDER / "grader.safetensors").is_file()
-        return PUBLISHED if PUBLISHED.is_dir() and not trained else GRADER_FOLDER
 
     @torch.no_grad()
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
@@ -124,7 +119,7 @@ class HillClimberAgent(Untrained):
         p, g = self._judge(observation["image"], ended)
         score = self.score(p, g)
         if self._memory is None or len(self._memory.base) != len(score):
-            self._memory = self._start(score, seeds)
+            self._memory = _Memory.begin(score, seeds)
         action = self._next(self._memory, score, seeds)
         arrived = ended | ((p >= self._goal.probability) & (g >= self._goal.grade))
         # Whatever was under way is over: from a hit the search begins again.
@@ -137,8 +132,7 @@ class HillClimberAgent(Untrained):
 
     def _judge(self, images: Tensor, ended: Tensor) -> tuple[Tensor, Tensor]:
         """Return (N,) p of the target view and (N,) grades, zeros where the episode has ended."""
-        p = torch.zeros(len(ended), device=ended.device)
-        g = torch.zeros_like(p)
+        p, g = torch.zeros(2, len(ended), device=ended.device)
         rows = (~ended).nonzero().squeeze(1)
         if len(rows) and self.guide is not None:
             judged, grades = self.guide.probabilities_and_grade(images[rows.to(images.device)])
@@ -153,11 +147,6 @@ class HillClimberAgent(Untrained):
         """
         odds = torch.logit(probability.clamp(1e-30, self.config.ceiling))
         return odds + torch.where(probability >= self.config.ceiling, grade, 0.0)
-
-    def _start(self, score: Tensor, seeds: Tensor) -> _Memory:
-        none = torch.zeros_like(seeds)
-        no = none > 0
-        return _Memory(score, _order(seeds), none, none, none + IDLE, no, none, no, none)
 
     def _next(self, memory: _Memory, score: Tensor, seeds: Tensor) -> Tensor:
         """Advance all rows' searches by one look and return their steps."""
@@ -196,8 +185,7 @@ class HillClimberAgent(Untrained):
         Raises:
             RacinesError: settings of another agent.
         """
-        path = Path(run_dir) / SETTINGS
-        config = HillClimberConfig()
+        path, config = Path(run_dir) / SETTINGS, HillClimberConfig()
         if path.is_file():
             content = json.loads(path.read_text())
             if content.get("agent") != cls.name:

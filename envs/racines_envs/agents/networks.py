@@ -48,13 +48,9 @@ class ObservationNetwork(nn.Module):
     ) -> None:
         """Build for an observation; `gain` scales the head's first weights (small: near uniform).
 
-        Args:
-            observation: `image`, `params` or `multimodal`.
-            outputs: Width of the head.
-            hidden: Widths of the dense layers.
-            gain: As above.
-            features: Numbers that an encoder makes of an image, read in its place; 0 without one.
-            rotation: `continuous`: the parameters as they are; `euler`: position and angles.
+        `hidden` are widths of the dense layers, `features` the numbers that an encoder makes of an
+        image, read in its place (0: there is none). `rotation` is `continuous`, the parameters as
+        they are, or `euler`, position and angles.
 
         Raises:
             RacinesError: another rotation.
@@ -92,14 +88,11 @@ class ObservationNetwork(nn.Module):
             features.append(self.image(flat).view(*image.shape[:-3], -1))
         if self.params is not None and self.scale is not None:
             params = values["params"]
-            params = _with_angles(params) if self.rotation == "euler" else params
+            if self.rotation == "euler":
+                angles = matrix_to_euler(matrix_from_6d(params[..., 3:]))
+                params = torch.cat([params[..., :3], angles], -1)
             features.append(self.params(_scaled(self.scale, params)))
         return self.head(self.body(torch.cat(features, -1)))
-
-
-def _with_angles(params: Tensor) -> Tensor:
-    """Turn (…, 9) position and rotation's columns into (…, 6) position and Euler angles, rad."""
-    return torch.cat([params[..., :3], matrix_to_euler(matrix_from_6d(params[..., 3:]))], -1)
 
 
 def _scaled(scale: nn.Module, values: Tensor) -> Tensor:
@@ -109,11 +102,8 @@ def _scaled(scale: nn.Module, values: Tensor) -> Tensor:
 def _convolutions(features: int) -> nn.Sequential:
     layers: list[nn.Module] = []
     for inputs, outputs, stride in ((1, 16, 4), (16, 32, 2), (32, 32, 2), (32, 32, 2)):
-        layers += [
-            nn.Conv2d(inputs, outputs, 2 * stride - 1, stride, stride - 1),
-            nn.BatchNorm2d(outputs),
-            nn.ReLU(),
-        ]
+        convolution = nn.Conv2d(inputs, outputs, 2 * stride - 1, stride, stride - 1)
+        layers += [convolution, nn.BatchNorm2d(outputs), nn.ReLU()]
     return nn.Sequential(*layers, nn.Flatten(), nn.Linear(32 * 4 * 4, features), nn.Tanh())
 
 

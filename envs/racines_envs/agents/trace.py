@@ -13,7 +13,7 @@ import json
 import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
@@ -68,19 +68,15 @@ def write_trace(path: Path, told: dict[str, Any], episodes: Episodes) -> int:
 
     `told` is agent, observation, start_set and what `circumstances` says.
     """
-    starts = told["start_set"]["starts"]
-    table, steps = torch.stack(episodes.actions, 1).cpu(), episodes.final["steps"].tolist()
-    rows = [
-        {
-            "set": told["start_set"]["seeds"][i // starts],
-            "index": i % starts,
-            "actions": table[i, :count].tolist(),
-        }
-        for i, count in enumerate(steps)
-    ]
+    sets, starts = told["start_set"]["seeds"], told["start_set"]["starts"]
+    table, steps = torch.stack(episodes.actions, 1).tolist(), episodes.final["steps"].tolist()
+    lines = []
+    for i, (actions, count) in enumerate(zip(table, steps, strict=True)):
+        row = {"set": sets[i // starts], "index": i % starts, "actions": actions[:count]}
+        lines.append(json.dumps(row, separators=(",", ":")))
     head = json.dumps({"schema": SCHEMA} | told, indent=1)[:-2]
-    lines = ",\n  ".join(json.dumps(row, separators=(",", ":")) for row in rows)
-    write_atomic(path, f'{head},\n "episodes": [\n  {lines}\n ]\n}}\n')
+    rows = ",\n  ".join(lines)
+    write_atomic(path, f'{head},\n "episodes": [\n  {rows}\n ]\n}}\n')
     return sum(steps)
 
 
@@ -103,14 +99,12 @@ def read_trace(path: Path) -> Trace:
     sets, starts = _start_set(told["start_set"], path)
     rows = told.pop("episodes")
     if len(rows) != len(sets) * starts:
-        raise RacinesError(
-            f"{path}: {len(rows)} episodes: its start set has {len(sets)} x {starts}"
-        )
+        wanted = f"{len(sets)} x {starts}"
+        raise RacinesError(f"{path}: {len(rows)} episodes: its start set has {wanted}")
     actions = [_actions(row, sets[i // starts], i % starts, path) for i, row in enumerate(rows)]
     lengths = torch.tensor([len(row) for row in actions])
-    table = pad_sequence(
-        [torch.tensor(row) for row in actions], batch_first=True, padding_value=IDLE
-    )
+    rows = [torch.tensor(row) for row in actions]
+    table = pad_sequence(rows, batch_first=True, padding_value=IDLE)
     seeds = torch.cat([evaluation_seeds(starts, seed) for seed in sets])
     return Trace(told, derive(seeds, torch.zeros_like(seeds)), table, lengths)
 
@@ -121,7 +115,7 @@ def _read(path: Path) -> dict[str, Any]:
     if path.stat().st_size > MAX_BYTES:
         raise RacinesError(f"{path}: {path.stat().st_size:,} bytes: at most {MAX_BYTES:,} are read")
     try:
-        told = json.loads(path.read_text(), parse_constant=_refused, parse_float=_finite)
+        told = json.loads(path.read_text(), parse_constant=_finite, parse_float=_finite)
     except (OSError, ValueError, RecursionError) as error:
         raise RacinesError(f"{path}: not readable as JSON: {error}") from error
     if not isinstance(told, dict):
@@ -162,12 +156,9 @@ def _short(value: Any) -> str:
 
 
 def _finite(text: str) -> float:
-    value = float(text)
-    return value if math.isfinite(value) else _refused(text)
-
-
-def _refused(text: str) -> NoReturn:
-    raise ValueError(f"holds {text[:SHOWN]}, no finite number")
+    if not math.isfinite(float(text)):
+        raise ValueError(f"holds {text[:SHOWN]}, no finite number")
+    return float(text)
 
 
 class TraceAgent(Untrained):

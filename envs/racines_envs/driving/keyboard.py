@@ -35,13 +35,10 @@ class Drive:
     def __init__(
         self, core: ScanCore, seed: int = 0, png: Path | None = None, record: Path | None = None
     ) -> None:
-        """Start the first episode.
+        """Start the first episode in a core of one row; `n` goes on to the next of the seed.
 
-        Args:
-            core: Of one row.
-            seed: Of the start; `n` goes on to the next episode of it.
-            png: A file to renew with the picture after every key.
-            record: A folder for the episodes' JSONL and GIF.
+        `png` is a file to renew with the picture after every key, `record` a folder for the
+        episodes' JSONL and GIF.
         """
         self.core, self.history, self._png = core, History(1), png
         self._recorder = CoreRecorder(core, record) if record else None

@@ -42,8 +42,8 @@ def policy_logits(agent: Any) -> Explained:
             network.eval().requires_grad_(False)
 
     def judge(images: Tensor, params: Tensor) -> Tensor:
-        seen = {"image": images}
-        return agent.logits(seen | ({"params": params} if observation == "multimodal" else {}))
+        pose = {"params": params} if observation == "multimodal" else {}
+        return agent.logits({"image": images} | pose)
 
     return judge
 
@@ -70,12 +70,8 @@ def integrated_gradients(
 ) -> tuple[Tensor, Tensor]:
     """Attribute one output an image to its pixels, from a black image.
 
-    Args:
-        judge: What is explained.
-        images: (N, 128, 128) uint8.
-        params: (N, 9), held fixed.
-        targets: (N,) int64, which output of each.
-        steps: Points of the integral (Gauss-Legendre).
+    `images` are (N, 128, 128) uint8, `params` (N, 9) and held fixed, `targets` (N,) int64, which
+    output of each, `steps` the points of the integral (Gauss-Legendre).
 
     Returns:
         (N, 128, 128) float32 attributions, and the (N,) completeness error: their sum less the

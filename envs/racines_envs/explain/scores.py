@@ -58,15 +58,9 @@ def areas(
     (Petsiuk et al., RISE, 2018). The curve is the probability of the target output over the share
     of the sector's pixels. A good map has a small area in deletion and a large one in insertion.
 
-    Args:
-        judge: What is explained.
-        images: (N, 128, 128) uint8.
-        params: (N, 9), held fixed.
-        targets: (N,) int64.
-        maps: (N, 128, 128), large where important.
-        sector: (128, 128) bool.
-        insert: Insertion, or else deletion.
-        logits: Whether the outputs are logits, to be turned into probabilities.
+    `images` are (N, 128, 128) uint8, `params` (N, 9) and held fixed, `targets` (N,) int64, `maps`
+    (N, 128, 128) and large where important, `sector` (128, 128) bool. `insert`: insertion, or else
+    deletion. `logits`: outputs are logits, to be turned into probabilities.
     """
     place, full = ranks(maps, sector), images.float()
     empty = blur(full, BLUR) * sector if insert else torch.zeros_like(full)
@@ -82,16 +76,11 @@ def areas(
 
 
 def overlap(maps: Tensor, region: Tensor, sector: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Say where the top of a map lies.
+    """Return where the top of (N, H, W) maps lies, which are large where important.
 
-    Args:
-        maps: (N, H, W), large where important.
-        region: (N, H, W) bool.
-        sector: (H, W) bool.
-
-    Returns:
-        (N,) share of the top tenth of the sector's pixels that lies in the region, and (N,) share
-        of the sector that the region is: what a map that knows nothing would have.
+    The (N,) share of the top tenth of the (H, W) sector's pixels that lies in the (N, H, W) bool
+    region, and the (N,) share of the sector that the region is: what a map that knows nothing would
+    have.
     """
     region = region & sector
     top = ranks(maps, sector) < TOP

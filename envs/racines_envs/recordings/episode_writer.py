@@ -45,12 +45,9 @@ class CoreRecorder:
     ) -> None:
         """Record into a folder.
 
-        Args:
-            core: Whose episodes.
-            folder: Made when the first is written. Numbers go on after the episodes that lie there.
-            maximum: Episodes to write; after that nothing is recorded.
-            video: Whether a GIF goes with each.
-            agent: Who acts, for the header.
+        The folder is made when the first episode is written; numbers go on after those that lie
+        there. After `maximum` episodes nothing is recorded. `video`: a GIF goes with each; `agent`:
+        who acts, for the header.
         """
         self.core, self.folder, self.video = core, Path(folder), video
         self.written: list[Path] = []
@@ -176,7 +173,6 @@ class EpisodeRecorder(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
             raise RacinesError(
                 f"{env.unwrapped} cannot be recorded: give racines_envs:racines/<VIEW>-v0"
             )
-        self._core = core
         self._recorder = CoreRecorder(core, Path(folder), maximum, video)
 
     @property

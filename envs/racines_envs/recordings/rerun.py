@@ -58,9 +58,8 @@ def read_recording(path: Path) -> RecordedEpisode:
         try:
             lines.append(json.loads(line))
         except json.JSONDecodeError as error:
-            raise RacinesError(
-                f"{path}, line {number}: no JSON ({error}): record it anew"
-            ) from error
+            where = f"{path}, line {number}"
+            raise RacinesError(f"{where}: no JSON ({error}): record it anew") from error
     if not lines or lines[0].get("schema") != SCHEMA:
         raise RacinesError(f"{path}: line 1 names no schema {SCHEMA!r}: not a recorded episode")
     if len(lines) < 2:
@@ -107,8 +106,7 @@ replay = rerun  # its name of old
 
 
 def _pose(line: dict[str, Any]) -> Pose:
-    rotation = torch.tensor(line["rotation"]).view(1, 3, 3)
-    return Pose(torch.tensor(line["position"]).view(1, 3), rotation)
+    return Pose(torch.tensor([line["position"]]), torch.tensor(line["rotation"]).view(1, 3, 3))
 
 
 def _core(recording: RecordedEpisode, path: Path) -> ScanCore:
@@ -117,15 +115,10 @@ def _core(recording: RecordedEpisode, path: Path) -> ScanCore:
     task, reward = fill(Task, header["task"], f"{path}: task"), header["reward"]
     if get_reward(reward).needs_judge:
         # Without images nobody knows when the grader ended it: go on as long as the recording did.
-        task = replace(task, termination="timeout")
-        reward = "oracle"
-    return make_core(
-        task,
-        observation="params",
-        reward=reward,
-        rewards=fill(RewardConfig, header["rewards"], f"{path}: rewards"),
-        phantom=_phantom(header, path),
-    )
+        task, reward = replace(task, termination="timeout"), "oracle"
+    rewards = fill(RewardConfig, header["rewards"], f"{path}: rewards")
+    phantom = _phantom(header, path)
+    return make_core(task, observation="params", reward=reward, rewards=rewards, phantom=phantom)
 
 
 def _phantom(header: dict[str, Any], path: Path) -> Any:
