@@ -40,9 +40,9 @@ MOVED = {
         "validate_splits=splits validate_statistics=statistics validate_survey=survey"
     ),
     "racines_envs.agents": (
-        "agents.encoders=networks agents.identity=training agents.trace_agent=trace "
-        "agents.trace_file=trace agents.training_config=training agents.training_run=training "
-        "rollout trace"
+        "agents.encoders=networks agents.identity=training agents.registry=protocol "
+        "agents.trace_agent=trace agents.trace_file=trace agents.training_config=training "
+        "agents.training_run=training rollout trace"
     ),
     "racines_envs.agents.onnx": (
         "agents.onnx.format=policy agents.onnx_policy=policy agents.onnx_policy_export=export "
@@ -58,7 +58,7 @@ MOVED = {
         "entries latency measures pictures runs=agent_specs trace_recording"
     ),
     "racines_envs.explain": (
-        "explain_figure=explanation explain_maps=maps explain_scores=scores explain_truth=truth"
+        "explain_figure=explanation explain_maps=maps explain_scores=scores explain_truth=scores"
     ),
     "racines_envs.recordings": "recorder=episode_writer replay=rerun",
     "racines_envs.studies": "curves forces_report=forces step_profile task_table",

@@ -218,10 +218,12 @@ class CloningLearner(Course):
         self.actor.load_state_dict(self.best_state)
         self.actor.eval()
         right, helps = _verdicts(self._held_logits(), self.held.shown)
-        groups = self.held.shown.trajectory
+        place = self.held.shown.trajectory.unique(return_inverse=True)[1]
 
         def figure(hits: Tensor) -> dict[str, Any]:
-            return statistics.mean(_by_group(hits, groups).numpy(), "mean over trajectories")
+            # A mean of each, so that a long trajectory counts as a short one.
+            means = torch.bincount(place, hits.double()) / torch.bincount(place)
+            return statistics.mean(means.numpy(), "mean over trajectories")
 
         return {
             "epochs": len(self.history),
@@ -245,12 +247,6 @@ def _verdicts(logits: Tensor, shown: Demonstrations) -> tuple[Tensor, Tensor]:
     cost = shown.cost.gather(1, chosen.unsqueeze(1)).squeeze(1)
     nearer = (shown.action != IDLE) & (cost < shown.cost[:, IDLE])
     return right, right | nearer
-
-
-def _by_group(hits: Tensor, groups: Tensor) -> Tensor:
-    """Return the mean of each group, so that a long trajectory counts as a short one."""
-    place = groups.unique(return_inverse=True)[1]
-    return torch.bincount(place, hits.double()) / torch.bincount(place)
 
 
 class BehaviourCloningAgent(LearningAgent):

@@ -20,8 +20,14 @@ from racines_envs.explain.maps import (
     outputs,
     policy_logits,
 )
-from racines_envs.explain.scores import SMOOTH, areas, overlap, random_maps
-from racines_envs.explain.truth import sector_of, true_regions
+from racines_envs.explain.scores import (
+    SMOOTH,
+    areas,
+    overlap,
+    random_maps,
+    sector_of,
+    true_regions,
+)
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds

@@ -13,7 +13,7 @@ from racines_data.imaging import IMAGE_SIZE
 from racines_envs.agents.networks import SEEN
 from racines_envs.agents.onnx.policy import IMAGE, OUTPUT, PARAMS, SCHEMA, read_policy
 from racines_envs.agents.policy import PolicyAgent, actor_logits
-from racines_envs.agents.registry import agent_class
+from racines_envs.agents.protocol import agent_class
 from racines_envs.task.core import PARAMS_SIZE
 from racines_models.exchange.onnx.export import EXAMPLES, write_onnx
 from racines_models.provenance import code_version

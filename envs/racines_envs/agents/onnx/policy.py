@@ -23,14 +23,7 @@ from racines_envs.agents.protocol import Untrained
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import PARAMS_SIZE
 from racines_models.exchange.naming import check_name
-from racines_models.exchange.onnx.file import (
-    FLOAT,
-    UINT8,
-    check_value,
-    parsed,
-    read_metadata,
-    read_model,
-)
+from racines_models.exchange.onnx import file
 from racines_models.exchange.onnx.generator import Opener
 from racines_models.exchange.onnx.session import open_session
 from racines_models.provenance import sha256_bytes
@@ -40,8 +33,8 @@ IMAGE, PARAMS, OUTPUT = "image", "params", "logits"
 MAX_BATCH = 256
 KEYS = ("schema", "name", "view", "temperature", "card")
 INPUTS = {
-    IMAGE: (f"uint8 (B, {IMAGE_SIZE}, {IMAGE_SIZE})", (IMAGE_SIZE, IMAGE_SIZE), (UINT8,)),
-    PARAMS: (f"float32 (B, {PARAMS_SIZE})", (PARAMS_SIZE,), (FLOAT,)),
+    IMAGE: (f"uint8 (B, {IMAGE_SIZE}, {IMAGE_SIZE})", (IMAGE_SIZE, IMAGE_SIZE), (file.UINT8,)),
+    PARAMS: (f"float32 (B, {PARAMS_SIZE})", (PARAMS_SIZE,), (file.FLOAT,)),
 }
 """By name: what is wanted, sizes after the batch, element types."""
 BATCH = 8
@@ -75,16 +68,16 @@ def read_policy(path: Path) -> tuple[bytes, PolicyInterface]:
         RacinesError: the file is refused (see `racines_models.exchange.onnx.file.read_model`), or
             its inputs, output or metadata.
     """
-    content, model, opset = read_model(path)
+    content, model, opset = file.read_model(path)
     observation, batch = _inputs(model.graph, path)
     names = [value.name for value in model.graph.output]
     if names != [OUTPUT]:
         raise RacinesError(f"{path}: outputs {names}: give one, {OUTPUT}")
     wanted = f"float32 (B, {len(ACTIONS)})"
-    check_value(model.graph.output[0], path, wanted, (len(ACTIONS),), (FLOAT,))
-    told = read_metadata(model, path, SCHEMA, KEYS)
+    file.check_value(model.graph.output[0], path, wanted, (len(ACTIONS),), (file.FLOAT,))
+    told = file.read_metadata(model, path, SCHEMA, KEYS)
     name = check_name(told.get("name", path.stem), f"{path}: racines.name")
-    card = parsed(told, "card", dict, path) or {}
+    card = file.parsed(told, "card", dict, path) or {}
     interface = PolicyInterface(
         name, told.get("view"), observation, _temperature(told, path), batch, opset, card
     )
@@ -99,7 +92,7 @@ def _inputs(graph: Any, path: Path) -> tuple[str, int | None]:
     observation = next((name for name, keys in SEEN.items() if set(keys) == set(inputs)), None)
     if observation is None:
         raise RacinesError(f"{path}: inputs {sorted(inputs)}: give {IMAGE}, {PARAMS}, or both")
-    batches = {check_value(value, path, *INPUTS[name]) for name, value in inputs.items()}
+    batches = {file.check_value(value, path, *INPUTS[name]) for name, value in inputs.items()}
     batch = next((size for size in batches if size is not None), None)
     if batch is not None and not 1 <= batch <= MAX_BATCH:
         raise RacinesError(f"{path}: a fixed batch of {batch}: give 1..{MAX_BATCH}, or a free one")
