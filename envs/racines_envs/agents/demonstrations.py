@@ -42,28 +42,15 @@ class Demonstrations(NamedTuple):
 
 
 def demonstrations(
-    store: FrameStore,
-    split: str,
-    task: Task,
-    *,
-    horizon: int = 150,
-    both_ways: bool = True,
-    least_grade: float = 5.0,
-    still_grade: float = 6.5,
-) -> Demonstrations:
+    store: FrameStore, split: str, task: Task, *, horizon: int = 150, both_ways: bool = True,
+    least_grade: float = 5.0, still_grade: float = 6.5,
+) -> Demonstrations:  # fmt: skip
     """Label the frames of a split that have a goal.
 
-    The goal is the best-graded frame of the target view within the horizon of the same trajectory.
-
-    Args:
-        store: The dataset.
-        split: `train`, `validation` or `test`.
-        task: Its view and its unit steps.
-        horizon: Frames between a frame and its goal, at most.
-        both_ways: Let goals lie before a frame as well: nothing moves in the block but the probe,
-            so a hand that leaves, played backwards, arrives.
-        least_grade: Of a goal, 0-10.
-        still_grade: Where the target view has this grade, the label is to idle.
+    The goal is the best-graded frame of the target view, of `least_grade` or more, at most
+    `horizon` frames after it on the same trajectory. With `both_ways` it may lie before it as well:
+    nothing moves in the block but the probe, so a hand that leaves, played backwards, arrives. From
+    a `still_grade` of the target view on, the label is to idle.
 
     Raises:
         RacinesError: the dataset does not know the view, or no frame has a goal.

@@ -65,12 +65,9 @@ class _Training(TrainingRun):
         self.explore: Any = EGreedyModule(self.env.action_spec).to(config.device)
         self.policy = TensorDictSequential(value, self.explore)
         self.loss = DQNLoss(
-            value,
-            loss_function="smooth_l1",
-            delay_value=True,
-            double_dqn=True,
+            value, loss_function="smooth_l1", delay_value=True, double_dqn=True,
             action_space="categorical",
-        )
+        )  # fmt: skip
         self.loss.make_value_estimator(gamma=config.gamma)
         self.loss.eval()  # normalisation keeps its running statistics, as in PPO
         self.follow = SoftUpdate(self.loss, tau=config.soft_update)

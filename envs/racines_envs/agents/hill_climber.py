@@ -93,11 +93,7 @@ class HillClimberAgent(Untrained):
         self._ended: Callable[[], Tensor] | None = None
 
     def attach(self, core: ScanCore) -> None:
-        """Learn which view is wanted and what a hit is; forget the episodes before.
-
-        Raises:
-            RacinesError: no grader there, or one of other views.
-        """
+        """Learn which view is wanted and what a hit is; forget the episodes before."""
         if self.guide is None:
             trained = (GRADER_FOLDER / "grader.safetensors").is_file()
             usual = PUBLISHED if PUBLISHED.is_dir() and not trained else GRADER_FOLDER
@@ -180,11 +176,7 @@ class HillClimberAgent(Untrained):
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
-        """Return the agent with the settings that `train` wrote there, or else the defaults.
-
-        Raises:
-            RacinesError: settings of another agent.
-        """
+        """Return the agent with its settings that `train` wrote there, or else the defaults."""
         path, config = Path(run_dir) / SETTINGS, HillClimberConfig()
         if path.is_file():
             content = json.loads(path.read_text())

@@ -38,22 +38,14 @@ class ObservationNetwork(nn.Module):
     """
 
     def __init__(
-        self,
-        observation: str,
-        outputs: int,
-        hidden: Sequence[int],
-        gain: float,
-        features: int = 0,
-        rotation: str = "continuous",
-    ) -> None:
+        self, observation: str, outputs: int, hidden: Sequence[int], gain: float,
+        features: int = 0, rotation: str = "continuous",
+    ) -> None:  # fmt: skip
         """Build for an observation; `gain` scales the head's first weights (small: near uniform).
 
         `hidden` are widths of the dense layers, `features` the numbers that an encoder makes of an
         image, read in its place (0: there is none). `rotation` is `continuous`, the parameters as
-        they are, or `euler`, position and angles.
-
-        Raises:
-            RacinesError: another rotation.
+        they are, or `euler`, position and angles; another is refused.
         """
         super().__init__()
         if rotation not in ROTATIONS:
@@ -134,12 +126,9 @@ def open_encoder(
 ) -> PoseEncoder | None:
     """Return the frozen encoder that a config names; None for "", a policy that learns to see.
 
-    Args:
-        spec: `explored` or `pose` (published, see `PUBLISHED`), a folder of another, or "".
-        device: Where it runs.
-        near: Folder of a policy; a copy of the encoder in it goes first.
-        sha256: Hash of the weights that are wanted. The copy, the folder, then the published ones
-            are searched for them; without it the first of these that is there is taken.
+    The spec is `explored` or `pose` (published, see `PUBLISHED`), a folder of another, or "". A
+    copy in the folder `near`, of a policy, goes first. With a `sha256` the copy, the folder, then
+    the published ones are searched for weights of that hash.
 
     Raises:
         RacinesError: no pose regressor there, or none of the hash.

@@ -110,11 +110,7 @@ class PolicyAgent:
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
-        """Read a saved policy.
-
-        Raises:
-            RacinesError: no policy in the folder, or one of another agent or shape.
-        """
+        """Read a saved policy; one of another agent or shape is refused."""
         device, remedy = resolve_device(device), f"run `racines train agent {cls.name}`"
         policy, described = Path(run_dir) / POLICY, Path(run_dir) / "config.json"
         if not policy.is_file():

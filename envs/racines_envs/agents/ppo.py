@@ -50,26 +50,18 @@ class _Training(TrainingRun):
         config, keys = self.config, list[Any](self.actor.keys)
         self.critic = make_network(config, self.encoder, 1, 1.0).to(config.device).eval()
         self.policy = ProbabilisticActor(
-            TensorDictModule(self.actor, in_keys=keys, out_keys=["logits"]),
-            in_keys=["logits"],
-            distribution_class=Categorical,
-            return_log_prob=True,
-            spec=self.env.action_spec,
-        )
+            TensorDictModule(self.actor, in_keys=keys, out_keys=["logits"]), in_keys=["logits"],
+            distribution_class=Categorical, return_log_prob=True, spec=self.env.action_spec,
+        )  # fmt: skip
         value = ValueOperator(self.critic, in_keys=keys)
         self.advantage = GAE(
             gamma=config.gamma, lmbda=config.gae_lambda, value_network=value, deactivate_vmap=True
         )
         self.loss = ClipPPOLoss(
-            self.policy,
-            value,
-            clip_epsilon=config.clip,
-            entropy_coeff=config.entropy,
-            critic_coeff=1.0,
-            loss_critic_type="smooth_l1",
-            normalize_advantage=True,
+            self.policy, value, clip_epsilon=config.clip, entropy_coeff=config.entropy,
+            critic_coeff=1.0, loss_critic_type="smooth_l1", normalize_advantage=True,
             functional=False,
-        )
+        )  # fmt: skip
         self.optimiser = torch.optim.Adam(
             [
                 {"params": list(self.actor.parameters()), "lr": config.actor_lr},

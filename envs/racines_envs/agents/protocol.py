@@ -63,11 +63,7 @@ class Agent(Protocol):
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
-        """Read what `train` left; an agent that learns nothing reads nothing.
-
-        Raises:
-            RacinesError: no policy there.
-        """
+        """Read what `train` left, which has to be there; what learns nothing reads nothing."""
         ...
 
 

@@ -181,11 +181,7 @@ class TraceAgent(Untrained):
         self._rows: Tensor | None = None
 
     def attach(self, core: ScanCore) -> None:
-        """Keep the environment, whose seeds and steps say which action comes next.
-
-        Raises:
-            RacinesError: recorded on another task, reward or phantom.
-        """
+        """Keep the environment, whose steps say what comes next; it has to be the recorded one."""
         told = self.trace.told
         for key, value in circumstances(core, told["backend"]).items():
             if canonical_json(told[key]) != canonical_json(value):
@@ -196,11 +192,7 @@ class TraceAgent(Untrained):
         self._core, self._rows = core, None
 
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
-        """Return the recorded action of each row; idle where its episode has ended.
-
-        Raises:
-            RacinesError: recorded from other starts, or it ends before its episode does.
-        """
+        """Return the recorded action of each row, which there must be; idle behind its end."""
         state, trace = self._core.state, self.trace
         if self._rows is None:
             self._rows = self._find(state.seed.cpu())
@@ -213,11 +205,7 @@ class TraceAgent(Untrained):
         return actions.to(state.seed.device)
 
     def check_ended(self, episodes: Episodes) -> None:
-        """Check that every episode took all the actions that were recorded of it.
-
-        Raises:
-            RacinesError: one ended earlier than when it was recorded.
-        """
+        """Check that every episode took all the actions that were recorded of it."""
         assert self._rows is not None
         left = np.flatnonzero(episodes.final["steps"] != self.trace.lengths[self._rows].numpy())
         if len(left):

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -98,29 +98,17 @@ class TrainingRun(ABC):
     """Names of the attributes with a `state_dict` that a checkpoint holds."""
 
     def __init__(
-        self,
-        cls: type[PolicyAgent],
-        config: TrainingConfig,
-        folder: Path,
-        seed: int,
-        phantom: WorldLike,
-        grader: JudgeLike,
-        progress: bool,
-        data: Path | str | None = None,
-    ) -> None:
-        """Join settings and places; nothing is built before `run`.
-
-        Raises:
-            RacinesError: settings that do not fit together, or what they name is not there.
-        """
+        self, cls: type[PolicyAgent], config: TrainingConfig, folder: Path, seed: int,
+        phantom: WorldLike, grader: JudgeLike, progress: bool, data: Path | str | None = None,
+    ) -> None:  # fmt: skip
+        """Check settings and what they name, and join them; nothing is built before `run`."""
         if config.update_every % config.envs:
             raise RacinesError(
                 f"agents.{cls.name}.update_every is {config.update_every}: give a multiple of envs "
                 f"({config.envs})"
             )
         self.folder, self.seed, self.progress = folder, seed, progress
-        self.cls = cls
-        self.config: Any = config
+        self.cls, self.config = cls, cast(Any, config)
         looks = config.observation != "params"
         self.encoder = open_encoder(config.encoder, config.device) if looks else None
         anatomy = find_task(config.view, phantom).anatomy
@@ -148,9 +136,8 @@ class TrainingRun(ABC):
             warnings.simplefilter("ignore")
             self._build()
             self.best_state = copy_state(self.actor)
-            self.validation = make_core(
-                self.config.view, self.config.validation_starts, **self.where
-            )
+            view, starts = self.config.view, self.config.validation_starts
+            self.validation = make_core(view, starts, **self.where)
             state = self.checkpoint.read(resume)
             if state is not None:
                 self._restore(state)
@@ -179,13 +166,9 @@ class TrainingRun(ABC):
         folder, resume, every = self.folder / "dvclive", self.frames > 0, config.validate_every
         with Live(str(folder), resume=resume, save_dvc_exp=False, dvcyaml=None) as live:
             self.env.set_seed(self.seed * 1_000_003 + self.frames)
-            left = -(-(config.frames - self.frames) // config.update_every)
-            collector = Collector(
-                self.env,
-                self.policy,
-                frames_per_batch=config.update_every,
-                total_frames=left * config.update_every,
-            )
+            size = config.update_every
+            left = -(-(config.frames - self.frames) // size) * size
+            collector = Collector(self.env, self.policy, frames_per_batch=size, total_frames=left)
             for batch in collector:
                 row, last = self._update(batch) | finished(batch), self.frames // every
                 self.frames += batch.numel()
@@ -255,18 +238,10 @@ class LearningAgent(PolicyAgent):
 
     @classmethod
     def train(
-        cls,
-        config: Any,
-        run_dir: Path,
-        *,
-        seed: int = 0,
-        phantom: WorldLike = None,
-        grader: JudgeLike = None,
-        data: FrameStore | Path | str | None = None,
-        resume: bool | None = None,
-        progress: bool = True,
-        **where: Any,
-    ) -> Self:
+        cls, config: Any, run_dir: Path, *, seed: int = 0, phantom: WorldLike = None,
+        grader: JudgeLike = None, data: FrameStore | Path | str | None = None,
+        resume: bool | None = None, progress: bool = True, **where: Any,
+    ) -> Self:  # fmt: skip
         """Train and save the policy that validated best.
 
         Args:
@@ -313,9 +288,6 @@ def environment_identity(
     """Return what an environment is made of, by content; None for what it does without.
 
     `grader` goes before the folder in the settings, `data` is that of the backend `replay`.
-
-    Raises:
-        RacinesError: grader, generator or dataset are not there.
     """
     made: dict[str, Any] = {"grader": None, "generator": None, "data": None}
     if get_reward(config.reward).needs_judge:

@@ -17,15 +17,12 @@ _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l\x1b[2J", "\x1b[0m\x1b[?25h\x1b[?1049l"
 class Terminal:
     """Keys without Enter, on the other screen; as it was before on leaving.
 
-        with Terminal() as terminal:
-            run(drive, terminal.keys(), terminal.show)
-
-    Raises:
-        RacinesError: there is no terminal.
+    with Terminal() as terminal:
+        run(drive, terminal.keys(), terminal.show)
     """
 
     def __init__(self, keys: int = 0, out: int = 1) -> None:
-        """Use file descriptors; standard input and output by default."""
+        """Use file descriptors, by default standard input and output, which are a terminal's."""
         if not (os.isatty(keys) and os.isatty(out)):
             raise RacinesError("racines drive needs a terminal: run it in one, or give --keys")
         self._in, self._out = keys, out

@@ -21,11 +21,7 @@ BATCH = 256
 
 
 def policy_logits(agent: Any) -> Explained:
-    """Return an agent's scores of the 13 actions as a function of its image.
-
-    Raises:
-        RacinesError: the agent looks at no image, or has no differentiable scores.
-    """
+    """Return an agent's scores of the 13 actions as a function of its image, if it has such."""
     name, observation = getattr(agent, "name", type(agent).__name__), agent.observation
     if observation == "params":
         raise RacinesError(
@@ -49,11 +45,7 @@ def policy_logits(agent: Any) -> Explained:
 
 
 def grader_probabilities(grader: Judge) -> Explained:
-    """Return a grader's probabilities of the views as a function of the image.
-
-    Raises:
-        RacinesError: it has no network to differentiate.
-    """
+    """Return a grader's probabilities of the views as a function of the image, if it is ours."""
     if not isinstance(grader, Grader):
         raise RacinesError(f"grader {grader!r} has no network to differentiate: give a run folder")
     network = grader.network
@@ -83,15 +75,11 @@ def integrated_gradients(
     method, found = IntegratedGradients(judge), []
     parts = zip(images.split(BATCH), params.split(BATCH), targets.split(BATCH), strict=True)
     for part, given, wanted in parts:
+        black = torch.zeros_like(part, dtype=torch.float32)
         attributed = method.attribute(
-            part.float(),
-            baselines=torch.zeros_like(part, dtype=torch.float32),
-            target=wanted,
-            additional_forward_args=(given,),
-            n_steps=steps,
-            internal_batch_size=BATCH,
-            return_convergence_delta=True,
-        )
+            part.float(), baselines=black, target=wanted, additional_forward_args=(given,),
+            n_steps=steps, internal_batch_size=BATCH, return_convergence_delta=True,
+        )  # fmt: skip
         found.append(attributed)
     maps, errors = (torch.cat(column).detach().float() for column in zip(*found, strict=True))
     return maps, errors

@@ -12,6 +12,7 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
 from racines_envs.agents import agent_class, load_agent
 from racines_envs.evaluation.run import check_view
+from racines_envs.explain import scores as scoring
 from racines_envs.explain.explanation import Explanation, Shown
 from racines_envs.explain.maps import (
     Explained,
@@ -19,14 +20,6 @@ from racines_envs.explain.maps import (
     integrated_gradients,
     outputs,
     policy_logits,
-)
-from racines_envs.explain.scores import (
-    SMOOTH,
-    areas,
-    overlap,
-    random_maps,
-    sector_of,
-    true_regions,
 )
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
@@ -75,12 +68,9 @@ class ExplainConfig:
 
 
 def explain(
-    name: str,
-    run_dir: Path,
-    config: ExplainConfig,
-    phantom: WorldLike = None,
+    name: str, run_dir: Path, config: ExplainConfig, phantom: WorldLike = None,
     grader: Judge | None = None,
-) -> Explanation:
+) -> Explanation:  # fmt: skip
     """Explain the agent that lies in `run_dir`.
 
     Args:
@@ -105,26 +95,23 @@ def explain(
     if grader is None and config.grader:
         grader = make_grader(config.grader, config.device)
     core = make_core(
-        config.view,
-        config.starts,
-        backend=config.backend,
-        generator=config.generator or None,
-        observation=agent.observation,
-        reward=config.reward,
-        phantom=phantom,
-        data=config.data or None,
+        config.view, config.starts, backend=config.backend, generator=config.generator or None,
+        observation=agent.observation, reward=config.reward, phantom=phantom,
+        data=config.data or None, device=config.device,
         grader=grader if get_reward(config.reward).needs_judge else None,
-        device=config.device,
-    )
+    )  # fmt: skip
     frames = collect(core, agent, evaluation_seeds(config.starts, config.seed), config)
-    sector, regions = sector_of(core.phantom), {}
+    sector, regions = scoring.sector_of(core.phantom), {}
     # A recorded frame is of another pose, near by: what lies under its pixels is not known.
     if config.backend != "replay":
-        truth = true_regions(core.phantom, frames.pose, config.view)
+        truth = scoring.true_regions(core.phantom, frames.pose, config.view)
         regions = {region: inside & sector for region, inside in truth.items()}
     questions = {"policy": _Question(config, frames, sector, judge, frames.actions, True)}
     if grader is not None:
-        judge, target = grader_probabilities(grader), torch.full_like(frames.actions, task.target)
+        judge, target = (
+            grader_probabilities(grader),
+            torch.full_like(frames.actions, task.target),
+        )
         questions["grader"] = _Question(config, frames, sector, judge, target, False)
     maps, probabilities, metrics = {}, {}, {}
     for what, question in questions.items():
@@ -204,10 +191,9 @@ class _Question:
         for name, insert in (("deletion", False), ("insertion", True)):
             own = self._area(maps, insert)
             figures[name] = self._mean(own)
-            for kind, sigma in (("random", 0.0), ("smooth_random", SMOOTH)):
-                drawn = (
-                    random_maps(maps.shape, seed, sigma) for seed in range(self.config.random_maps)
-                )
+            for kind, sigma in (("random", 0.0), ("smooth_random", scoring.SMOOTH)):
+                seeds = range(self.config.random_maps)
+                drawn = (scoring.random_maps(maps.shape, seed, sigma) for seed in seeds)
                 noise = np.mean([self._area(each.to(maps.device), insert) for each in drawn], 0)
                 figures[f"{name}_{kind}"] = self._mean(noise)
                 better = (noise - own) * (-1 if insert else 1)
@@ -218,15 +204,17 @@ class _Question:
         """Return where the top tenth of the pixels by magnitude lies, and by chance would."""
         figures: dict[str, Any] = {}
         for name, region in regions.items():
-            hit, chance = overlap(maps.abs().cpu(), region, self.sector)
+            hit, chance = scoring.overlap(maps.abs().cpu(), region, self.sector)
             figures[f"overlap_{name}"] = self._mean(hit)
             figures[f"overlap_{name}_by_chance"] = self._mean(chance)
             figures[f"overlap_{name}_gain"] = self._mean(hit - chance)
         return figures
 
     def _area(self, maps: Tensor, insert: bool) -> np.ndarray:
-        images, params, sector = self.frames.images, self.frames.params, self.sector.to(maps.device)
-        return areas(self.judge, images, params, self.targets, maps, sector, insert, self.logits)
+        shown, sector = self.frames, self.sector.to(maps.device)
+        return scoring.areas(
+            self.judge, shown.images, shown.params, self.targets, maps, sector, insert, self.logits
+        )
 
     def _mean(self, values: np.ndarray) -> dict[str, Any]:
         """Return the mean over episodes of their mean images: images of one episode are alike."""

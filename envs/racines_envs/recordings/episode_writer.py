@@ -161,11 +161,7 @@ class EpisodeRecorder(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         self, env: gymnasium.Env[Any, Any], folder: Path | str, maximum: int = 10,
         video: bool = True,
     ) -> None:  # fmt: skip
-        """Wrap an environment; see `CoreRecorder` for the rest.
-
-        Raises:
-            RacinesError: it is not one of ours.
-        """
+        """Wrap an environment, which has to be one of ours; see `CoreRecorder` for the rest."""
         RecordConstructorArgs.__init__(self, folder=str(folder), maximum=maximum, video=video)
         gymnasium.Wrapper.__init__(self, env)
         core = getattr(env.unwrapped, "core", None)
@@ -205,10 +201,9 @@ class EpisodeRecorder(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
 def record_rollout(
     core: ScanCore, agent: Agent, seeds: Tensor, folder: Path, maximum: int = 4, video: bool = True
 ) -> list[Path]:
-    """Let an agent act from (n,) seeds, record the first rows, and return the JSONL files.
+    """Let an agent act from (n,) seeds until the first rows, which are recorded, have ended.
 
-    Runs until the recorded rows have ended; n is the core's number of rows, and best no more than
-    are recorded.
+    Returns their JSONL files; n is the core's number of rows, and best no more than are recorded.
     """
     agent.attach(core)
     observation = core.reset(seeds)

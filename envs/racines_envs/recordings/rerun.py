@@ -45,11 +45,7 @@ class Rerun:
 
 
 def read_recording(path: Path) -> RecordedEpisode:
-    """Read the JSONL file of an episode.
-
-    Raises:
-        RacinesError: no such file, a line that is no JSON, another schema, or an unknown action.
-    """
+    """Read the JSONL file of an episode; it is refused where it is damaged or of another schema."""
     path = Path(path)
     if not path.is_file():
         raise RacinesError(f"{path}: no such recording")
@@ -74,9 +70,7 @@ def read_recording(path: Path) -> RecordedEpisode:
 def rerun(path: Path, core: ScanCore | None = None) -> Rerun:
     """Take the recorded actions from the recorded start, and compare every pose.
 
-    Args:
-        path: The JSONL file.
-        core: One row to run it in; one of the recorded task, phantom and reward by default.
+    The core has one row; one of the recorded task, phantom and reward by default.
 
     Raises:
         RacinesError: an unreadable file, another phantom, or poses that differ by more than

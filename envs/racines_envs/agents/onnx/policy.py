@@ -137,16 +137,12 @@ class OnnxPolicyAgent(Untrained):
         self._batch = self.interface.batch or BATCH
 
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
-        """Return the action of each row: of the greatest logit, or drawn at the temperature.
-
-        Raises:
-            RacinesError: an observation that it lacks, or logits of wrong shape or not finite.
-        """
+        """Return the action of each row: of the greatest logit, or drawn at the temperature."""
         logits = self.logits(observation).to(seeds.device)
         return choose(logits, seeds, self.interface.temperature)
 
     def logits(self, observation: dict[str, Tensor]) -> Tensor:
-        """Return the (N, 13) float32 scores of the actions, on the CPU."""
+        """Return the (N, 13) float32 scores of the actions, on the CPU; they have to be finite."""
         keys = SEEN[self.observation]
         missing = [key for key in keys if key not in observation]
         if missing:
