@@ -45,8 +45,8 @@ MOVED = {
         "agents.training_run=training rollout trace"
     ),
     "racines_envs.agents.onnx": (
-        "agents.onnx.format=policy agents.onnx_policy=policy agents.onnx_policy_export=export "
-        "agents.onnx_policy_format=policy"
+        "agents.onnx.export=policy agents.onnx.format=policy agents.onnx_policy=policy "
+        "agents.onnx_policy_export=policy agents.onnx_policy_format=policy"
     ),
     "racines_envs.apis": "gym_env gym_vector rendering torchrl_env",
     "racines_envs.cli": (

@@ -213,17 +213,16 @@ class TraceAgent(Untrained):
 
     def _find(self, seeds: Tensor) -> Tensor:
         """Return the recorded episode of each row."""
-        order = torch.argsort(self.trace.seeds)
-        known = self.trace.seeds[order]
-        at = torch.searchsorted(known, seeds).clamp_max(len(known) - 1)
-        if len(known) != len(seeds) or not torch.equal(known[at], seeds):
+        place = {seed: episode for episode, seed in enumerate(self.trace.seeds.tolist())}
+        rows = [place.get(seed, -1) for seed in seeds.tolist()]
+        if len(place) != len(rows) or -1 in rows:
             told = self.trace.told["start_set"]
             raise RacinesError(
                 f"{self.path}: recorded from {told['starts']} starts of each of the sets "
                 f"{told['seeds']}, not from these {len(seeds)}: evaluate with the same seeds and "
                 "starts, or record it anew"
             )
-        return order[at]
+        return torch.tensor(rows)
 
     def _refuse(self, row: int, what: str) -> None:
         assert self._rows is not None

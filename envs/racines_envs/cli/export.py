@@ -17,7 +17,7 @@ def export_agent(
     as_json: opt.AsJson = False,
 ) -> None:
     """Write a trained policy as one ONNX file, its frozen encoder inside."""
-    from racines_envs.agents.onnx.export import export_run
+    from racines_envs.agents.onnx.policy import export_run
 
     check_ending(out, ".onnx")
     made = export_run(run, out)

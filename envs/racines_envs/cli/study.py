@@ -89,9 +89,8 @@ def reward_audit(
     config = fill(RewardReportConfig, section(settings, "rewards") | chosen, "rewards")
     runs = find_runs(_listed(agents))
     content, episodes = reward_report(runs, config, phantom_config(settings))
-    table = reward_markdown(content)
     draw_returns(episodes, content["view"], out.with_suffix(".png"))
-    _publish(content, table, out, as_json)
+    _publish(content, reward_markdown(content), out, as_json)
 
 
 def transfer(
@@ -123,9 +122,8 @@ def transfer(
     config = fill(work.TransferConfig, section(settings, "transfer") | chosen, "transfer")
     runs = find_runs(_listed(agents))
     content = work.transfer(runs, _listed(backends), config, phantom_config(settings))
-    table = transfer_markdown(content)
     draw_transfer(content, out.with_suffix(".png"))
-    _publish(content, table, out, as_json)
+    _publish(content, transfer_markdown(content), out, as_json)
 
 
 def speed(

@@ -71,14 +71,7 @@ def explain(
     name: str, run_dir: Path, config: ExplainConfig, phantom: WorldLike = None,
     grader: Judge | None = None,
 ) -> Explanation:  # fmt: skip
-    """Explain the agent that lies in `run_dir`.
-
-    Args:
-        name: Registered agent, or `module:Class`.
-        run_dir: What its training left.
-        config: The explanation.
-        phantom: A phantom or its configuration; the shared default by default.
-        grader: Instead of the folder in the config.
+    """Explain the agent that lies in `run_dir`; arguments as of `evaluate`.
 
     Raises:
         RacinesError: an agent that looks at no image, or has no gradients, or was trained for
@@ -162,13 +155,10 @@ class _Question:
 
     config: ExplainConfig
     frames: Shown
-    sector: Tensor
-    """(128, 128) bool."""
+    sector: Tensor  # (128, 128) bool
     judge: Explained
-    targets: Tensor
-    """(n,) int64, which output."""
-    logits: bool
-    """Whether outputs are logits, to be turned into probabilities."""
+    targets: Tensor  # (n,) int64, which output
+    logits: bool  # whether outputs are logits, to be turned into probabilities
 
     def attribute(self) -> tuple[Tensor, Tensor, dict[str, Any]]:
         """Return attributions, the probability of each target, and the completeness error."""

@@ -1,4 +1,4 @@
-"""Policies as ONNX files: `export` writes one, `policy` reads one, checks it and acts with it."""
+"""Policies as ONNX files: `policy` writes one, reads and checks one, and acts with it."""
 
 import lazy_loader
 
