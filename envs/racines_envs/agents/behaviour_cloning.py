@@ -140,7 +140,7 @@ class CloningLearner(Course):
     def training(self) -> Training:
         """The trainer's settings: all epochs; a look and a checkpoint an epoch."""
         config, epoch = self.config, self.per_epoch * self.config.batch_size
-        every = {"log_every": epoch, "sample_every": epoch, "checkpoint_every": epoch}
+        every: Any = {"log_every": epoch, "sample_every": epoch, "checkpoint_every": epoch}
         images, size = config.epochs * epoch, config.batch_size
         return Training(images, size, config.precision, config.ema, **every)
 

@@ -151,7 +151,7 @@ class TrainingRun(ABC):
 
         self.env = ScanEnv(self.config.view, self.config.envs, **self.where)
         self.actor = make_actor(self.config, self.encoder).to(self.config.device).eval()
-        self.agent = self.cls(self.config, self.actor, self.encoder)
+        self.agent: Any = self.cls(self.config, self.actor, self.encoder)
 
     @abstractmethod
     def _update(self, batch: TensorDictBase) -> dict[str, float]:
@@ -322,5 +322,5 @@ def finished(batch: TensorDictBase) -> dict[str, float]:
     done = batch["next", "done"]
     if not bool(done.any()):
         return {}
-    info = batch["next", "info"]
-    return {f"train/{key}": float(info[key][done].float().mean()) for key in FINISHED}
+    ended = {key: batch["next", "info", key][done] for key in FINISHED}
+    return {f"train/{key}": float(value.float().mean()) for key, value in ended.items()}
