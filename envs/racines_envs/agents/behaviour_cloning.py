@@ -5,6 +5,7 @@ reward, grader nor oracle; only the recorded images, poses, views and grades.
 """
 
 from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -18,7 +19,7 @@ from racines_data.store.frames import FrameStore, open_store
 from racines_envs.agents.demonstrations import Demonstrations, demonstrations, encode_params
 from racines_envs.agents.networks import open_encoder
 from racines_envs.agents.policy import make_actor
-from racines_envs.agents.training import LearningAgent, copy_state, seeded, settings_identity
+from racines_envs.agents.training import LearningAgent, seeded, settings_identity
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.worlds.backends import JudgeLike
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom
@@ -124,7 +125,8 @@ class CloningLearner(Course):
         self.identity = settings_identity(self.name, config, seed, self.encoder)
         self.identity |= {"data": store.digest}
         self.actor = make_actor(config, self.encoder).to(self.device)
-        self.best, self.best_state, self.history = float("inf"), copy_state(self.actor), []
+        self.best, self.best_state = float("inf"), deepcopy(self.actor.state_dict())
+        self.history: list[dict[str, Any]] = []
         self.weight = torch.ones(len(ACTIONS), device=self.device)
         self.weight[IDLE] = config.idle_weight
         self.train, self.held = (_Examples(self, split) for split in ("train", "validation"))
@@ -194,7 +196,8 @@ class CloningLearner(Course):
             "held_out/helps": float(helps.float().mean()),
         }
         if row["held_out/loss"] <= self.best:
-            self.best, self.best_state = row["held_out/loss"], copy_state(self.actor)
+            self.best = row["held_out/loss"]
+            self.best_state = deepcopy(self.actor.state_dict())
         self.history.append({"epoch": len(self.history) + 1, **row})
         self._forget()
         return row

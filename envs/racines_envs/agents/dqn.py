@@ -78,10 +78,7 @@ class _Training(TrainingRun):
         )
         self.kept = [*keys, "action", *(("next", key) for key in keys)]
         self.kept += [("next", key) for key in ("reward", "done", "terminated")]
-
-    def _loop(self) -> None:
-        self._explore_at(self.frames)
-        super()._loop()
+        self._explore_at(0)
 
     def _explore_at(self, frames: int) -> None:
         """Set the share of random actions from a number of frames on."""
@@ -137,6 +134,7 @@ class _Training(TrainingRun):
         super()._restore(state)
         for name, value in self._target().items():
             value.data.copy_(state["target"][name])
+        self._explore_at(self.frames)
 
 
 class DQNAgent(LearningAgent):

@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 import torch
 from torch import Tensor
 
+from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.plugins import Plugins
 from racines_envs.task.core import ScanCore
@@ -87,6 +88,8 @@ class Untrained:
     name: ClassVar[str]
     Config: ClassVar[type] = NoConfig
     observation: str = "params"
+    origin: ClassVar[str] = ""
+    """Where to get one, if not from `train`."""
 
     def attach(self, core: ScanCore) -> None:
         """Keep nothing of the environment."""
@@ -94,6 +97,8 @@ class Untrained:
     @classmethod
     def train(cls, config: Any, run_dir: Path, **where: Any) -> Self:
         """Write the settings down, so that a run has its folder; there is nothing to learn."""
+        if cls.origin:
+            raise RacinesError(f"agent {cls.name!r} has nothing to learn: {cls.origin}")
         write_json(Path(run_dir) / "metrics.json", {})
         write_json(Path(run_dir) / SETTINGS, {"agent": cls.name, "config": asdict(config)})
         return cls.load(Path(run_dir))

@@ -34,8 +34,7 @@ from racines_models.provenance import sha256_bytes
 
 SCHEMA = "racines.trace/1"
 MAX_BYTES = 20 * 2**20
-MAX_EPISODES = 10_000
-MAX_STEPS = 10_000
+MAX_EPISODES = MAX_STEPS = 10_000
 KEYS = {
     "schema": str, "agent": str, "observation": str, "backend": str, "reward": str, "task": dict,
     "phantom": (dict, type(None)), "start_set": dict, "episodes": list,
@@ -169,6 +168,7 @@ class TraceAgent(Untrained):
     """
 
     name: ClassVar[str] = "trace"
+    origin: ClassVar[str] = "record one: racines export trace AGENT --out FILE"
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
@@ -230,13 +230,6 @@ class TraceAgent(Untrained):
         raise RacinesError(
             f"{self.path}: set {told['seeds'][i // told['starts']]}, index {i % told['starts']}: "
             f"the trace {what}: it was recorded in another environment; record it anew"
-        )
-
-    @classmethod
-    def train(cls, config: Any, run_dir: Path, **where: Any) -> Self:
-        """Refuse: a trace is recorded."""
-        raise RacinesError(
-            "agent 'trace' has nothing to learn: record one: racines export trace AGENT --out FILE"
         )
 
     @classmethod

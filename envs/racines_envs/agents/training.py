@@ -10,13 +10,13 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self, cast
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore, open_store
@@ -135,7 +135,7 @@ class TrainingRun(ABC):
         with warnings.catch_warnings(), seeded(self.seed, self.config.threads):
             warnings.simplefilter("ignore")
             self._build()
-            self.best_state = copy_state(self.actor)
+            self.best_state = deepcopy(self.actor.state_dict())
             view, starts = self.config.view, self.config.validation_starts
             self.validation = make_core(view, starts, **self.where)
             state = self.checkpoint.read(resume)
@@ -186,7 +186,7 @@ class TrainingRun(ABC):
         row = {f"validation/{key}": float(final[key].mean()) for key in VALIDATED}
         rank = (row["validation/success"], -row["validation/steps"])
         if rank >= self.best:
-            self.best, self.best_state = rank, copy_state(self.actor)
+            self.best, self.best_state = rank, deepcopy(self.actor.state_dict())
         self.history.append({"frames": self.frames, **row})
         self.checkpoint.write(self._state())
         return row
@@ -310,11 +310,6 @@ def seeded(seed: int, threads: int) -> Iterator[None]:
             yield
     finally:
         torch.set_num_threads(before)
-
-
-def copy_state(network: nn.Module) -> dict[str, Tensor]:
-    """Return a copy of a network's state that later training leaves alone."""
-    return {name: value.detach().clone() for name, value in network.state_dict().items()}
 
 
 def finished(batch: TensorDictBase) -> dict[str, float]:

@@ -108,15 +108,13 @@ def explain(
         grader=grader, device=device, seed=seed,
     ) | overrides(settings)  # fmt: skip
     config = fill(ExplainConfig, section(values, "explain") | chosen, "explain")
-    place = run or entry.folder
-    result = explain_agent(entry.agent, place, config, phantom_config(values))
+    result = explain_agent(entry.agent, run or entry.folder, config, phantom_config(values))
     folder = out or RUNS / "explain" / entry.name
     write_explanation(result, folder, pictures)
     if as_json:
         typer.echo(json.dumps(result.scores, indent=2))
     else:
+        name, images = result.scores["agent"], result.scores["images"]
         for what, metrics in result.scores["metrics"].items():
-            show_metrics(
-                f"{result.scores['agent']}, {what}: {result.scores['images']} images", metrics
-            )
+            show_metrics(f"{name}, {what}: {images} images", metrics)
         typer.echo(f"written: {folder}")

@@ -122,6 +122,9 @@ class OnnxPolicyAgent(Untrained):
     """
 
     name: ClassVar[str] = "onnx"
+    origin: ClassVar[str] = (
+        "train another and export it: racines export agent RUN --out policy.onnx"
+    )
     observation: str = "image"
 
     def __init__(
@@ -174,14 +177,6 @@ class OnnxPolicyAgent(Untrained):
                 f"not finite: give finite (B, {len(ACTIONS)})"
             )
         return torch.from_numpy(logits)[: count - start]
-
-    @classmethod
-    def train(cls, config: Any, run_dir: Path, **where: Any) -> Self:
-        """Refuse: a file is made by `racines export agent`, or by another program."""
-        raise RacinesError(
-            "agent 'onnx' has nothing to learn: train another and export it: "
-            "racines export agent RUN --out policy.onnx"
-        )
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
