@@ -44,16 +44,19 @@ MOVED = {
         "validate_oracle=oracle validate_report=report validate_rows=rows "
         "validate_splits=splits validate_statistics=statistics validate_survey=survey"
     ),
-    "racines_envs.agents": "agents.trace=trace_agent rollout trace=trace_file",
-    "racines_envs.agents.onnx": (
-        "agents.onnx_policy=policy agents.onnx_policy_export=export "
-        "agents.onnx_policy_format=format"
+    "racines_envs.agents": (
+        "agents.encoders=networks agents.identity=training agents.registry=protocol "
+        "agents.trace_agent=trace agents.trace_file=trace agents.training_config=training "
+        "agents.training_run=training rollout trace"
     ),
-    "racines_envs.agents.training": "agents.training_config=config agents.training_run=run",
+    "racines_envs.agents.onnx": (
+        "agents.onnx.export=policy agents.onnx.format=policy agents.onnx_policy=policy "
+        "agents.onnx_policy_export=policy agents.onnx_policy_format=policy"
+    ),
     "racines_envs.apis": "apis.gym_vector=gym_env gym_env gym_vector=gym_env rendering torchrl_env",
     "racines_envs.cli": (
-        "cli_drive=drive cli_encoder=train.encoder cli_eval=study.transfer cli_explain=explain "
-        "cli_export=export cli_forces=study.forces cli_speed=study.speed settings"
+        "cli_drive=episodes cli_encoder=train.encoder cli_eval=study cli_explain=episodes "
+        "cli_export=export cli_forces=study cli_speed=study settings"
     ),
     "racines_envs.driving": "keyboard terminal",
     "racines_envs.evaluation": (
@@ -62,7 +65,7 @@ MOVED = {
         "trace_recording=run"
     ),
     "racines_envs.explain": (
-        "explain_figure=figure explain_maps=maps explain_scores=scores explain_truth=truth"
+        "explain_figure=explanation explain_maps=maps explain_scores=scores explain_truth=scores"
     ),
     "racines_envs.recordings": "recorder=episode_writer replay=rerun",
     "racines_envs.studies": (

@@ -1,6 +1,5 @@
 """Agents: what chooses the next action. A new agent is one file and one entry point."""
 
-from racines_envs.agents.protocol import Agent, sees
-from racines_envs.agents.registry import agent_class, agent_names, load_agent
+from racines_envs.agents.protocol import Agent, agent_class, agent_names, load_agent, sees
 
 __all__ = ["Agent", "agent_class", "agent_names", "load_agent", "sees"]

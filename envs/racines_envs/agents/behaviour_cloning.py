@@ -5,9 +5,10 @@ reward, grader nor oracle; only the recorded images, poses, views and grades.
 """
 
 from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor, nn
@@ -16,14 +17,13 @@ from torch.optim import AdamW, Optimizer
 from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.agents.demonstrations import Demonstrations, demonstrations, encode_params
-from racines_envs.agents.encoders import open_encoder
-from racines_envs.agents.identity import settings_identity
-from racines_envs.agents.policy import PolicyAgent, make_actor
-from racines_envs.agents.training.run import copy_state
+from racines_envs.agents.networks import open_encoder
+from racines_envs.agents.policy import make_actor
+from racines_envs.agents.training import LearningAgent, seeded, settings_identity
 from racines_envs.task.actions import ACTIONS, IDLE
+from racines_envs.worlds.backends import JudgeLike
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom
 from racines_models import statistics
-from racines_models.devices import on_device
 from racines_models.protocol import Run
 from racines_models.provenance import dataset_card
 from racines_models.training.checkpoint import discard_checkpoint
@@ -33,6 +33,10 @@ from racines_models.training.trainer import train
 
 READ = 256
 """Images encoded at once."""
+LABELLED_BY = ("horizon", "both_ways", "least_grade", "still_grade")
+"""Settings of the demonstrations."""
+KEPT = ("best", "best_state", "history")
+"""Attributes of the learner that a checkpoint holds."""
 
 
 @dataclass(frozen=True)
@@ -76,71 +80,21 @@ class BehaviourCloningConfig:
     device: str = "cpu"
 
 
-class BehaviourCloningAgent(PolicyAgent):
-    """A policy that imitates; draws its actions (see `temperature`)."""
-
-    name: ClassVar[str] = "behaviour-cloning"
-    Config: ClassVar[type] = BehaviourCloningConfig
-
-    @classmethod
-    def train(
-        cls,
-        config: BehaviourCloningConfig,
-        run_dir: Path,
-        *,
-        data: FrameStore | Path | str | None = None,
-        seed: int = 0,
-        phantom: WorldLike = None,
-        resume: bool | None = None,
-        progress: bool = True,
-        **where: Any,
-    ) -> "BehaviourCloningAgent":
-        """Learn the split `train` and keep the weights of least loss on `validation`.
-
-        Args:
-            config: The settings.
-            run_dir: Receives policy, metrics and curves, and a checkpoint an epoch.
-            data: Folder of the dataset, or its open store; data/racines by default.
-            seed: Of weights and order.
-            phantom: A phantom or its configuration, for the workspace that `params` are scaled by.
-            resume: As `PPOAgent.train`.
-            progress: Draw a progress bar.
-            where: Taken for the protocol's sake; nothing more is known.
-
-        Raises:
-            RacinesError: no dataset, no demonstrations in it, or a checkpoint of another run.
-        """
-        store = open_store(data) if data is None or isinstance(data, (str, Path)) else data
-        config, before = on_device(config), torch.get_num_threads()
-        run = Run(Path(run_dir), seed, config.device, resume, progress)
-        torch.set_num_threads(config.threads or before)
-        try:
-            with torch.random.fork_rng(enabled=True):
-                torch.manual_seed(seed)
-                learner = CloningLearner(config, store, seed, phantom)
-                figures = train(learner, store, learner.training, run, learner)
-                return learner.keep(run.folder, figures)
-        finally:
-            torch.set_num_threads(before)
-
-
 class _Examples:
-    """What the network reads at M demonstrations; images stay in the store."""
+    """What an actor reads at the M demonstrations of a split; images stay in the store."""
 
-    def __init__(
-        self, store: FrameStore, shown: Demonstrations, keys: list[str], encoder: Any, space: Any
-    ) -> None:
-        self.store, self.shown, self.keys = store, shown, keys
+    def __init__(self, learner: "CloningLearner", split: str) -> None:
+        self.store, self.keys = learner.store, learner.actor.keys
+        settings = {name: getattr(learner.config, name) for name in LABELLED_BY}
+        self.shown = demonstrations(self.store, split, learner.task, **settings)
         self.numbers: dict[str, Tensor] = {}
-        if "params" in keys:
-            self.numbers["params"] = encode_params(store.parameters[shown.rows], space)
-        if "features" in keys:
-            device = next(encoder.parameters()).device
+        if "params" in self.keys:
+            parameters = self.store.parameters[self.shown.rows]
+            self.numbers["params"] = encode_params(parameters, learner.space)
+        if learner.encoder is not None:
+            shots = (self.store.take(rows).images for rows in self.shown.rows.split(READ))
             with torch.no_grad():
-                parts = [
-                    encoder(store.take(rows).images.to(device)).cpu()
-                    for rows in shown.rows.split(READ)
-                ]
+                parts = [learner.encoder(images.to(learner.device)).cpu() for images in shots]
             self.numbers["features"] = torch.cat(parts)
 
     def seen(self, index: Tensor, device: torch.device) -> list[Tensor]:
@@ -154,32 +108,28 @@ class _Examples:
 class CloningLearner(Course):
     """What the trainer needs of an actor that imitates; the best epoch's weights are kept."""
 
-    name = BehaviourCloningAgent.name
+    name = "behaviour-cloning"
 
     def __init__(
-        self,
-        config: BehaviourCloningConfig,
-        store: FrameStore,
-        seed: int,
-        phantom: WorldLike,
+        self, config: BehaviourCloningConfig, store: FrameStore, seed: int, phantom: WorldLike
     ) -> None:
         if config.epochs < 1 or config.batch_size < 2:
             raise RacinesError("agents.behaviour-cloning: epochs >= 1 and batch_size >= 2, please")
         self.config, self.store, self.seed = config, store, seed
-        self.device = torch.device(config.device)
-        self.task = find_task(config.view, phantom)
+        self.device, self.task = torch.device(config.device), find_task(config.view, phantom)
         looks = config.observation != "params"
         self.encoder = open_encoder(config.encoder, config.device) if looks else None
-        self.space = None
+        self.space: Any = None
         if config.observation != "image":
             self.space = make_phantom(phantom, "cpu", self.task.anatomy).workspace
         self.identity = settings_identity(self.name, config, seed, self.encoder)
         self.identity |= {"data": store.digest}
         self.actor = make_actor(config, self.encoder).to(self.device)
-        self.best, self.best_state, self.history = float("inf"), copy_state(self.actor), []
+        self.best, self.best_state = float("inf"), deepcopy(self.actor.state_dict())
+        self.history: list[dict[str, Any]] = []
         self.weight = torch.ones(len(ACTIONS), device=self.device)
         self.weight[IDLE] = config.idle_weight
-        self.train, self.held = (self._examples(split) for split in ("train", "validation"))
+        self.train, self.held = (_Examples(self, split) for split in ("train", "validation"))
         # A last batch of one has no variance to normalise by.
         count, rest = divmod(len(self.train.shown.action), config.batch_size)
         self.per_epoch = count + (rest > 1)
@@ -188,32 +138,13 @@ class CloningLearner(Course):
     def _forget(self) -> None:
         self._loss, self._right, self._seen = torch.zeros(()), torch.zeros(()), 0
 
-    def _examples(self, split: str) -> _Examples:
-        config = self.config
-        shown = demonstrations(
-            self.store,
-            split,
-            self.task,
-            horizon=config.horizon,
-            both_ways=config.both_ways,
-            least_grade=config.least_grade,
-            still_grade=config.still_grade,
-        )
-        return _Examples(self.store, shown, self.actor.keys, self.encoder, self.space)
-
     @property
     def training(self) -> Training:
         """The trainer's settings: all epochs; a look and a checkpoint an epoch."""
         config, epoch = self.config, self.per_epoch * self.config.batch_size
-        return Training(
-            images=config.epochs * epoch,
-            batch_size=config.batch_size,
-            precision=config.precision,
-            ema=config.ema,
-            log_every=epoch,
-            sample_every=epoch,
-            checkpoint_every=epoch,
-        )
+        every: Any = {"log_every": epoch, "sample_every": epoch, "checkpoint_every": epoch}
+        images, size = config.epochs * epoch, config.batch_size
+        return Training(images, size, config.precision, config.ema, **every)
 
     def modules(self) -> dict[str, nn.Module]:
         """Return the actor."""
@@ -265,7 +196,8 @@ class CloningLearner(Course):
             "held_out/helps": float(helps.float().mean()),
         }
         if row["held_out/loss"] <= self.best:
-            self.best, self.best_state = row["held_out/loss"], copy_state(self.actor)
+            self.best = row["held_out/loss"]
+            self.best_state = deepcopy(self.actor.state_dict())
         self.history.append({"epoch": len(self.history) + 1, **row})
         self._forget()
         return row
@@ -277,24 +209,26 @@ class CloningLearner(Course):
 
     def state(self) -> dict[str, Any]:
         """Return the best weights so far, and the epochs."""
-        return {"best": self.best, "best_state": self.best_state, "history": self.history}
+        return {name: getattr(self, name) for name in KEPT}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue after an epoch."""
-        self.best, self.best_state = state["best"], state["best_state"]
-        self.history = state["history"]
+        for name in KEPT:
+            setattr(self, name, state[name])
 
-    def keep(self, folder: Path, figures: dict[str, Any]) -> BehaviourCloningAgent:
-        """Save the best weights, with the trainer's figures among the metrics."""
+    def finish(self, figures: dict[str, Any]) -> dict[str, Any]:
+        """Go back to the best weights; return the metrics, the trainer's figures among them."""
         self.actor.load_state_dict(self.best_state)
         self.actor.eval()
         right, helps = _verdicts(self._held_logits(), self.held.shown)
-        groups = self.held.shown.trajectory
+        place = self.held.shown.trajectory.unique(return_inverse=True)[1]
 
         def figure(hits: Tensor) -> dict[str, Any]:
-            return statistics.mean(_by_group(hits, groups).numpy(), "mean over trajectories")
+            # A mean of each, so that a long trajectory counts as a short one.
+            means = torch.bincount(place, hits.double()) / torch.bincount(place)
+            return statistics.mean(means.numpy(), "mean over trajectories")
 
-        metrics = {
+        return {
             "epochs": len(self.history),
             "seconds": round(figures["seconds"], 1),
             "training": figures,
@@ -307,10 +241,6 @@ class CloningLearner(Course):
             "held_out_helps": figure(helps),
             "history": self.history,
         }
-        agent = BehaviourCloningAgent(self.config, self.actor, self.encoder)
-        agent.save(folder, metrics, self.seed)
-        discard_checkpoint(folder)
-        return agent
 
 
 def _verdicts(logits: Tensor, shown: Demonstrations) -> tuple[Tensor, Tensor]:
@@ -322,7 +252,22 @@ def _verdicts(logits: Tensor, shown: Demonstrations) -> tuple[Tensor, Tensor]:
     return right, right | nearer
 
 
-def _by_group(hits: Tensor, groups: Tensor) -> Tensor:
-    """Return the mean of each group, so that a long trajectory counts as a short one."""
-    place = groups.unique(return_inverse=True)[1]
-    return torch.bincount(place, hits.double()) / torch.bincount(place)
+class BehaviourCloningAgent(LearningAgent):
+    """A policy that imitates; draws its actions (see `temperature`)."""
+
+    name: ClassVar[str] = CloningLearner.name
+    Config: ClassVar[type] = BehaviourCloningConfig
+
+    @classmethod
+    def _learn(
+        cls, config: Any, run: Run, phantom: WorldLike, grader: JudgeLike, data: Any
+    ) -> Self:
+        """Learn the split `train` and keep the weights of least loss on `validation`."""
+        store = open_store(data) if data is None or isinstance(data, (str, Path)) else data
+        with seeded(run.seed, config.threads):
+            learner = CloningLearner(config, store, run.seed, phantom)
+            metrics = learner.finish(train(learner, store, learner.training, run, learner))
+        agent = cls(config, learner.actor, learner.encoder)
+        agent.save(run.folder, metrics, run.seed)
+        discard_checkpoint(run.folder)
+        return agent

@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose, geodesic, parameters_to_pose, rotation_6d
+from racines_data.geometry import Pose, parameters_to_pose, rotation_6d
 from racines_data.store.frames import FrameStore
+from racines_envs.agents.planner import cost_to_go
 from racines_envs.task.actions import ACTIONS, IDLE, ActionTable
 from racines_envs.task.tasks import Task
 
@@ -41,28 +42,15 @@ class Demonstrations(NamedTuple):
 
 
 def demonstrations(
-    store: FrameStore,
-    split: str,
-    task: Task,
-    *,
-    horizon: int = 150,
-    both_ways: bool = True,
-    least_grade: float = 5.0,
-    still_grade: float = 6.5,
-) -> Demonstrations:
+    store: FrameStore, split: str, task: Task, *, horizon: int = 150, both_ways: bool = True,
+    least_grade: float = 5.0, still_grade: float = 6.5,
+) -> Demonstrations:  # fmt: skip
     """Label the frames of a split that have a goal.
 
-    The goal is the best-graded frame of the target view within the horizon of the same trajectory.
-
-    Args:
-        store: The dataset.
-        split: `train`, `validation` or `test`.
-        task: Its view and its unit steps.
-        horizon: Frames between a frame and its goal, at most.
-        both_ways: Let goals lie before a frame as well: nothing moves in the block but the probe,
-            so a hand that leaves, played backwards, arrives.
-        least_grade: Of a goal, 0-10.
-        still_grade: Where the target view has this grade, the label is to idle.
+    The goal is the best-graded frame of the target view, of `least_grade` or more, at most
+    `horizon` frames after it on the same trajectory. With `both_ways` it may lie before it as well:
+    nothing moves in the block but the probe, so a hand that leaves, played backwards, arrives. From
+    a `still_grade` of the target view on, the label is to idle.
 
     Raises:
         RacinesError: the dataset does not know the view, or no frame has a goal.
@@ -90,19 +78,13 @@ def demonstrations(
 
 
 def costs(pose: Pose, goal: Pose, task: Task) -> Tensor:
-    """Return the (M, 13) squared distances from M goals after each action, in unit steps.
-
-    The distance is the planner's: |Δp|²/u² + θ²/w² with the unit steps u and w.
-    """
+    """Return the planner's (M, 13) costs to go to M goals after each action."""
     table = ActionTable.make(task.step_translation, task.step_rotation, pose.position.device)
     count, parts = len(ACTIONS), []
     for rows in torch.arange(len(pose.position)).split(CHUNK):
         each = rows.repeat_interleave(count)
         moved = table.move(_rows(pose, each), torch.arange(count).repeat(len(rows)))
-        aim = _rows(goal, each)
-        metres = (moved.position - aim.position).norm(dim=-1) / task.step_translation
-        radians = geodesic(moved.rotation, aim.rotation) / task.step_rotation
-        parts.append((metres**2 + radians**2).view(-1, count))
+        parts.append(cost_to_go(moved, _rows(goal, each), task).view(-1, count))
     return torch.cat(parts)
 
 
@@ -117,20 +99,18 @@ def encode_params(parameters: Tensor, workspace: Any) -> Tensor:
 
 def _within(worth: Tensor, trajectory: Tensor, horizon: int, both_ways: bool) -> Tensor:
     """Return the (n,) best goals in the window of each frame's own trajectory, -1 for none."""
-    goal = torch.full_like(trajectory, -1)
-    counts = torch.unique_consecutive(trajectory, return_counts=True)[1]
-    first = 0
-    for count in counts.tolist():
-        rows, best = torch.arange(count), worth[first : first + count]
-        if bool((best > 0).any()):
-            ahead = rows[None] - rows[:, None]
-            near = (ahead.abs() if both_ways else ahead) <= horizon
-            near &= both_ways | (ahead >= 0)
-            value, index = torch.where(near, best[None], 0.0).max(1)
-            goal[first : first + count] = torch.where(value > 0, index + first, -1)
-        first += count
-    return goal
+    counts = torch.unique_consecutive(trajectory, return_counts=True)[1].tolist()
+    goals, first = [], 0
+    for best in worth.split(counts):
+        rows = torch.arange(len(best))
+        ahead = rows[None] - rows[:, None]
+        near = (ahead.abs() if both_ways else ahead) <= horizon
+        near &= both_ways | (ahead >= 0)
+        value, index = torch.where(near, best[None], 0.0).max(1)
+        goals.append(torch.where(value > 0, index + first, -1))
+        first += len(best)
+    return torch.cat(goals)
 
 
 def _rows(pose: Pose, rows: Tensor) -> Pose:
-    return Pose(pose.position[rows], pose.rotation[rows])
+    return Pose(*(each[rows] for each in pose))

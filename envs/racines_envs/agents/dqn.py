@@ -1,7 +1,6 @@
 """Deep Q-learning (Mnih et al., 2015; double: van Hasselt et al., 2016) with TorchRL."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
@@ -10,11 +9,8 @@ from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
-from racines_envs.agents.policy import PolicyAgent, make_actor
-from racines_envs.agents.training.config import TrainingConfig
-from racines_envs.agents.training.run import TrainingRun
-from racines_envs.worlds.backends import JudgeLike
-from racines_envs.worlds.making import WorldLike
+from racines_envs.agents.policy import PolicyAgent
+from racines_envs.agents.training import LearningAgent, TrainingConfig, TrainingRun
 
 
 @dataclass(frozen=True)
@@ -45,41 +41,12 @@ class DQNConfig(TrainingConfig):
     """Share of the frames over which it falls, linearly."""
 
 
-class DQNAgent(PolicyAgent):
-    """A trained network of action values; takes the action of greatest value."""
-
-    name: ClassVar[str] = "dqn"
-    Config: ClassVar[type] = DQNConfig
-
-    @classmethod
-    def train(
-        cls,
-        config: DQNConfig,
-        run_dir: Path,
-        *,
-        seed: int = 0,
-        phantom: WorldLike = None,
-        grader: JudgeLike = None,
-        data: Path | str | None = None,
-        resume: bool | None = None,
-        progress: bool = True,
-        **where: Any,
-    ) -> "DQNAgent":
-        """Train and save the network that validated best; arguments as `PPOAgent.train`.
-
-        Raises:
-            RacinesError: settings that do not fit together, or a checkpoint of another run.
-        """
-        run = _Training(cls, config, Path(run_dir), seed, phantom, grader, progress, data)
-        return run.run(resume)
-
-
 class _Training(TrainingRun):
-    """One run: environment, network and its target, buffer, and the loop."""
+    """One run: action values and their target, the buffer, and what is left to chance."""
 
     trained = ("actor", "optimiser")
 
-    def __init__(self, cls: type[DQNAgent], config: DQNConfig, *where: Any) -> None:
+    def __init__(self, cls: type[PolicyAgent], config: DQNConfig, *where: Any) -> None:
         if not config.batch_size <= config.warmup <= config.buffer:
             raise RacinesError(
                 f"agents.dqn: batch_size {config.batch_size}, warmup {config.warmup} and buffer "
@@ -92,22 +59,15 @@ class _Training(TrainingRun):
         from torchrl.modules import EGreedyModule, QValueActor
         from torchrl.objectives import DQNLoss, SoftUpdate
 
-        from racines_envs.apis.torchrl_env import ScanEnv
-
-        config = self.config
-        self.env = ScanEnv(config.view, config.envs, **self.where)
-        self.actor = make_actor(config, self.encoder).to(config.device).eval()
-        keys: list[Any] = list(self.actor.keys)
+        super()._build()
+        config, keys = self.config, list[Any](self.actor.keys)
         value: Any = QValueActor(self.actor, in_keys=keys, action_space="categorical")
         self.explore: Any = EGreedyModule(self.env.action_spec).to(config.device)
         self.policy = TensorDictSequential(value, self.explore)
         self.loss = DQNLoss(
-            value,
-            loss_function="smooth_l1",
-            delay_value=True,
-            double_dqn=True,
+            value, loss_function="smooth_l1", delay_value=True, double_dqn=True,
             action_space="categorical",
-        )
+        )  # fmt: skip
         self.loss.make_value_estimator(gamma=config.gamma)
         self.loss.eval()  # normalisation keeps its running statistics, as in PPO
         self.follow = SoftUpdate(self.loss, tau=config.soft_update)
@@ -118,41 +78,26 @@ class _Training(TrainingRun):
         )
         self.kept = [*keys, "action", *(("next", key) for key in keys)]
         self.kept += [("next", key) for key in ("reward", "done", "terminated")]
-        self.agent = DQNAgent(config, self.actor, self.encoder)
+        self._explore_at(0)
 
-    def _loop(self, live: Any) -> None:
-        from torchrl.collectors import Collector
-
+    def _explore_at(self, frames: int) -> None:
+        """Set the share of random actions from a number of frames on."""
         config = self.config
-        self.env.set_seed(self.seed * 1_000_003 + self.frames)
-        left = -(-(config.frames - self.frames) // config.update_every)
-        self._set_exploration()
-        collector = Collector(
-            self.env,
-            self.policy,
-            frames_per_batch=config.update_every,
-            total_frames=left * config.update_every,
-        )
-        for batch in collector:
-            self._keep(batch)
-            ready = len(self.buffer) >= config.warmup
-            losses = self._update() if ready else {}
-            self._count(batch, losses | {"update/exploration": float(self.explore.eps)}, live)
-            self._set_exploration()
-        collector.shutdown()
-
-    def _set_exploration(self) -> None:
-        config = self.config
-        gone = min(1.0, self.frames / (config.explore_until * config.frames))
+        gone = min(1.0, frames / (config.explore_until * config.frames))
         share = config.explore_first + (config.explore_last - config.explore_first) * gone
         self.explore.eps.fill_(share)
 
-    def _keep(self, batch: TensorDictBase) -> None:
-        flat = batch.reshape(-1).select(*self.kept).clone()
-        flat["next", "reward"] = flat["next", "reward"] * self.config.reward_scale
-        self.buffer.extend(flat)
+    def _update(self, batch: TensorDictBase) -> dict[str, float]:
+        """Keep a batch, learn once enough is kept, and explore less from now on."""
+        kept = batch.reshape(-1).select(*self.kept).clone()
+        kept["next", "reward"] = kept["next", "reward"] * self.config.reward_scale
+        self.buffer.extend(kept)
+        figures = self._learn() if len(self.buffer) >= self.config.warmup else {}
+        figures["update/exploration"] = float(self.explore.eps)
+        self._explore_at(self.frames + batch.numel())
+        return figures
 
-    def _update(self) -> dict[str, float]:
+    def _learn(self) -> dict[str, float]:
         """Learn from steps of the buffer, and let the target network follow."""
         config, total = self.config, torch.zeros((), device=self.config.device)
         self._refresh_norms()
@@ -189,3 +134,12 @@ class _Training(TrainingRun):
         super()._restore(state)
         for name, value in self._target().items():
             value.data.copy_(state["target"][name])
+        self._explore_at(self.frames)
+
+
+class DQNAgent(LearningAgent):
+    """A trained network of action values; takes the action of greatest value."""
+
+    name: ClassVar[str] = "dqn"
+    Config: ClassVar[type] = DQNConfig
+    Learner: ClassVar[type[TrainingRun]] = _Training

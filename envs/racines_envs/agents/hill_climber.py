@@ -7,13 +7,14 @@ the image alone; each try is a step of the episode.
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Self
 
 import torch
 from torch import Tensor
 
+from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.randomness import uniform
 from racines_envs.agents.protocol import SETTINGS, Untrained
@@ -53,24 +54,22 @@ class HillClimberConfig:
 class _Memory:
     """Where the search of N rows stands; every field has N rows."""
 
-    base: Tensor
-    """Score of the place that the search is at."""
-    order: Tensor
-    """(N, 12) directions in the order of trying."""
-    place: Tensor
-    """Which of the order is tried next."""
-    tried: Tensor
-    """Tries since the last rise."""
-    last: Tensor
-    """The last action."""
-    probing: Tensor
-    """Whether the last action was a try."""
-    depth: Tensor
-    """Steps from that place, on a try or on the way back."""
-    helped: Tensor
-    """Whether the direction under trial has raised the score before."""
-    walking: Tensor
-    """Steps of a walk still to go."""
+    base: Tensor  # score of the place that the search is at
+    order: Tensor  # (N, 12) directions in the order of trying
+    place: Tensor  # which of the order is tried next
+    tried: Tensor  # tries since the last rise
+    last: Tensor  # the last action
+    probing: Tensor  # whether the last action was a try
+    depth: Tensor  # steps from that place, on a try or on the way back
+    helped: Tensor  # whether the direction under trial has raised the score before
+    walking: Tensor  # steps of a walk still to go
+
+    @classmethod
+    def begin(cls, score: Tensor, seeds: Tensor) -> Self:
+        """Start where the rows are, with directions drawn from the (N,) seeds."""
+        none = torch.zeros_like(seeds)
+        no = none > 0
+        return cls(score, _order(seeds), none, none, none + IDLE, no, none, no, none)
 
 
 class HillClimberAgent(Untrained):
@@ -93,22 +92,15 @@ class HillClimberAgent(Untrained):
         self._ended: Callable[[], Tensor] | None = None
 
     def attach(self, core: ScanCore) -> None:
-        """Learn which view is wanted and what a hit is; forget the episodes before.
-
-        Raises:
-            RacinesError: no grader there, or one of other views.
-        """
+        """Learn which view is wanted and what a hit is; forget the episodes before."""
         if self.guide is None:
-            self.guide = make_grader(self._folder(), resolve_device(self.config.device))
+            trained = (GRADER_FOLDER / "grader.safetensors").is_file()
+            usual = PUBLISHED if PUBLISHED.is_dir() and not trained else GRADER_FOLDER
+            folder, device = self.config.grader or usual, resolve_device(self.config.device)
+            self.guide = make_grader(Path(folder), device)
         check_grader(self.guide, core.task)
         self._target, self._goal, self._memory = core.task.target, core.rewards, None
         self._ended = lambda: core.state.done
-
-    def _folder(self) -> Path:
-        if self.config.grader:
-            return Path(self.config.grader)
-        trained = (GRADER_FOLDER / "grader.safetensors").is_file()
-        return PUBLISHED if PUBLISHED.is_dir() and not trained else GRADER_FOLDER
 
     @torch.no_grad()
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
@@ -122,7 +114,7 @@ class HillClimberAgent(Untrained):
         p, g = self._judge(observation["image"], ended)
         score = self.score(p, g)
         if self._memory is None or len(self._memory.base) != len(score):
-            self._memory = self._start(score, seeds)
+            self._memory = _Memory.begin(score, seeds)
         action = self._next(self._memory, score, seeds)
         arrived = ended | ((p >= self._goal.probability) & (g >= self._goal.grade))
         # Whatever was under way is over: from a hit the search begins again.
@@ -135,8 +127,7 @@ class HillClimberAgent(Untrained):
 
     def _judge(self, images: Tensor, ended: Tensor) -> tuple[Tensor, Tensor]:
         """Return (N,) p of the target view and (N,) grades, zeros where the episode has ended."""
-        p = torch.zeros(len(ended), device=ended.device)
-        g = torch.zeros_like(p)
+        p, g = torch.zeros(2, len(ended), device=ended.device)
         rows = (~ended).nonzero().squeeze(1)
         if len(rows) and self.guide is not None:
             judged, grades = self.guide.probabilities_and_grade(images[rows.to(images.device)])
@@ -151,12 +142,6 @@ class HillClimberAgent(Untrained):
         """
         odds = torch.logit(probability.clamp(1e-30, self.config.ceiling))
         return odds + torch.where(probability >= self.config.ceiling, grade, 0.0)
-
-    def _start(self, score: Tensor, seeds: Tensor) -> _Memory:
-        none = torch.zeros_like(seeds)
-        order = _order(seeds)
-        no = none > 0
-        return _Memory(score, order, none, none, none + IDLE, no, none, no, none)
 
     def _next(self, memory: _Memory, score: Tensor, seeds: Tensor) -> Tensor:
         """Advance all rows' searches by one look and return their steps."""
@@ -190,17 +175,8 @@ class HillClimberAgent(Untrained):
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
-        """Return the agent with the settings that `train` wrote there, or else the defaults.
-
-        Raises:
-            RacinesError: settings of another agent.
-        """
-        from dataclasses import replace
-
-        from racines_data.config import fill
-
-        path = Path(run_dir) / SETTINGS
-        config = HillClimberConfig()
+        """Return the agent with its settings that `train` wrote there, or else the defaults."""
+        path, config = Path(run_dir) / SETTINGS, HillClimberConfig()
         if path.is_file():
             content = json.loads(path.read_text())
             if content.get("agent") != cls.name:

@@ -1,6 +1,13 @@
-"""Networks of the agents: one shape for actor and critic, another last layer."""
+"""Networks of the agents: one shape for actor and critic, and the encoder that they look through.
+
+The encoder is frozen and did not learn from reward. A policy of convolutions from scratch has to
+find out from reward alone what an image shows, which takes millions of steps. A pose regressor has
+learned where an image was taken; a policy that reads its answer has only the way left to learn. It
+is given the image alone, in training and after.
+"""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
@@ -9,16 +16,17 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import matrix_from_6d, matrix_to_euler
 from racines_envs.task.core import PARAMS_SIZE
 
-KEYS = {"image": ["image"], "params": ["params"], "multimodal": ["image", "params"]}
-"""What a network of each observation reads, in order."""
+SEEN = {"image": ["image"], "params": ["params"], "multimodal": ["image", "params"]}
+"""What each observation holds, in the order in which networks read it."""
 
 ROTATIONS = {"continuous": PARAMS_SIZE, "euler": 6}
 """Numbers of a pose by how its rotation is read."""
 
-
-def keys_of(observation: str, encoded: bool) -> list[str]:
-    """Return what a network reads, in order; of an encoded image it reads the features."""
-    return ["features" if encoded and key == "image" else key for key in KEYS[observation]]
+PUBLISHED = {"explored": Path("models/weights/encoder"), "pose": Path("models/weights/pose")}
+"""Encoders of the repository: what `racines train encoder` made of the profile `reference`, and the
+pose regressor of the dataset's sweeps, which is lost where tasks start."""
+BESIDE = "encoder"
+"""Folder beside a policy that holds the encoder's own copy."""
 
 
 class ObservationNetwork(nn.Module):
@@ -30,32 +38,20 @@ class ObservationNetwork(nn.Module):
     """
 
     def __init__(
-        self,
-        observation: str,
-        outputs: int,
-        hidden: Sequence[int],
-        gain: float,
-        features: int = 0,
-        rotation: str = "continuous",
-    ) -> None:
-        """Build for an observation; `gain` scales the first outputs (small: near uniform).
+        self, observation: str, outputs: int, hidden: Sequence[int], gain: float,
+        features: int = 0, rotation: str = "continuous",
+    ) -> None:  # fmt: skip
+        """Build for an observation; `gain` scales the head's first weights (small: near uniform).
 
-        Args:
-            observation: `image`, `params` or `multimodal`.
-            outputs: Width of the head.
-            hidden: Widths of the dense layers.
-            gain: Of the head's first weights.
-            features: Numbers that an encoder makes of an image, read in its place; 0 without one.
-            rotation: `continuous`: the parameters as they are; `euler`: position and angles.
-
-        Raises:
-            RacinesError: another rotation.
+        `hidden` are widths of the dense layers, `features` the numbers that an encoder makes of an
+        image, read in its place (0: there is none). `rotation` is `continuous`, the parameters as
+        they are, or `euler`, position and angles; another is refused.
         """
         super().__init__()
         if rotation not in ROTATIONS:
             raise RacinesError(f"rotation is {rotation!r}: {' or '.join(ROTATIONS)}")
         self.rotation = rotation
-        self.keys = keys_of(observation, features > 0)
+        self.keys = ["features" if features and k == "image" else k for k in SEEN[observation]]
         self.image = _convolutions(hidden[0]) if "image" in self.keys else None
         self.params = self.scale = self.features = self.feature_scale = None
         if "features" in self.keys:
@@ -84,14 +80,11 @@ class ObservationNetwork(nn.Module):
             features.append(self.image(flat).view(*image.shape[:-3], -1))
         if self.params is not None and self.scale is not None:
             params = values["params"]
-            params = _with_angles(params) if self.rotation == "euler" else params
+            if self.rotation == "euler":
+                angles = matrix_to_euler(matrix_from_6d(params[..., 3:]))
+                params = torch.cat([params[..., :3], angles], -1)
             features.append(self.params(_scaled(self.scale, params)))
         return self.head(self.body(torch.cat(features, -1)))
-
-
-def _with_angles(params: Tensor) -> Tensor:
-    """Turn (…, 9) position and rotation's columns into (…, 6) position and Euler angles, rad."""
-    return torch.cat([params[..., :3], matrix_to_euler(matrix_from_6d(params[..., 3:]))], -1)
 
 
 def _scaled(scale: nn.Module, values: Tensor) -> Tensor:
@@ -101,11 +94,8 @@ def _scaled(scale: nn.Module, values: Tensor) -> Tensor:
 def _convolutions(features: int) -> nn.Sequential:
     layers: list[nn.Module] = []
     for inputs, outputs, stride in ((1, 16, 4), (16, 32, 2), (32, 32, 2), (32, 32, 2)):
-        layers += [
-            nn.Conv2d(inputs, outputs, 2 * stride - 1, stride, stride - 1),
-            nn.BatchNorm2d(outputs),
-            nn.ReLU(),
-        ]
+        convolution = nn.Conv2d(inputs, outputs, 2 * stride - 1, stride, stride - 1)
+        layers += [convolution, nn.BatchNorm2d(outputs), nn.ReLU()]
     return nn.Sequential(*layers, nn.Flatten(), nn.Linear(32 * 4 * 4, features), nn.Tanh())
 
 
@@ -114,3 +104,54 @@ def _dense(sizes: Sequence[int]) -> nn.Sequential:
     for inputs, outputs in zip(sizes, sizes[1:], strict=False):
         layers += [nn.Linear(inputs, outputs), nn.Tanh()]
     return nn.Sequential(*layers)
+
+
+class PoseEncoder(nn.Module):
+    """A pose regressor's standardised answer: position (3) and continuous rotation (6)."""
+
+    size = 9
+
+    def __init__(self, network: nn.Module, sha256: str | None) -> None:
+        """Take the network of a `PoseRegressor` and the hash of its weights."""
+        super().__init__()
+        self.network, self.sha256 = network, sha256
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Return (B, 9) float32 of (B, 128, 128) gray levels 0-255, any type."""
+        return self.network(self.network.normalise(images))  # pyright: ignore[reportCallIssue]
+
+
+def open_encoder(
+    spec: str, device: str = "cpu", near: Path | None = None, sha256: str | None = None
+) -> PoseEncoder | None:
+    """Return the frozen encoder that a config names; None for "", a policy that learns to see.
+
+    The spec is `explored` or `pose` (published, see `PUBLISHED`), a folder of another, or "". A
+    copy in the folder `near`, of a policy, goes first. With a `sha256` the copy, the folder, then
+    the published ones are searched for weights of that hash.
+
+    Raises:
+        RacinesError: no pose regressor there, or none of the hash.
+    """
+    if not spec:
+        return None
+    from racines_models.judges.pose.regressor import PoseRegressor
+
+    named = PUBLISHED.get(spec, Path(spec))
+    places = [named] if near is None else [near / BESIDE, named]
+    places += PUBLISHED.values() if sha256 is not None else ()
+    found = [folder for folder in places if folder.is_dir()]
+    if not found:
+        raise RacinesError(
+            f"encoder {spec!r}: no pose regressor in {named}: run from the repository, train one "
+            "with `racines train encoder`, or name its folder"
+        )
+    for folder in found:
+        regressor = PoseRegressor.load(folder, device)
+        if sha256 is None or regressor.sha256 == sha256:
+            return PoseEncoder(regressor.network, regressor.sha256)
+    searched = ", ".join(dict.fromkeys(map(str, found)))
+    raise RacinesError(
+        f"{near or spec}: the policy was trained with another encoder (sha256 {sha256}) than is in "
+        f"{searched}; put that one into {near or spec}/{BESIDE}"
+    )

@@ -1,6 +1,5 @@
 """The informed upper bound: it knows the nominal pose, and goes there greedily."""
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
@@ -12,22 +11,26 @@ from racines_envs.agents.protocol import Untrained
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import is_hit
+from racines_envs.task.tasks import Task
 
 
-@dataclass(frozen=True)
-class PlannerConfig:
-    """Nothing to set."""
+def cost_to_go(pose: Pose, goal: Pose, task: Task) -> Tensor:
+    """Return |Δp|²/u² + θ²/w² of (M,) poses to their goals, with a task's unit steps u and w.
+
+    The squares let the axis with most unit steps left go first.
+    """
+    metres = (pose.position - goal.position).norm(dim=-1)
+    radians = geodesic(pose.rotation, goal.rotation)
+    return (metres / task.step_translation) ** 2 + (radians / task.step_rotation) ** 2
 
 
 class PlannerAgent(Untrained):
-    """Takes the step that most reduces the distance to the nominal pose; idles on a hit.
+    """Takes the step that most reduces the cost to go to the nominal pose; idles on a hit.
 
-    The distance is |Δp|²/u² + θ²/w² with the unit steps u and w, so the axis with most unit steps
-    left goes first. Steps that the limits would refuse are left out.
+    Steps that the limits would refuse are left out.
     """
 
     name: ClassVar[str] = "planner"
-    Config: ClassVar[type] = PlannerConfig
     sees: ClassVar[str] = "truth"
 
     def __init__(self) -> None:
@@ -43,20 +46,11 @@ class PlannerAgent(Untrained):
         if core is None:
             raise RacinesError("the planner needs the environment: call attach(core) first")
         count, options = core.num_envs, len(ACTIONS)
-        position, rotation = core.state.pose
-        each = Pose(position.repeat_interleave(options, 0), rotation.repeat_interleave(options, 0))
-        action = torch.arange(options, device=core.device).repeat(count)
-        moved = core.table.move(each, action)
+        each = Pose(*(x.repeat_interleave(options, 0) for x in core.state.pose))
+        moved = core.table.move(each, torch.arange(options, device=core.device).repeat(count))
         force = core.state.force.repeat_interleave(options)
         inside, soft = core.limits(moved, core.wrench(moved), force)
-        cost = torch.where(inside & soft, self._distance(core, moved), torch.inf)
+        cost = torch.where(inside & soft, cost_to_go(moved, core.target, core.task), torch.inf)
         best = cost.view(count, options).argmin(1)
         arrived = is_hit(core.score, core.rewards) & is_hit(core.scored_by("oracle"), core.rewards)
         return torch.where(arrived, IDLE, best)
-
-    @staticmethod
-    def _distance(core: ScanCore, pose: Pose) -> Tensor:
-        metres = (pose.position - core.target.position).norm(dim=-1)
-        radians = geodesic(pose.rotation, core.target.rotation)
-        unit = core.task
-        return (metres / unit.step_translation) ** 2 + (radians / unit.step_rotation) ** 2

@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.randomness import uniform
-from racines_envs.agents.encoders import PoseEncoder, open_encoder
-from racines_envs.agents.networks import ObservationNetwork
+from racines_envs.agents.networks import ObservationNetwork, PoseEncoder, open_encoder
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 from racines_models.devices import resolve_device
@@ -23,12 +22,32 @@ POLICY = "policy.safetensors"
 _DRAWS = 23
 
 
-def make_actor(config: Any, encoder: PoseEncoder | None = None) -> ObservationNetwork:
-    """Return an untrained actor of the config's `observation` and `hidden`, near uniform."""
-    features = encoder.size if encoder is not None else 0
+def make_network(
+    config: Any, encoder: nn.Module | None, outputs: int, gain: float
+) -> ObservationNetwork:
+    """Return an untrained network of the config's `observation`, `hidden` and `rotation`."""
+    features: Any = encoder.size if encoder is not None else 0
     rotation = getattr(config, "rotation", "continuous")
-    outputs = len(ACTIONS)
-    return ObservationNetwork(config.observation, outputs, config.hidden, 0.01, features, rotation)
+    return ObservationNetwork(config.observation, outputs, config.hidden, gain, features, rotation)
+
+
+def make_actor(config: Any, encoder: nn.Module | None = None) -> ObservationNetwork:
+    """Return an untrained actor, near uniform."""
+    return make_network(config, encoder, len(ACTIONS), 0.01)
+
+
+def actor_logits(
+    actor: ObservationNetwork, encoder: nn.Module | None, seen: dict[str, Tensor]
+) -> Tensor:
+    """Return the (N, 13) scores of the actions where `image` (N, 128, 128) and so on are seen.
+
+    The encoder, if there is one, makes `features` of the image, unless they are there.
+    """
+    if encoder is not None and "image" in seen and "features" not in seen:
+        seen = seen | {"features": encoder(seen["image"])}
+    elif "image" in seen:
+        seen = seen | {"image": seen["image"].unsqueeze(1)}
+    return actor(*(seen[key] for key in actor.keys))
 
 
 def choose(logits: Tensor, seeds: Tensor, temperature: float) -> Tensor:
@@ -68,9 +87,8 @@ class PolicyAgent:
         logits = in_fixed_batches(
             lambda *seen: self.logits(dict(zip(keys, seen, strict=True))), *columns
         )
-        action = choose(logits, seeds, getattr(self.config, "temperature", 0.0))
         self.actor.train(was_training)
-        return action
+        return choose(logits, seeds, getattr(self.config, "temperature", 0.0))
 
     def logits(self, observation: dict[str, Tensor]) -> Tensor:
         """Return the (N, 13) scores of the actions.
@@ -79,11 +97,7 @@ class PolicyAgent:
         """
         device = next(self.actor.parameters()).device
         seen = {name: value.to(device) for name, value in observation.items()}
-        if self.encoder is not None and "features" not in seen:
-            seen["features"] = self.encoder(seen["image"])
-        if "image" in seen:
-            seen["image"] = seen["image"].unsqueeze(1)
-        return self.actor(*(seen[key] for key in self.actor.keys))
+        return actor_logits(self.actor, self.encoder, seen)
 
     def save(self, run_dir: Path, metrics: dict[str, Any], seed: int) -> None:
         """Write policy.safetensors, config.json and metrics.json."""
@@ -96,11 +110,7 @@ class PolicyAgent:
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
-        """Read a saved policy.
-
-        Raises:
-            RacinesError: no policy in the folder, or one of another agent or shape.
-        """
+        """Read a saved policy; one of another agent or shape is refused."""
         device, remedy = resolve_device(device), f"run `racines train agent {cls.name}`"
         policy, described = Path(run_dir) / POLICY, Path(run_dir) / "config.json"
         if not policy.is_file():

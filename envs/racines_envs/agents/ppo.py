@@ -1,7 +1,6 @@
 """Proximal policy optimisation (Schulman et al., 2017) with TorchRL; reads from top to bottom."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
@@ -9,12 +8,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
-from racines_envs.agents.networks import ObservationNetwork
-from racines_envs.agents.policy import PolicyAgent, make_actor
-from racines_envs.agents.training.config import TrainingConfig
-from racines_envs.agents.training.run import TrainingRun
-from racines_envs.worlds.backends import JudgeLike
-from racines_envs.worlds.making import WorldLike
+from racines_envs.agents.policy import make_network
+from racines_envs.agents.training import LearningAgent, TrainingConfig, TrainingRun
 
 
 @dataclass(frozen=True)
@@ -40,49 +35,8 @@ class PPOConfig(TrainingConfig):
     """Weight of the entropy bonus."""
 
 
-class PPOAgent(PolicyAgent):
-    """A trained policy; acts greedily."""
-
-    name: ClassVar[str] = "ppo"
-    Config: ClassVar[type] = PPOConfig
-
-    @classmethod
-    def train(
-        cls,
-        config: PPOConfig,
-        run_dir: Path,
-        *,
-        seed: int = 0,
-        phantom: WorldLike = None,
-        grader: JudgeLike = None,
-        data: Path | str | None = None,
-        resume: bool | None = None,
-        progress: bool = True,
-        **where: Any,
-    ) -> "PPOAgent":
-        """Train and save the policy that validated best.
-
-        Args:
-            config: The settings.
-            run_dir: Receives policy, metrics and curves, and checkpoints while it trains.
-            seed: Of weights, episodes and draws.
-            phantom: A phantom or its configuration; the shared default by default.
-            grader: For the reward `paper`, instead of the folder in the settings.
-            data: Folder of the dataset, for the backend `replay`; data/racines by default.
-            resume: True: go on from the last checkpoint, which must be there; False: start anew;
-                None: go on if there is a checkpoint of this very run.
-            progress: Print a line a validation.
-            where: Taken for the protocol's sake; nothing more is known.
-
-        Raises:
-            RacinesError: settings that do not fit together, or a checkpoint of another run.
-        """
-        run = _Training(cls, config, Path(run_dir), seed, phantom, grader, progress, data)
-        return run.run(resume)
-
-
 class _Training(TrainingRun):
-    """One run: environment, networks, loss, and the loop."""
+    """One run: actor and critic, advantage and loss."""
 
     trained = ("actor", "critic", "optimiser")
 
@@ -92,38 +46,22 @@ class _Training(TrainingRun):
         from torchrl.objectives import ClipPPOLoss
         from torchrl.objectives.value import GAE
 
-        from racines_envs.apis.torchrl_env import ScanEnv
-
-        config = self.config
-        self.env = ScanEnv(config.view, config.envs, **self.where)
-        self.actor = make_actor(config, self.encoder).to(config.device).eval()
-        features = self.encoder.size if self.encoder is not None else 0
-        self.critic = ObservationNetwork(
-            config.observation, 1, config.hidden, 1.0, features, config.rotation
-        )
-        keys: list[Any] = self.actor.keys
-        self.critic.to(config.device).eval()
+        super()._build()
+        config, keys = self.config, list[Any](self.actor.keys)
+        self.critic = make_network(config, self.encoder, 1, 1.0).to(config.device).eval()
         self.policy = ProbabilisticActor(
-            TensorDictModule(self.actor, in_keys=keys, out_keys=["logits"]),
-            in_keys=["logits"],
-            distribution_class=Categorical,
-            return_log_prob=True,
-            spec=self.env.action_spec,
-        )
+            TensorDictModule(self.actor, in_keys=keys, out_keys=["logits"]), in_keys=["logits"],
+            distribution_class=Categorical, return_log_prob=True, spec=self.env.action_spec,
+        )  # fmt: skip
         value = ValueOperator(self.critic, in_keys=keys)
         self.advantage = GAE(
             gamma=config.gamma, lmbda=config.gae_lambda, value_network=value, deactivate_vmap=True
         )
         self.loss = ClipPPOLoss(
-            self.policy,
-            value,
-            clip_epsilon=config.clip,
-            entropy_coeff=config.entropy,
-            critic_coeff=1.0,
-            loss_critic_type="smooth_l1",
-            normalize_advantage=True,
+            self.policy, value, clip_epsilon=config.clip, entropy_coeff=config.entropy,
+            critic_coeff=1.0, loss_critic_type="smooth_l1", normalize_advantage=True,
             functional=False,
-        )
+        )  # fmt: skip
         self.optimiser = torch.optim.Adam(
             [
                 {"params": list(self.actor.parameters()), "lr": config.actor_lr},
@@ -131,26 +69,9 @@ class _Training(TrainingRun):
             ],
             eps=1e-5,
         )
-        self.agent = PPOAgent(config, self.actor, self.encoder)
-
-    def _loop(self, live: Any) -> None:
-        from torchrl.collectors import Collector
-
-        config = self.config
-        self.env.set_seed(self.seed * 1_000_003 + self.frames)
-        left = -(-(config.frames - self.frames) // config.update_every)
-        collector = Collector(
-            self.env,
-            self.policy,
-            frames_per_batch=config.update_every,
-            total_frames=left * config.update_every,
-        )
-        for batch in collector:
-            self._count(batch, self._update(batch), live)
-        collector.shutdown()
 
     def _update(self, batch: TensorDictBase) -> dict[str, float]:
-        """Improve actor and critic on one batch (envs, steps) of experience."""
+        """Improve actor and critic by several passes over one batch."""
         config = self.config
         reward = batch["next", "reward"]
         batch["next", "reward"] = reward * config.reward_scale
@@ -189,3 +110,11 @@ class _Training(TrainingRun):
             network.train()
             network(*seen)
             network.eval()
+
+
+class PPOAgent(LearningAgent):
+    """A trained policy; acts greedily."""
+
+    name: ClassVar[str] = "ppo"
+    Config: ClassVar[type] = PPOConfig
+    Learner: ClassVar[type[TrainingRun]] = _Training

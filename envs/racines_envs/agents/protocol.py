@@ -1,15 +1,33 @@
-"""What an agent is."""
+"""What an agent is, and where one is found.
 
-from dataclasses import asdict
+Agents have names: entry points of the group `racines.agents`. `module:Class` names one as well, and
+a file: `FILE.onnx` is a policy, `FILE.json` a trace. All are loaded lazily.
+"""
+
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
 import torch
 from torch import Tensor
 
+from racines_data.errors import RacinesError
+from racines_data.files import write_json
+from racines_data.plugins import Plugins
 from racines_envs.task.core import ScanCore
 
 SETTINGS = "config.json"
+AGENTS = Plugins(
+    "agent",
+    "racines.agents",
+    ("name", "Config", "attach", "act", "train", "load"),
+    "module:Class, FILE.onnx or a trace, FILE.json",
+)
+FILES = {
+    ".onnx": "racines_envs.agents.onnx.policy:OnnxPolicyAgent",
+    ".json": "racines_envs.agents.trace:TraceAgent",
+}
+"""What opens a file, by its ending."""
 
 
 @runtime_checkable
@@ -46,11 +64,7 @@ class Agent(Protocol):
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
-        """Read what `train` left; an agent that learns nothing reads nothing.
-
-        Raises:
-            RacinesError: no policy there.
-        """
+        """Read what `train` left, which has to be there; what learns nothing reads nothing."""
         ...
 
 
@@ -63,12 +77,19 @@ def sees(agent: Agent) -> str:
     return getattr(agent, "sees", agent.observation)
 
 
+@dataclass(frozen=True)
+class NoConfig:
+    """Nothing to set."""
+
+
 class Untrained:
     """The part of the protocol that agents without weights share."""
 
     name: ClassVar[str]
-    Config: ClassVar[type]
+    Config: ClassVar[type] = NoConfig
     observation: str = "params"
+    origin: ClassVar[str] = ""
+    """Where to get one, if not from `train`."""
 
     def attach(self, core: ScanCore) -> None:
         """Keep nothing of the environment."""
@@ -76,8 +97,8 @@ class Untrained:
     @classmethod
     def train(cls, config: Any, run_dir: Path, **where: Any) -> Self:
         """Write the settings down, so that a run has its folder; there is nothing to learn."""
-        from racines_data.files import write_json
-
+        if cls.origin:
+            raise RacinesError(f"agent {cls.name!r} has nothing to learn: {cls.origin}")
         write_json(Path(run_dir) / "metrics.json", {})
         write_json(Path(run_dir) / SETTINGS, {"agent": cls.name, "config": asdict(config)})
         return cls.load(Path(run_dir))
@@ -86,3 +107,27 @@ class Untrained:
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
         """Return the agent; there is nothing to read."""
         return cls()
+
+
+def agent_names() -> list[str]:
+    """Return the names that installed packages register, sorted."""
+    return list(AGENTS.names())
+
+
+def agent_class(spec: str) -> type[Agent]:
+    """Return the class of a registered name, of `module:Class`, or of what opens a file.
+
+    Raises:
+        RacinesError: unknown name, or a class that is no agent.
+    """
+    return AGENTS.load(FILES.get(Path(spec).suffix.lower(), spec))
+
+
+def load_agent(spec: str, run_dir: Path | str, device: torch.device | str = "cpu") -> Agent:
+    """Return the agent that a run left in `run_dir`; for a file the folder is not read.
+
+    Raises:
+        RacinesError: unknown name, or no policy in the folder.
+    """
+    is_file = Path(spec).suffix.lower() in FILES
+    return agent_class(spec).load(Path(spec if is_file else run_dir), device)

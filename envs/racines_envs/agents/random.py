@@ -1,6 +1,5 @@
 """The floor: every action equally likely."""
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 from torch import Tensor
@@ -10,16 +9,10 @@ from racines_envs.agents.protocol import Untrained
 from racines_envs.task.actions import ACTIONS
 
 
-@dataclass(frozen=True)
-class RandomConfig:
-    """Nothing to set."""
-
-
 class RandomAgent(Untrained):
     """Draws uniformly from the thirteen actions."""
 
     name: ClassVar[str] = "random"
-    Config: ClassVar[type] = RandomConfig
     sees: ClassVar[str] = "nothing"
 
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:

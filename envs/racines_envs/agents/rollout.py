@@ -24,6 +24,8 @@ class Episodes:
     """(n, 12) at the end."""
     seeds: Tensor
     """(n,) episode seeds."""
+    actions: tuple[Tensor, ...] = ()
+    """(n,) int64 of each step; those behind an episode's end did nothing."""
 
 
 @torch.no_grad()
@@ -35,7 +37,7 @@ def rollout(core: ScanCore, agent: Agent, seeds: Tensor) -> Episodes:
     """
     agent.attach(core)
     observation = core.reset(seeds)
-    positions, probabilities = [core.state.position], [core.score.probability]
+    positions, probabilities, actions = [core.state.position], [core.score.probability], []
     for _ in range(core.task.max_steps):
         live = (~core.state.done).nonzero().squeeze(1)
         if len(live) == 0:
@@ -45,10 +47,12 @@ def rollout(core: ScanCore, agent: Agent, seeds: Tensor) -> Episodes:
         observation = core.step(action, rows=rows).observation
         positions.append(core.state.position)
         probabilities.append(core.score.probability)
+        actions.append(action)
     return Episodes(
         final={name: value.cpu().numpy() for name, value in core.info().items()},
         positions=torch.stack(positions).cpu().numpy(),
         probabilities=torch.stack(probabilities).cpu().numpy(),
         parameters=core.parameters,
         seeds=core.state.seed,
+        actions=tuple(actions),
     )

@@ -50,13 +50,9 @@ def evaluate_agent(
         data=data, grader=grader, device=device, seed=seed,
     ) | overrides(settings)  # fmt: skip
     config = fill(EvaluationConfig, section(values, "evaluation") | chosen, "evaluation")
+    phantom, board = phantom_config(values), values.get("board")
     result = evaluate(
-        entry.agent,
-        run or entry.folder,
-        config,
-        phantom_config(values),
-        run=entry.name,
-        board=values.get("board"),
+        entry.agent, run or entry.folder, config, phantom, run=entry.name, board=board
     )
     out = out or entry.scores
     write_evaluation(result, out, picture or out.with_suffix(".png"))

@@ -10,8 +10,6 @@ from racines_data.cli import options as opt
 from racines_data.cli.settings import check_ending, given, read_settings
 from racines_envs.cli.settings import phantom_config
 
-RUNS = Path("envs/runs")
-
 
 def export_agent(
     run: Annotated[Path, typer.Argument(help="Folder that a training left, envs/runs/NAME.")],
@@ -19,7 +17,7 @@ def export_agent(
     as_json: opt.AsJson = False,
 ) -> None:
     """Write a trained policy as one ONNX file, its frozen encoder inside."""
-    from racines_envs.agents.onnx.export import export_run
+    from racines_envs.agents.onnx.policy import export_run
 
     check_ending(out, ".onnx")
     made = export_run(run, out)
@@ -43,6 +41,7 @@ def export_trace(
     """Write the actions that an agent takes from the fixed starts, for others to take again."""
     from racines_data.config import fill, section
     from racines_envs.agents import agent_class
+    from racines_envs.evaluation.agent_specs import RUNS
     from racines_envs.evaluation.run import EvaluationConfig, record_trace
 
     check_ending(out, ".json")

@@ -8,7 +8,6 @@ Agent = Annotated[
     str, typer.Argument(help="Registered agent, module:Class, or a run of the section agents.")
 ]
 Name = Annotated[str | None, typer.Option(help="What to call the run; as the agent, or its entry.")]
-Agents = "Names or run folders, comma-separated or given again; LABEL=RUN names one."
 
 
 def phantom_config(settings: dict[str, Any]) -> Any:

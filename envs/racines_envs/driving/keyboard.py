@@ -1,6 +1,7 @@
 """Driving the probe by hand: keys to actions, and the loop. The terminal itself is `terminal`."""
 
 from collections.abc import Callable, Iterable
+from itertools import chain, groupby
 from pathlib import Path
 
 import numpy as np
@@ -34,22 +35,16 @@ class Drive:
     def __init__(
         self, core: ScanCore, seed: int = 0, png: Path | None = None, record: Path | None = None
     ) -> None:
-        """Start the first episode.
+        """Start the first episode in a core of one row; `n` goes on to the next of the seed.
 
-        Args:
-            core: Of one row.
-            seed: Of the start; `n` goes on to the next episode of it.
-            png: A file to renew with the picture after every key.
-            record: A folder for the episodes' JSONL and GIF.
+        `png` is a file to renew with the picture after every key, `record` a folder for the
+        episodes' JSONL and GIF.
         """
-        self.core, self._png = core, png
-        self.history = History(1)
+        self.core, self.history, self._png = core, History(1), png
         self._recorder = CoreRecorder(core, record) if record else None
         self._begin(seed)
 
     def _begin(self, seed: int | None) -> None:
-        if self._recorder:
-            self._recorder.finish()
         self.core.reset(seed)
         self.history.note(self.core)
         if self._recorder:
@@ -96,9 +91,7 @@ class Drive:
 def run(drive: Drive, keys: Iterable[str], show: Callable[[Drive], None] | None = None) -> None:
     """Show, take a key, and so on until one says to quit or there are no more."""
     try:
-        if show:
-            show(drive)
-        for key in keys:
+        for key in chain([""], keys):  # no key at first, to show the start
             if not drive.press(key):
                 break
             if show:
@@ -141,12 +134,9 @@ def half_blocks(
         codes = [[f"5;{code}" for code in line] for line in _palette(pixels).tolist()]
     lines = []
     for upper, lower in zip(codes[::2], codes[1::2], strict=True):
-        parts, last = [], ("", "")
-        for pair in zip(upper, lower, strict=True):
-            if pair != last:  # a run of one colour needs it once: a slow line is glad of it
-                parts.append(f"\x1b[38;{pair[0]};48;{pair[1]}m")
-            parts.append("▀")
-            last = pair
+        # A run of one colour needs it once: a slow line is glad of it.
+        runs = groupby(zip(upper, lower, strict=True))
+        parts = [f"\x1b[38;{u};48;{v}m" + "▀" * len(list(run)) for (u, v), run in runs]
         lines.append("".join(parts) + "\x1b[0m")
     return lines
 

@@ -5,7 +5,6 @@ import re
 import termios
 import tty
 from collections.abc import Iterator
-from types import TracebackType
 from typing import Any
 
 from racines_data.errors import RacinesError
@@ -18,21 +17,17 @@ _ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l\x1b[2J", "\x1b[0m\x1b[?25h\x1b[?1049l"
 class Terminal:
     """Keys without Enter, on the other screen; as it was before on leaving.
 
-        with Terminal() as terminal:
-            run(drive, terminal.keys(), terminal.show)
-
-    Raises:
-        RacinesError: there is no terminal.
+    with Terminal() as terminal:
+        run(drive, terminal.keys(), terminal.show)
     """
 
     def __init__(self, keys: int = 0, out: int = 1) -> None:
-        """Use file descriptors; standard input and output by default."""
+        """Use file descriptors, by default standard input and output, which are a terminal's."""
         if not (os.isatty(keys) and os.isatty(out)):
             raise RacinesError("racines drive needs a terminal: run it in one, or give --keys")
         self._in, self._out = keys, out
         self._before: list[Any] = []
-        colours = os.environ.get("COLORTERM", "")
-        self._true_colour = colours in ("truecolor", "24bit")
+        self._true_colour = os.environ.get("COLORTERM", "") in ("truecolor", "24bit")
 
     def __enter__(self) -> "Terminal":
         """Take the terminal."""
@@ -41,10 +36,7 @@ class Terminal:
         self._write(_ENTER)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:  # fmt: skip
+    def __exit__(self, *raised: object) -> None:
         """Give it back as it was."""
         self._write(_LEAVE)
         termios.tcsetattr(self._in, termios.TCSADRAIN, self._before)

@@ -18,8 +18,7 @@ from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import Episodes, rollout
-from racines_envs.agents.trace_agent import ActionRecorder, TraceAgent
-from racines_envs.agents.trace_file import circumstances, read_trace, write_trace
+from racines_envs.agents.trace import TraceAgent, circumstances, read_trace, write_trace
 from racines_envs.evaluation.agent_specs import check_view
 from racines_envs.evaluation.measures import latency, measure, measure_by_seed
 from racines_envs.task.core import ScanCore
@@ -184,11 +183,10 @@ def record_trace(
     All but `path` is as of `evaluate`; what comes back is that path, and counts.
     """
     agent, core, seeds, _ = prepare(name, run_dir, config, phantom, grader, agent)
-    recorded: Any = ActionRecorder(agent)
-    episodes = rollout(core, recorded, seeds.to(core.device))
+    episodes = rollout(core, agent, seeds.to(core.device))
     told = {"agent": agent.name, "observation": _shown(agent), "start_set": config.start_set}
     told |= circumstances(core, config.backend)
-    steps = write_trace(path, told, recorded.episodes(episodes.final["steps"]))
+    steps = write_trace(path, told, episodes)
     read_trace(path)
     return {"out": str(path), "episodes": len(seeds), "steps": steps}
 

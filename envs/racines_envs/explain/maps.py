@@ -21,11 +21,7 @@ BATCH = 256
 
 
 def policy_logits(agent: Any) -> Explained:
-    """Return an agent's scores of the 13 actions as a function of its image.
-
-    Raises:
-        RacinesError: the agent looks at no image, or has no differentiable scores.
-    """
+    """Return an agent's scores of the 13 actions as a function of its image, if it has such."""
     name, observation = getattr(agent, "name", type(agent).__name__), agent.observation
     if observation == "params":
         raise RacinesError(
@@ -42,18 +38,14 @@ def policy_logits(agent: Any) -> Explained:
             network.eval().requires_grad_(False)
 
     def judge(images: Tensor, params: Tensor) -> Tensor:
-        seen = {"image": images}
-        return agent.logits(seen | ({"params": params} if observation == "multimodal" else {}))
+        pose = {"params": params} if observation == "multimodal" else {}
+        return agent.logits({"image": images} | pose)
 
     return judge
 
 
 def grader_probabilities(grader: Judge) -> Explained:
-    """Return a grader's probabilities of the views as a function of the image.
-
-    Raises:
-        RacinesError: it has no network to differentiate.
-    """
+    """Return a grader's probabilities of the views as a function of the image, if it is ours."""
     if not isinstance(grader, Grader):
         raise RacinesError(f"grader {grader!r} has no network to differentiate: give a run folder")
     network = grader.network
@@ -70,12 +62,8 @@ def integrated_gradients(
 ) -> tuple[Tensor, Tensor]:
     """Attribute one output an image to its pixels, from a black image.
 
-    Args:
-        judge: What is explained.
-        images: (N, 128, 128) uint8.
-        params: (N, 9), held fixed.
-        targets: (N,) int64, which output of each.
-        steps: Points of the integral (Gauss-Legendre).
+    `images` are (N, 128, 128) uint8, `params` (N, 9) and held fixed, `targets` (N,) int64, which
+    output of each, `steps` the points of the integral (Gauss-Legendre).
 
     Returns:
         (N, 128, 128) float32 attributions, and the (N,) completeness error: their sum less the
@@ -84,29 +72,21 @@ def integrated_gradients(
     """
     from captum.attr import IntegratedGradients
 
-    method = IntegratedGradients(judge)
-    attributed, errors = [], []
-    for i in range(0, len(images), BATCH):
-        part = images[i : i + BATCH].float()
-        drawn, error = method.attribute(
-            part,
-            baselines=torch.zeros_like(part),
-            target=targets[i : i + BATCH],
-            additional_forward_args=(params[i : i + BATCH],),
-            n_steps=steps,
-            internal_batch_size=BATCH,
-            return_convergence_delta=True,
-        )
-        attributed.append(drawn.detach().float())
-        errors.append(error.detach().float())
-    return torch.cat(attributed), torch.cat(errors)
+    method, found = IntegratedGradients(judge), []
+    parts = zip(images.split(BATCH), params.split(BATCH), targets.split(BATCH), strict=True)
+    for part, given, wanted in parts:
+        black = torch.zeros_like(part, dtype=torch.float32)
+        attributed = method.attribute(
+            part.float(), baselines=black, target=wanted, additional_forward_args=(given,),
+            n_steps=steps, internal_batch_size=BATCH, return_convergence_delta=True,
+        )  # fmt: skip
+        found.append(attributed)
+    maps, errors = (torch.cat(column).detach().float() for column in zip(*found, strict=True))
+    return maps, errors
 
 
 @torch.no_grad()
 def outputs(judge: Explained, images: Tensor, params: Tensor) -> Tensor:
     """Return (N, outputs) of (N, 128, 128) images of any type."""
-    parts = [
-        judge(images[i : i + BATCH].float(), params[i : i + BATCH])
-        for i in range(0, len(images), BATCH)
-    ]
-    return torch.cat(parts)
+    parts = zip(images.split(BATCH), params.split(BATCH), strict=True)
+    return torch.cat([judge(part.float(), given) for part, given in parts])

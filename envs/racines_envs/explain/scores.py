@@ -1,11 +1,20 @@
-"""How good an attribution is: deletion and insertion, random maps, and overlap with regions."""
+"""How good an attribution is: deletion and insertion, random maps, and overlap with what is there.
+
+What truly lies in an image are the phantom's tissues and landmarks on the image plane.
+"""
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
 
+from racines_data.geometry import Pose, rotate
+from racines_data.imaging import IMAGE_SIZE
+from racines_data.phantom.anatomy import load_anatomy
+from racines_data.phantom.config import ProbeConfig
+from racines_data.phantom.scan import pixel_grid, sector_mask
 from racines_data.randomness import normal, sample_seeds
+from racines_data.world import World
 from racines_envs.explain.maps import Explained, outputs
 
 POINTS = 24
@@ -16,6 +25,8 @@ SMOOTH = 4.0
 """Standard deviation of the blur of the smooth random maps, pixels."""
 TOP = 0.1
 """Share of the sector's pixels that count as the top of a map."""
+WALL = 2
+"""Pixels on each side of a change of tissue that count as its border."""
 _STREAM = 211
 
 
@@ -42,14 +53,10 @@ def ranks(maps: Tensor, sector: Tensor) -> Tensor:
 
     Pixels outside the (H, W) sector are black in every image and never taken.
     """
-    inside = sector.flatten().nonzero().squeeze(1)
-    order = maps.flatten(1)[:, inside].argsort(dim=1, descending=True, stable=True)
-    place = torch.empty_like(order, dtype=torch.float32)
-    steps = torch.arange(len(inside), dtype=torch.float32, device=maps.device) / len(inside)
-    place.scatter_(1, order, steps.expand(len(maps), -1))
-    result = torch.full_like(maps.flatten(1), 2.0, dtype=torch.float32)
-    result[:, inside] = place
-    return result.view(maps.shape)
+    order = maps[:, sector].argsort(dim=1, descending=True, stable=True)
+    place = torch.full_like(maps, 2.0, dtype=torch.float32)
+    place[:, sector] = order.argsort(dim=1).float() / order.shape[1]
+    return place
 
 
 def areas(
@@ -62,15 +69,9 @@ def areas(
     (Petsiuk et al., RISE, 2018). The curve is the probability of the target output over the share
     of the sector's pixels. A good map has a small area in deletion and a large one in insertion.
 
-    Args:
-        judge: What is explained.
-        images: (N, 128, 128) uint8.
-        params: (N, 9), held fixed.
-        targets: (N,) int64.
-        maps: (N, 128, 128), large where important.
-        sector: (128, 128) bool.
-        insert: Insertion, or else deletion.
-        logits: Whether the outputs are logits, to be turned into probabilities.
+    `images` are (N, 128, 128) uint8, `params` (N, 9) and held fixed, `targets` (N,) int64, `maps`
+    (N, 128, 128) and large where important, `sector` (128, 128) bool. `insert`: insertion, or else
+    deletion. `logits`: outputs are logits, to be turned into probabilities.
     """
     place, full = ranks(maps, sector), images.float()
     empty = blur(full, BLUR) * sector if insert else torch.zeros_like(full)
@@ -86,19 +87,57 @@ def areas(
 
 
 def overlap(maps: Tensor, region: Tensor, sector: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Say where the top of a map lies.
+    """Return where the top of (N, H, W) maps lies, which are large where important.
 
-    Args:
-        maps: (N, H, W), large where important.
-        region: (N, H, W) bool.
-        sector: (H, W) bool.
-
-    Returns:
-        (N,) share of the top tenth of the sector's pixels that lies in the region, and (N,) share
-        of the sector that the region is: what a map that knows nothing would have.
+    The (N,) share of the top tenth of the (H, W) sector's pixels that lies in the (N, H, W) bool
+    region, and the (N,) share of the sector that the region is: what a map that knows nothing would
+    have.
     """
     region = region & sector
     top = ranks(maps, sector) < TOP
     hit = (top & region).flatten(1).sum(1) / top.flatten(1).sum(1)
     chance = region.flatten(1).sum(1) / sector.sum()
     return hit.cpu().numpy(), chance.cpu().numpy()
+
+
+def sector_of(world: World) -> Tensor:
+    """Return the (128, 128) bool mask of the sector; everything where the probe is unknown."""
+    if world.config is None:
+        return torch.ones(IMAGE_SIZE, IMAGE_SIZE, dtype=torch.bool)
+    return sector_mask(world.config.probe)
+
+
+def plane_points(probe: ProbeConfig, pose: Pose) -> Tensor:
+    """Return the (N, 128, 128, 3) points of the block under the pixels, base frame, m."""
+    lateral, axial = (x.float() for x in pixel_grid(probe))
+    local = torch.stack([lateral, torch.zeros_like(lateral), axial], -1)
+    turned = rotate(pose.rotation.cpu()[:, None, None], local)
+    return turned + pose.position.cpu()[:, None, None]
+
+
+def true_regions(world: World, pose: Pose, view: str) -> dict[str, Tensor]:
+    """Return named (N, 128, 128) bool regions of the images at (N,) poses.
+
+    `organ`: not the gel around it. `borders`: within two pixels of a change of tissue. `landmarks`:
+    inside the spheres of the structures that the view has to show. Empty for a stand-in phantom
+    without an anatomy.
+    """
+    config = world.config
+    if config is None:
+        return {}
+    anatomy = load_anatomy(config.anatomy, config.anatomy_seed)
+    axes, origin = torch.tensor(anatomy.axes), torch.tensor(anatomy.origin)
+    points = (plane_points(config.probe, pose) - origin) @ axes.T
+    tissue = torch.stack([anatomy.paint(p.reshape(-1, 3)) for p in points])
+    tissue = tissue.view(points.shape[:-1])
+    wanted = {name for name, _ in next(v for v in anatomy.views if v.name == view).structures}
+    landmarks = torch.zeros_like(tissue, dtype=torch.bool)
+    for structure in anatomy.structures:
+        if structure.name in wanted:
+            away = (points - torch.tensor(structure.centre)).norm(dim=-1)
+            landmarks |= away < structure.radius
+    level, size = tissue.float().unsqueeze(1), 2 * WALL + 1
+    highest = functional.max_pool2d(level, size, 1, WALL)
+    lowest = -functional.max_pool2d(-level, size, 1, WALL)
+    borders = (highest != lowest).squeeze(1)
+    return {"organ": tissue != 0, "borders": borders, "landmarks": landmarks}

@@ -20,12 +20,15 @@ from gymnasium.utils import RecordConstructorArgs
 from PIL import Image
 from torch import Tensor
 
+from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
+from racines_data.phantom.config import PHANTOM_VERSION
 from racines_envs.agents.protocol import Agent
 from racines_envs.apis.rendering import History, compose
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore, Transition
+from racines_models.provenance import code_version
 
 SCHEMA = "racines.episode/1"
 CONTACT = "contact"
@@ -42,25 +45,19 @@ class CoreRecorder:
     ) -> None:
         """Record into a folder.
 
-        Args:
-            core: Whose episodes.
-            folder: Where the files go; made when the first is written. Numbers go on after the
-                episodes that lie there.
-            maximum: Episodes to write; after that nothing is recorded.
-            video: Whether a GIF goes with each.
-            agent: Who acts, for the header.
+        The folder is made when the first episode is written; numbers go on after those that lie
+        there. After `maximum` episodes nothing is recorded. `video`: a GIF goes with each; `agent`:
+        who acts, for the header.
         """
-        self.core, self.folder, self.maximum, self.video = core, Path(folder), maximum, video
+        self.core, self.folder, self.video = core, Path(folder), video
         self.written: list[Path] = []
         """The JSONL files so far."""
         self._common = _header(core) | ({"agent": agent} if agent else {})
         self._history = History(core.num_envs)
-        self._paths: dict[int, Path] = {}
-        self._lines: dict[int, list[dict[str, Any]]] = {}
-        self._frames: dict[int, list[Image.Image]] = {}
-        self._begun = 0
+        self._open: dict[int, tuple[Path, list[dict[str, Any]], list[Image.Image]]] = {}
         numbers = [path.stem.removeprefix("episode_") for path in self.folder.glob("episode_*.*")]
-        self._first = max((int(n) + 1 for n in numbers if n.isdecimal()), default=0)
+        self._next = max((int(n) + 1 for n in numbers if n.isdecimal()), default=0)
+        self._left = maximum
 
     def start(self, seeds: list[int | None] | None = None) -> None:
         """Begin an episode in every row that has just been reset; what was unfinished is written.
@@ -70,24 +67,24 @@ class CoreRecorder:
         self.finish()
         self._history.note(self.core)
         info = self.core.info()
-        for row in range(min(self.core.num_envs, self.maximum - self._begun)):
-            self._paths[row] = self.folder / f"episode_{self._first + self._begun + row:04d}.jsonl"
+        for row in range(min(self.core.num_envs, self._left)):
             given = {} if seeds is None or seeds[row] is None else {"reset_seed": seeds[row]}
-            seed = int(self.core.state.seed[row])
-            self._lines[row] = [self._common | {"seed": seed} | given]
-            self._frames[row] = []
+            head = self._common | {"seed": int(self.core.state.seed[row])} | given
+            path = self.folder / f"episode_{self._next + row:04d}.jsonl"
+            self._open[row] = path, [head], []
             self._add(row, info, None, 0.0, False, False)
-        self._begun += len(self._lines)
+        self._next += len(self._open)
+        self._left -= len(self._open)
 
     def step(self, actions: Tensor, transition: Transition) -> None:
         """Add a step of all rows, and write the episodes that it ended."""
-        if not self._lines:
+        if not self._open:
             return
         self._history.note(self.core, actions)
         info = self.core.info()
         columns = (actions, transition.reward, transition.terminated, transition.truncated)
         for row, values in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
-            if row not in self._lines:
+            if row not in self._open:
                 continue
             self._add(row, info, *values)
             if values[2] or values[3]:
@@ -95,14 +92,14 @@ class CoreRecorder:
 
     def finish(self) -> None:
         """Write the episodes that have not ended, as they stand."""
-        for row in list(self._lines):
+        for row in list(self._open):
             self._write(row)
 
     def _add(
         self, row: int, info: dict[str, Tensor], action: int | None, reward: float, ended: bool,
         cut: bool,
     ) -> None:  # fmt: skip
-        state = self.core.state
+        state, (_, lines, frames) = self.core.state, self._open[row]
         line = {
             "step": int(state.steps[row]),
             "action": None if action is None else ACTIONS[action],
@@ -114,20 +111,19 @@ class CoreRecorder:
             "truncated": cut,
             "info": {name: value[row].item() for name, value in info.items()},
         }
-        self._lines[row].append(line)
+        lines.append(line)
         if self.video:
             frame = Image.fromarray(compose(self.core, row, self._history))
-            small = frame.quantize(_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-            self._frames[row].append(small)
+            few = frame.quantize(_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+            frames.append(few)
 
     def _write(self, row: int) -> None:
         """Write one episode; the record goes last, so that where it is the video is too."""
-        lines, frames = self._lines.pop(row), self._frames.pop(row)
-        path = self._paths[row]
+        path, lines, frames = self._open.pop(row)
         if frames:
-            buffer = io.BytesIO()
+            buffer, rest = io.BytesIO(), frames[1:]
             frames[0].save(
-                buffer, "GIF", save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0
+                buffer, "GIF", save_all=True, append_images=rest, duration=FRAME_MS, loop=0
             )
             write_atomic(path.with_suffix(".gif"), buffer.getvalue())
         write_atomic(path, "".join(json.dumps(line) + "\n" for line in lines))
@@ -136,14 +132,10 @@ class CoreRecorder:
 
 def _header(core: ScanCore) -> dict[str, Any]:
     """Return what a replay has to know, and where the numbers come from."""
-    from racines_data.digest import recipe_digest
-    from racines_data.phantom import PHANTOM_VERSION
-    from racines_models.provenance import code_version
-
-    phantom = None
+    phantom: dict[str, Any] | None = None
     if core.phantom.config is not None:
-        recipe = {"version": PHANTOM_VERSION, "config": asdict(core.phantom.config)}
-        phantom = recipe | {"recipe_digest": recipe_digest(recipe)}
+        phantom = {"version": PHANTOM_VERSION, "config": asdict(core.phantom.config)}
+        phantom["recipe_digest"] = recipe_digest(phantom)
     return {
         "schema": SCHEMA,
         "task": asdict(core.task),
@@ -169,11 +161,7 @@ class EpisodeRecorder(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         self, env: gymnasium.Env[Any, Any], folder: Path | str, maximum: int = 10,
         video: bool = True,
     ) -> None:  # fmt: skip
-        """Wrap an environment; see `CoreRecorder` for the rest.
-
-        Raises:
-            RacinesError: it is not one of ours.
-        """
+        """Wrap an environment, which has to be one of ours; see `CoreRecorder` for the rest."""
         RecordConstructorArgs.__init__(self, folder=str(folder), maximum=maximum, video=video)
         gymnasium.Wrapper.__init__(self, env)
         core = getattr(env.unwrapped, "core", None)
@@ -181,7 +169,6 @@ class EpisodeRecorder(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
             raise RacinesError(
                 f"{env.unwrapped} cannot be recorded: give racines_envs:racines/<VIEW>-v0"
             )
-        self._core = core
         self._recorder = CoreRecorder(core, Path(folder), maximum, video)
 
     @property
@@ -193,7 +180,6 @@ class EpisodeRecorder(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Reset, and begin a record."""
-        self._recorder.finish()
         result = self.env.reset(seed=seed, options=options)
         self._recorder.start([seed])
         return result
@@ -215,10 +201,9 @@ class EpisodeRecorder(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
 def record_rollout(
     core: ScanCore, agent: Agent, seeds: Tensor, folder: Path, maximum: int = 4, video: bool = True
 ) -> list[Path]:
-    """Let an agent act from (n,) seeds, record the first rows, and return the JSONL files.
+    """Let an agent act from (n,) seeds until the first rows, which are recorded, have ended.
 
-    Runs until the recorded rows have ended; n is the core's number of rows, and best no more than
-    are recorded.
+    Returns their JSONL files; n is the core's number of rows, and best no more than are recorded.
     """
     agent.attach(core)
     observation = core.reset(seeds)

@@ -10,6 +10,7 @@ import torch
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, geodesic
+from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
 from racines_envs.recordings.episode_writer import CONTACT, SCHEMA
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
@@ -44,11 +45,7 @@ class Rerun:
 
 
 def read_recording(path: Path) -> RecordedEpisode:
-    """Read the JSONL file of an episode.
-
-    Raises:
-        RacinesError: no such file, a line that is no JSON, another schema, or an unknown action.
-    """
+    """Read the JSONL file of an episode; it is refused where it is damaged or of another schema."""
     path = Path(path)
     if not path.is_file():
         raise RacinesError(f"{path}: no such recording")
@@ -57,9 +54,8 @@ def read_recording(path: Path) -> RecordedEpisode:
         try:
             lines.append(json.loads(line))
         except json.JSONDecodeError as error:
-            raise RacinesError(
-                f"{path}, line {number}: no JSON ({error}): record it anew"
-            ) from error
+            where = f"{path}, line {number}"
+            raise RacinesError(f"{where}: no JSON ({error}): record it anew") from error
     if not lines or lines[0].get("schema") != SCHEMA:
         raise RacinesError(f"{path}: line 1 names no schema {SCHEMA!r}: not a recorded episode")
     if len(lines) < 2:
@@ -74,9 +70,7 @@ def read_recording(path: Path) -> RecordedEpisode:
 def rerun(path: Path, core: ScanCore | None = None) -> Rerun:
     """Take the recorded actions from the recorded start, and compare every pose.
 
-    Args:
-        path: The JSONL file.
-        core: One row to run it in; one of the recorded task, phantom and reward by default.
+    The core has one row; one of the recorded task, phantom and reward by default.
 
     Raises:
         RacinesError: an unreadable file, another phantom, or poses that differ by more than
@@ -106,8 +100,7 @@ replay = rerun  # its name of old
 
 
 def _pose(line: dict[str, Any]) -> Pose:
-    rotation = torch.tensor(line["rotation"]).view(1, 3, 3)
-    return Pose(torch.tensor(line["position"]).view(1, 3), rotation)
+    return Pose(torch.tensor([line["position"]]), torch.tensor(line["rotation"]).view(1, 3, 3))
 
 
 def _core(recording: RecordedEpisode, path: Path) -> ScanCore:
@@ -116,21 +109,14 @@ def _core(recording: RecordedEpisode, path: Path) -> ScanCore:
     task, reward = fill(Task, header["task"], f"{path}: task"), header["reward"]
     if get_reward(reward).needs_judge:
         # Without images nobody knows when the grader ended it: go on as long as the recording did.
-        task = replace(task, termination="timeout")
-        reward = "oracle"
-    return make_core(
-        task,
-        observation="params",
-        reward=reward,
-        rewards=fill(RewardConfig, header["rewards"], f"{path}: rewards"),
-        phantom=_phantom(header, path),
-    )
+        task, reward = replace(task, termination="timeout"), "oracle"
+    rewards = fill(RewardConfig, header["rewards"], f"{path}: rewards")
+    phantom = _phantom(header, path)
+    return make_core(task, observation="params", reward=reward, rewards=rewards, phantom=phantom)
 
 
 def _phantom(header: dict[str, Any], path: Path) -> Any:
     """Return the configuration of the recorded phantom; its forces decide what was refused."""
-    from racines_data.phantom import PHANTOM_VERSION, PhantomConfig
-
     recorded = header["phantom"]
     if header["forces"] != CONTACT:
         raise RacinesError(

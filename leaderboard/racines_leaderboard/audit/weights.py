@@ -7,7 +7,7 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_envs.agents.trace_file import read_trace
+from racines_envs.agents.trace import read_trace
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, unknown
 from racines_leaderboard.board.collect import Record, basis_of

@@ -10,7 +10,7 @@ from typing import Any
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore, open_store
-from racines_envs.agents.trace_agent import TraceAgent
+from racines_envs.agents.trace import TraceAgent
 from racines_envs.cli.settings import phantom_config
 from racines_envs.evaluation.run import EvaluationConfig, evaluate
 from racines_envs.worlds.making import find_task, make_phantom, phantom_recipe

@@ -25,8 +25,8 @@ from safetensors import SafetensorError, deserialize
 
 from racines_data.errors import RacinesError
 from racines_data.files import swap_folder
-from racines_envs.agents.onnx.format import read_policy
-from racines_envs.agents.trace_file import read_trace
+from racines_envs.agents.onnx.policy import read_policy
+from racines_envs.agents.trace import read_trace
 from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.submissions.artefacts import YAML, files_of
 from racines_leaderboard.submissions.confined.session import Limits, rehearse

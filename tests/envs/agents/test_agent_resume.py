@@ -12,9 +12,8 @@ from racines_envs.agents.behaviour_cloning import (
     CloningLearner,
 )
 from racines_envs.agents.dqn import DQNAgent, DQNConfig
-from racines_envs.agents.identity import environment_identity
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
-from racines_envs.agents.training.run import TrainingRun
+from racines_envs.agents.training import TrainingRun, environment_identity
 from racines_models.judges.grader.model import Grader, GraderConfig
 from racines_models.judges.pose.regressor import PoseConfig, PoseNetwork, PoseRegressor
 from racines_models.networks.grading import GraderNetwork

@@ -13,7 +13,7 @@ from racines_data.store.frames import open_store
 from racines_data.views import VIEWS
 from racines_envs import ScanEnv
 from racines_envs.agents import load_agent
-from racines_envs.agents.encoders import open_encoder
+from racines_envs.agents.networks import open_encoder
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
 from racines_envs.agents.rollout import rollout
 from racines_envs.task.starts import evaluation_seeds

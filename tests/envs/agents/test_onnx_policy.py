@@ -10,9 +10,8 @@ from onnx import TensorProto, helper
 from racines_data.errors import RacinesError
 from racines_envs.agents import agent_class, load_agent
 from racines_envs.agents.behaviour_cloning import BehaviourCloningAgent, BehaviourCloningConfig
-from racines_envs.agents.encoders import PoseEncoder
-from racines_envs.agents.onnx.export import export_policy, export_run
-from racines_envs.agents.onnx.policy import OnnxPolicyAgent
+from racines_envs.agents.networks import PoseEncoder
+from racines_envs.agents.onnx.policy import OnnxPolicyAgent, export_policy, export_run
 from racines_envs.agents.policy import make_actor
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
 from racines_envs.agents.random import RandomAgent

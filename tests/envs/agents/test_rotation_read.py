@@ -10,8 +10,7 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import euler_to_matrix, rotation_6d
 from racines_envs.agents import load_agent
 from racines_envs.agents.networks import ROTATIONS, ObservationNetwork
-from racines_envs.agents.onnx.export import export_policy
-from racines_envs.agents.onnx.policy import OnnxPolicyAgent
+from racines_envs.agents.onnx.policy import OnnxPolicyAgent, export_policy
 from racines_envs.agents.policy import make_actor
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
 

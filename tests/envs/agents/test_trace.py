@@ -7,7 +7,7 @@ import pytest
 
 from racines_data.errors import RacinesError
 from racines_envs.agents import load_agent
-from racines_envs.agents.trace_file import read_trace
+from racines_envs.agents.trace import read_trace
 from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
 from tests.envs.agents.test_onnx_policy import policy
 from tests.envs.fakes import FakeGrader, FakePhantom

@@ -1,7 +1,4 @@
-"""Policies as ONNX files: `export` writes one, `policy` acts with one.
-
-`format` says what a file has to hold.
-"""
+"""Policies as ONNX files: `policy` writes one, reads and checks one, and acts with it."""
 
 import lazy_loader
 

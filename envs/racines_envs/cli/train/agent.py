@@ -46,14 +46,7 @@ def train_agent(
     cls = agent_class(entry.agent)
     config: Any = fill(cls.Config, entry.settings | chosen, entry.where)
     folder = out or entry.folder
-    cls.train(
-        config,
-        folder,
-        seed=seed_of(settings, seed),
-        phantom=phantom_config(settings),
-        data=data,
-        resume=resume,
-        progress=not as_json,
-    )
+    where = {"phantom": phantom_config(settings), "data": data, "progress": not as_json}
+    cls.train(config, folder, seed=seed_of(settings, seed), resume=resume, **where)
     metrics = (folder / "metrics.json").read_text()
     typer.echo(metrics if as_json else f"settings, metrics and policy, if any, are in {folder}")

@@ -34,7 +34,5 @@ def train_encoder(
     values = {"anatomy": phantom.anatomy, **section(settings, "encoder")}
     values |= given(frames=frames, generator=generator)
     config = fill(ExplorationConfig, values, "encoder")
-    metrics = train(
-        config, Run(out, seed_of(settings, seed), device, resume, progress=not as_json), phantom
-    )
-    show_training("encoder", out, metrics, as_json)
+    run = Run(out, seed_of(settings, seed), device, resume, progress=not as_json)
+    show_training("encoder", out, train(config, run, phantom), as_json)

@@ -1,0 +1,321 @@
+"""What agents that learn share: settings, environments, validation, curves, checkpoints.
+
+A checkpoint must agree in a run's settings and in the content of all that it rests on. Encoder,
+grader and generator count by the hash of their weights, not by where they lie: a run goes on where
+a folder was moved, and not where it holds something else by now.
+"""
+
+import time
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from copy import deepcopy
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Self, cast
+
+import torch
+from tensordict import TensorDictBase
+
+from racines_data.errors import RacinesError
+from racines_data.store.frames import FrameStore, open_store
+from racines_envs.agents.networks import PoseEncoder, open_encoder
+from racines_envs.agents.policy import PolicyAgent, make_actor
+from racines_envs.agents.rollout import rollout
+from racines_envs.task.rewards import RewardConfig, get_reward
+from racines_envs.task.starts import validation_seeds
+from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike, make_grader, source_weights
+from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
+from racines_models.devices import on_device
+from racines_models.protocol import Run
+from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
+
+PLACES = ("encoder", "grader", "generator")
+"""Settings that name a place."""
+FINISHED, VALIDATED = ("success", "steps", "return"), ("success", "steps", "grade", "return")
+"""What the curves tell of the episodes that ended in training, and of those of a validation."""
+KEPT = ("frames", "seconds", "best", "best_state", "history")
+"""Attributes of a run that a checkpoint holds as they are."""
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """What is learned where, and the parts of a training that no method changes."""
+
+    view: str = "SC"
+    """The target view."""
+    observation: str = "params"
+    """`image`, `params` or `multimodal`."""
+    encoder: str = ""
+    """What looks at the image: `explored` (published; see `networks.py`) or the folder of another
+    pose regressor, frozen; "" for convolutions that learn from reward alone, as in the paper."""
+    rotation: str = "continuous"
+    """How a network reads the pose's rotation: `continuous`, its first two columns, or `euler`, the
+    angles that the paper records, which jump by 2π near the pose that looks straight down."""
+    reward: str = "shaped"
+    """`paper` (needs a grader), `oracle` or `shaped`."""
+    termination: str = ""
+    """`first_hit`, `k_hits` or `timeout` in training; the task's own rule if empty."""
+    backend: str = "phantom"
+    """`phantom`, `generator` or `replay`; nothing is drawn where nothing looks."""
+    generator: str = ""
+    """Name or run folder, for the backend `generator`."""
+    grader: str = ""
+    """Run folder, for the reward `paper`; models/runs/grader if empty."""
+    frames: int = 300_000
+    """Environment steps in all; rounded up to whole updates."""
+    envs: int = 64
+    """Environments side by side."""
+    update_every: int = 2_048
+    """Environment steps between updates, a multiple of `envs`."""
+    gamma: float = 0.97
+    """Discount."""
+    reward_scale: float = 0.05
+    """Multiplies rewards before learning; reports stay unscaled."""
+    max_gradient: float = 0.5
+    """Gradient norm at which to clip."""
+    hidden: tuple[int, ...] = (128, 128)
+    """Widths of the dense layers."""
+    validate_every: int = 50_000
+    """Environment steps between validations; also between checkpoints."""
+    validation_starts: int = 100
+    """Episodes a validation, from starts that no evaluation uses."""
+    threads: int = 1
+    """CPU threads; small networks are fastest with one. 0 leaves torch as it is."""
+    device: str = "cpu"
+
+
+class TrainingRun(ABC):
+    """One run of one learner; a subclass adds what it learns with, and an update.
+
+    Its config is a `TrainingConfig`.
+    """
+
+    policy: Any
+    """What gathers experience; set by `_build`."""
+    trained: tuple[str, ...]
+    """Names of the attributes with a `state_dict` that a checkpoint holds."""
+
+    def __init__(
+        self, cls: type[PolicyAgent], config: TrainingConfig, folder: Path, seed: int,
+        phantom: WorldLike, grader: JudgeLike, progress: bool, data: Path | str | None = None,
+    ) -> None:  # fmt: skip
+        """Check settings and what they name, and join them; nothing is built before `run`."""
+        if config.update_every % config.envs:
+            raise RacinesError(
+                f"agents.{cls.name}.update_every is {config.update_every}: give a multiple of envs "
+                f"({config.envs})"
+            )
+        self.folder, self.seed, self.progress = folder, seed, progress
+        self.cls, self.config = cls, cast(Any, config)
+        looks = config.observation != "params"
+        self.encoder = open_encoder(config.encoder, config.device) if looks else None
+        anatomy = find_task(config.view, phantom).anatomy
+        self.where: dict[str, Any] = {
+            "encoder": self.encoder,
+            "backend": config.backend,
+            "observation": config.observation,
+            "reward": config.reward,
+            "termination": config.termination or None,
+            "generator": config.generator or None,
+            "grader": grader or config.grader or None,
+            "data": data,
+            "rewards": RewardConfig(discount=config.gamma),
+            "phantom": make_phantom(phantom, config.device, anatomy),
+            "device": config.device,
+        }
+        self.frames, self.seconds, self.best, self.history = 0, 0.0, (-1.0, 0.0), []
+        identity = settings_identity(cls.name, config, seed, self.encoder)
+        identity |= environment_identity(config, self.where["phantom"], grader, data)
+        self.checkpoint = Checkpoint(folder, identity)
+
+    def run(self, resume: bool | None) -> Any:
+        """Act, update, validate, checkpoint, until all frames are seen; return the agent."""
+        with warnings.catch_warnings(), seeded(self.seed, self.config.threads):
+            warnings.simplefilter("ignore")
+            self._build()
+            self.best_state = deepcopy(self.actor.state_dict())
+            view, starts = self.config.view, self.config.validation_starts
+            self.validation = make_core(view, starts, **self.where)
+            state = self.checkpoint.read(resume)
+            if state is not None:
+                self._restore(state)
+            if self.frames < self.config.frames:
+                self._loop()
+            return self._finish()
+
+    def _build(self) -> None:
+        """Make the environment, and the actor whose greedy choice is validated and kept."""
+        from racines_envs.apis.torchrl_env import ScanEnv
+
+        self.env = ScanEnv(self.config.view, self.config.envs, **self.where)
+        self.actor = make_actor(self.config, self.encoder).to(self.config.device).eval()
+        self.agent: Any = self.cls(self.config, self.actor, self.encoder)
+
+    @abstractmethod
+    def _update(self, batch: TensorDictBase) -> dict[str, float]:
+        """Learn from a batch (envs, steps) of experience; return figures for the curves."""
+
+    def _loop(self) -> None:
+        """Gather and learn until `frames` is what the config says."""
+        from dvclive.live import Live
+        from torchrl.collectors import Collector
+
+        config, began = self.config, time.perf_counter() - self.seconds
+        folder, resume, every = self.folder / "dvclive", self.frames > 0, config.validate_every
+        with Live(str(folder), resume=resume, save_dvc_exp=False, dvcyaml=None) as live:
+            self.env.set_seed(self.seed * 1_000_003 + self.frames)
+            size = config.update_every
+            left = -(-(config.frames - self.frames) // size) * size
+            collector = Collector(self.env, self.policy, frames_per_batch=size, total_frames=left)
+            for batch in collector:
+                row, last = self._update(batch) | finished(batch), self.frames // every
+                self.frames += batch.numel()
+                self.seconds = time.perf_counter() - began
+                row["frames_per_second"] = self.frames / self.seconds
+                if self.frames >= config.frames or self.frames // every > last:
+                    row |= self._validate()
+                self._log(live, row)
+            collector.shutdown()
+
+    def _validate(self) -> dict[str, float]:
+        """Act greedily from the validation starts, keep the policy if none was better, and save."""
+        seeds = validation_seeds(self.config.validation_starts).to(self.config.device)
+        final = rollout(self.validation, self.agent, seeds).final
+        row = {f"validation/{key}": float(final[key].mean()) for key in VALIDATED}
+        rank = (row["validation/success"], -row["validation/steps"])
+        if rank >= self.best:
+            self.best, self.best_state = rank, deepcopy(self.actor.state_dict())
+        self.history.append({"frames": self.frames, **row})
+        self.checkpoint.write(self._state())
+        return row
+
+    def _log(self, live: Any, row: dict[str, float]) -> None:
+        live.step = self.frames
+        for name, value in row.items():
+            live.log_metric(name, value)
+        live.sync()
+        if self.progress and "validation/success" in row:
+            print(
+                f"{self.frames:>10,} frames  success {row['validation/success']:.2f}  "
+                f"steps {row['validation/steps']:.1f}  {row['frames_per_second']:,.0f} frames/s",
+                flush=True,
+            )
+
+    def _state(self) -> dict[str, Any]:
+        trained = {name: getattr(self, name).state_dict() for name in self.trained}
+        kept = {name: getattr(self, name) for name in KEPT}
+        return kept | trained | {"random": torch.get_rng_state()}
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        """Continue a run: weights, optimiser and random state; episodes under way start anew."""
+        for name in self.trained:
+            getattr(self, name).load_state_dict(state[name])
+        for name in KEPT:
+            setattr(self, name, state[name])
+        torch.set_rng_state(state["random"])
+
+    def _finish(self) -> PolicyAgent:
+        self.actor.load_state_dict(self.best_state)
+        metrics = {
+            "frames": self.frames,
+            "seconds": round(self.seconds, 1),
+            "validation_success": self.best[0],
+            "validation_steps": -self.best[1],
+            "phantom": phantom_recipe(self.where["phantom"]),
+            "history": self.history,
+        }
+        self.agent.save(self.folder, metrics, self.seed)
+        discard_checkpoint(self.folder)
+        return self.agent
+
+
+class LearningAgent(PolicyAgent):
+    """A policy that learns; a subclass adds `name` and `Config`, and the `Learner` of its runs."""
+
+    Learner: ClassVar[type[TrainingRun]]
+
+    @classmethod
+    def train(
+        cls, config: Any, run_dir: Path, *, seed: int = 0, phantom: WorldLike = None,
+        grader: JudgeLike = None, data: FrameStore | Path | str | None = None,
+        resume: bool | None = None, progress: bool = True, **where: Any,
+    ) -> Self:  # fmt: skip
+        """Train and save the policy that validated best.
+
+        Args:
+            config: Of the class `Config`.
+            run_dir: Receives policy, metrics and curves, and checkpoints while it trains.
+            seed: Of weights, episodes and draws.
+            phantom: A phantom or its configuration; the shared default by default.
+            grader: For the reward `paper`, instead of the folder in the settings.
+            data: Dataset to replay (its folder) or to imitate (also open); data/racines by default.
+            resume: True: go on from the last checkpoint, which must be there; False: start anew;
+                None: go on if there is a checkpoint of this very run.
+            progress: Tell how far it is.
+            where: Taken for the protocol's sake; nothing more is known.
+
+        Raises:
+            RacinesError: settings that do not fit together, nothing to learn from, or a checkpoint
+                of another run.
+        """
+        config = on_device(config)
+        run = Run(Path(run_dir), seed, config.device, resume, progress)
+        return cls._learn(config, run, phantom, grader, data)
+
+    @classmethod
+    def _learn(
+        cls, config: Any, run: Run, phantom: WorldLike, grader: JudgeLike, data: Any
+    ) -> Self:
+        where = (run.folder, run.seed, phantom, grader, run.progress, data)
+        return cls.Learner(cls, config, *where).run(run.resume)
+
+
+def settings_identity(
+    name: str, config: Any, seed: int, encoder: PoseEncoder | None
+) -> dict[str, Any]:
+    """Return the settings of an agent's run, its encoder by content; every value is plain."""
+    settings = {key: value for key, value in asdict(config).items() if key not in PLACES}
+    settings |= {"hidden": list(config.hidden)}
+    sha256 = encoder.sha256 if encoder is not None else None
+    return {"agent": name, "seed": seed, **settings, "encoder": sha256}
+
+
+def environment_identity(
+    config: TrainingConfig, phantom: WorldLike, grader: JudgeLike = None, data: Any = None
+) -> dict[str, Any]:
+    """Return what an environment is made of, by content; None for what it does without.
+
+    `grader` goes before the folder in the settings, `data` is that of the backend `replay`.
+    """
+    made: dict[str, Any] = {"grader": None, "generator": None, "data": None}
+    if get_reward(config.reward).needs_judge:
+        made["grader"] = make_grader(grader or config.grader or GRADER_FOLDER, "cpu").sha256
+    if config.backend == "generator" and config.generator:
+        made["generator"] = source_weights(config.generator)
+    if config.backend == "replay":
+        made["data"] = open_store(data).digest
+    return made | {"phantom": phantom_recipe(phantom)}
+
+
+@contextmanager
+def seeded(seed: int, threads: int) -> Iterator[None]:
+    """Draw from a seed, on so many CPU threads (0: as before); leave both as they were."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads or before)
+    try:
+        with torch.random.fork_rng(enabled=True):
+            torch.manual_seed(seed)
+            yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def finished(batch: TensorDictBase) -> dict[str, float]:
+    """Return means over the episodes that ended in a batch."""
+    done = batch["next", "done"]
+    if not bool(done.any()):
+        return {}
+    ended = {key: batch["next", "info", key][done] for key in FINISHED}
+    return {f"train/{key}": float(value.float().mean()) for key, value in ended.items()}

@@ -1,1 +1,0 @@
-"""What agents that learn share: settings, the run's folder, checkpoints, curves."""

@@ -1,0 +1,119 @@
+"""The commands on episodes: `racines drive`, `replay` and `explain`. Heavy imports stand inside."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from racines_data.cli import options as opt
+from racines_data.cli.settings import given, overrides, read_settings
+from racines_envs.cli.settings import Agent, phantom_config
+from racines_models.cli.device import OneDevice
+
+
+def drive(
+    view: opt.View = "SC",
+    anatomy: Annotated[str | None, typer.Option(help="Whose view; the heart's.")] = None,
+    backend: opt.Backend = "phantom",
+    generator: opt.Generator = None,
+    data: opt.OtherData = None,
+    reward: opt.Reward = "oracle",
+    grader: opt.Grader = None,
+    seed: opt.DrawSeed = 0,
+    png: Annotated[
+        Path | None, typer.Option(help="Renew this file with the picture after every key.")
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option(help="Write each episode there, as JSONL and GIF.")
+    ] = None,
+    keys: Annotated[
+        str | None, typer.Option(help="Press these keys and stop; needs no terminal.")
+    ] = None,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Drive the probe from the keyboard; the keys stand under the picture."""
+    from racines_envs.driving.keyboard import Drive, run
+    from racines_envs.driving.terminal import Terminal
+    from racines_envs.worlds.making import make_core
+
+    terminal = Terminal() if keys is None else None  # refused before anything is made
+    settings = given(
+        view=view, backend=backend, generator=generator, data=data, reward=reward,
+        grader=grader, anatomy=anatomy,
+    )  # fmt: skip
+    core = make_core(**settings, observation="image")
+    session = Drive(core, seed, png, record)
+    if terminal is None:
+        run(session, keys or "")
+    else:
+        with terminal:
+            run(session, terminal.keys(), terminal.show)
+    if as_json:
+        info = {name: value[0].item() for name, value in core.info().items()}
+        typer.echo(json.dumps(info, indent=2))
+    else:
+        typer.echo("\n".join(session.words()[:-3]))
+
+
+def replay(
+    recording: Annotated[Path, typer.Argument(help="An episode's JSONL file.")],
+    as_json: opt.AsJson = False,
+) -> None:
+    """Run a recorded episode again; exit 1 if its poses do not repeat."""
+    from racines_envs.recordings.rerun import rerun
+
+    done = rerun(recording)
+    text = f"{recording}: {done.steps} steps repeat within {done.position_error:.1e} m and "
+    text += f"{done.rotation_error:.1e} rad"
+    typer.echo(json.dumps(asdict(done), indent=2) if as_json else text)
+
+
+def explain(
+    agent: Agent,
+    view: opt.View = None,
+    starts: opt.Starts = None,
+    backend: opt.Backend = None,
+    generator: opt.Generator = None,
+    data: opt.OtherData = None,
+    reward: opt.Reward = None,
+    grader: opt.Grader = None,
+    device: OneDevice = None,
+    seed: opt.StartSeed = None,
+    run: opt.Trained = None,
+    out: opt.OwnOut = None,
+    pictures: Annotated[int, typer.Option(help="Episodes that are drawn.")] = 4,
+    settings: opt.Set = None,
+    params: opt.Params = None,
+    profile: opt.Profile = None,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Show what in the images moved an agent, with scores; options override the settings.
+
+    A grader is explained beside it. The result goes to envs/runs/explain/<run>, or --out.
+    """
+    from racines_data.config import fill, section
+    from racines_envs.evaluation.agent_specs import RUNS, find_entry
+    from racines_envs.explain.explanation import write_explanation
+    from racines_envs.explain.run import ExplainConfig
+    from racines_envs.explain.run import explain as explain_agent
+    from racines_models.cli.output import show_metrics
+
+    values = read_settings(params, profile)
+    entry = find_entry(values, agent)
+    chosen = given(view=entry.view) | given(
+        view=view, starts=starts, backend=backend, data=data, generator=generator, reward=reward,
+        grader=grader, device=device, seed=seed,
+    ) | overrides(settings)  # fmt: skip
+    config = fill(ExplainConfig, section(values, "explain") | chosen, "explain")
+    result = explain_agent(entry.agent, run or entry.folder, config, phantom_config(values))
+    folder = out or RUNS / "explain" / entry.name
+    write_explanation(result, folder, pictures)
+    if as_json:
+        typer.echo(json.dumps(result.scores, indent=2))
+    else:
+        name, images = result.scores["agent"], result.scores["images"]
+        for what, metrics in result.scores["metrics"].items():
+            show_metrics(f"{name}, {what}: {images} images", metrics)
+        typer.echo(f"written: {folder}")
