@@ -10,7 +10,7 @@ from racines_data.plugins import Plugins
 from racines_data.store.frames import FrameStore
 from racines_models.protocol import Generator
 from racines_models.provenance import weights_sha256
-from racines_models.training.repeats import repeat_folders
+from racines_models.training.checkpoint import repeat_folders
 
 GENERATORS = Plugins(
     "generator",

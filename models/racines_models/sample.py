@@ -65,6 +65,12 @@ def take_sample(store: FrameStore, split: str, size: int) -> Sample:
     return spread_sample(store, rows, size)
 
 
+def evenly(count: int, wanted: int) -> Tensor:
+    """Return `wanted` of `count` places, or all, at even distances; the first among them."""
+    wanted = min(wanted, count)
+    return torch.arange(wanted) * count // wanted
+
+
 def spread_sample(store: FrameStore, rows: Tensor, size: int) -> Sample:
     """Take at most `size` of some rows at even distances, sweep after sweep."""
     rows = rows[torch.argsort(store.trajectory_index[rows], stable=True)]

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic, write_json
 from racines_models.provenance import sha256_bytes
-from racines_models.training.repeats import repeat_folders
+from racines_models.training.checkpoint import repeat_folders
 
 SMALL = 4_096
 """Tensors of at most so many entries stay as they are: normalisation and biases weigh nothing, and

@@ -112,7 +112,7 @@ def fitted(record: Record, bench: Bench, folder: Path | None) -> Iterator[Path]:
     """
     from racines_models.protocol import Run
     from racines_models.registry import generator_class
-    from racines_models.training.repeats import train_seeds
+    from racines_models.training.checkpoint import train_seeds
 
     assert bench.settings is not None and bench.store is not None
     store, name = bench.store, record["name"]

@@ -17,9 +17,10 @@ from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
 from racines_models.networks.onnx_module import OnnxModule
 from racines_models.protocol import Card, Run
+from racines_models.provenance import dataset_card
 from racines_models.training.checkpoint import discard_checkpoint
+from racines_models.training.course import Validation
 from racines_models.training.processes import is_main_process
-from racines_models.training.validation import Validation
 from racines_models.weights import load_weights, read_described, save_weights
 
 SCHEMA = "racines.generator/1"
@@ -88,16 +89,12 @@ class BaseGenerator(ABC, Generic[C]):
         self.device = resolve_device(run.device)
         run = dataclasses.replace(run, device=self.device)
         self.seed = run.seed
-        keys = ("source", "version", "digest", "recipe_digest")
-        self.data = {key: store.manifest.get(key) for key in keys}
+        self.data = dataset_card(store)
         metrics: dict[str, Any] = {"schema": "racines.training/1", "generator": self.name}
         metrics |= self.learn(store, run)
         if not is_main_process():
             return metrics
-        validation = Validation(store, run.seed)
-        drawn = validation.draw(self)
-        validation.grid(drawn, run.folder / "samples.png")
-        metrics["validation"] = validation.figures(drawn)
+        metrics["validation"] = Validation(store, run.seed).look(self, run.folder / "samples.png")
         self.save(run.folder)
         write_json(run.folder / "metrics.json", metrics)
         discard_checkpoint(run.folder)
@@ -140,7 +137,13 @@ class BaseGenerator(ABC, Generic[C]):
         Raises:
             RacinesError: no model there, a damaged one, or one of another generator.
         """
-        content = _read_config(folder, cls.name)
+        absent = f"no trained {cls.name} here; run: racines train generator {cls.name}"
+        content = read_described(folder, absent)
+        if content.get("schema") != SCHEMA or content.get("name") != cls.name:
+            found = content.get("name") or "something else"
+            raise RacinesError(
+                f"{folder}/config.json: holds {found}, not {cls.name}; name the generator it holds"
+            )
         generator = cls(fill(cls.Config, content["config"], f"{folder}/config.json: config"))
         generator.device = resolve_device(device)
         generator.seed, generator.data = content["seed"], content["data"]
@@ -151,13 +154,3 @@ class BaseGenerator(ABC, Generic[C]):
                 f"{folder}/model.safetensors: cannot be read: {error}; train {cls.name} again"
             ) from error
         return generator
-
-
-def _read_config(folder: Path, name: str) -> dict[str, Any]:
-    content = read_described(folder, f"no trained {name} here; run: racines train generator {name}")
-    if content.get("schema") != SCHEMA or content.get("name") != name:
-        found = content.get("name") or "something else"
-        raise RacinesError(
-            f"{folder}/config.json: holds {found}, not {name}; name the generator it holds"
-        )
-    return content

@@ -12,16 +12,14 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.randomness import derive, uniform
 from racines_data.store.frames import FrameStore
-from racines_models.generators.base import BaseGenerator
-from racines_models.networks.batching import in_fixed_batches
+from racines_models.generators.learned import NetworkGenerator
 from racines_models.networks.onnx_module import OnnxModule
-from racines_models.networks.scene_field.echo import MID, EchoDecoder, Place
+from racines_models.networks.scene_field.echo import MID, EchoDecoder, Place, image_loss
 from racines_models.networks.scene_field.field import Layout, VoxelField, lay_out
-from racines_models.networks.scene_field.loss import image_loss
 from racines_models.networks.scene_field.probe import Probe, ProbeGeometry
 from racines_models.protocol import Run
+from racines_models.sample import evenly
 from racines_models.training.objective import TrainBatch, Training, Update
-from racines_models.training.trainer import train
 
 PICKS = 21
 """Random stream: which voxel of four gets a point's gradient."""
@@ -74,7 +72,7 @@ class SceneFieldConfig:
             raise RacinesError("scene-field: rates, pixel_weight and spread are 0 or more")
 
 
-class SceneField(BaseGenerator[SceneFieldConfig]):
+class SceneField(NetworkGenerator[SceneFieldConfig]):
     """Learned voxels, what reaches them, and how their echoes add up."""
 
     name = "scene-field"
@@ -88,49 +86,40 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
         "draws the mean of what is random: electronic noise is left out",
     )
 
-    nets: nn.ModuleDict | None = None
+    fitted = ("place",)
+    memory_format = torch.contiguous_format
+
+    _layouts: tuple[Layout, Layout]
 
     def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
-        """Lay the voxels where the training frames look, then train."""
-        frames = store.split_indices("train")
-        poses = parameters_to_pose(store.parameters[frames])
-        probe = Probe(self.config.probe)
-        some = torch.arange(min(SURVEY, len(frames))) * len(frames) // min(SURVEY, len(frames))
+        """Lay the voxels where the training frames look, train, and round to eight bits."""
+        config, poses = self.config, _training_poses(store)
+        some = evenly(len(poses.position), SURVEY)
         with torch.no_grad():
-            looked = probe.points(Pose(poses.position[some], poses.rotation[some]), coarse=True)
+            surveyed = Pose(poses.position[some], poses.rotation[some])
+            looked = Probe(config.probe).points(surveyed, coarse=True)
         points = looked.flatten(1).T.contiguous()
-        config = self.config
         fine = lay_out(points, 1e3 * config.voxel, config.coverage)
-        coarse = lay_out(points, 1e3 * config.coarse_voxel, 1.0)
-        self.nets = self._build(fine, coarse)
-        self._net("place").fit(poses)
-        self.nets.to(self.device)
-        metrics = train(self, store, config.training, run)
+        self._layouts = fine, lay_out(points, 1e3 * config.coarse_voxel, 1.0)
+        metrics = super().learn(store, run)
         for name in ("fine", "coarse"):
-            self._net(name).quantise()
-        return metrics | {"calibration": self._net("probe").calibration()}
+            self.net(name).quantise()
+        return metrics | {"calibration": self.net("probe").calibration()}
 
-    def _build(self, fine: Layout, coarse: Layout) -> nn.ModuleDict:
-        config = self.config
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.seed)
-            place = Place()
-            nets = {
-                "fine": VoxelField(fine, 1e3 * config.voxel, config.channels, config.spread),
-                "coarse": VoxelField(coarse, 1e3 * config.coarse_voxel, MID, 0.02),
-                "probe": Probe(config.probe),
-                "decoder": EchoDecoder(config.probe.beams, config.probe.samples, place.width),
-                "place": place,
-            }
-        return nn.ModuleDict(nets)
+    def untrained(self) -> dict[str, nn.Module]:
+        """Return the fields of the laid voxels, the probe, the decoder, and its view of a pose."""
+        config, (fine, coarse), place = self.config, self._layouts, Place()
+        return {
+            "fine": VoxelField(fine, 1e3 * config.voxel, config.channels, config.spread),
+            "coarse": VoxelField(coarse, 1e3 * config.coarse_voxel, MID, 0.02),
+            "probe": Probe(config.probe),
+            "decoder": EchoDecoder(config.probe.beams, config.probe.samples, place.width),
+            "place": place,
+        }
 
-    def _net(self, name: str) -> Any:
-        assert self.nets is not None
-        return self.nets[name]
-
-    def modules(self) -> dict[str, nn.Module]:
-        """Return the fields, the probe and the decoder."""
-        return {name: self._net(name) for name in ("fine", "coarse", "probe", "decoder")}
+    def prepare(self, store: FrameStore) -> None:
+        """Take the scales of the training poses."""
+        self.net("place").fit(_training_poses(store))
 
     def averaged(self) -> tuple[str, ...]:
         """Name the decoder: the rate falls to zero, which serves the fields as an average would."""
@@ -138,12 +127,12 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return one Adam with a rate for each part."""
-        config, probe = self.config, self._net("probe")
+        config, probe = self.config, self.net("probe")
         calibration = config.calibration_rate
         groups = [
-            {"params": [self._net("fine").values], "lr": config.field_rate},
-            {"params": [self._net("coarse").values], "lr": config.coarse_rate},
-            {"params": list(self._net("decoder").parameters()), "lr": config.decoder_rate},
+            {"params": [self.net("fine").values], "lr": config.field_rate},
+            {"params": [self.net("coarse").values], "lr": config.coarse_rate},
+            {"params": list(self.net("decoder").parameters()), "lr": config.decoder_rate},
             {"params": [probe.shift], "lr": calibration},
             {"params": [probe.turn, probe.scale], "lr": 0.1 * calibration},
             {"params": [probe.offset], "lr": config.offset_rate},
@@ -164,7 +153,7 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
 
     def _picks(self, seeds: Tensor) -> Tensor:
         """Return a number in [0, 1) for each sample of (B,) images: one table, shifted by image."""
-        count = self._net("probe").lateral.numel()
+        count = self.net("probe").lateral.numel()
         table = uniform(seeds.new_zeros(1), count)
         return (table + uniform(derive(seeds, PICKS), 1)).remainder(1.0).flatten()
 
@@ -176,7 +165,7 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
         live: int = 0,
     ) -> Tensor:
         """Return (B, 128, 128) images of (B, 12) parameters, black 0 and white 1, unclipped."""
-        probe, config = self._net("probe"), self.config
+        probe, config = self.net("probe"), self.config
         pose = parameters_to_pose(parameters)
         size = config.probe.beams, config.probe.samples
         half = size[0] // 2, size[1] // 2
@@ -184,21 +173,11 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
         fine = nets["fine"](points, picks, moving).view(-1, *size, config.channels)
         points, moving = _points(probe, pose, live, coarse=True)
         coarse = nets["coarse"](points, None, moving).view(-1, *half, MID)
-        inputs = fine, coarse, probe.directions(pose), self._net("place")(pose)
+        inputs = fine, coarse, probe.directions(pose), self.net("place")(pose)
         if torch.compiler.is_exporting():  # a loop over parts would fix the number of images
             return probe.image(nets["decoder"](*inputs))
         parts = zip(*(each.split(CHUNK) for each in inputs), strict=True)
         return torch.cat([probe.image(nets["decoder"](*part)) for part in parts])
-
-    def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
-        """Sample and decode; the seed decides nothing."""
-        assert self.nets is not None
-        nets = self.nets.eval()
-
-        def decode(parameters: Tensor) -> Tensor:
-            return _to_gray(self._draw(nets, parameters))
-
-        return in_fixed_batches(decode, parameters)
 
     def onnx_module(self) -> OnnxModule:
         """Return all of it, as one network of the pose."""
@@ -220,8 +199,8 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
         for key, value in tensors.items():
             name, _, rest = key.partition(".")
             parts.setdefault(name, {})[rest] = value.to(self.device)
-        layouts = [_layout(parts[name]) for name in ("fine", "coarse")]
-        self.nets = self._build(*layouts).to(self.device)
+        self._layouts = _layout(parts["fine"]), _layout(parts["coarse"])
+        self.nets = self.build().to(self.device)
         for name, net in self.nets.items():
             if isinstance(net, VoxelField):
                 net.unpack(parts[name])
@@ -240,6 +219,10 @@ class _Still(nn.Module):
     def forward(self, parameters: Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 of (B, 12) parameters."""
         return _to_gray(self._field[0]._draw(self.nets, parameters))
+
+
+def _training_poses(store: FrameStore) -> Pose:
+    return parameters_to_pose(store.parameters[store.split_indices("train")])
 
 
 def _to_gray(images: Tensor) -> Tensor:

@@ -5,12 +5,13 @@ and noise inputs from Karras et al., A Style-Based Generator Architecture for GA
 """
 
 import math
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import conv2d, interpolate, leaky_relu, linear, pixel_shuffle
 
-from racines_models.networks.convolution import BOTTOM, widths
+from racines_models.networks.layers import BOTTOM, widths
 
 SLOPE, GAIN = 0.2, math.sqrt(2.0)
 
@@ -41,7 +42,7 @@ class Mapping(nn.Module):
         self.embedding = EqualDense(condition, latent)
         sizes = [2 * latent, *[style] * layers]
         self.layers = nn.ModuleList(
-            [EqualDense(a, b, rate=rate) for a, b in zip(sizes, sizes[1:], strict=False)]
+            [EqualDense(before, after, rate=rate) for before, after in pairwise(sizes)]
         )
 
     def forward(self, latent: Tensor, condition: Tensor) -> Tensor:
@@ -111,7 +112,7 @@ class StyleSynthesis(nn.Module):
     ):
         super().__init__()
         channels = widths(width)[::-1]
-        pairs = list(zip(channels, channels[1:], strict=False))
+        pairs = list(pairwise(channels))
         sides = [BOTTOM] + [BOTTOM << (level + 1) for level in range(len(pairs)) for _ in range(2)]
         self.sizes = [latent, *(side * side for side in sides)]
         self.noise = sum(self.sizes)

@@ -1,15 +1,22 @@
-"""Starts several processes of one training on this machine. Imports no torch: see `_worker`."""
+"""Starts several processes of one training on this machine."""
 
 import multiprocessing
 import os
+import pickle
 import socket
+import sys
 import threading
-from collections.abc import Callable, Sequence
-from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
+import torch
+from torch.multiprocessing import ProcessExitedException, start_processes
+
 from racines_data.errors import RacinesError
+from racines_models.training.processes import leave
 
 T = TypeVar("T")
 
@@ -28,63 +35,39 @@ def in_processes(count: int, work: Callable[..., T], *arguments: Any) -> T:
     Raises:
         RacinesError: a process refused its input, or died; the others are ended.
     """
-    context = multiprocessing.get_context("spawn")
-    port = _free_port()
-    pipes = [context.Pipe(duplex=False) for _ in range(count)]
-    workers = [
-        context.Process(target=_worker, args=(rank, count, port, pipes[rank][1], work, arguments))
-        for rank in range(count)
-    ]
-    try:
-        for worker in workers:
-            worker.start()
-        for _, theirs in pipes:
-            theirs.close()
-        return _results([ours for ours, _ in pipes], workers)[0]
-    finally:
-        for worker in workers:
-            if worker.is_alive():
-                worker.terminate()
-            worker.join()
-
-
-def _results(pipes: list[Connection], workers: Sequence[BaseProcess]) -> list[Any]:
-    results: dict[int, Any] = {}
-    while len(results) < len(pipes):
-        waiting = [pipe for rank, pipe in enumerate(pipes) if rank not in results]
-        for pipe in wait(waiting):
-            assert isinstance(pipe, Connection)
-            rank = pipes.index(pipe)
-            try:
-                results[rank], refusal = pipe.recv()
-            except EOFError:
-                workers[rank].join()
-                refusal = f"it ended with exit code {workers[rank].exitcode}"
-            if refusal:
-                raise RacinesError(f"process {rank} of {len(pipes)}: {refusal}")
-    return [results[rank] for rank in range(len(pipes))]
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with TemporaryDirectory() as folder:
+        try:
+            given = (count, port, Path(folder), work, arguments)
+            start_processes(_worker, given, count, daemon=True)
+        except ProcessExitedException as error:
+            told = Path(folder, f"{error.error_index}.refusal")
+            fate = f"it ended with exit code {error.exit_code}"
+            refusal = told.read_text() if told.is_file() else fate
+            raise RacinesError(f"process {error.error_index} of {count}: {refusal}") from error
+        return pickle.loads(Path(folder, "0.result").read_bytes())
 
 
 def _worker(
-    rank: int,
-    count: int,
-    port: int,
-    pipe: Connection,
-    work: Callable[..., Any],
-    arguments: tuple[Any, ...],
+    rank: int, count: int, port: int, folder: Path, work: Callable[..., Any], arguments: Any
 ) -> None:
+    """Leave what `work` returns, or why it refused, as a file in the folder."""
     os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank)}
     os.environ |= {"WORLD_SIZE": str(count), "LOCAL_WORLD_SIZE": str(count)}
     os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
-    # Read when torch is first imported, which is inside `work`.
-    os.environ.setdefault("OMP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // count)))
+    if "OMP_NUM_THREADS" not in os.environ:
+        torch.set_num_threads(max(1, (os.cpu_count() or 1) // count))
     threading.Thread(target=_die_with_parent, daemon=True).start()
-    from racines_models.training.processes import leave
-
     try:
-        pipe.send((work(*arguments), ""))
+        Path(folder, f"{rank}.result").write_bytes(pickle.dumps(work(*arguments)))
     except RacinesError as error:
-        pipe.send((None, str(error)))
+        Path(folder, f"{rank}.refusal").write_text(str(error))
+        sys.exit(1)
+    except BaseException:
+        traceback.print_exc()
+        sys.exit(1)
     finally:
         leave()
 
@@ -95,9 +78,3 @@ def _die_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-def _free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return free.getsockname()[1]

@@ -47,9 +47,8 @@ class Training:
         if self.batch_size < 2:
             raise RacinesError("training.batch_size: batch norm needs at least 2")
         if self.precision not in ("auto", "fp32", "bf16", "fp16"):
-            raise RacinesError(
-                f"training.precision: {self.precision!r}: use auto, fp32, bf16 or fp16"
-            )
+            known = "auto, fp32, bf16 or fp16"
+            raise RacinesError(f"training.precision: {self.precision!r}: use {known}")
         if self.schedule not in ("constant", "cosine"):
             raise RacinesError(f"training.schedule: {self.schedule!r}: use constant or cosine")
         if not 0 <= self.warmup_images < self.images:
@@ -89,24 +88,19 @@ class Learner(Protocol):
     @property
     def name(self) -> str:
         """What the curves and messages call it."""
-        ...
 
     @property
     def identity(self) -> dict[str, Any]:
         """Say what is trained on what; only an equal run is continued."""
-        ...
 
     def modules(self) -> dict[str, nn.Module]:
         """Return the networks by name; fixed once training starts."""
-        ...
 
     def averaged(self) -> tuple[str, ...]:
         """Name the networks that are used afterwards: their weights are averaged (EMA)."""
-        ...
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return fresh optimizers by name."""
-        ...
 
     def updates(self, nets: Mapping[str, nn.Module], batch: Any) -> Iterator[Update]:
         """Yield the optimizer steps of one batch, in order.
@@ -115,4 +109,3 @@ class Learner(Protocol):
         step before it asks for the next, so a later loss sees the stepped weights; gradients are
         cleared in between. `batch` is a `TrainBatch`, or what the learner's own course feeds.
         """
-        ...

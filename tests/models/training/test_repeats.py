@@ -11,7 +11,7 @@ from racines_models.registry import open_runs, weights_of
 from racines_models.sample import Sample
 from racines_models.scores.judge import Judge, ScoresConfig
 from racines_models.scores.scoring import take_turns
-from racines_models.training.repeats import repeat_folders, train_seeds
+from racines_models.training.checkpoint import repeat_folders, train_seeds
 
 
 class Fits:

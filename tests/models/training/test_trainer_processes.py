@@ -16,9 +16,9 @@ from torch.optim import SGD
 from racines_data.errors import RacinesError
 from racines_models.generators.flow import Flow, FlowConfig
 from racines_models.generators.vae_gan import VaeGan
-from racines_models.networks.convolution import frozen
+from racines_models.networks.layers import frozen
 from racines_models.protocol import Run
-from racines_models.training.feed import Feed
+from racines_models.training.course import Feed
 from racines_models.training.launch import in_processes
 from racines_models.training.objective import Training, Update
 from tests.conftest import ROOT

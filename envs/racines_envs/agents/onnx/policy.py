@@ -13,8 +13,8 @@ from racines_envs.agents.onnx.format import IMAGE, OUTPUT, PARAMS, read_policy
 from racines_envs.agents.policy import choose
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
+from racines_models.exchange.onnx.file import open_session
 from racines_models.exchange.onnx.generator import Opener
-from racines_models.exchange.onnx.session import open_session
 from racines_models.provenance import sha256_bytes
 
 BATCH = 8

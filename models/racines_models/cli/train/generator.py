@@ -70,7 +70,7 @@ def _fit(name: str, settings: dict[str, Any], data: Path, run: "Run") -> dict[st
     from racines_data.config import fill
     from racines_data.store.frames import open_store
     from racines_models.registry import generator_class
-    from racines_models.training.repeats import train_seeds
+    from racines_models.training.checkpoint import train_seeds
 
     cls, store = generator_class(name), open_store(data)
     config = fill(cls.Config, settings, f"generators.{cls.name}")

@@ -16,10 +16,9 @@ from torch import nn
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
 from racines_data.schema import PARAMETERS
-from racines_models.exchange.onnx.file import MAX_BYTES
+from racines_models.exchange.onnx.file import MAX_BYTES, import_onnx, open_session
 from racines_models.exchange.onnx.format import NOISE, OUTPUT, PARAMS, SCHEMA
-from racines_models.exchange.onnx.session import open_session
-from racines_models.networks.onnx_module import OnnxModule, import_onnx
+from racines_models.networks.onnx_module import OnnxModule
 
 OPSET = 18
 """Operator set written: the oldest that torch's exporter targets natively."""

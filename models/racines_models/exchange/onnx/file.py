@@ -1,5 +1,9 @@
-"""An ONNX file opened as what a stranger sent: bounded, in one piece, standard operators only."""
+"""An ONNX file opened as what a stranger sent: bounded, in one piece, standard operators only.
 
+`open_session` runs it. Nothing here imports torch: a confined process has little memory.
+"""
+
+import importlib
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -7,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
-from racines_models.networks.onnx_module import import_onnx
 
 MAX_BYTES = 512 * 2**20
 OLDEST = 11
@@ -20,6 +23,43 @@ MAX_TEXT = 100_000
 TENSORS = ("TensorProto", "SparseTensorProto")
 FLOAT, UINT8 = 1, 2
 """ONNX's element types."""
+
+
+def import_onnx(*packages: str) -> None:
+    """Check that optional packages are there.
+
+    Raises:
+        RacinesError: one is missing; names the extra that brings them.
+    """
+    for name in packages:
+        try:
+            importlib.import_module(name)
+        except ImportError as error:
+            raise RacinesError(
+                f"ONNX needs the package {name}, which is not installed: "
+                "pip install 'racines[onnx]'"
+            ) from error
+
+
+def open_session(content: bytes, where: str, device: str) -> Any:
+    """Return the onnxruntime session of a model: one thread, deterministic, on CUDA if it can.
+
+    Raises:
+        RacinesError: onnxruntime cannot load it; begins with `where`.
+    """
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.use_deterministic_compute = True
+    options.log_severity_level = 4
+    wanted = ["CUDAExecutionProvider"] if device.startswith("cuda") else []
+    providers = [each for each in wanted if each in onnxruntime.get_available_providers()]
+    try:
+        return onnxruntime.InferenceSession(content, options, [*providers, "CPUExecutionProvider"])
+    except Exception as error:
+        raise RacinesError(f"{where}: onnxruntime cannot load it: {error}") from error
 
 
 def read_model(path: Path) -> tuple[bytes, Any, int]:
@@ -110,17 +150,10 @@ def declared_shape(value: Any) -> list[int | None]:
 def check_value(
     value: Any, path: Path, wanted: str, rest: tuple[int, ...], kinds: tuple[int, ...]
 ) -> int | None:
-    """Check an input's or output's type, and its shape after the batch; return the fixed batch.
+    """Return the fixed batch size of an input or output, None if it is free.
 
-    Args:
-        value: The graph's description of it.
-        path: The file, for errors.
-        wanted: What to give instead, for errors.
-        rest: Sizes after the batch.
-        kinds: Element types that are taken.
-
-    Returns:
-        The fixed batch size, None if it is free.
+    `rest` are the sizes needed after the batch, `kinds` the element types that are taken, `wanted`
+    says so in errors.
 
     Raises:
         RacinesError: another type or shape.
@@ -133,9 +166,8 @@ def check_value(
     )
     if kind not in kinds or not fits:
         shown = ", ".join("?" if size is None else str(size) for size in shape)
-        raise RacinesError(
-            f"{path}: {value.name} is ONNX type {kind}, shape ({shown}): give {wanted}"
-        )
+        given = f"{value.name} is ONNX type {kind}, shape ({shown})"
+        raise RacinesError(f"{path}: {given}: give {wanted}")
     return shape[0]
 
 
@@ -150,10 +182,11 @@ def read_metadata(model: Any, path: Path, schema: str, keys: Sequence[str]) -> d
         prefix, _, key = entry.key.partition(".")
         if prefix != "racines":
             continue
+        where = f"{path}: metadata {entry.key}"
         if key not in keys:
-            raise RacinesError(f"{path}: metadata racines.{key}: unknown; known: {', '.join(keys)}")
+            raise RacinesError(f"{where}: unknown; known: {', '.join(keys)}")
         if key in told or len(entry.value) > MAX_TEXT:
-            raise RacinesError(f"{path}: metadata racines.{key}: stands twice or is too long")
+            raise RacinesError(f"{where}: stands twice or is too long")
         told[key] = entry.value
     if told.get("schema", schema) != schema:
         raise RacinesError(f"{path}: racines.schema is {told['schema'][:80]!r}, not {schema}")
@@ -166,10 +199,8 @@ def parsed(told: dict[str, str], key: str, kind: type, path: Path) -> Any:
     Raises:
         RacinesError: no JSON, or of another kind.
     """
-    if key not in told:
-        return None
     try:
-        value = json.loads(told[key])
+        value = json.loads(told.get(key, "null"))
     except (ValueError, RecursionError) as error:
         raise RacinesError(f"{path}: metadata racines.{key}: not valid JSON: {error}") from error
     if value is not None and type(value) is not kind:

@@ -11,8 +11,8 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE, check_parameters
 from racines_data.randomness import sample_seeds
+from racines_models.exchange.onnx.file import open_session
 from racines_models.exchange.onnx.format import NOISE, OUTPUT, PARAMS, read_onnx
-from racines_models.exchange.onnx.session import open_session
 from racines_models.provenance import sha256_bytes
 
 BATCH = {"cpu": 8, "cuda": 64}
@@ -61,19 +61,18 @@ class OnnxGenerator:
         return torch.cat([empty, *drawn]).to(parameters.device)
 
     def _run(self, inputs: dict[str, Tensor], start: int) -> Tensor:
-        chunk = {key: value[start : start + self._batch] for key, value in inputs.items()}
-        count = len(chunk[PARAMS])
+        left = len(inputs[PARAMS]) - start
         # The last sample again, not zeros: the graph need not bear a pose that no probe has.
-        rows = torch.arange(self._batch).clamp_max(count - 1)
+        rows = start + torch.arange(self._batch).clamp_max(left - 1)
         try:
             (images,) = self._session.run(
-                [OUTPUT], {key: value[rows].numpy() for key, value in chunk.items()}
+                [OUTPUT], {key: value[rows].numpy() for key, value in inputs.items()}
             )
         except RacinesError:
             raise
         except Exception as error:
             raise RacinesError(f"{self.path}: onnxruntime failed: {error}") from error
-        return self._gray(images, self._batch)[:count]
+        return self._gray(images, self._batch)[:left]
 
     def _gray(self, images: np.ndarray, count: int) -> Tensor:
         if images.size != count * IMAGE_SIZE**2 or images.shape[0] != count:

@@ -1,5 +1,10 @@
-"""A predictions file as what a stranger sent: checked whole, read in batches, never trusted."""
+"""A predictions file as what a stranger sent: checked whole, read in batches, never trusted.
 
+Its PNG images are looked at before they are decoded, and decoded within bounds.
+"""
+
+import io
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -8,11 +13,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
+from PIL import Image
 from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.imaging import IMAGE_SIZE
+from racines_data.sources.images import check_png
 from racines_data.store.frames import Batch, FrameStore
 from racines_models.exchange.naming import check_name
 from racines_models.exchange.predictions.file import (
@@ -22,7 +29,6 @@ from racines_models.exchange.predictions.file import (
     PREDICTION_COLUMNS,
     PREDICTIONS,
 )
-from racines_models.exchange.predictions.png import MAX_PNG, decode_gray
 from racines_models.provenance import sha256_bytes
 from racines_models.sample import check_drawn
 
@@ -31,6 +37,10 @@ MAX_BYTES = 2**30
 MAX_ROWS = 1_000_000
 BATCH = 64
 """Rows decoded at once."""
+MAX_PNG = 2**16
+"""Most bytes of one image; 128 × 128 gray levels without compression are 16.6 kB."""
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+MODES = {0: "gray", 2: "RGB", 3: "palette", 4: "gray with alpha", 6: "RGBA"}
 REQUIRED = ("schema", "dataset", "split", "sample", "generator")
 
 
@@ -190,37 +200,33 @@ class _Finder:
     """Where each sample's image belongs, and which have come."""
 
     def __init__(self, path: Path, index: np.ndarray, seed: int):
-        self.path, self.index, self.seed = path, index, seed
-        self._order = np.argsort(index, kind="stable")
-        self._sorted = index[self._order]
-        self._row = np.full(len(index), -1)
-        """Row of the file that held each; -1: not seen."""
+        self._path, self._seed = path, seed
+        self._places = {sample: place for place, sample in enumerate(index.tolist())}
+        self._rows: dict[int, int] = {}
+        """Row of the file that held each sample."""
 
     def place(self, sample: int, row: int) -> int:
         """Return the place of a sample among the frames, once."""
-        where = f"{self.path}, row {row}: sample {sample}, seed {self.seed}"
-        at = int(np.searchsorted(self._sorted, sample))
-        if at == len(self._sorted) or self._sorted[at] != sample:
+        where = f"{self._path}, row {row}: sample {sample}, seed {self._seed}"
+        if sample not in self._places:
             raise RacinesError(f"{where}: none of the frames to be drawn: remove the row")
-        place = int(self._order[at])
-        if self._row[place] >= 0:
-            raise RacinesError(f"{where}: stands in row {self._row[place]} too: keep one")
-        self._row[place] = row
-        return place
+        if sample in self._rows:
+            raise RacinesError(f"{where}: stands in row {self._rows[sample]} too: keep one")
+        self._rows[sample] = row
+        return self._places[sample]
 
     def check_complete(self) -> None:
         """Refuse a file that lacks a sample."""
-        missing = np.flatnonzero(self._row < 0)
-        if len(missing) == 0:
-            return
-        if len(missing) == len(self.index):
+        missing = [sample for sample in self._places if sample not in self._rows]
+        if not self._rows and missing:
             raise RacinesError(
-                f"{self.path}: no rows of seed {self.seed}: draw it, or set scores.seeds"
+                f"{self._path}: no rows of seed {self._seed}: draw it, or set scores.seeds"
             )
-        raise RacinesError(
-            f"{self.path}: {len(missing)} of {len(self.index)} samples of seed {self.seed} are "
-            f"missing, the first {self.index[missing[0]]}: add their rows"
-        )
+        if missing:
+            raise RacinesError(
+                f"{self._path}: {len(missing)} of {len(self._places)} samples of seed "
+                f"{self._seed} are missing, the first {missing[0]}: add their rows"
+            )
 
 
 def _read_metadata(raw: dict[bytes, bytes], path: Path) -> dict[str, str]:
@@ -253,3 +259,34 @@ def _read_metadata(raw: dict[bytes, bytes], path: Path) -> dict[str, str]:
     if told["schema"] != PREDICTIONS:
         raise RacinesError(f"{path}: racines.schema is {told['schema'][:80]!r}, not {PREDICTIONS}")
     return told
+
+
+def decode_gray(data: bytes, where: str) -> np.ndarray:
+    """Return the (128, 128) uint8 gray levels of an 8-bit gray PNG.
+
+    Raises:
+        RacinesError: no such PNG, too large, truncated or damaged; begins with `where`.
+    """
+    _check_header(data, where)
+    try:
+        check_png(data)
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+            # A second header further on could change what the first one said.
+            if image.size != (IMAGE_SIZE, IMAGE_SIZE) or image.mode != "L":
+                raise RacinesError(f"damaged PNG: it says {image.size} behind its header")
+            return np.asarray(image)
+    except Exception as error:
+        raise RacinesError(f"{where}: {error}: write the image again") from error
+
+
+def _check_header(data: bytes, where: str) -> None:
+    if len(data) > MAX_PNG:
+        raise RacinesError(f"{where}: {len(data):,} bytes: a PNG has at most {MAX_PNG:,}")
+    if len(data) < 33 or data[:8] != SIGNATURE or data[12:16] != b"IHDR":
+        raise RacinesError(f"{where}: not a PNG: give the bytes of an 8-bit gray PNG")
+    width, height, bits, color = struct.unpack(">IIBB", data[16:26])
+    if (width, height) != (IMAGE_SIZE, IMAGE_SIZE):
+        raise RacinesError(f"{where}: {width} x {height} pixels: give {IMAGE_SIZE} x {IMAGE_SIZE}")
+    if (bits, color) != (8, 0):
+        mode = MODES.get(color, f"colour type {color}")
+        raise RacinesError(f"{where}: {bits}-bit {mode}: give 8-bit gray (mode L)")

@@ -3,7 +3,7 @@
 Amplitudes of the fine field are weighted by what reaches them, added up coherently over the
 neighbouring beams and samples, squared, and joined by what adds up incoherently; then follow
 logarithm, gray map and smoothing. Every number in it is learned; those that start from a
-physical guess are named in `EchoDecoder`.
+physical guess are named in `EchoDecoder`. `image_loss` is what a drawn image costs.
 """
 
 import torch
@@ -16,6 +16,8 @@ MID = 9
 """Channels of the coarse field: attenuation, incoherent power, coherent gain, two vectors."""
 REACH, SMOOTH = 6, 3
 """Half-widths of the beam profiles and of the smoothing, beams."""
+WINDOW, SIGMA = 11, 1.5
+"""The window of Wang et al. (2004), as in the score of structural similarity."""
 
 
 class Place(nn.Module):
@@ -148,3 +150,22 @@ def _banded(taps: Tensor, size: int) -> Tensor:
     offset = index.unsqueeze(0) - index.unsqueeze(1) + reach
     picked = taps[offset.clamp(0, 2 * reach)]
     return picked * ((offset >= 0) & (offset <= 2 * reach))
+
+
+def image_loss(drawn: Tensor, truth: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the mean SSIM and a smooth absolute error of (B, H, W) images, black 0 and white 1."""
+    error = ((drawn - truth).square() + 1e-4).sqrt().mean()
+    return similarity(drawn, truth), error
+
+
+def similarity(drawn: Tensor, truth: Tensor) -> Tensor:
+    """Return the mean SSIM where the window is whole; the blur is two matrix products."""
+    half = WINDOW // 2
+    taps = torch.exp(-0.5 * ((torch.arange(WINDOW) - half) / SIGMA) ** 2)
+    taps = (taps / taps.sum()).to(drawn)
+    rows, columns = (_banded(taps, size)[half:-half] for size in drawn.shape[1:])
+    maps = torch.stack([drawn, truth, drawn * drawn, truth * truth, drawn * truth])
+    a, b, aa, bb, ab = rows @ maps @ columns.T
+    spread, shared = aa - a * a + bb - b * b, ab - a * b
+    value = (2.0 * a * b + 1e-4) * (2.0 * shared + 9e-4)
+    return (value / ((a * a + b * b + 1e-4) * (spread + 9e-4))).mean()
