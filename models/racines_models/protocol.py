@@ -67,7 +67,6 @@ class Generator(ImageSource, Protocol):
 
     def __init__(self, config: Any = None) -> None:
         """Take a `Config`, or its defaults."""
-        ...
 
     @property
     def card(self) -> Card:

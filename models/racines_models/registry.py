@@ -92,10 +92,7 @@ def open_generator(
 def open_runs(spec: str, folder: Path | str | None = None, **opened: Any) -> list[ImageSource]:
     """Return the generator that a spec names, then its further seeds, if it was trained with some.
 
-    Args:
-        spec: As `open_generator`.
-        folder: As there.
-        opened: What else `open_generator` takes.
+    Arguments as those of `open_generator`.
     """
     first = open_generator(spec, folder, **opened)
     if is_file(spec):
@@ -119,9 +116,7 @@ def weights_of(spec: str, folder: Path | str | None = None) -> dict[str, str]:
     if is_file(spec):
         return {Path(spec).name: sha256_file(Path(spec))}
     first = run_folder(spec, folder)
-    further = {
-        f"{each.name}/{file}": digest
-        for each in repeat_folders(first)
-        for file, digest in weights_sha256(each).items()
-    }
-    return weights_sha256(first) | further
+    hashes = weights_sha256(first)
+    for each in repeat_folders(first):
+        hashes |= {f"{each.name}/{file}": told for file, told in weights_sha256(each).items()}
+    return hashes

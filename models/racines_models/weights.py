@@ -48,9 +48,8 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
     for file in files:
         data = save(_halved(load_weights(file), file))
         write_atomic(out / file.name, data)
-        described[file.name] = {
-            "bytes": len(data), "sha256": sha256_bytes(data), "made_of": sha256_file(file)
-        }  # fmt: skip
+        hashes = {"sha256": sha256_bytes(data), "made_of": sha256_file(file)}
+        described[file.name] = {"bytes": len(data), **hashes}
     content["weights_files"] = {"dtype": "float16", "files": described}
     for seed in repeat_folders(run):
         told = publish(seed, out / seed.name)["weights_files"]["files"]
@@ -130,7 +129,7 @@ def _halved(tensors: dict[str, Tensor], file: Path) -> dict[str, Tensor]:
 
 def _check_digest(path: Path) -> None:
     config = path.parent / "config.json"
-    if not (config.is_file() and path.is_file()):
+    if not config.is_file():
         return
     files = json.loads(config.read_text()).get("weights_files", {}).get("files", {})
     wanted = files.get(path.name, {}).get("sha256")

@@ -20,15 +20,17 @@ from racines_data.errors import RacinesError
 
 def is_main_process() -> bool:
     """Return whether this process writes files: the only one, or the first of several."""
-    if dist.is_available() and dist.is_initialized():
-        return dist.get_rank() == 0
-    return int(os.environ.get("RANK", "0")) == 0
+    return (dist.get_rank() if _joined() else int(os.environ.get("RANK", "0"))) == 0
 
 
 def leave() -> None:
     """Take leave of the other processes, if there are any."""
-    if dist.is_available() and dist.is_initialized():
+    if _joined():
         dist.destroy_process_group()
+
+
+def _joined() -> bool:
+    return dist.is_available() and dist.is_initialized()
 
 
 class Processes:
@@ -84,20 +86,14 @@ class Processes:
         return dict(zip(scalars, values.unbind(), strict=True))
 
     def start_alike(self, nets: Iterable[nn.Module], seen: int) -> None:
-        """Give all processes the first one's weights.
-
-        Raises:
-            RacinesError: the processes would continue from different image counts.
-        """
+        """Give all processes the first one's weights; refuse to go on from different counts."""
         if self.count == 1:
             return
         counts = torch.tensor([seen, -seen], device=self._device)
         dist.all_reduce(counts, dist.ReduceOp.MAX)
         if int(counts.sum()):
-            raise RacinesError(
-                "the processes found different checkpoints: the folder of a run must be one that "
-                "all of them see"
-            )
+            remedy = "the folder of a run must be one that all of them see"
+            raise RacinesError(f"the processes found different checkpoints: {remedy}")
         for net in nets:
             for tensor in net.state_dict().values():
                 dist.broadcast(tensor, 0)
@@ -105,9 +101,8 @@ class Processes:
 
 def _refuse_lone_launch(count: int) -> None:
     """`accelerate launch --cpu --num_processes 2` without MPI starts one process and no word."""
-    environment = os.environ
-    asked = "MASTER_ADDR" in environment and "ACCELERATE_USE_CPU" in environment
-    if count == 1 and asked and "WORLD_SIZE" not in environment:
+    asked = {"MASTER_ADDR", "ACCELERATE_USE_CPU"} <= os.environ.keys()
+    if count == 1 and asked and "WORLD_SIZE" not in os.environ:
         raise RacinesError(
             "accelerate launch starts several CPU processes through MPI only, and started one: "
             "use racines train generator NAME --processes N, or torchrun"

@@ -86,12 +86,7 @@ class _Trainer:
     """The state of one run: networks, optimizers, average, curves, and how far it has come."""
 
     def __init__(
-        self,
-        learner: Learner,
-        store: FrameStore,
-        config: Training,
-        run: Run,
-        course: Course | None,
+        self, learner: Learner, store: FrameStore, config: Training, run: Run, course: Course | None
     ):
         self.learner, self.config, self.folder = learner, config, run.folder
         self.accelerator = accelerator = _accelerator(config, run)
@@ -113,9 +108,9 @@ class _Trainer:
         state = self.checkpoint.read(run.resume)
         self.seen: int = state["seen"] if state else 0
         self.seconds: float = state["seconds"] if state else 0.0
-        name, main = learner.name, self.processes.main
-        self.guard = Guard(name, device, self.seen)
-        self.log = TrainingLog(run.folder, name, self.seen, config.stop, run.progress, main)
+        self.guard = Guard(learner.name, device, self.seen)
+        shown, main = run.progress, self.processes.main
+        self.log = TrainingLog(run.folder, learner.name, self.seen, config.stop, shown, main)
         if state and self.seen:
             self._restore(state)
         self.processes.start_alike(self.modules.values(), self.seen)
@@ -152,16 +147,14 @@ class _Trainer:
         self.seen += self.config.batch_size
 
     def write_row(self) -> None:
-        """Write a row of the curves."""
         self.log.row(self.seen)
 
     def look(self) -> None:
         """Let the course look at the averaged networks."""
-        if not self.processes.main:
-            return
-        with self.average.applied():
-            figures = self.course.look(self.seen, self.folder)
-        self.log.metrics(self.seen, figures)
+        if self.processes.main:
+            with self.average.applied():
+                figures = self.course.look(self.seen, self.folder)
+            self.log.metrics(self.seen, figures)
 
     def write_checkpoint(self) -> None:
         """Write everything that a resumed run needs; with several processes, it is alike in all."""

@@ -62,12 +62,8 @@ def write_onnx(
 ) -> dict[str, Any]:
     """Trace a network and write it as one file that opens without its code.
 
-    Args:
-        network: Takes the examples by position; exported in float32, as in evaluation.
-        examples: (2, …) inputs by name; the exported batch is free.
-        output: Name of its one output.
-        metadata: What the file says of itself.
-        path: The file.
+    The network takes the (2, …) `examples` by position, and is exported in float32, as in
+    evaluation, for a batch of any size. The file says `metadata` of itself.
 
     Returns:
         Path, size in bytes, opset.
@@ -94,12 +90,12 @@ def write_onnx(
 
 
 def _trace(network: nn.Module, examples: dict[str, torch.Tensor], output: str) -> Any:
-    traced = copy.deepcopy(network).cpu().float().eval()
+    traced = _Ordered(copy.deepcopy(network).cpu().float().eval())
     free = {0: torch.export.Dim.DYNAMIC}
     with _quiet(), torch.no_grad():
         try:
             program = torch.onnx.export(
-                _Ordered(traced),
+                traced,
                 tuple(examples.values()),
                 input_names=list(examples),
                 output_names=[output],
@@ -109,9 +105,8 @@ def _trace(network: nn.Module, examples: dict[str, torch.Tensor], output: str) -
                 verbose=False,
             )
         except Exception as error:
-            raise RacinesError(
-                f"{type(network).__name__} cannot be traced to ONNX: {error}"
-            ) from error
+            name = type(network).__name__
+            raise RacinesError(f"{name} cannot be traced to ONNX: {error}") from error
     assert program is not None
     return program.model_proto
 
@@ -129,11 +124,9 @@ class _Ordered(nn.Module):
 
 def _strip(model: Any) -> None:
     """Drop the tracer's notes, which hold stack traces with paths of this machine."""
-    model.doc_string = ""
-    del model.metadata_props[:]
     graph = model.graph
-    parts = [graph, *graph.node, *graph.input, *graph.output, *graph.value_info]
-    for part in [*parts, *graph.initializer]:
+    values = [*graph.input, *graph.output, *graph.value_info, *graph.initializer]
+    for part in [model, graph, *graph.node, *values]:
         part.doc_string = ""
         del part.metadata_props[:]
 

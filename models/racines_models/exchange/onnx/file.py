@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
+from racines_models.exchange.naming import check_size
 
 MAX_BYTES = 512 * 2**20
 OLDEST = 11
@@ -90,11 +91,7 @@ def read_model(path: Path) -> tuple[bytes, Any, int]:
 
 
 def _read(path: Path) -> bytes:
-    if not path.is_file():
-        raise RacinesError(f"{path}: no such file")
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise RacinesError(f"{path}: {size:,} bytes: at most {MAX_BYTES:,} are read")
+    check_size(path, MAX_BYTES)
     try:
         return path.read_bytes()
     except OSError as error:

@@ -28,6 +28,8 @@ SCHEMA = "racines.onnx-generator/1"
 PARAMS, NOISE, OUTPUT = "parameters", "noise", "images"
 MAX_NOISE = 2**18
 MAX_BATCH = 256
+RANGES = {True: ("unit", "float32", "in [-1, 1]"), False: ("gray", "uint8", "gray levels 0-255")}
+"""Of images that are floating or not: name in the metadata, element type, gray levels."""
 KEYS = ("schema", "name", "output", "stochastic", "noise", "card")
 
 
@@ -53,19 +55,13 @@ def read_onnx(path: Path) -> tuple[bytes, OnnxInterface]:
         RacinesError: the file is refused (see `read_model`), or its inputs, output or metadata.
     """
     content, model, opset = read_model(path)
-    return content, _interface(model, path, opset)
-
-
-def _interface(model: Any, path: Path, opset: int) -> OnnxInterface:
     batch, size = _inputs(model.graph, path)
     floating = _output(model.graph, path)
     told = read_metadata(model, path, SCHEMA, KEYS)
     _check_range(told.get("output"), floating, path)
     name = check_name(told.get("name", path.stem), f"{path}: racines.name")
-    noise = _noise(told, size, path)
-    return OnnxInterface(
-        name, noise, floating, batch, opset, parsed(told, "card", dict, path) or {}
-    )
+    card = parsed(told, "card", dict, path) or {}
+    return content, OnnxInterface(name, _noise(told, size, path), floating, batch, opset, card)
 
 
 def _inputs(graph: Any, path: Path) -> tuple[int | None, int]:
@@ -105,13 +101,12 @@ def _output(graph: Any, path: Path) -> bool:
 
 
 def _check_range(declared: str | None, floating: bool, path: Path) -> None:
-    needed = "unit" if floating else "gray"
+    needed, kind, range_ = RANGES[floating]
     if declared != needed and (floating or declared is not None):
         told = "is absent" if declared is None else f"says {declared[:80]!r}"
-        meaning = "float32 in [-1, 1]" if floating else "uint8 gray levels 0-255"
         raise RacinesError(
-            f"{path}: metadata racines.output {told}, but {OUTPUT} is "
-            f"{'float32' if floating else 'uint8'}: set it to {needed!r} ({meaning})"
+            f"{path}: metadata racines.output {told}, but {OUTPUT} is {kind}: "
+            f"set it to {needed!r} ({kind} {range_})"
         )
 
 

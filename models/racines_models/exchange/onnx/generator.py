@@ -64,10 +64,9 @@ class OnnxGenerator:
         left = len(inputs[PARAMS]) - start
         # The last sample again, not zeros: the graph need not bear a pose that no probe has.
         rows = start + torch.arange(self._batch).clamp_max(left - 1)
+        chunk = {key: value[rows].numpy() for key, value in inputs.items()}
         try:
-            (images,) = self._session.run(
-                [OUTPUT], {key: value[rows].numpy() for key, value in inputs.items()}
-            )
+            (images,) = self._session.run([OUTPUT], chunk)
         except RacinesError:
             raise
         except Exception as error:

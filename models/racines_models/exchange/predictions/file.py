@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
@@ -32,13 +33,8 @@ GROUP = 256
 """Rows of a row group, which bounds what a reader holds at once."""
 
 IDS = [pa.field("sample", pa.int64(), False), pa.field("seed", pa.int64(), False)]
-POSE_COLUMNS = pa.schema(
-    [
-        *IDS,
-        pa.field("noise_seed", pa.int64(), False),
-        *(pa.field(name, pa.float32()) for name in PARAMETERS),
-    ]
-)
+NOISE_SEED = pa.field("noise_seed", pa.int64(), False)
+POSE_COLUMNS = pa.schema([*IDS, NOISE_SEED, *(pa.field(name, pa.float32()) for name in PARAMETERS)])
 PREDICTION_COLUMNS = pa.schema([*IDS, pa.field("image", pa.binary(), False)])
 
 
@@ -76,7 +72,7 @@ def write_poses(path: Path, task: Task) -> int:
     def groups() -> Iterator[pa.Table]:
         for seed in task.seeds:
             noise = derive(torch.full_like(index, seed), DRAW, index)
-            columns = [index.numpy(), _repeat(seed, len(index)), noise.numpy(), *parameters.T]
+            columns = [index.numpy(), np.full(len(index), seed), noise.numpy(), *parameters.T]
             yield pa.table([pa.array(column) for column in columns], schema=POSE_COLUMNS)
 
     return _write(path, POSE_COLUMNS, task.metadata(POSES), groups())
@@ -108,14 +104,10 @@ def write_predictions(
             for start in range(0, len(index), GROUP):
                 rows = index[start : start + GROUP].numpy()
                 png = [encode_png(image) for image in images[start : start + GROUP]]
-                columns: list[Any] = [rows, _repeat(seed, len(rows)), png]
+                columns: list[Any] = [rows, np.full(len(rows), seed), png]
                 yield pa.table([pa.array(c) for c in columns], schema=PREDICTION_COLUMNS)
 
     return _write(path, PREDICTION_COLUMNS, metadata, groups())
-
-
-def _repeat(seed: int, count: int) -> Any:
-    return torch.full((count,), seed, dtype=torch.int64).numpy()
 
 
 def _write(

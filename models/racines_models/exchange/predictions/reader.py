@@ -21,7 +21,7 @@ from racines_data.files import sha256_file
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.sources.images import check_png
 from racines_data.store.frames import Batch, FrameStore
-from racines_models.exchange.naming import check_name
+from racines_models.exchange.naming import check_name, check_size
 from racines_models.exchange.predictions.file import (
     KEYS,
     MAX_TEXT,
@@ -50,10 +50,7 @@ class Predictions:
     `racines_models.sample.draw` asks `draw_frames`; there is no `generate`, since a file draws no
     other pose than those it holds.
 
-    Args:
-        path: The file.
-        store: The dataset that it must be made for.
-        split: The split that it must be made for; None: whatever it says.
+    The file must be made for the dataset of `store`, and for `split` unless that is None.
 
     Raises:
         RacinesError: not such a file, too large, or made for another dataset or split.
@@ -61,7 +58,7 @@ class Predictions:
 
     def __init__(self, path: Path, store: FrameStore, split: str | None = None):
         self.path = Path(path)
-        self._check_size()
+        check_size(self.path, MAX_BYTES)
         with self._opened() as file:
             self.metadata = _read_metadata(file.schema_arrow.metadata or {}, self.path)
             self._check_columns(file)
@@ -78,9 +75,16 @@ class Predictions:
                 is none of the frames; an image is no 8-bit gray PNG of 128 × 128 pixels; or the
                 images show nothing (see `check_drawn`).
         """
-        self._check_sample(frames.index)
-        finder = _Finder(self.path, frames.index.numpy(), seed)
-        images = torch.zeros(len(frames.index), IMAGE_SIZE, IMAGE_SIZE, dtype=torch.uint8)
+        index = frames.index.numpy()
+        told, digest = self.metadata["sample"], sha256_bytes(index.tobytes())
+        if told != digest:
+            raise RacinesError(
+                f"{self.path}: {self.rows} rows made for another sample of frames "
+                f"({told[:12]!r}…, here {len(index)} frames {digest[:12]!r}…): "
+                "give --samples as `racines export poses` had it, or draw these poses"
+            )
+        finder = _Finder(self.path, index, seed)
+        images = torch.zeros(len(index), IMAGE_SIZE, IMAGE_SIZE, dtype=torch.uint8)
         for row, samples, seeds, pngs in self._batches():
             for i in np.flatnonzero(seeds == seed):
                 place = finder.place(int(samples[i]), row + int(i))
@@ -92,27 +96,14 @@ class Predictions:
         except RacinesError as error:
             raise RacinesError(f"{self.path}, seed {seed}: {error}") from error
 
-    def _check_size(self) -> None:
-        if not self.path.is_file():
-            raise RacinesError(f"{self.path}: no such file")
-        size = self.path.stat().st_size
-        if size > MAX_BYTES:
-            raise RacinesError(f"{self.path}: {size:,} bytes: at most {MAX_BYTES:,} are read")
-
-    def _opened(self, dictionary: tuple[str, ...] = ()) -> pq.ParquetFile:
+    def _opened(self, *dictionary: str) -> pq.ParquetFile:
+        # Pages as they come: no column is read ahead, so memory holds one page and one batch.
+        paged = {"memory_map": False, "buffer_size": 2**20, "pre_buffer": False}
         try:
-            # Pages as they come: no column is read ahead, so memory holds one page and one batch.
-            return pq.ParquetFile(
-                self.path,
-                memory_map=False,
-                buffer_size=2**20,
-                pre_buffer=False,
-                read_dictionary=list(dictionary),
-            )
+            return pq.ParquetFile(self.path, read_dictionary=list(dictionary), **paged)
         except Exception as error:
-            raise RacinesError(
-                f"{self.path}: not readable as Parquet: {error}; write it again"
-            ) from error
+            problem = f"not readable as Parquet: {error}; write it again"
+            raise RacinesError(f"{self.path}: {problem}") from error
 
     def _check_columns(self, file: pq.ParquetFile) -> None:
         found = {field.name: field.type for field in file.schema_arrow}
@@ -148,42 +139,29 @@ class Predictions:
                 "give --split as in the file, or draw the poses of this split"
             )
 
-    def _check_sample(self, index: Tensor) -> None:
-        digest = sha256_bytes(index.numpy().tobytes())
-        if self.metadata["sample"] != digest:
-            raise RacinesError(
-                f"{self.path}: {self.rows} rows made for another sample of frames "
-                f"({self.metadata['sample'][:12]!r}…, here {len(index)} frames {digest[:12]!r}…): "
-                "give --samples as `racines export poses` had it, or draw these poses"
-            )
-
     def _batches(self) -> Iterator[tuple[int, np.ndarray, np.ndarray, Any]]:
         """Yield the first row's number, samples, seeds, and a function from place to PNG bytes."""
         row = 0
         # One image of 1 GiB may stand in many rows of a small file. Held as a dictionary, it is
         # there once, and its size is looked at before it is taken out.
-        with self._opened(("image",)) as file:
+        with self._opened("image") as file:
             reader = file.iter_batches(BATCH, columns=PREDICTION_COLUMNS.names, use_threads=False)
             while True:
                 try:
                     batch = next(reader, None)
                 except Exception as error:
-                    raise RacinesError(
-                        f"{self.path}: damaged behind row {row}: {error}; write it again"
-                    ) from error
+                    problem = f"damaged behind row {row}: {error}; write it again"
+                    raise RacinesError(f"{self.path}: {problem}") from error
                 if batch is None:
                     return
                 columns = {name: batch[name] for name in PREDICTION_COLUMNS.names}
-                self._check_nulls(columns, row)
+                for name, column in columns.items():
+                    if column.null_count:
+                        null = row + int(column.is_null().to_numpy(False).argmax())
+                        raise RacinesError(f"{self.path}, row {null}: {name} is null: fill it in")
                 samples, seeds = (columns[name].to_numpy() for name in ("sample", "seed"))
                 yield row, samples, seeds, _png_of(columns["image"])
                 row += len(batch)
-
-    def _check_nulls(self, columns: dict[str, Any], row: int) -> None:
-        for name, column in columns.items():
-            if column.null_count:
-                first = row + int(np.flatnonzero(column.is_null().to_numpy(False))[0])
-                raise RacinesError(f"{self.path}, row {first}: {name} is null: fill it in")
 
 
 def _png_of(column: Any) -> Any:
@@ -217,15 +195,15 @@ class _Finder:
 
     def check_complete(self) -> None:
         """Refuse a file that lacks a sample."""
-        missing = [sample for sample in self._places if sample not in self._rows]
-        if not self._rows and missing:
+        missing, seed = [each for each in self._places if each not in self._rows], self._seed
+        if len(missing) == len(self._places) > 0:
             raise RacinesError(
-                f"{self._path}: no rows of seed {self._seed}: draw it, or set scores.seeds"
+                f"{self._path}: no rows of seed {seed}: draw it, or set scores.seeds"
             )
         if missing:
             raise RacinesError(
-                f"{self._path}: {len(missing)} of {len(self._places)} samples of seed "
-                f"{self._seed} are missing, the first {missing[0]}: add their rows"
+                f"{self._path}: {len(missing)} of {len(self._places)} samples of seed {seed} are "
+                f"missing, the first {missing[0]}: add their rows"
             )
 
 
@@ -235,27 +213,22 @@ def _read_metadata(raw: dict[bytes, bytes], path: Path) -> dict[str, str]:
         if not key.startswith(b"racines."):
             continue
         name = key.decode(errors="replace").removeprefix("racines.")
+        where = f"{path}: metadata racines.{name[:80]}"
         if name not in KEYS:
-            raise RacinesError(
-                f"{path}: metadata racines.{name[:80]}: unknown; known: {', '.join(KEYS)}"
-            )
+            raise RacinesError(f"{where}: unknown; known: {', '.join(KEYS)}")
         if len(value) > MAX_TEXT:
-            raise RacinesError(f"{path}: metadata racines.{name}: over {MAX_TEXT:,} bytes")
+            raise RacinesError(f"{where}: over {MAX_TEXT:,} bytes")
         try:
             told[name] = value.decode()
         except UnicodeDecodeError as error:
-            raise RacinesError(f"{path}: metadata racines.{name}: not UTF-8: {error}") from error
+            raise RacinesError(f"{where}: not UTF-8: {error}") from error
     missing = [f"racines.{key}" for key in REQUIRED if key not in told]
+    remedy = f"set racines.schema to {PREDICTIONS} and racines.generator to a name"
     if told.get("schema") == POSES:
-        raise RacinesError(
-            f"{path}: its metadata are those of a poses file: set racines.schema to {PREDICTIONS} "
-            "and racines.generator to a name"
-        )
+        raise RacinesError(f"{path}: its metadata are those of a poses file: {remedy}")
     if missing:
-        raise RacinesError(
-            f"{path}: metadata lack {', '.join(missing)}: carry over those of the poses file, "
-            f"and set racines.schema to {PREDICTIONS} and racines.generator to a name"
-        )
+        lack = f"metadata lack {', '.join(missing)}"
+        raise RacinesError(f"{path}: {lack}: carry over those of the poses file, and {remedy}")
     if told["schema"] != PREDICTIONS:
         raise RacinesError(f"{path}: racines.schema is {told['schema'][:80]!r}, not {PREDICTIONS}")
     return told

@@ -116,9 +116,7 @@ class VoxelField(nn.Module):
         place = self._place(points)
         low = place.to(torch.int64)
         rest = place - low
-        shape = self.table.shape
-        strides = low.new_tensor([shape[1] * shape[2], shape[2], 1]).unsqueeze(1)
-        inner = low.new_tensor([SIDE * SIDE, SIDE, 1]).unsqueeze(1)
+        strides, inner = self._strides(low)
         table = self.table.view(-1).to(torch.int64)
         total = torch.zeros_like(rest[0]).unsqueeze(1)
         for up, weight in zip(_steps(*rest), _weights(rest).unbind(1), strict=True):
@@ -139,33 +137,28 @@ class VoxelField(nn.Module):
         place = (points - self.origin.unsqueeze(1)) * (1.0 / self.voxel)
         return torch.minimum(place.clamp(min=0.0), last)
 
+    def _strides(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (3, 1) what a step along each axis adds: to a brick's place, and to a row."""
+        _, deep, wide = self.table.shape
+        strides = like.new_tensor([deep * wide, wide, 1]).unsqueeze(1)
+        return strides, like.new_tensor([SIDE * SIDE, SIDE, 1]).unsqueeze(1)
+
     def _corners(self, place: Tensor) -> tuple[Tensor, Tensor]:
         """Return (N, 4) int32 rows and weights of the voxels around (3, N) places."""
-        shape = self.table.shape
         low = place.to(torch.int32)
-        strides = low.new_tensor([shape[1] * shape[2], shape[2], 1]).unsqueeze(1)
-        inner = low.new_tensor([SIDE * SIDE, SIDE, 1]).unsqueeze(1)
-        high = low + 1
-        bricks = ((low >> 3) * strides, (high >> 3) * strides)
-        voxels = ((low & 7) * inner, (high & 7) * inner)
         rest = place - low
-        steps = _steps(*rest)
-        rows = torch.stack([self._rows(bricks, voxels, each) for each in steps], -1)
-        return rows, _weights(rest)
-
-    def _rows(
-        self, bricks: tuple[Tensor, Tensor], voxels: tuple[Tensor, Tensor], up: Tensor | bool
-    ) -> Tensor:
-        if isinstance(up, bool):
-            brick, voxel = bricks[up], voxels[up]
-        else:
-            brick = torch.where(up, bricks[1], bricks[0])
-            voxel = torch.where(up, voxels[1], voxels[0])
-        return (
-            self.table.view(-1)
-            .index_select(0, brick.sum(0, dtype=torch.int32))
-            .add_(voxel.sum(0, dtype=torch.int32))
-        )
+        strides, inner = self._strides(low)
+        bricks = [(end >> 3) * strides for end in (low, low + 1)]
+        voxels = [(end & 7) * inner for end in (low, low + 1)]
+        rows = []
+        for up in _steps(*rest):
+            brick, voxel = (
+                ends[up] if isinstance(up, bool) else torch.where(up, ends[1], ends[0])
+                for ends in (bricks, voxels)
+            )
+            first = self.table.view(-1).index_select(0, brick.sum(0, dtype=torch.int32))
+            rows.append(first.add_(voxel.sum(0, dtype=torch.int32)))
+        return torch.stack(rows, -1), _weights(rest)
 
 
 def _weights(rest: Tensor) -> Tensor:
