@@ -69,11 +69,7 @@ class BaseGenerator(ABC, Generic[C]):
         """Take back what `tensors` returned, onto `self.device`."""
 
     def onnx_module(self) -> OnnxModule:
-        """Return the fitted network as `racines export generator` writes it; override to allow it.
-
-        Raises:
-            RacinesError: this method has no such network.
-        """
+        """Return the fitted network, as it is exported; override to allow that."""
         raise RacinesError(
             f"{self.name} cannot be an ONNX file: its method is no network of pose and noise; "
             "export its predictions instead: racines export predictions"
@@ -111,17 +107,11 @@ class BaseGenerator(ABC, Generic[C]):
     @property
     def card(self) -> Card:
         """Describe the fitted generator."""
+        told = ("name", "title", "summary", "source", "stochastic", "data", "seed", "limits")
         return Card(
-            name=self.name,
-            title=self.title,
-            summary=self.summary,
-            source=self.source,
-            stochastic=self.stochastic,
             weights=sum(tensor.numel() for tensor in self.tensors().values()),
-            data=self.data,
             config=dataclasses.asdict(self.config),  # type: ignore[call-overload]
-            seed=self.seed,
-            limits=self.limits,
+            **{key: getattr(self, key) for key in told},
         )
 
     def save(self, folder: Path) -> None:

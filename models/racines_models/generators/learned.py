@@ -149,12 +149,8 @@ class AdversarialGenerator(NetworkGenerator[C]):
     ) -> Generator[Update, None, Tensor]:
         """Yield the discriminator's step, then return the adversarial loss of what was drawn.
 
-        Args:
-            nets: As `Learner.updates` has them.
-            real: (B, 1, 128, 128) frames in [-1, 1].
-            drawn: (B, 1, 128, 128) images of the same poses.
-            condition: (B, condition) of both.
-            seeds: (B,) of the step.
+        `real` are (B, 1, 128, 128) frames in [-1, 1], `drawn` images of the same poses, which have
+        a (B, condition) and a (B,) seed each; `nets` as `Learner.updates` has them.
         """
         config: Any = self.config
         adversary, critic = config.adversary, self.net("discriminator")

@@ -128,15 +128,15 @@ class SceneField(NetworkGenerator[SceneFieldConfig]):
     def optimizers(self) -> dict[str, Optimizer]:
         """Return one Adam with a rate for each part."""
         config, probe = self.config, self.net("probe")
-        calibration = config.calibration_rate
-        groups = [
-            {"params": [self.net("fine").values], "lr": config.field_rate},
-            {"params": [self.net("coarse").values], "lr": config.coarse_rate},
-            {"params": list(self.net("decoder").parameters()), "lr": config.decoder_rate},
-            {"params": [probe.shift], "lr": calibration},
-            {"params": [probe.turn, probe.scale], "lr": 0.1 * calibration},
-            {"params": [probe.offset], "lr": config.offset_rate},
-        ]
+        rates = (
+            ([self.net("fine").values], config.field_rate),
+            ([self.net("coarse").values], config.coarse_rate),
+            (list(self.net("decoder").parameters()), config.decoder_rate),
+            ([probe.shift], config.calibration_rate),
+            ([probe.turn, probe.scale], 0.1 * config.calibration_rate),
+            ([probe.offset], config.offset_rate),
+        )
+        groups = [{"params": weights, "lr": rate} for weights, rate in rates]
         return {"scene": Adam(groups, betas=(0.9, 0.99), eps=1e-12, fused=True)}
 
     def updates(self, nets: Mapping[str, nn.Module], batch: TrainBatch) -> Iterator[Update]:
@@ -144,18 +144,13 @@ class SceneField(NetworkGenerator[SceneFieldConfig]):
         config, count = self.config, len(batch.images)
         calibrates = max(config.calibration_rate, config.offset_rate) > 0
         live = -(-count // 2) if calibrates else 0  # half of the images are enough for it
-        picks = self._picks(batch.seeds)
+        # A number in [0, 1) for each sample: one table, shifted by image.
+        table = uniform(batch.seeds.new_zeros(1), self.net("probe").lateral.numel())
+        picks = (table + uniform(derive(batch.seeds, PICKS), 1)).remainder(1.0).flatten()
         drawn = self._draw(nets, batch.parameters, picks, live)
-        truth = batch.images.to(torch.float32) / 255.0
-        similarity, error = image_loss(drawn, truth)
+        similarity, error = image_loss(drawn, batch.images.to(torch.float32) / 255.0)
         loss = 1.0 - similarity + config.pixel_weight * error
         yield Update("scene", loss, {"ssim": similarity, "error": error})
-
-    def _picks(self, seeds: Tensor) -> Tensor:
-        """Return a number in [0, 1) for each sample of (B,) images: one table, shifted by image."""
-        count = self.net("probe").lateral.numel()
-        table = uniform(seeds.new_zeros(1), count)
-        return (table + uniform(derive(seeds, PICKS), 1)).remainder(1.0).flatten()
 
     def _draw(
         self,
@@ -165,14 +160,12 @@ class SceneField(NetworkGenerator[SceneFieldConfig]):
         live: int = 0,
     ) -> Tensor:
         """Return (B, 128, 128) images of (B, 12) parameters, black 0 and white 1, unclipped."""
-        probe, config = self.net("probe"), self.config
+        probe, (beams, samples) = self.net("probe"), self.net("probe").offset.shape
         pose = parameters_to_pose(parameters)
-        size = config.probe.beams, config.probe.samples
-        half = size[0] // 2, size[1] // 2
         points, moving = _points(probe, pose, live)
-        fine = nets["fine"](points, picks, moving).view(-1, *size, config.channels)
+        fine = nets["fine"](points, picks, moving).view(-1, beams, samples, self.config.channels)
         points, moving = _points(probe, pose, live, coarse=True)
-        coarse = nets["coarse"](points, None, moving).view(-1, *half, MID)
+        coarse = nets["coarse"](points, None, moving).view(-1, beams // 2, samples // 2, MID)
         inputs = fine, coarse, probe.directions(pose), self.net("place")(pose)
         if torch.compiler.is_exporting():  # a loop over parts would fix the number of images
             return probe.image(nets["decoder"](*inputs))
@@ -202,10 +195,7 @@ class SceneField(NetworkGenerator[SceneFieldConfig]):
         self._layouts = _layout(parts["fine"]), _layout(parts["coarse"])
         self.nets = self.build().to(self.device)
         for name, net in self.nets.items():
-            if isinstance(net, VoxelField):
-                net.unpack(parts[name])
-            else:
-                net.load_state_dict(parts[name])
+            (net.unpack if isinstance(net, VoxelField) else net.load_state_dict)(parts[name])
 
 
 class _Still(nn.Module):

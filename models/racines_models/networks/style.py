@@ -40,10 +40,8 @@ class Mapping(nn.Module):
     def __init__(self, latent: int, condition: int, style: int, layers: int, rate: float):
         super().__init__()
         self.embedding = EqualDense(condition, latent)
-        sizes = [2 * latent, *[style] * layers]
-        self.layers = nn.ModuleList(
-            [EqualDense(before, after, rate=rate) for before, after in pairwise(sizes)]
-        )
+        sizes = pairwise([2 * latent, *[style] * layers])
+        self.layers = nn.ModuleList([EqualDense(*pair, rate=rate) for pair in sizes])
 
     def forward(self, latent: Tensor, condition: Tensor) -> Tensor:
         """Return (B, style) of (B, latent) and (B, condition)."""
@@ -124,18 +122,15 @@ class StyleSynthesis(nn.Module):
             self.layers.append(StyledLayer(before, after, style, up=True))
             self.layers.append(StyledLayer(after, after, style, up=False))
         shades = [1] * (len(pairs) - 1) + [4]
-        self.gray = nn.ModuleList(
-            [
-                ModulatedConv(channels, count, style, 1, demodulate=False)
-                for channels, count in zip(channels[1:], shades, strict=True)
-            ]
-        )
-        last = self.gray[-1].weight
-        assert isinstance(last, Tensor)
-        with torch.no_grad():
-            # Four alike interleave to no checkerboard (Aitken et al., Checkerboard artifact free
-            # sub-pixel convolution, 2017).
-            last.copy_(last[:1].expand_as(last))
+        gray = [
+            ModulatedConv(after, count, style, 1, demodulate=False)
+            for after, count in zip(channels[1:], shades, strict=True)
+        ]
+        # Four alike interleave to no checkerboard (Aitken et al., Checkerboard artifact free
+        # sub-pixel convolution, 2017).
+        last = gray[-1].weight.data
+        last.copy_(last[:1].expand_as(last))
+        self.gray = nn.ModuleList(gray)
         self.bias = nn.Parameter(torch.zeros(()))
 
     def forward(self, noise: Tensor, condition: Tensor) -> Tensor:

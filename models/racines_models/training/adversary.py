@@ -71,17 +71,12 @@ class Adversary:
     ) -> Update:
         """Return the discriminator's step.
 
-        Args:
-            judge: the discriminator, as the trainer wraps it.
-            critic: the discriminator itself.
-            real: (B, 1, 128, 128) frames in [-1, 1].
-            seen: (B, 1, 128, 128) drawn images, augmented already.
-            condition: (B, condition) of both.
-            seeds: (B,) of the augmentation, with which `seen` was made too.
+        `judge` is the discriminator as the trainer wraps it, `critic` itself; `real` are
+        (B, 1, 128, 128) frames in [-1, 1], `seen` the drawn images, augmented already, by the same
+        (B,) seeds; the (B, condition) is that of both.
         """
-        loss = self.critic_loss(
-            judge(self.view(real, seeds), condition), judge(seen.detach(), condition)
-        )
+        of_real = judge(self.view(real, seeds), condition)
+        loss = self.critic_loss(of_real, judge(seen.detach(), condition))
         logged = {"discriminator": loss}
         penalty = self.penalty(critic, real, condition, seeds)
         if penalty is not None:
@@ -109,9 +104,8 @@ class Adversary:
         """
         if not self.r1:
             return None
-        due = int(critic.judged) % self.r1_every == 0
         critic.judged += 1
-        if not due:
+        if (int(critic.judged) - 1) % self.r1_every:
             return None
         with torch.autocast(images.device.type, enabled=False):
             square = gradient_square(

@@ -54,17 +54,13 @@ class Place(nn.Module):
 
 
 class EchoDecoder(nn.Module):
-    """Turns (B, L, S, C) fine and (B, L/2, S/2, 9) coarse numbers into (B, L, S) gray, 0-1."""
+    """Turns (B, L, S, C) fine and (B, L/2, S/2, 9) coarse numbers into (B, L, S) gray, 0-1.
+
+    L are the beams, S the samples along one; `inputs` entries describe a pose for the contact.
+    """
 
     def __init__(self, beams: int, samples: int, inputs: int, hidden: int = 64):
-        """Start from a beam as wide as its neighbours' distance and a 68 dB gray scale.
-
-        Args:
-            beams: L.
-            samples: S.
-            inputs: Entries of the pose's description, for the contact.
-            hidden: Width of the contact's network.
-        """
+        # A beam as wide as its neighbours' distance, and a 68 dB gray scale, to start from.
         super().__init__()
         self.far = nn.Parameter(_bell(0.85, REACH))
         self.near = nn.Parameter(_bell(1.85, REACH))
@@ -75,10 +71,9 @@ class EchoDecoder(nn.Module):
         self.dark = nn.Parameter(torch.full((beams, samples), -5.0))
         self.shade = nn.Parameter(torch.tensor([0.147, 0.75]))
         self.gray = nn.Parameter(torch.tensor([0.6, 0.3]))
-        smooth = _bell(0.8, SMOOTH)
-        self.smooth_beams = nn.Parameter(smooth / smooth.sum())
-        smooth = _bell(0.3, SMOOTH)
-        self.smooth_samples = nn.Parameter(smooth / smooth.sum())
+        beams_bell, samples_bell = _bell(0.8, SMOOTH), _bell(0.3, SMOOTH)
+        self.smooth_beams = nn.Parameter(beams_bell / beams_bell.sum())
+        self.smooth_samples = nn.Parameter(samples_bell / samples_bell.sum())
         last = nn.Linear(hidden, beams)
         nn.init.zeros_(last.weight)
         nn.init.constant_(last.bias, 3.0)
@@ -87,14 +82,7 @@ class EchoDecoder(nn.Module):
         )
 
     def forward(self, fine: Tensor, coarse: Tensor, directions: Tensor, pose: Tensor) -> Tensor:
-        """Return (B, L, S) gray levels.
-
-        Args:
-            fine: (B, L, S, C) amplitudes.
-            coarse: (B, L/2, S/2, 9).
-            directions: (B, L, 3) of the beams.
-            pose: (B, inputs) description of the pose.
-        """
+        """Return the gray levels, by (B, L, 3) directions of the beams and (B, inputs) of poses."""
         loss, power, amplitude, mirror = self._tissue(coarse, directions)
         coupling = self.contact(pose).sigmoid().unsqueeze(-1)
         received = (self.gain - loss.cumsum(-1)).exp() * coupling

@@ -28,12 +28,9 @@ class Layout(NamedTuple):
 
 
 def lay_out(points: Tensor, voxel: float, coverage: float) -> Layout:
-    """Allocate bricks for (N, 3) points, mm: the most visited ones, until they hold a share.
+    """Allocate bricks where (N, 3) points, mm, lie: the most visited, until they hold a share.
 
-    Args:
-        points: Samples of where beams go.
-        voxel: Edge of a voxel, mm.
-        coverage: Share of the points that get a brick of their own, in (0, 1].
+    `voxel` is the edge of a voxel, mm; `coverage` the share of the points, in (0, 1].
     """
     edge = SIDE * voxel
     origin = points.min(0).values - edge
@@ -90,13 +87,11 @@ class VoxelField(nn.Module):
         self.values.copy_((self.codes * self.scales).view_as(self.values))
 
     def forward(self, points: Tensor, picks: Tensor | None = None, live: int = 0) -> Tensor:
-        """Return the (N, channels) numbers at (3, N) points.
+        """Return the (N, channels) numbers at (3, N) points, mm, in the base frame.
 
-        Args:
-            points: mm, base frame.
-            picks: (N,) uniform in [0, 1): the gradient of a point goes to one of its four voxels,
-                drawn by their weights. Right on average, and a quarter of the work.
-            live: So many points, the first ones, get a gradient of their own.
+        With `picks`, (N,) uniform in [0, 1), the gradient of a point goes to one of its four
+        voxels, drawn by their weights: right on average, and a quarter of the work. So many points
+        as are `live`, the first ones, get a gradient of their own.
         """
         if torch.compiler.is_exporting():
             return self._plainly(points)
@@ -109,10 +104,7 @@ class VoxelField(nn.Module):
         return _Fetch.apply(self.values, rows, weights, picks, live)  # pyright: ignore
 
     def _plainly(self, points: Tensor) -> Tensor:
-        """Return what `forward` returns, in operators that ONNX has.
-
-        Indices are int64, and eight bits a number are read as they are stored.
-        """
+        """Return what `forward` returns in operators of ONNX: int64 indices, codes as stored."""
         place = self._place(points)
         low = place.to(torch.int64)
         rest = place - low
@@ -148,13 +140,14 @@ class VoxelField(nn.Module):
         low = place.to(torch.int32)
         rest = place - low
         strides, inner = self._strides(low)
-        bricks = [(end >> 3) * strides for end in (low, low + 1)]
-        voxels = [(end & 7) * inner for end in (low, low + 1)]
+        ends = low, low + 1
+        bricks = [(end >> 3) * strides for end in ends]
+        voxels = [(end & 7) * inner for end in ends]
         rows = []
         for up in _steps(*rest):
             brick, voxel = (
-                ends[up] if isinstance(up, bool) else torch.where(up, ends[1], ends[0])
-                for ends in (bricks, voxels)
+                parts[up] if isinstance(up, bool) else torch.where(up, parts[1], parts[0])
+                for parts in (bricks, voxels)
             )
             first = self.table.view(-1).index_select(0, brick.sum(0, dtype=torch.int32))
             rows.append(first.add_(voxel.sum(0, dtype=torch.int32)))

@@ -74,10 +74,6 @@ class Probe(nn.Module):
             "scale": round(self.scale.exp().item(), 5),
         }
 
-    def axes(self, pose: Pose) -> Tensor:
-        """Return (B, 3, 3): the image's axes (lateral, elevation, axial) as columns."""
-        return matmul3(pose.rotation, axis_angle_to_matrix(self.turn))
-
     def points(self, pose: Pose, coarse: bool = False) -> Tensor:
         """Return (3, B, beams, samples) positions, mm; coarse ones lie between 2 x 2 samples."""
         grids = torch.stack([self.lateral, self.offset, self.axial])
@@ -86,15 +82,14 @@ class Probe(nn.Module):
         scale = torch.stack([self.scale, torch.zeros_like(self.scale), self.scale]).exp()
         local = axis_angle_to_matrix(self.turn) @ (scale.unsqueeze(1) * grids.flatten(1))
         local = (local + self.shift.unsqueeze(1)).view_as(grids)
-        placed = pose.rotation.flatten(0, 1) @ local.flatten(1)
-        placed = placed.view(-1, 3, local.shape[1], local.shape[2])
-        placed = placed + (pose.position * 1e3).view(-1, 3, 1, 1)
-        return placed.transpose(0, 1)
+        placed = (pose.rotation.flatten(0, 1) @ local.flatten(1)).view(-1, *local.shape)
+        return (placed + (pose.position * 1e3).view(-1, 3, 1, 1)).transpose(0, 1)
 
     def directions(self, pose: Pose) -> Tensor:
         """Return (B, beams, 3) unit vectors of the beams."""
         local = torch.stack([self.across, torch.zeros_like(self.across), self.along], -1)
-        return rotate(self.axes(pose).unsqueeze(1), local)
+        axes = matmul3(pose.rotation, axis_angle_to_matrix(self.turn))  # of the image, as columns
+        return rotate(axes.unsqueeze(1), local)
 
     def image(self, polar: Tensor) -> Tensor:
         """Turn (B, beams, samples) into (B, 128, 128), zero outside the sector."""
@@ -107,9 +102,7 @@ class Probe(nn.Module):
 
 def _pixels() -> tuple[Tensor, Tensor]:
     """Return how far pixels lie right of the image's middle and below its top, pixels."""
-    rows, columns = torch.meshgrid(
-        torch.arange(float(IMAGE_SIZE)), torch.arange(float(IMAGE_SIZE)), indexing="ij"
-    )
+    rows, columns = torch.meshgrid([torch.arange(float(IMAGE_SIZE))] * 2, indexing="ij")
     return columns - (IMAGE_SIZE - 1) / 2, rows + 0.5
 
 
