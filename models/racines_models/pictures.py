@@ -16,11 +16,7 @@ COLUMNS = 8
 
 
 def write_strip(path: Path, rows: Sequence[Tensor], gap: int = 2) -> None:
-    """Write a PNG of rows of (K, H, W) uint8 images, one below the other.
-
-    Raises:
-        RacinesError: rows of different lengths.
-    """
+    """Write a PNG of rows of (K, H, W) uint8 images, one below the other, all of one shape."""
     if len({tuple(row.shape) for row in rows}) != 1:
         raise RacinesError(f"{path}: rows of different shapes")
     tiles = pad(torch.stack(list(rows)), (0, gap, 0, gap), value=255)

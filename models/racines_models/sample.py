@@ -59,9 +59,8 @@ def take_sample(store: FrameStore, split: str, size: int) -> Sample:
     """
     rows = store.split_indices(split)
     if len(rows) < 2:
-        raise RacinesError(
-            f"split {split} has {len(rows)} frames: scores need 2 or more; set scores.split"
-        )
+        few = f"split {split} has {len(rows)} frames"
+        raise RacinesError(f"{few}: scores need 2 or more; set scores.split")
     return spread_sample(store, rows, size)
 
 

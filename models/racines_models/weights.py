@@ -102,11 +102,7 @@ def load_network(path: Path, network: nn.Module, remedy: str) -> None:
 
 
 def read_described(folder: Path, absent: str) -> dict[str, Any]:
-    """Return what the `config.json` beside the weights says.
-
-    Raises:
-        RacinesError: there is none, told with `absent`; or it is no JSON.
-    """
+    """Return what the `config.json` beside the weights says; refuse none, with `absent`."""
     path = Path(folder) / "config.json"
     if not path.is_file():
         raise RacinesError(f"{folder}: {absent}")

@@ -130,17 +130,14 @@ class BaseGenerator(ABC, Generic[C]):
         absent = f"no trained {cls.name} here; run: racines train generator {cls.name}"
         content = read_described(folder, absent)
         if content.get("schema") != SCHEMA or content.get("name") != cls.name:
-            found = content.get("name") or "something else"
-            raise RacinesError(
-                f"{folder}/config.json: holds {found}, not {cls.name}; name the generator it holds"
-            )
+            held = f"holds {content.get('name') or 'something else'}, not {cls.name}"
+            raise RacinesError(f"{folder}/config.json: {held}; name the generator it holds")
         generator = cls(fill(cls.Config, content["config"], f"{folder}/config.json: config"))
         generator.device = resolve_device(device)
         generator.seed, generator.data = content["seed"], content["data"]
         try:
             generator.restore(load_weights(folder / "model.safetensors", generator.device))
         except Exception as error:
-            raise RacinesError(
-                f"{folder}/model.safetensors: cannot be read: {error}; train {cls.name} again"
-            ) from error
+            problem = f"cannot be read: {error}; train {cls.name} again"
+            raise RacinesError(f"{folder}/model.safetensors: {problem}") from error
         return generator

@@ -58,11 +58,7 @@ class NoiseCeiling(BaseGenerator[NoiseCeilingConfig]):
         return {"phantom_version": torch.tensor([int(x) for x in PHANTOM_VERSION.split(".")])}
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Bake the phantom of the config again.
-
-        Raises:
-            RacinesError: the model was saved under another version of the phantom.
-        """
+        """Bake the phantom of the config again; refuse that of another version."""
         saved = ".".join(str(int(x)) for x in tensors["phantom_version"])
         if saved != PHANTOM_VERSION:
             raise RacinesError(f"it was made of phantom {saved}, this is phantom {PHANTOM_VERSION}")

@@ -56,11 +56,7 @@ def frozen(net: nn.Module) -> Iterator[None]:
 
 
 def check_injection(injection: str, name: str) -> None:
-    """Refuse an injection that is none.
-
-    Raises:
-        RacinesError: it is neither `concat` nor `norm`.
-    """
+    """Refuse an injection that is none, in the config of a name."""
     if injection not in INJECTIONS:
         raise RacinesError(f"{name}.injection: {injection!r}: use {' or '.join(INJECTIONS)}")
 

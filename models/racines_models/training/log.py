@@ -99,11 +99,7 @@ class Guard:
         _add(self._sums, losses)
 
     def check(self, seen: int) -> None:
-        """Look at the losses since the last check.
-
-        Raises:
-            RacinesError: one is NaN or infinite.
-        """
+        """Refuse to go on if one of the losses since the last check is NaN or infinite."""
         sums = {name: float(total) for name, total in self._sums.items()}
         broken = [(name, value) for name, value in sums.items() if not math.isfinite(value)]
         if broken:

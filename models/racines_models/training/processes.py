@@ -34,12 +34,7 @@ def _joined() -> bool:
 
 
 class Processes:
-    """This process among those of a run; with one process nothing here does anything.
-
-    Raises:
-        RacinesError: the batch cannot be shared equally, or several processes were asked for and
-            one was started.
-    """
+    """This process among those of a run; with one process nothing here does anything."""
 
     def __init__(self, accelerator: Accelerator, batch_size: int):
         self.rank, self.count = accelerator.process_index, accelerator.num_processes

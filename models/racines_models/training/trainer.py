@@ -260,12 +260,8 @@ class Average:
 
 
 def resolve_precision(precision: str, device: str) -> str:
-    """Return what `auto` stands for on a device, or the precision named.
-
-    Raises:
-        RacinesError: fp16 on a CPU, which would train in full precision and not say so.
-    """
-    if precision == "fp16" and device == "cpu":
+    """Return what `auto` stands for on a device, or the precision named."""
+    if precision == "fp16" and device == "cpu":  # it would train in full precision and not say so
         raise RacinesError("training.precision: fp16 needs a CUDA device; use bf16, fp32 or auto")
     if precision != "auto":
         return precision

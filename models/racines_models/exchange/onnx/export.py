@@ -39,10 +39,8 @@ def export_generator(generator: Any, path: Path) -> dict[str, Any]:
     hook = getattr(generator, "onnx_module", None)
     if hook is None:
         name = getattr(generator, "name", type(generator).__name__)
-        raise RacinesError(
-            f"{name} has no onnx_module(): it cannot be an ONNX file; "
-            "export its predictions instead: racines export predictions"
-        )
+        remedy = "export its predictions instead: racines export predictions"
+        raise RacinesError(f"{name} has no onnx_module(): it cannot be an ONNX file; {remedy}")
     if not getattr(generator, "tensors", lambda: True)():
         raise RacinesError(f"{generator.name} is not fitted: call fit, or load a trained folder")
     module: OnnxModule = hook()
@@ -111,15 +109,11 @@ def _trace(network: nn.Module, examples: dict[str, torch.Tensor], output: str) -
     return program.model_proto
 
 
-class _Ordered(nn.Module):
-    """Inputs by position, whatever the network calls them."""
-
-    def __init__(self, network: nn.Module):
-        super().__init__()
-        self.network = network
+class _Ordered(nn.Sequential):
+    """A network whose inputs come by position, whatever it calls them."""
 
     def forward(self, *inputs: torch.Tensor) -> torch.Tensor:
-        return self.network(*inputs)
+        return self[0](*inputs)
 
 
 def _strip(model: Any) -> None:

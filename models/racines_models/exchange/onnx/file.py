@@ -27,26 +27,19 @@ FLOAT, UINT8 = 1, 2
 
 
 def import_onnx(*packages: str) -> None:
-    """Check that optional packages are there.
-
-    Raises:
-        RacinesError: one is missing; names the extra that brings them.
-    """
+    """Refuse to go on without optional packages; says which extra brings them."""
     for name in packages:
         try:
             importlib.import_module(name)
         except ImportError as error:
-            raise RacinesError(
-                f"ONNX needs the package {name}, which is not installed: "
-                "pip install 'racines[onnx]'"
-            ) from error
+            absent = f"ONNX needs the package {name}, which is not installed"
+            raise RacinesError(f"{absent}: pip install 'racines[onnx]'") from error
 
 
 def open_session(content: bytes, where: str, device: str) -> Any:
     """Return the onnxruntime session of a model: one thread, deterministic, on CUDA if it can.
 
-    Raises:
-        RacinesError: onnxruntime cannot load it; begins with `where`.
+    What it cannot load is refused with a `RacinesError` that begins with `where`.
     """
     import onnxruntime
 
@@ -73,7 +66,11 @@ def read_model(path: Path) -> tuple[bytes, Any, int]:
     import_onnx("onnx", "onnxruntime")
     import onnx
 
-    content = _read(path)
+    check_size(path, MAX_BYTES)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise RacinesError(f"{path}: cannot be read: {error}") from error
     try:
         model = onnx.load_model_from_string(content)
     except Exception as error:
@@ -90,14 +87,6 @@ def read_model(path: Path) -> tuple[bytes, Any, int]:
     return content, model, opset
 
 
-def _read(path: Path) -> bytes:
-    check_size(path, MAX_BYTES)
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise RacinesError(f"{path}: cannot be read: {error}") from error
-
-
 def _messages(message: Any) -> Iterator[Any]:
     """Yield a protobuf message and all those within it."""
     yield message
@@ -109,15 +98,14 @@ def _messages(message: Any) -> Iterator[Any]:
 
 def _check_inside(model: Any, path: Path) -> None:
     for part in _messages(model):
-        if part.DESCRIPTOR.name == "TensorProto" and (
-            part.external_data or part.data_location == part.EXTERNAL
-        ):
+        kind = part.DESCRIPTOR.name
+        if kind == "TensorProto" and (part.external_data or part.data_location == part.EXTERNAL):
             raise RacinesError(
                 f"{path}: tensor {part.name!r} lies in another file: save the model as one file "
                 "(onnx.save(model, path, save_as_external_data=False))"
             )
         # Every element of a tensor takes a bit at least, and a file holds MAX_BYTES at most.
-        dims = part.dims if part.DESCRIPTOR.name in TENSORS else ()
+        dims = part.dims if kind in TENSORS else ()
         if min(dims, default=0) < 0 or math.prod(dims) > 8 * MAX_BYTES:
             raise RacinesError(
                 f"{path}: a tensor claims {' x '.join(map(str, dims))} elements, more than the "
@@ -147,13 +135,10 @@ def declared_shape(value: Any) -> list[int | None]:
 def check_value(
     value: Any, path: Path, wanted: str, rest: tuple[int, ...], kinds: tuple[int, ...]
 ) -> int | None:
-    """Return the fixed batch size of an input or output, None if it is free.
+    """Return the fixed batch size of an input or output, None if it is free; refuse a wrong one.
 
     `rest` are the sizes needed after the batch, `kinds` the element types that are taken, `wanted`
-    says so in errors.
-
-    Raises:
-        RacinesError: another type or shape.
+    says so in the `RacinesError`.
     """
     shape = declared_shape(value)
     kind = value.type.tensor_type.elem_type
@@ -169,11 +154,7 @@ def check_value(
 
 
 def read_metadata(model: Any, path: Path, schema: str, keys: Sequence[str]) -> dict[str, str]:
-    """Return the metadata whose keys begin with `racines.`, without that.
-
-    Raises:
-        RacinesError: an unknown key, one that stands twice or is too long, or another schema.
-    """
+    """Return the metadata whose keys begin with `racines.`, without that, if all are as allowed."""
     told: dict[str, str] = {}
     for entry in model.metadata_props:
         prefix, _, key = entry.key.partition(".")
@@ -191,15 +172,12 @@ def read_metadata(model: Any, path: Path, schema: str, keys: Sequence[str]) -> d
 
 
 def parsed(told: dict[str, str], key: str, kind: type, path: Path) -> Any:
-    """Return a metadata value that is JSON of a kind or null; None if it is absent.
-
-    Raises:
-        RacinesError: no JSON, or of another kind.
-    """
+    """Return a metadata value if it is JSON of a kind or null, None if it is absent."""
+    where = f"{path}: metadata racines.{key}"
     try:
         value = json.loads(told.get(key, "null"))
     except (ValueError, RecursionError) as error:
-        raise RacinesError(f"{path}: metadata racines.{key}: not valid JSON: {error}") from error
+        raise RacinesError(f"{where}: not valid JSON: {error}") from error
     if value is not None and type(value) is not kind:
-        raise RacinesError(f"{path}: metadata racines.{key}: a {type(value).__name__} is no {key}")
+        raise RacinesError(f"{where}: a {type(value).__name__} is no {key}")
     return value

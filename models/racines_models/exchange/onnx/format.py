@@ -49,10 +49,9 @@ class OnnxInterface:
 
 
 def read_onnx(path: Path) -> tuple[bytes, OnnxInterface]:
-    """Read a file and check that it meets the interface, without running it.
+    """Return a file's bytes and what it says, if it meets the interface; nothing is run.
 
-    Raises:
-        RacinesError: the file is refused (see `read_model`), or its inputs, output or metadata.
+    Refused are files as by `read_model`, and wrong inputs, outputs and metadata.
     """
     content, model, opset = read_model(path)
     batch, size = _inputs(model.graph, path)
@@ -70,9 +69,8 @@ def _inputs(graph: Any, path: Path) -> tuple[int | None, int]:
     weights = {tensor.name for tensor in graph.initializer}
     inputs = {value.name: value for value in graph.input if value.name not in weights}
     if PARAMS not in inputs or not set(inputs) <= {PARAMS, NOISE}:
-        raise RacinesError(
-            f"{path}: inputs {sorted(inputs)}: give {PARAMS}, and {NOISE} if it is stochastic"
-        )
+        wanted = f"give {PARAMS}, and {NOISE} if it is stochastic"
+        raise RacinesError(f"{path}: inputs {sorted(inputs)}: {wanted}")
     count = len(PARAMETERS)
     batches = [check_value(inputs[PARAMS], path, f"float32 (B, {count})", (count,), (FLOAT,))]
     size = 0
@@ -114,17 +112,13 @@ def _noise(told: dict[str, str], size: int, path: Path) -> NoiseInput | None:
     declared = parsed(told, "noise", dict, path)
     stochastic = parsed(told, "stochastic", bool, path)
     if stochastic is not None and stochastic is not bool(size):
-        raise RacinesError(
-            f"{path}: racines.stochastic is {stochastic}, but the graph has "
-            f"{'a' if size else 'no'} {NOISE} input"
-        )
+        has = f"the graph has {'a' if size else 'no'} {NOISE} input"
+        raise RacinesError(f"{path}: racines.stochastic is {stochastic}, but {has}")
     if declared is None:
         return NoiseInput(size) if size else None
     keys = declared.get("keys", [])
     whole = isinstance(keys, list) and all(type(k) is int and abs(k) < 2**31 for k in keys)
     if set(declared) - {"size", "keys"} or not whole or declared.get("size") != size:
-        raise RacinesError(
-            f'{path}: racines.noise: give {{"size": {size}, "keys": [integers]}}, '
-            f"the size of input {NOISE}"
-        )
+        wanted = f'{{"size": {size}, "keys": [integers]}}, the size of input {NOISE}'
+        raise RacinesError(f"{path}: racines.noise: give {wanted}")
     return NoiseInput(size, tuple(keys))

@@ -29,13 +29,14 @@ class OnnxGenerator:
 
     Batches have one size, the last one padded, so that an image ignores its neighbours; onnxruntime
     runs on one thread in its deterministic mode. On `cuda` its CUDA provider runs if installed.
-
-    Raises:
-        RacinesError: the file is refused, or onnxruntime cannot load it.
     """
 
     def __init__(self, path: Path, device: str = "cpu", opener: Opener = open_session):
-        """Open a file; `opener` makes of its bytes, its name and the device what runs it."""
+        """Open a file; `opener` makes of its bytes, its name and the device what runs it.
+
+        Raises:
+            RacinesError: the file is refused, or onnxruntime cannot load it.
+        """
         self.path = Path(path)
         content, self.interface = read_onnx(self.path)
         self.name = self.interface.name
@@ -75,16 +76,13 @@ class OnnxGenerator:
 
     def _gray(self, images: np.ndarray, count: int) -> Tensor:
         if images.size != count * IMAGE_SIZE**2 or images.shape[0] != count:
-            raise RacinesError(
-                f"{self.path}: {OUTPUT} came with shape {images.shape} for {count} poses: "
-                f"give (B, {IMAGE_SIZE}, {IMAGE_SIZE})"
-            )
+            came = f"{OUTPUT} came with shape {images.shape} for {count} poses"
+            raise RacinesError(f"{self.path}: {came}: give (B, {IMAGE_SIZE}, {IMAGE_SIZE})")
         drawn = torch.from_numpy(images.reshape(count, IMAGE_SIZE, IMAGE_SIZE))
         if not self.interface.floating:
             return drawn
         low, high = float(drawn.min()), float(drawn.max())
         if not (low >= -1 - SLACK and high <= 1 + SLACK):  # false for NaN, too
-            raise RacinesError(
-                f"{self.path}: {OUTPUT} lies in {low:g} to {high:g}: give finite values in [-1, 1]"
-            )
+            came = f"{OUTPUT} lies in {low:g} to {high:g}"
+            raise RacinesError(f"{self.path}: {came}: give finite values in [-1, 1]")
         return ((drawn + 1.0) * 127.5).round().clamp(0, 255).to(torch.uint8)

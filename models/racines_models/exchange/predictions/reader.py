@@ -109,10 +109,9 @@ class Predictions:
         found = {field.name: field.type for field in file.schema_arrow}
         wanted = {field.name: field.type for field in PREDICTION_COLUMNS}
         if len(found) != len(file.schema_arrow) or set(found) != set(wanted):
-            raise RacinesError(
-                f"{self.path}: columns {', '.join(file.schema_arrow.names[:20])}: "
-                f"give {', '.join(wanted)} and no other"
-            )
+            given = ", ".join(file.schema_arrow.names[:20])
+            asked = ", ".join(PREDICTION_COLUMNS.names)
+            raise RacinesError(f"{self.path}: columns {given}: give {asked} and no other")
         for name, kind in wanted.items():
             allowed = (kind, pa.large_binary()) if name == "image" else (kind,)
             if found[name] not in allowed:
@@ -121,10 +120,8 @@ class Predictions:
         told = file.metadata
         unpacked = sum(told.row_group(i).total_byte_size for i in range(told.num_row_groups))
         if told.num_rows > MAX_ROWS or unpacked > MAX_BYTES:
-            raise RacinesError(
-                f"{self.path}: {told.num_rows:,} rows, {unpacked:,} bytes unpacked: "
-                f"at most {MAX_ROWS:,} and {MAX_BYTES:,}"
-            )
+            given = f"{told.num_rows:,} rows, {unpacked:,} bytes unpacked"
+            raise RacinesError(f"{self.path}: {given}: at most {MAX_ROWS:,} and {MAX_BYTES:,}")
 
     def _check_dataset(self, store: FrameStore, split: str | None) -> None:
         digest = store.manifest["digest"]
@@ -197,9 +194,8 @@ class _Finder:
         """Refuse a file that lacks a sample."""
         missing, seed = [each for each in self._places if each not in self._rows], self._seed
         if len(missing) == len(self._places) > 0:
-            raise RacinesError(
-                f"{self._path}: no rows of seed {seed}: draw it, or set scores.seeds"
-            )
+            none = f"no rows of seed {seed}"
+            raise RacinesError(f"{self._path}: {none}: draw it, or set scores.seeds")
         if missing:
             raise RacinesError(
                 f"{self._path}: {len(missing)} of {len(self._places)} samples of seed {seed} are "
@@ -235,11 +231,7 @@ def _read_metadata(raw: dict[bytes, bytes], path: Path) -> dict[str, str]:
 
 
 def decode_gray(data: bytes, where: str) -> np.ndarray:
-    """Return the (128, 128) uint8 gray levels of an 8-bit gray PNG.
-
-    Raises:
-        RacinesError: no such PNG, too large, truncated or damaged; begins with `where`.
-    """
+    """Return the (128, 128) uint8 gray levels of an 8-bit gray PNG; refuse all else, by `where`."""
     _check_header(data, where)
     try:
         check_png(data)
