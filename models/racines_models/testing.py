@@ -33,14 +33,8 @@ def check_rows(draw: Callable[..., Tensor | tuple[Tensor, ...]], *inputs: Tensor
     """Check that a row's result depends on its own inputs alone, to the last bit.
 
     Each of the first eight rows stands at every place, alone, and among all others, which are more
-    than one chunk.
-
-    Args:
-        draw: Turns (B, …) inputs into a tensor, or tensors, of (B, …).
-        inputs: At least nine rows, seeds among them where there are any.
-
-    Raises:
-        AssertionError: a result differs.
+    than one chunk. `draw` turns (B, …) inputs, seeds among them where there are any, into a tensor
+    or tensors of (B, …); an `AssertionError` says what differs.
     """
 
     def results(places: Tensor) -> list[Tensor]:

@@ -147,12 +147,7 @@ class Journey(nn.Module):
 
 
 def follow(
-    unet: nn.Module,
-    x: Tensor,
-    parameters: Tensor,
-    steps: int,
-    solver: str,
-    spacing: float = 1.0,
+    unet: nn.Module, x: Tensor, parameters: Tensor, steps: int, solver: str, spacing: float = 1.0
 ) -> Tensor:
     """Return the (B, 16, 32, 32) images at the end of the flow from noise `x`.
 

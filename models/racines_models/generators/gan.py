@@ -97,7 +97,10 @@ class ConditionalGan(AdversarialGenerator[C]):
         condition = self.net("conditioning")(batch.parameters)
         noise = normal(derive(batch.seeds, LATENT), self.net("generator").noise)
         drawn = nets["generator"](noise, condition)
-        adversarial = yield from self.contest(nets, real, drawn, condition, batch.seeds)
+        critics = nets["discriminator"], self.net("discriminator")
+        adversarial = yield from self.config.adversary.contest(
+            *critics, real, drawn, condition, batch.seeds
+        )
         reconstruction = l1_loss(drawn.float(), real)
         loss = adversarial
         if self.config.reconstruction_weight:

@@ -1,28 +1,26 @@
 """What generators share that learn by gradients: their networks, and those of an adversary."""
 
 from abc import abstractmethod
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, TypeVar
 
 import torch
 from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
-from racines_data.randomness import derive, sample_seeds
+from racines_data.randomness import sample_seeds
 from racines_data.store.frames import FrameStore
 from racines_models.generators.base import BaseGenerator
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.conditioning import Conditioning
 from racines_models.networks.discriminator import Discriminator
-from racines_models.networks.layers import frozen
 from racines_models.networks.onnx_module import NoiseInput, OnnxModule
 from racines_models.networks.painting import Framed, Painter
 from racines_models.protocol import Run
-from racines_models.training.objective import Update
 from racines_models.training.trainer import train
 
-DRAW, AUGMENT = 3, 4
-"""Random streams of an adversarial generator: noise at drawing, changes of the augmentation."""
+DRAW = 3
+"""Random stream of an adversarial generator: its noise at drawing."""
 C = TypeVar("C")
 
 
@@ -138,27 +136,6 @@ class AdversarialGenerator(NetworkGenerator[C]):
         self.net("conditioning").fit(store.parameters[store.split_indices("train")])
         if config.sector:
             self.net(self.drawing).fit(store)
-
-    def contest(
-        self,
-        nets: Mapping[str, nn.Module],
-        real: Tensor,
-        drawn: Tensor,
-        condition: Tensor,
-        seeds: Tensor,
-    ) -> Generator[Update, None, Tensor]:
-        """Yield the discriminator's step, then return the adversarial loss of what was drawn.
-
-        `real` are (B, 1, 128, 128) frames in [-1, 1], `drawn` images of the same poses, which have
-        a (B, condition) and a (B,) seed each; `nets` as `Learner.updates` has them.
-        """
-        config: Any = self.config
-        adversary, critic = config.adversary, self.net("discriminator")
-        seeds = derive(seeds, AUGMENT)
-        seen = adversary.view(drawn, seeds)
-        yield adversary.critic_update(nets["discriminator"], critic, real, seen, condition, seeds)
-        with frozen(critic):
-            return adversary.generator_loss(nets["discriminator"](seen, condition))
 
     def onnx_module(self) -> OnnxModule:
         """Return conditioning and the network that draws."""

@@ -118,7 +118,10 @@ class VaeGan(AdversarialGenerator[VaeGanConfig]):
         # Both in one pass: the decoder's batch norm then fits the prior, from which it will draw.
         latents, conditions = torch.cat([posterior, prior]), torch.cat([condition, condition])
         rebuilt, drawn = nets["decoder"](latents, conditions).chunk(2)
-        adversarial = yield from self.contest(nets, real, drawn, condition, batch.seeds)
+        critics = nets["discriminator"], self.net("discriminator")
+        adversarial = yield from self.config.adversary.contest(
+            *critics, real, drawn, condition, batch.seeds
+        )
         reconstruction = mse_loss(rebuilt.float(), real)
         kl = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).float().mean()
         loss = (

@@ -4,7 +4,7 @@ Among the latter differentiable augmentation: random changes that gradients pass
 sample's seed (Zhao et al., Differentiable Augmentation for Data-Efficient GAN Training, 2020).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -12,13 +12,14 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from racines_data.errors import RacinesError
-from racines_data.randomness import uniform
+from racines_data.randomness import derive, uniform
 from racines_models.networks.discriminator import JOININGS, NORMALISATIONS, Discriminator
+from racines_models.networks.layers import frozen
 from racines_models.training.objective import Update
 
 LOSSES = ("non-saturating", "hinge")
-STREAM = 41
-"""Random stream of the augmentation's changes."""
+AUGMENT, STREAM = 4, 41
+"""Random streams: the augmentation among all of a sample's, and its changes."""
 SHIFT = 1 / 8
 """Largest shift, as a share of the side."""
 HOLE = 1 / 2
@@ -60,21 +61,23 @@ class Adversary:
         """Return (B, 1, H, W) images as the discriminator sees them: augmented by (B,) seeds."""
         return augment(images, seeds, self.augment)
 
-    def critic_update(
+    def contest(
         self,
         judge: Callable[[Tensor, Tensor], Tensor],
         critic: Discriminator,
         real: Tensor,
-        seen: Tensor,
+        drawn: Tensor,
         condition: Tensor,
         seeds: Tensor,
-    ) -> Update:
-        """Return the discriminator's step.
+    ) -> Generator[Update, None, Tensor]:
+        """Yield the discriminator's step, then return the generator's loss by the stepped one.
 
-        `judge` is the discriminator as the trainer wraps it, `critic` itself; `real` are
-        (B, 1, 128, 128) frames in [-1, 1], `seen` the drawn images, augmented already, by the same
-        (B,) seeds; the (B, condition) is that of both.
+        `judge` is the discriminator as the trainer wraps it, `critic` itself. `real` are
+        (B, 1, 128, 128) frames in [-1, 1], `drawn` images of the same poses, which have a
+        (B, condition) and a (B,) seed each.
         """
+        seeds = derive(seeds, AUGMENT)
+        seen = self.view(drawn, seeds)
         of_real = judge(self.view(real, seeds), condition)
         loss = self.critic_loss(of_real, judge(seen.detach(), condition))
         logged = {"discriminator": loss}
@@ -82,7 +85,9 @@ class Adversary:
         if penalty is not None:
             logged["r1"] = penalty
             loss = loss + penalty
-        return Update("discriminator", loss, logged)
+        yield Update("discriminator", loss, logged)
+        with frozen(critic):
+            return self.generator_loss(judge(seen, condition))
 
     def critic_loss(self, real: Tensor, drawn: Tensor) -> Tensor:
         """Return the discriminator's loss of (B,) logits, a mean over both halves."""

@@ -48,38 +48,6 @@ class Course(Protocol):
         """Continue from a saved state."""
 
 
-class FrameCourse(Course):
-    """The train split by a `Training`'s schedule; what makes images draws validation frames."""
-
-    def __init__(
-        self,
-        learner: Learner,
-        store: FrameStore,
-        config: Training,
-        run: Run,
-        device: torch.device,
-        share: slice,
-    ):
-        self._learner, self._config = learner, config
-        self._feed = Feed(store, config.batch_size, run.seed, device, share)
-        self._validation = Validation(store, run.seed)
-
-    def batches(self, start: int, stop: int) -> Iterator[TrainBatch]:
-        """Yield this process's share of each batch."""
-        return self._feed.batches(start, stop)
-
-    def rate(self, step: int) -> float:
-        """Return the factor that the config's schedule and warm-up say."""
-        return rate_factor(self._config, step * self._config.batch_size)
-
-    def look(self, seen: int, folder: Path) -> Mapping[str, float]:
-        """Draw the validation frames, if it is images that the learner makes."""
-        if not isinstance(self._learner, ImageSource):
-            return {}
-        figures = self._validation.look(self._learner, folder / "samples" / f"{seen:09d}.png")
-        return {f"validation/{key}": figures[key] for key in ("mae", "psnr")}
-
-
 class Feed:
     """The train split as one endless stream: a fresh permutation an epoch, no batch cut short.
 
@@ -169,3 +137,31 @@ def rate_factor(config: Training, seen: int) -> float:
         return 1.0
     past = (seen - config.warmup_images) / max(config.stop - config.warmup_images, 1)
     return 0.5 * (1.0 + math.cos(math.pi * past))
+
+
+class FrameCourse(Feed, Course):
+    """The train split by a `Training`'s schedule; what makes images draws validation frames."""
+
+    def __init__(
+        self,
+        learner: Learner,
+        store: FrameStore,
+        config: Training,
+        run: Run,
+        device: torch.device,
+        share: slice,
+    ):
+        super().__init__(store, config.batch_size, run.seed, device, share)
+        self._learner, self._config = learner, config
+        self._validation = Validation(store, run.seed)
+
+    def rate(self, step: int) -> float:
+        """Return the factor that the config's schedule and warm-up say."""
+        return rate_factor(self._config, step * self._config.batch_size)
+
+    def look(self, seen: int, folder: Path) -> Mapping[str, float]:
+        """Draw the validation frames, if it is images that the learner makes."""
+        if not isinstance(self._learner, ImageSource):
+            return {}
+        figures = self._validation.look(self._learner, folder / "samples" / f"{seen:09d}.png")
+        return {f"validation/{key}": figures[key] for key in ("mae", "psnr")}

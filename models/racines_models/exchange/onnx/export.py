@@ -109,11 +109,15 @@ def _trace(network: nn.Module, examples: dict[str, torch.Tensor], output: str) -
     return program.model_proto
 
 
-class _Ordered(nn.Sequential):
+class _Ordered(nn.Module):
     """A network whose inputs come by position, whatever it calls them."""
 
+    def __init__(self, network: nn.Module):
+        super().__init__()
+        self.network = network
+
     def forward(self, *inputs: torch.Tensor) -> torch.Tensor:
-        return self[0](*inputs)
+        return self.network(*inputs)
 
 
 def _strip(model: Any) -> None:
@@ -145,8 +149,7 @@ def _quiet() -> Iterator[None]:
     level = logger.level
     logger.setLevel(logging.ERROR)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             yield
     finally:
         logger.setLevel(level)
