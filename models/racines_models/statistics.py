@@ -45,10 +45,7 @@ def bootstrap_mean(
 ) -> Estimate:
     """Estimate the mean of (N,) values, resampling their (N,) clusters with replacement.
 
-    NaN values are absent measurements and are left out.
-
-    Raises:
-        ValueError: no value is present.
+    NaN values are absent measurements and are left out; a `ValueError` says that none is present.
     """
 
     def means(values: np.ndarray, cluster: np.ndarray, draws: np.ndarray) -> np.ndarray:

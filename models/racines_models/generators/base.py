@@ -76,10 +76,7 @@ class BaseGenerator(ABC, Generic[C]):
         )
 
     def fit(self, store: FrameStore, run: Run) -> dict[str, Any]:
-        """Learn from the train split, save into `run.folder`, and return the metrics.
-
-        Of several processes (see `Processes`), the first saves.
-        """
+        """Learn from the train split, let one process save into the folder; return the metrics."""
         if len(store.split_indices("train")) == 0:
             raise RacinesError("the dataset has no train frames: rebuild it with more trajectories")
         self.device = resolve_device(run.device)
@@ -122,11 +119,7 @@ class BaseGenerator(ABC, Generic[C]):
 
     @classmethod
     def load(cls, folder: Path, device: str = "cpu") -> Self:
-        """Read what `save` wrote.
-
-        Raises:
-            RacinesError: no model there, a damaged one, or one of another generator.
-        """
+        """Read what `save` wrote; refuse a damaged model, and one of another generator."""
         absent = f"no trained {cls.name} here; run: racines train generator {cls.name}"
         content = read_described(folder, absent)
         if content.get("schema") != SCHEMA or content.get("name") != cls.name:

@@ -24,10 +24,8 @@ T = TypeVar("T")
 def in_processes(count: int, work: Callable[..., T], *arguments: Any) -> T:
     """Call `work` in `count` processes that know of each other, as torchrun would.
 
-    Args:
-        count: processes; each takes the CUDA device of its number, if training is on CUDA.
-        work: a function of a module, so that other processes can import it.
-        arguments: what it is called with; must be picklable.
+    On CUDA each takes the device of its number. `work` is a function of a module, so that other
+    processes can import it; what it takes and returns must be picklable.
 
     Returns:
         What the first process returned.

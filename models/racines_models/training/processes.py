@@ -2,9 +2,7 @@
 
 Gradients are averaged here after each backward pass, not by DistributedDataParallel: that wrapper
 expects one forward and one backward pass of every weight a step, while an adversarial generator
-calls a network several times, freezes another for one loss, and steps two optimizers in turn. Its
-options for such cases (unused parameters, static graph, buffers sent anew at each forward) change
-results or fail at the second call; a plain average is right for whatever a generator does.
+calls a network several times, freezes another for one loss, and steps two optimizers in turn.
 """
 
 import os

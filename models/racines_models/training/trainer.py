@@ -36,13 +36,8 @@ def train(
     On the CPU, a run that was killed and resumed ends in the same bits as an undisturbed one.
     Several processes (see `Processes`) share each batch and train as one; the first writes.
 
-    Args:
-        learner: What is trained.
-        store: The frames.
-        config: The loop's settings.
-        run: Where; its device is there (see `resolve_device`).
-        course: What is fed, and how fast is learned; the train split by the config by default.
-        checkpoint_seconds: Least time between two checkpoints.
+    The device of `run` is there (see `resolve_device`). Without a `course` the train split is fed
+    by the config. Between two checkpoints lie `checkpoint_seconds` at least.
 
     Returns:
         Metrics: `images` and `steps` trained, `seconds` (of all attempts up to their last
@@ -70,15 +65,13 @@ def train(
             now = time.perf_counter()
             trainer.seconds = now - began
             due = [task for every, task in tasks if trainer.due(every)]
-            if trainer.write_checkpoint in due:
-                if now - saved >= checkpoint_seconds:
-                    saved = now
-                else:
-                    due.remove(trainer.write_checkpoint)
+            if trainer.write_checkpoint in due and now - saved < checkpoint_seconds:
+                due.remove(trainer.write_checkpoint)
             if trainer.guard.every_step or due:
                 trainer.guard.check(trainer.seen)
             for task in due:
                 task()
+            saved = now if trainer.write_checkpoint in due else saved
     return trainer.finish()
 
 
