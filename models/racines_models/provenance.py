@@ -30,7 +30,13 @@ def dataset_card(store: FrameStore) -> dict[str, Any]:
 
 def code_version() -> dict[str, Any]:
     """Return the package's version, and the git commit where the code lies in a checkout."""
-    return {"version": metadata.version("racines"), "commit": _commit()}
+    command, folder = ["git", "rev-parse", "HEAD"], Path(__file__).parent
+    try:
+        told = subprocess.check_output(command, cwd=folder, stderr=subprocess.DEVNULL, timeout=10)
+        commit = told.decode().strip() or None
+    except (OSError, subprocess.SubprocessError):
+        commit = None
+    return {"version": metadata.version("racines"), "commit": commit}
 
 
 def environment(device: str = "cpu") -> dict[str, Any]:
@@ -48,15 +54,6 @@ def environment(device: str = "cpu") -> dict[str, Any]:
     if device.startswith("cuda"):
         described["gpu"] = torch.cuda.get_device_name(device)
     return described
-
-
-def _commit() -> str | None:
-    command, folder = ["git", "rev-parse", "HEAD"], Path(__file__).parent
-    try:
-        told = subprocess.check_output(command, cwd=folder, stderr=subprocess.DEVNULL, timeout=10)
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return told.decode().strip() or None
 
 
 def _processor() -> str:

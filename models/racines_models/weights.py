@@ -83,7 +83,13 @@ def load_weights(
     """
     if not path.is_file():
         raise RacinesError(f"{path}: no such file; {remedy}")
-    _check_digest(path)
+    config = path.parent / "config.json"
+    if config.is_file():
+        files = json.loads(config.read_text()).get("weights_files", {}).get("files", {})
+        wanted = files.get(path.name, {}).get("sha256")
+        if wanted and sha256_file(path) != wanted:
+            other = "is not the file that config.json names (sha256)"
+            raise RacinesError(f"{path}: {other}; get it again")
     try:
         tensors = load_file(path, device=device)
     except (SafetensorError, OSError) as error:
@@ -121,13 +127,3 @@ def _halved(tensors: dict[str, Tensor], file: Path) -> dict[str, Tensor]:
                 raise RacinesError(f"{file}: {key} is NaN or too large for half precision")
         halved[key] = tensor.contiguous()
     return halved
-
-
-def _check_digest(path: Path) -> None:
-    config = path.parent / "config.json"
-    if not config.is_file():
-        return
-    files = json.loads(config.read_text()).get("weights_files", {}).get("files", {})
-    wanted = files.get(path.name, {}).get("sha256")
-    if wanted and sha256_file(path) != wanted:
-        raise RacinesError(f"{path}: is not the file that config.json names (sha256); get it again")

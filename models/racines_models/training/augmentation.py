@@ -44,7 +44,9 @@ def augment(x: Tensor, seeds: Tensor, config: Augmentation) -> Tensor:
     scanner = normal(seeds, 3, SCANNER).unbind(-1)
     choices = uniform(seeds, 6, CHOICES)
     if config.blur:
-        light = _blurred(light, config.blur, choices)
+        weight = torch.where(choices[:, 0] < config.blur, choices[:, 1], 0.0).view(-1, 1, 1, 1)
+        mean = functional.avg_pool2d(light, 3, stride=1, padding=1, count_include_pad=False)
+        light = light.lerp(mean, weight)
     if config.gamma:
         light = light.clamp_min(1e-6).pow((config.gamma * scanner[2]).exp().view(-1, 1, 1, 1))
     depth = torch.linspace(-1.0, 1.0, x.shape[-2], device=x.device)
@@ -57,12 +59,6 @@ def augment(x: Tensor, seeds: Tensor, config: Augmentation) -> Tensor:
         tissue = tissue & ~_boxes(x.shape[-1], config, choices)
     light = light.clamp(0.0, 1.0) * tissue
     return (light * 2.0 - 1.0).contiguous(memory_format=torch.channels_last)
-
-
-def _blurred(light: Tensor, share: float, choices: Tensor) -> Tensor:
-    weight = torch.where(choices[:, 0] < share, choices[:, 1], 0.0).view(-1, 1, 1, 1)
-    mean = functional.avg_pool2d(light, 3, stride=1, padding=1, count_include_pad=False)
-    return light.lerp(mean, weight)
 
 
 def _boxes(size: int, config: Augmentation, choices: Tensor) -> Tensor:
