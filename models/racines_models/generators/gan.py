@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from torch import nn
 from torch.nn.functional import l1_loss
@@ -118,7 +118,7 @@ class PyramidGan(ConditionalGan[PyramidGanConfig]):
     def networks(self, condition: int) -> dict[str, nn.Module]:
         """Return a `Pyramid` and its `Discriminator`, of the same kind of layers."""
         config = self.config
-        kind = {"residual": self.residual, "attention": self.attention}
+        kind: dict[str, Any] = {"residual": self.residual, "attention": self.attention}
         injected = {"injection": config.injection, "embedding": config.embedding}
         generator = Pyramid(config.width, config.latent, condition, **injected, **kind)
         return {"generator": generator, "discriminator": self.discriminator(condition, **kind)}

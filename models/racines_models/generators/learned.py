@@ -111,7 +111,7 @@ class AdversarialGenerator(NetworkGenerator[C]):
     def networks(self, condition: int) -> Mapping[str, nn.Module]:
         """Return the networks that train, for a condition of that width."""
 
-    def untrained(self) -> dict[str, nn.Module]:
+    def untrained(self) -> Mapping[str, nn.Module]:
         """Return the networks, the one that draws behind the sector's stencil."""
         config: Any = self.config
         conditioning = Conditioning(config.conditioning)

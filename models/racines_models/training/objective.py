@@ -88,19 +88,24 @@ class Learner(Protocol):
     @property
     def name(self) -> str:
         """What the curves and messages call it."""
+        ...
 
     @property
     def identity(self) -> dict[str, Any]:
         """Say what is trained on what; only an equal run is continued."""
+        ...
 
     def modules(self) -> dict[str, nn.Module]:
         """Return the networks by name; fixed once training starts."""
+        ...
 
     def averaged(self) -> tuple[str, ...]:
         """Name the networks that are used afterwards: their weights are averaged (EMA)."""
+        ...
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return fresh optimizers by name."""
+        ...
 
     def updates(self, nets: Mapping[str, nn.Module], batch: Any) -> Iterator[Update]:
         """Yield the optimizer steps of one batch, in order.
@@ -109,3 +114,4 @@ class Learner(Protocol):
         step before it asks for the next, so a later loss sees the stepped weights; gradients are
         cleared in between. `batch` is a `TrainBatch`, or what the learner's own course feeds.
         """
+        ...
