@@ -91,27 +91,22 @@ def train_seeds(fit: Callable[[Run], dict[str, Any]], run: Run, repeats: int) ->
             shutil.rmtree(folder)  # of a former run with more seeds
     if repeats == 1:
         return fit(run)
-    done, resume = _done(run), run.resume
+    done, notes, resume = {}, run.folder / DONE, run.resume
+    if resume is not False and notes.is_file():
+        kept = json.loads(notes.read_text())
+        done = kept["done"] if kept["first"] == run.seed else {}
     for seed, folder in enumerate(folders, start=run.seed):
         if str(seed) in done:
             continue
         done[str(seed)] = fit(dataclasses.replace(run, folder=folder, seed=seed, resume=resume))
         resume = None if resume else resume  # only the seed that was cut short has a checkpoint
         if is_main_process():
-            write_json(run.folder / DONE, {"first": run.seed, "done": done})
+            write_json(notes, {"first": run.seed, "done": done})
     metrics = done[str(run.seed)] | {"seeds": done}
     if is_main_process():
         write_json(run.folder / "metrics.json", metrics)
-        (run.folder / DONE).unlink()
+        notes.unlink()
     return metrics
-
-
-def _done(run: Run) -> dict[str, Any]:
-    notes = run.folder / DONE
-    if run.resume is False or not notes.is_file():
-        return {}
-    kept = json.loads(notes.read_text())
-    return kept["done"] if kept["first"] == run.seed else {}
 
 
 def repeat_folders(folder: Path) -> list[Path]:

@@ -38,7 +38,12 @@ class Processes:
         self.rank, self.count = accelerator.process_index, accelerator.num_processes
         self.main = accelerator.is_main_process
         self._device = accelerator.device
-        _refuse_lone_launch(self.count)
+        asked = {"MASTER_ADDR", "ACCELERATE_USE_CPU"} <= os.environ.keys()
+        if self.count == 1 and asked and "WORLD_SIZE" not in os.environ:
+            raise RacinesError(
+                "accelerate launch starts several CPU processes through MPI only, and started one: "
+                "use racines train generator NAME --processes N, or torchrun"
+            )
         if batch_size % self.count or batch_size // self.count < 2:
             raise RacinesError(
                 f"training.batch_size: {batch_size} images cannot be shared by {self.count} "
@@ -90,13 +95,3 @@ class Processes:
         for net in nets:
             for tensor in net.state_dict().values():
                 dist.broadcast(tensor, 0)
-
-
-def _refuse_lone_launch(count: int) -> None:
-    """`accelerate launch --cpu --num_processes 2` without MPI starts one process and no word."""
-    asked = {"MASTER_ADDR", "ACCELERATE_USE_CPU"} <= os.environ.keys()
-    if count == 1 and asked and "WORLD_SIZE" not in os.environ:
-        raise RacinesError(
-            "accelerate launch starts several CPU processes through MPI only, and started one: "
-            "use racines train generator NAME --processes N, or torchrun"
-        )

@@ -55,9 +55,8 @@ def read_onnx(path: Path) -> tuple[bytes, OnnxInterface]:
     """
     content, model, opset = read_model(path)
     batch, size = _inputs(model.graph, path)
-    floating = _output(model.graph, path)
     told = read_metadata(model, path, SCHEMA, KEYS)
-    _check_range(told.get("output"), floating, path)
+    floating = _output(model.graph, told.get("output"), path)
     name = check_name(told.get("name", path.stem), f"{path}: racines.name")
     card = parsed(told, "card", dict, path) or {}
     return content, OnnxInterface(name, _noise(told, size, path), floating, batch, opset, card)
@@ -85,20 +84,17 @@ def _inputs(graph: Any, path: Path) -> tuple[int | None, int]:
     return batch, size
 
 
-def _output(graph: Any, path: Path) -> bool:
-    """Return whether the images are floating."""
+def _output(graph: Any, declared: str | None, path: Path) -> bool:
+    """Return whether the images are floating, by their type and by what the metadata declare."""
     names = [value.name for value in graph.output]
     if names != [OUTPUT]:
         raise RacinesError(f"{path}: outputs {names}: give one, {OUTPUT}")
-    pixels = (IMAGE_SIZE, IMAGE_SIZE)
-    if len(declared_shape(graph.output[0])) == 4:
+    images, pixels = graph.output[0], (IMAGE_SIZE, IMAGE_SIZE)
+    if len(declared_shape(images)) == 4:
         pixels = (1, *pixels)
     wanted = f"uint8 or float32 (B, {IMAGE_SIZE}, {IMAGE_SIZE})"
-    check_value(graph.output[0], path, wanted, pixels, (FLOAT, UINT8))
-    return graph.output[0].type.tensor_type.elem_type == FLOAT
-
-
-def _check_range(declared: str | None, floating: bool, path: Path) -> None:
+    check_value(images, path, wanted, pixels, (FLOAT, UINT8))
+    floating = images.type.tensor_type.elem_type == FLOAT
     needed, kind, range_ = RANGES[floating]
     if declared != needed and (floating or declared is not None):
         told = "is absent" if declared is None else f"says {declared[:80]!r}"
@@ -106,6 +102,7 @@ def _check_range(declared: str | None, floating: bool, path: Path) -> None:
             f"{path}: metadata racines.output {told}, but {OUTPUT} is {kind}: "
             f"set it to {needed!r} ({kind} {range_})"
         )
+    return floating
 
 
 def _noise(told: dict[str, str], size: int, path: Path) -> NoiseInput | None:
