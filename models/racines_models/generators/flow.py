@@ -3,7 +3,7 @@
 import copy
 import dataclasses
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -49,7 +49,7 @@ class FlowConfig:
     """`euler`, or `heun`: a second look a step, but for the last, which always is Euler's."""
     spacing: float = 1.0
     """1 - t falls as this power: 1 for equal steps, 2 for steps that shorten towards the end."""
-    training: Training = field(default_factory=Training)
+    training: Training = Training()
 
     def __post_init__(self) -> None:
         """Refuse settings that cannot train or draw."""

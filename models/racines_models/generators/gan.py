@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
 
 from torch import nn
@@ -45,8 +45,8 @@ class GanConfig:
     (Isola et al., 2017); 0, as in the paper, leaves a plain GAN."""
     sector: bool = True
     """Keep pixels black that are black in every training image; the paper is silent."""
-    adversary: Adversary = field(default_factory=Adversary)
-    training: Training = field(default_factory=Training)
+    adversary: Adversary = Adversary()
+    training: Training = Training()
 
     def __post_init__(self) -> None:
         """Refuse sizes and weights that cannot train."""

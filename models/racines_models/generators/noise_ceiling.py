@@ -1,6 +1,6 @@
 """The ceiling: the phantom itself, scanned again at the same pose with new electronic noise."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -19,7 +19,7 @@ from racines_models.protocol import Run
 class NoiseCeilingConfig:
     """There is nothing to set: `fit` reads the phantom from the dataset's recipe."""
 
-    phantom: PhantomConfig = field(default_factory=PhantomConfig)
+    phantom: PhantomConfig = PhantomConfig()
     """The phantom that was scanned, as it stands in the saved config."""
 
 

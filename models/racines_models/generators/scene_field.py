@@ -1,7 +1,7 @@
 """View synthesis: a learned voxel field of the scene, sampled along the probe's beams."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -33,7 +33,7 @@ CHUNK = 8
 class SceneFieldConfig:
     """Sizes, probe, rates and loop; lengths in metres."""
 
-    probe: ProbeGeometry = field(default_factory=ProbeGeometry)
+    probe: ProbeGeometry = ProbeGeometry()
     voxel: float = 0.001
     """Edge of a voxel of the fine field, which holds speckle and walls."""
     channels: int = 3
@@ -54,10 +54,8 @@ class SceneFieldConfig:
     """Adam's rate of the samples' offsets out of the plane, mm; 0 leaves a flat image plane."""
     pixel_weight: float = 4.0
     """Of the absolute error against 1 - SSIM."""
-    training: Training = field(
-        default_factory=lambda: Training(
-            batch_size=32, precision="fp32", ema=0.0, schedule="cosine", warmup_images=960
-        )
+    training: Training = Training(
+        batch_size=32, precision="fp32", ema=0.0, schedule="cosine", warmup_images=960
     )
 
     def __post_init__(self) -> None:
@@ -208,15 +206,12 @@ class _Still(nn.Module):
 
     def forward(self, parameters: Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 of (B, 12) parameters."""
-        return _to_gray(self._field[0]._draw(self.nets, parameters))
+        images = self._field[0]._draw(self.nets, parameters)
+        return images.clamp(0.0, 1.0).mul(255.0).round().to(torch.uint8)
 
 
 def _training_poses(store: FrameStore) -> Pose:
     return parameters_to_pose(store.parameters[store.split_indices("train")])
-
-
-def _to_gray(images: Tensor) -> Tensor:
-    return images.clamp(0.0, 1.0).mul(255.0).round().to(torch.uint8)
 
 
 def _layout(packed: dict[str, Tensor]) -> Layout:

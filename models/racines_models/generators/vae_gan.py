@@ -1,7 +1,7 @@
 """The paper's generator: a conditional VAE whose decoder is also a GAN's generator."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
@@ -22,10 +22,6 @@ POSTERIOR, PRIOR = 1, 2
 """Random streams: noise of the posterior, and of the prior in training."""
 LOG_VARIANCE = 10.0
 """Bound of the posterior's log variance, so that its exponential stays finite."""
-
-
-def _adversary() -> Adversary:
-    return Adversary(joining="last", normalisation="batch", r1=0.0)
 
 
 @dataclass(frozen=True)
@@ -57,8 +53,8 @@ class VaeGanConfig:
     """At 0.001 images are smoother and score 1 dB more."""
     sector: bool = True
     """Keep pixels black that are black in every training image; the paper is silent."""
-    adversary: Adversary = field(default_factory=_adversary)
-    training: Training = field(default_factory=Training)
+    adversary: Adversary = Adversary(joining="last", normalisation="batch", r1=0.0)
+    training: Training = Training()
 
     def __post_init__(self) -> None:
         """Refuse sizes and weights that cannot train."""

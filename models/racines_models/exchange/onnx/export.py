@@ -47,7 +47,16 @@ def export_generator(generator: Any, path: Path) -> dict[str, Any]:
     examples = {PARAMS: torch.zeros(EXAMPLES, len(PARAMETERS))}
     if module.noise is not None:
         examples[NOISE] = torch.zeros(EXAMPLES, module.noise.size)
-    written = write_onnx(module.network, examples, OUTPUT, _metadata(generator, module), path)
+    card = dataclasses.asdict(generator.card)
+    metadata = {
+        "racines.schema": SCHEMA,
+        "racines.name": card["name"],
+        "racines.output": "gray",
+        "racines.stochastic": json.dumps(card["stochastic"]),
+        "racines.noise": json.dumps(dataclasses.asdict(module.noise) if module.noise else None),
+        "racines.card": json.dumps(card),
+    }
+    written = write_onnx(module.network, examples, OUTPUT, metadata, path)
     return written | {"noise": module.noise.size if module.noise else 0}
 
 
@@ -71,7 +80,6 @@ def write_onnx(
     """
     import_onnx("onnx", "onnxruntime", "onnxscript")
     model = _trace(network, examples, output)
-    _strip(model)
     for key, value in metadata.items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, value
@@ -106,7 +114,14 @@ def _trace(network: nn.Module, examples: dict[str, torch.Tensor], output: str) -
             name = type(network).__name__
             raise RacinesError(f"{name} cannot be traced to ONNX: {error}") from error
     assert program is not None
-    return program.model_proto
+    model: Any = program.model_proto
+    graph = model.graph
+    values = [*graph.input, *graph.output, *graph.value_info, *graph.initializer]
+    # The tracer's notes hold stack traces with paths of this machine.
+    for part in [model, graph, *graph.node, *values]:
+        part.doc_string = ""
+        del part.metadata_props[:]
+    return model
 
 
 class _Ordered(nn.Module):
@@ -118,28 +133,6 @@ class _Ordered(nn.Module):
 
     def forward(self, *inputs: torch.Tensor) -> torch.Tensor:
         return self.network(*inputs)
-
-
-def _strip(model: Any) -> None:
-    """Drop the tracer's notes, which hold stack traces with paths of this machine."""
-    graph = model.graph
-    values = [*graph.input, *graph.output, *graph.value_info, *graph.initializer]
-    for part in [model, graph, *graph.node, *values]:
-        part.doc_string = ""
-        del part.metadata_props[:]
-
-
-def _metadata(generator: Any, module: OnnxModule) -> dict[str, str]:
-    card = dataclasses.asdict(generator.card)
-    noise = dataclasses.asdict(module.noise) if module.noise else None
-    return {
-        "racines.schema": SCHEMA,
-        "racines.name": card["name"],
-        "racines.output": "gray",
-        "racines.stochastic": json.dumps(card["stochastic"]),
-        "racines.noise": json.dumps(noise),
-        "racines.card": json.dumps(card),
-    }
 
 
 @contextmanager

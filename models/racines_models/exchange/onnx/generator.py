@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -72,17 +71,15 @@ class OnnxGenerator:
             raise
         except Exception as error:
             raise RacinesError(f"{self.path}: onnxruntime failed: {error}") from error
-        return self._gray(images, self._batch)[:left]
-
-    def _gray(self, images: np.ndarray, count: int) -> Tensor:
+        count = self._batch
         if images.size != count * IMAGE_SIZE**2 or images.shape[0] != count:
             came = f"{OUTPUT} came with shape {images.shape} for {count} poses"
             raise RacinesError(f"{self.path}: {came}: give (B, {IMAGE_SIZE}, {IMAGE_SIZE})")
         drawn = torch.from_numpy(images.reshape(count, IMAGE_SIZE, IMAGE_SIZE))
         if not self.interface.floating:
-            return drawn
+            return drawn[:left]
         low, high = float(drawn.min()), float(drawn.max())
         if not (low >= -1 - SLACK and high <= 1 + SLACK):  # false for NaN, too
             came = f"{OUTPUT} lies in {low:g} to {high:g}"
             raise RacinesError(f"{self.path}: {came}: give finite values in [-1, 1]")
-        return ((drawn + 1.0) * 127.5).round().clamp(0, 255).to(torch.uint8)
+        return ((drawn + 1.0) * 127.5).round().clamp(0, 255).to(torch.uint8)[:left]

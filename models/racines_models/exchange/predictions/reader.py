@@ -232,19 +232,6 @@ def _read_metadata(raw: dict[bytes, bytes], path: Path) -> dict[str, str]:
 
 def decode_gray(data: bytes, where: str) -> np.ndarray:
     """Return the (128, 128) uint8 gray levels of an 8-bit gray PNG; refuse all else, by `where`."""
-    _check_header(data, where)
-    try:
-        check_png(data)
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-            # A second header further on could change what the first one said.
-            if image.size != (IMAGE_SIZE, IMAGE_SIZE) or image.mode != "L":
-                raise RacinesError(f"damaged PNG: it says {image.size} behind its header")
-            return np.asarray(image)
-    except Exception as error:
-        raise RacinesError(f"{where}: {error}: write the image again") from error
-
-
-def _check_header(data: bytes, where: str) -> None:
     if len(data) > MAX_PNG:
         raise RacinesError(f"{where}: {len(data):,} bytes: a PNG has at most {MAX_PNG:,}")
     if len(data) < 33 or data[:8] != SIGNATURE or data[12:16] != b"IHDR":
@@ -255,3 +242,12 @@ def _check_header(data: bytes, where: str) -> None:
     if (bits, color) != (8, 0):
         mode = MODES.get(color, f"colour type {color}")
         raise RacinesError(f"{where}: {bits}-bit {mode}: give 8-bit gray (mode L)")
+    try:
+        check_png(data)
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+            # A second header further on could change what the first one said.
+            if image.size != (IMAGE_SIZE, IMAGE_SIZE) or image.mode != "L":
+                raise RacinesError(f"damaged PNG: it says {image.size} behind its header")
+            return np.asarray(image)
+    except Exception as error:
+        raise RacinesError(f"{where}: {error}: write the image again") from error

@@ -91,7 +91,11 @@ class EchoDecoder(nn.Module):
         amplitude = fine * (received * amplitude.exp()).unsqueeze(-1)
         echoes = self._coherent(amplitude.permute(0, 3, 1, 2))
         level = (echoes + incoherent.unsqueeze(1)).log().mean(1)
-        return self._picture(level)
+        shade = level * self.shade[0] + self.shade[1]
+        shade = functional.elu(8.0 * shade) * 0.125 + 0.125  # smooth where a gray map clips
+        gray = shade.square() * (self.gray[0] + self.gray[1] * shade)
+        gray = torch.matmul(_banded(self.smooth_beams, gray.shape[1]), gray)
+        return torch.matmul(gray, _banded(self.smooth_samples, gray.shape[2]))
 
     def _tissue(self, coarse: Tensor, directions: Tensor) -> tuple[Tensor, ...]:
         """Return (B, L, S) loss, log power, log amplitude and mirror echo, seen from a side."""
@@ -117,13 +121,6 @@ class EchoDecoder(nn.Module):
         profiles = torch.cat([_banded(self.far, beams), _banded(self.near, beams)], 1)
         heard = torch.matmul(profiles, bands).square()
         return heard.view(count, 2, channels, beams, samples).sum(2)
-
-    def _picture(self, level: Tensor) -> Tensor:
-        shade = level * self.shade[0] + self.shade[1]
-        shade = functional.elu(8.0 * shade) * 0.125 + 0.125  # smooth where a gray map clips
-        gray = shade.square() * (self.gray[0] + self.gray[1] * shade)
-        gray = torch.matmul(_banded(self.smooth_beams, gray.shape[1]), gray)
-        return torch.matmul(gray, _banded(self.smooth_samples, gray.shape[2]))
 
 
 def _bell(sigma: float, reach: int) -> Tensor:
