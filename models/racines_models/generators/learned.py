@@ -121,14 +121,9 @@ class AdversarialGenerator(NetworkGenerator[C]):
     def discriminator(self, condition: int, **kind: bool) -> Discriminator:
         """Return the adversary that the config describes, of some kind of layers."""
         config: Any = self.config
-        return Discriminator(
-            config.discriminator_width,
-            condition,
-            config.embedding,
-            joining=config.adversary.joining,
-            normalisation=config.adversary.normalisation,
-            **kind,
-        )
+        judging = {key: getattr(config.adversary, key) for key in ("joining", "normalisation")}
+        sizes = config.discriminator_width, condition, config.embedding
+        return Discriminator(*sizes, **judging, **kind)
 
     def prepare(self, store: FrameStore) -> None:
         """Fit the conditioning, and the sector if the config says so."""

@@ -84,8 +84,6 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
     def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
         """Return (B, 128, 128) images of the nearest poses."""
         assert self.images is not None
-        if not len(parameters):
-            return self.images[:0].clone()
         return self.images[self.nearest(parameters)[0]]
 
     def tensors(self) -> dict[str, Tensor]:

@@ -161,13 +161,10 @@ def _translation(images: Tensor, u: Tensor) -> Tensor:
     rows = torch.arange(images.shape[-2], device=images.device) - shift[:, :1]
     columns = torch.arange(size, device=images.device) - shift[:, 1:]
     batch = torch.arange(len(images), device=images.device)[:, None, None]
-    moved = images.permute(0, 2, 3, 1)[
-        batch,
-        rows.clamp(0, images.shape[-2] - 1)[:, :, None],
-        columns.clamp(0, size - 1)[:, None, :],
-    ].permute(0, 3, 1, 2)
+    down, right = rows.clamp(0, images.shape[-2] - 1), columns.clamp(0, size - 1)
+    moved = images.permute(0, 2, 3, 1)[batch, down[:, :, None], right[:, None, :]]
     inside = _between(rows, 0, images.shape[-2])[:, :, None] & _between(columns, 0, size)[:, None]
-    return moved * inside[:, None]
+    return moved.permute(0, 3, 1, 2) * inside[:, None]
 
 
 def _cutout(images: Tensor, u: Tensor) -> Tensor:
