@@ -98,7 +98,7 @@ MOVED = {
     ),
     "racines_models.exchange": "naming",
     "racines_models.exchange.onnx": (
-        "onnx_export=export onnx_file=file onnx_format=format onnx_generator=generator "
+        "onnx_export=export onnx_file=file onnx_format=generator onnx_generator=generator "
         "onnx_session=file"
     ),
     "racines_models.exchange.predictions": "png=reader predictions=file predictions_reader=reader",

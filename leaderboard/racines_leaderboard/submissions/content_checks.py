@@ -44,7 +44,7 @@ def check_content(path: Path, kind: str, track: str, limits: Limits | None = Non
 
 def _check_interface(path: Path, kind: str) -> None:
     from racines_envs.agents.onnx.format import read_policy
-    from racines_models.exchange.onnx.format import read_onnx
+    from racines_models.exchange.onnx.generator import read_onnx
 
     if kind == "generator":
         read_onnx(path)

@@ -54,8 +54,7 @@ def train_generator(
 
 def _started(processes: int, *fit: Any) -> dict[str, Any] | None:
     """Return the metrics, or None in a process whose word is not needed."""
-    from racines_models.training.launch import in_processes
-    from racines_models.training.processes import is_main_process, leave
+    from racines_models.training.processes import in_processes, is_main_process, leave
 
     if processes > 1:
         return in_processes(processes, _fit, *fit)

@@ -17,7 +17,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
 from racines_data.schema import PARAMETERS
 from racines_models.exchange.onnx.file import MAX_BYTES, import_onnx, open_session
-from racines_models.exchange.onnx.format import NOISE, OUTPUT, PARAMS, SCHEMA
+from racines_models.exchange.onnx.generator import NOISE, OUTPUT, PARAMS, SCHEMA
 from racines_models.networks.onnx_module import OnnxModule
 
 OPSET = 18
@@ -27,7 +27,7 @@ EXAMPLES = 2
 
 
 def export_generator(generator: Any, path: Path) -> dict[str, Any]:
-    """Write a fitted generator as an ONNX file (interface: `racines_models.exchange.onnx.format`).
+    """Write a fitted generator as an ONNX file, with the interface that `OnnxGenerator` reads.
 
     Returns:
         What was written: path, size in bytes, opset, noise numbers a sample.
