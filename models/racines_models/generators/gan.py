@@ -1,6 +1,5 @@
 """What the paper's four plain GANs share: two networks, one adversarial loss, no encoder."""
 
-from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
@@ -76,11 +75,7 @@ C = TypeVar("C", bound=GanConfig)
 
 
 class ConditionalGan(AdversarialGenerator[C]):
-    """A generator against a discriminator, both told the condition; a subclass builds them."""
-
-    @abstractmethod
-    def networks(self, condition: int) -> dict[str, nn.Module]:
-        """Return `generator` and `discriminator`; the generator says how much `noise` it takes."""
+    """A generator, which says how much `noise` it takes, against a discriminator."""
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return one Adam a network."""

@@ -29,7 +29,6 @@ class NetworkGenerator(BaseGenerator[C]):
 
     unsaved: ClassVar[tuple[str, ...]] = ()
     """Networks that stay behind once they are trained."""
-
     fitted: ClassVar[tuple[str, ...]] = ()
     """Networks that `prepare` fits, and that training leaves as they are."""
     memory_format: ClassVar[torch.memory_format] = torch.channels_last

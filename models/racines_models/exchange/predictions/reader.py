@@ -65,7 +65,17 @@ class Predictions:
             self.rows: int = file.metadata.num_rows
         self.name = check_name(self.metadata["generator"], f"{self.path}: racines.generator")
         self.sha256 = sha256_file(self.path)
-        self._check_dataset(store, split)
+        told, digest = self.metadata, store.manifest["digest"]
+        if told["dataset"] != digest:
+            raise RacinesError(
+                f"{self.path}: made for dataset {told['dataset'][:80]!r}, this one is {digest!r}: "
+                "draw the poses that `racines export poses` writes of this dataset"
+            )
+        if split not in (None, told["split"]):
+            raise RacinesError(
+                f"{self.path}: made for split {told['split'][:80]!r}, not {split!r}: "
+                "give --split as in the file, or draw the poses of this split"
+            )
 
     def draw_frames(self, frames: Batch, seed: int) -> Tensor:
         """Return (N, 128, 128) uint8: the image of each frame, drawn with the seed.
@@ -122,19 +132,6 @@ class Predictions:
         if told.num_rows > MAX_ROWS or unpacked > MAX_BYTES:
             given = f"{told.num_rows:,} rows, {unpacked:,} bytes unpacked"
             raise RacinesError(f"{self.path}: {given}: at most {MAX_ROWS:,} and {MAX_BYTES:,}")
-
-    def _check_dataset(self, store: FrameStore, split: str | None) -> None:
-        digest = store.manifest["digest"]
-        if self.metadata["dataset"] != digest:
-            raise RacinesError(
-                f"{self.path}: made for dataset {self.metadata['dataset'][:80]!r}, this one is "
-                f"{digest!r}: draw the poses that `racines export poses` writes of this dataset"
-            )
-        if split is not None and self.metadata["split"] != split:
-            raise RacinesError(
-                f"{self.path}: made for split {self.metadata['split'][:80]!r}, not {split!r}: "
-                "give --split as in the file, or draw the poses of this split"
-            )
 
     def _batches(self) -> Iterator[tuple[int, np.ndarray, np.ndarray, Any]]:
         """Yield the first row's number, samples, seeds, and a function from place to PNG bytes."""
