@@ -117,7 +117,7 @@ class AdversarialGenerator(NetworkGenerator[C]):
         nets = {"conditioning": conditioning, **self.networks(conditioning.width)}
         return nets | {self.drawing: Framed(nets[self.drawing])}
 
-    def discriminator(self, condition: int, **kind: bool) -> Discriminator:
+    def discriminator(self, condition: int, **kind: Any) -> Discriminator:
         """Return the adversary that the config describes, of some kind of layers."""
         config: Any = self.config
         judging = {key: getattr(config.adversary, key) for key in ("joining", "normalisation")}
