@@ -112,10 +112,10 @@ MOVED = {
     ),
     "racines_models.exchange": "naming",
     "racines_models.exchange.onnx": (
-        "onnx_export=export onnx_file=file onnx_format=format onnx_generator=generator "
-        "onnx_session=session"
+        "onnx_export=export onnx_file=file onnx_format=generator onnx_generator=generator "
+        "onnx_session=file"
     ),
-    "racines_models.exchange.predictions": "png predictions=file predictions_reader=reader",
+    "racines_models.exchange.predictions": "png=reader predictions=file predictions_reader=reader",
     "racines_models.judges.grader": (
         "annotate grader=model grader_calibration=report grader_evaluation=evaluation "
         "grader_loss=training grader_plots=evaluation grader_report=report grader_training=training"
@@ -126,7 +126,7 @@ MOVED = {
     ),
     "racines_models.networks": "conditioning onnx_module",
     "racines_models.networks.scene_field": (
-        "networks.scene_field_echo=echo networks.scene_field_loss=loss "
+        "networks.scene_field_echo=echo networks.scene_field_loss=echo "
         "networks.scene_field_probe=probe"
     ),
     "racines_models.scores": (
@@ -139,7 +139,7 @@ MOVED = {
     ),
     "racines_models.studies.realism": "realism=report realism_figures=figures",
     "racines_models.training": (
-        "adversary differentiable_augmentation grader_augment=augmentation trainer"
+        "adversary differentiable_augmentation=adversary grader_augment=augmentation trainer"
     ),
 }
 """By room, what moved there: `old` where the module kept its name, `old=new` where it did not.

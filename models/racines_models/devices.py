@@ -12,12 +12,10 @@ C = TypeVar("C")
 
 
 def resolve_device(device: torch.device | str) -> str:
-    """Return the device that `auto` stands for (CUDA if there is one), or the one named.
+    """Return the device that `auto` stands for (CUDA if there is one), or the one named, if there.
 
-    Of several processes on a machine each has its own CUDA device, by its local rank.
-
-    Raises:
-        RacinesError: a name other than `auto`, `cpu`, `cuda` and `cuda:N`, or an absent device.
+    Names are `auto`, `cpu`, `cuda` and `cuda:N`. Of several processes on a machine each has its own
+    CUDA device, by its local rank.
     """
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     here = ["cpu", *(["cuda"] if count else []), *(f"cuda:{n}" for n in range(count))]

@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 from PIL import Image
 from torch import Tensor
+from torch.nn.functional import pad
 
 from racines_data.errors import RacinesError
 from racines_data.files import image_bytes, write_atomic
@@ -15,21 +16,13 @@ COLUMNS = 8
 
 
 def write_strip(path: Path, rows: Sequence[Tensor], gap: int = 2) -> None:
-    """Write a PNG of rows of (K, H, W) uint8 images, one below the other.
-
-    Raises:
-        RacinesError: rows of different lengths.
-    """
+    """Write a PNG of rows of (K, H, W) uint8 images, one below the other, all of one shape."""
     if len({tuple(row.shape) for row in rows}) != 1:
         raise RacinesError(f"{path}: rows of different shapes")
-    columns, height, width = rows[0].shape
-    canvas = torch.full(
-        (len(rows) * (height + gap) - gap, columns * (width + gap) - gap), 255, dtype=torch.uint8
-    )
-    for i, row in enumerate(rows):
-        for j, image in enumerate(row):
-            top, left = i * (height + gap), j * (width + gap)
-            canvas[top : top + height, left : left + width] = image
+    tiles = pad(torch.stack(list(rows)), (0, gap, 0, gap), value=255)
+    canvas = torch.cat([torch.cat(list(row), 1) for row in tiles])
+    height, width = canvas.shape
+    canvas = canvas[: height - gap, : width - gap].contiguous()
     write_atomic(path, image_bytes(Image.fromarray(canvas.numpy())))
 
 

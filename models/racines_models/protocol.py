@@ -67,7 +67,6 @@ class Generator(ImageSource, Protocol):
 
     def __init__(self, config: Any = None) -> None:
         """Take a `Config`, or its defaults."""
-        ...
 
     @property
     def card(self) -> Card:
@@ -84,11 +83,7 @@ class Generator(ImageSource, Protocol):
 
     @classmethod
     def load(cls, folder: Path, device: str = "cpu") -> Self:
-        """Read what `save` wrote.
-
-        Raises:
-            RacinesError: no model there, or one of another generator.
-        """
+        """Read what `save` wrote; a `RacinesError` says that there is no such model."""
         ...
 
 
@@ -114,11 +109,7 @@ class Judge(Protocol):
         return None
 
     def check_labels(self, labels: Sequence[str], what: str) -> None:
-        """Check that it knows these labels, those of `what`, in this order, if it tells which.
-
-        Raises:
-            RacinesError: it was trained for other views.
-        """
+        """Refuse other labels, those of `what`, than it was trained for, if it tells which."""
         if self.labels and self.labels != tuple(labels):
             raise RacinesError(
                 f"the grader knows {', '.join(self.labels)}, {what} has {', '.join(labels)}: train "

@@ -13,10 +13,7 @@ from racines_data.store.frames import FrameStore
 
 def sha256_bytes(*parts: bytes) -> str:
     """Return the SHA-256 of the concatenated bytes in hexadecimal."""
-    digest = hashlib.sha256()
-    for part in parts:
-        digest.update(part)
-    return digest.hexdigest()
+    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def weights_sha256(folder: Path) -> dict[str, str]:
@@ -33,7 +30,13 @@ def dataset_card(store: FrameStore) -> dict[str, Any]:
 
 def code_version() -> dict[str, Any]:
     """Return the package's version, and the git commit where the code lies in a checkout."""
-    return {"version": metadata.version("racines"), "commit": _commit()}
+    command, folder = ["git", "rev-parse", "HEAD"], Path(__file__).parent
+    try:
+        told = subprocess.check_output(command, cwd=folder, stderr=subprocess.DEVNULL, timeout=10)
+        commit = told.decode().strip() or None
+    except (OSError, subprocess.SubprocessError):
+        commit = None
+    return {"version": metadata.version("racines"), "commit": commit}
 
 
 def environment(device: str = "cpu") -> dict[str, Any]:
@@ -53,25 +56,9 @@ def environment(device: str = "cpu") -> dict[str, Any]:
     return described
 
 
-def _commit() -> str | None:
-    try:
-        result = subprocess.run(
-            ["git", "rev-parse", "HEAD"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            timeout=10,
-            check=True,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    return result.stdout.strip() or None
-
-
 def _processor() -> str:
     info = Path("/proc/cpuinfo")
-    if info.is_file():
-        for line in info.read_text().splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
+    for line in info.read_text().splitlines() if info.is_file() else ():
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()

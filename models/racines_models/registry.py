@@ -10,7 +10,7 @@ from racines_data.plugins import Plugins
 from racines_data.store.frames import FrameStore
 from racines_models.protocol import Generator
 from racines_models.provenance import weights_sha256
-from racines_models.training.repeats import repeat_folders
+from racines_models.training.checkpoint import repeat_folders
 
 GENERATORS = Plugins(
     "generator",
@@ -30,20 +30,12 @@ def generator_names() -> list[str]:
 
 
 def generator_class(spec: str) -> type[Generator]:
-    """Return the class of a registered name or of `module:Class`.
-
-    Raises:
-        RacinesError: unknown name (the known ones are listed), or a class that is no generator.
-    """
+    """Return the class of a registered name or of `module:Class`, if it is a generator's."""
     return GENERATORS.load(spec)
 
 
 def load_generator(spec: str, run_dir: Path | str, device: str = "cpu") -> Generator:
-    """Return the fitted generator that a run left in `run_dir`.
-
-    Raises:
-        RacinesError: unknown name, or no such model in the folder.
-    """
+    """Return the fitted generator that a run left in `run_dir`, if its model is there."""
     return generator_class(spec).load(Path(run_dir), device)
 
 
@@ -55,17 +47,14 @@ def open_generator(
     store: FrameStore | None = None,
     split: str | None = None,
 ) -> ImageSource:
-    """Return the generator that a spec names, whichever way it comes.
+    """Return the generator that a spec names: a name, `module:Class`, an ONNX or a Parquet file.
 
     Args:
         spec: A registered name, `module:Class`, `FILE.onnx` or `FILE.parquet`.
         folder: Of a name or class: the folder of its run; default `models/runs/NAME`.
         device: `cpu` or `cuda`.
-        store: Of a Parquet file: the dataset that its images must be made for.
-        split: Of a Parquet file: the split that they must be made for.
-
-    Returns:
-        A generator; of a Parquet file one with `draw_frames` alone, which `sample.draw` asks.
+        store: Of a Parquet file, which has `draw_frames` alone: the dataset that it must be for.
+        split: Of a Parquet file: the split that it must be for.
 
     Raises:
         RacinesError: unknown, absent or refused, by name or file.
@@ -90,13 +79,7 @@ def open_generator(
 
 
 def open_runs(spec: str, folder: Path | str | None = None, **opened: Any) -> list[ImageSource]:
-    """Return the generator that a spec names, then its further seeds, if it was trained with some.
-
-    Args:
-        spec: As `open_generator`.
-        folder: As there.
-        opened: What else `open_generator` takes.
-    """
+    """Return the generator that a spec names (see `open_generator`), then its further seeds."""
     first = open_generator(spec, folder, **opened)
     if is_file(spec):
         return [first]
@@ -119,9 +102,7 @@ def weights_of(spec: str, folder: Path | str | None = None) -> dict[str, str]:
     if is_file(spec):
         return {Path(spec).name: sha256_file(Path(spec))}
     first = run_folder(spec, folder)
-    further = {
-        f"{each.name}/{file}": digest
-        for each in repeat_folders(first)
-        for file, digest in weights_sha256(each).items()
-    }
-    return weights_sha256(first) | further
+    hashes = weights_sha256(first)
+    for each in repeat_folders(first):
+        hashes |= {f"{each.name}/{file}": told for file, told in weights_sha256(each).items()}
+    return hashes

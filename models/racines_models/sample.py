@@ -1,6 +1,6 @@
 """What generators are scored on: the same frames for all, and the images drawn of their poses."""
 
-import time
+import timeit
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -59,10 +59,15 @@ def take_sample(store: FrameStore, split: str, size: int) -> Sample:
     """
     rows = store.split_indices(split)
     if len(rows) < 2:
-        raise RacinesError(
-            f"split {split} has {len(rows)} frames: scores need 2 or more; set scores.split"
-        )
+        few = f"split {split} has {len(rows)} frames"
+        raise RacinesError(f"{few}: scores need 2 or more; set scores.split")
     return spread_sample(store, rows, size)
+
+
+def evenly(count: int, wanted: int) -> Tensor:
+    """Return `wanted` of `count` places, or all, at even distances; the first among them."""
+    wanted = min(wanted, count)
+    return torch.arange(wanted) * count // wanted
 
 
 def spread_sample(store: FrameStore, rows: Tensor, size: int) -> Sample:
@@ -106,17 +111,14 @@ def check_drawn(images: Tensor) -> Tensor:
     """
     if images.is_floating_point() and not bool(images.isfinite().all()):
         raise RacinesError("images hold NaN or infinity: give uint8 gray levels 0-255")
+    nothing = "nothing was drawn, or 0-1 images were cast to uint8"
     if images.dtype == torch.uint8 and images.numel() and int(images.max()) == 0:
-        raise RacinesError(
-            "images are all black: nothing was drawn, or 0-1 images were cast to uint8"
-        )
+        raise RacinesError(f"images are all black: {nothing}")
     check_images(images)
     spread = torch.cat([chunk.float().flatten(1).std(1) for chunk in images.split(CHUNK)])
     if float(spread.median()) < FAINT:
-        raise RacinesError(
-            f"half of the images are near-constant (standard deviation below {FAINT:g} gray "
-            "level): nothing was drawn, or 0-1 images were cast to uint8"
-        )
+        faint = f"standard deviation below {FAINT:g} gray level"
+        raise RacinesError(f"half of the images are near-constant ({faint}): {nothing}")
     levels = int(torch.bincount(images.flatten(), minlength=256).count_nonzero())
     if levels < FEW:
         raise RacinesError(
@@ -131,9 +133,5 @@ def speed(generator: ImageSource, frames: Batch, batch: int, repeats: int = 5) -
     rows = torch.arange(batch) % len(frames.index)
     parameters, seeds = frames.parameters[rows], torch.arange(batch)
     generator.generate(parameters, seeds)
-    times = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        generator.generate(parameters, seeds).cpu()
-        times.append(time.perf_counter() - began)
-    return batch / min(times)
+    call = timeit.Timer(lambda: generator.generate(parameters, seeds).cpu())
+    return batch / min(call.repeat(repeats, number=1))

@@ -33,12 +33,7 @@ class Estimate:
 
     def to_json(self, unit: str | None = None, **settings: Any) -> dict[str, Any]:
         """Return the estimate as it stands in a scores file."""
-        described: dict[str, Any] = {
-            "value": self.value,
-            "low": self.low,
-            "high": self.high,
-            "n": self.n,
-        }
+        described = {key: getattr(self, key) for key in ("value", "low", "high", "n")}
         if unit is not None:
             described["unit"] = unit
         interval = {"interval": self.method, "trajectories": self.clusters}
@@ -50,10 +45,7 @@ def bootstrap_mean(
 ) -> Estimate:
     """Estimate the mean of (N,) values, resampling their (N,) clusters with replacement.
 
-    NaN values are absent measurements and are left out.
-
-    Raises:
-        ValueError: no value is present.
+    NaN values are absent measurements and are left out; a `ValueError` says that none is present.
     """
 
     def means(values: np.ndarray, cluster: np.ndarray, draws: np.ndarray) -> np.ndarray:
@@ -95,13 +87,12 @@ def _clustered(
     if not len(values):
         raise ValueError("no values to estimate from")
     unique, cluster = np.unique(clusters[present], return_inverse=True)
-    count = len(unique)
-    low = high = None
+    count, low, high = len(unique), None, None
     if count > 1:
         generator = np.random.default_rng(seed)
         draws = generator.multinomial(count, np.full(count, 1 / count), size=resamples)
         found = resampled(values, cluster, draws)
-        low, high = (float(q) for q in np.quantile(found, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]))
+        low, high = _interval(found)
     method = f"{what}percentile bootstrap by trajectory, {resamples} resamples"
     return Estimate(float(statistic(values)), low, high, len(values), count, method)
 
@@ -117,8 +108,7 @@ def jackknife(
     `statistic` takes a (N,) boolean mask of the samples to keep. The interval is the value ± t
     times the standard error, t with blocks - 1 degrees of freedom, cut at `minimum`.
     """
-    both = jackknife_all(lambda keep: {"": statistic(keep)}, clusters, blocks, minimum)
-    return both[""]
+    return jackknife_all(lambda keep: {"": statistic(keep)}, clusters, blocks, minimum)[""]
 
 
 def jackknife_all(
@@ -131,9 +121,7 @@ def jackknife_all(
     unique, cluster = np.unique(clusters, return_inverse=True)
     blocks = min(blocks, len(unique))
     values = statistics(np.ones(len(clusters), bool))
-    parts = []
-    if blocks > 1:
-        parts = [statistics(cluster % blocks != block) for block in range(blocks)]
+    parts = [statistics(cluster % blocks != block) for block in range(blocks if blocks > 1 else 0)]
     method = f"jackknife by trajectory, {blocks} blocks, Student t"
     estimates = {}
     for name, value in values.items():
@@ -145,6 +133,10 @@ def jackknife_all(
             low, high = max(value - half, minimum), value + half
         estimates[name] = Estimate(float(value), low, high, len(clusters), len(unique), method)
     return estimates
+
+
+def _interval(resampled: np.ndarray) -> list[float]:
+    return np.quantile(resampled, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2]).tolist()
 
 
 def wilson(hits: np.ndarray) -> dict[str, Any]:
@@ -188,8 +180,7 @@ def _bootstrap(
         figure["value"] = float(statistic(values))
     if n > 1:
         drawn = values[np.random.default_rng(0).integers(0, n, (resamples, n))]
-        low, high = np.quantile(statistic(drawn), [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
-        figure |= {"low": float(low), "high": float(high)}
+        figure["low"], figure["high"] = _interval(statistic(drawn))
     if unit is not None:
         figure["unit"] = unit
     method = f"percentile bootstrap over episodes, {resamples} resamples"

@@ -33,14 +33,8 @@ def check_rows(draw: Callable[..., Tensor | tuple[Tensor, ...]], *inputs: Tensor
     """Check that a row's result depends on its own inputs alone, to the last bit.
 
     Each of the first eight rows stands at every place, alone, and among all others, which are more
-    than one chunk.
-
-    Args:
-        draw: Turns (B, …) inputs into a tensor, or tensors, of (B, …).
-        inputs: At least nine rows, seeds among them where there are any.
-
-    Raises:
-        AssertionError: a result differs.
+    than one chunk. `draw` turns (B, …) inputs, seeds among them where there are any, into a tensor
+    or tensors of (B, …); an `AssertionError` says what differs.
     """
 
     def results(places: Tensor) -> list[Tensor]:
@@ -154,9 +148,9 @@ class GeneratorContract:
     def test_broken_pose_is_refused(self, store: FrameStore, tmp_path: Path) -> None:
         """NaN in a pose, and parameters of a wrong shape, are errors that name the column."""
         generator, poses = self.fitted(store, tmp_path), self.parameters(store).clone()
-        assert "(B, 12)" in _refusal(generator, poses[:, :6])
+        assert "(B, 12)" in _refusal(generator.generate, poses[:, :6], 0)
         poses[2, PARAMETERS.index("position_y")] = float("nan")
-        assert "position_y of row 2" in _refusal(generator, poses)
+        assert "position_y of row 2" in _refusal(generator.generate, poses, 0)
 
     def test_absent_force_is_no_error(self, store: FrameStore, tmp_path: Path) -> None:
         """Tracked data has no force sensor: NaN there still gives an image."""
@@ -176,17 +170,12 @@ class GeneratorContract:
     def test_missing_or_foreign_folder_is_refused(self, store: FrameStore, tmp_path: Path) -> None:
         """`load` names the folder that holds no model of this generator."""
         for folder in (tmp_path / "absent", tmp_path):
-            try:
-                self.generator_class.load(folder)
-            except RacinesError as error:
-                assert str(folder) in str(error)
-            else:
-                raise AssertionError(f"{folder} holds no model, yet it was loaded")
+            assert str(folder) in _refusal(self.generator_class.load, folder)
 
 
-def _refusal(generator: Generator, parameters: Tensor) -> str:
+def _refusal(call: Callable[..., Any], *given: Any) -> str:
     try:
-        generator.generate(parameters, 0)
+        call(*given)
     except RacinesError as error:
         return str(error)
-    raise AssertionError("the parameters were accepted")
+    raise AssertionError(f"{given} was accepted")

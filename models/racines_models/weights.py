@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic, write_json
 from racines_models.provenance import sha256_bytes
-from racines_models.training.repeats import repeat_folders
+from racines_models.training.checkpoint import repeat_folders
 
 SMALL = 4_096
 """Tensors of at most so many entries stay as they are: normalisation and biases weigh nothing, and
@@ -48,9 +48,8 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
     for file in files:
         data = save(_halved(load_weights(file), file))
         write_atomic(out / file.name, data)
-        described[file.name] = {
-            "bytes": len(data), "sha256": sha256_bytes(data), "made_of": sha256_file(file)
-        }  # fmt: skip
+        hashes = {"sha256": sha256_bytes(data), "made_of": sha256_file(file)}
+        described[file.name] = {"bytes": len(data), **hashes}
     content["weights_files"] = {"dtype": "float16", "files": described}
     for seed in repeat_folders(run):
         told = publish(seed, out / seed.name)["weights_files"]["files"]
@@ -84,7 +83,13 @@ def load_weights(
     """
     if not path.is_file():
         raise RacinesError(f"{path}: no such file; {remedy}")
-    _check_digest(path)
+    config = path.parent / "config.json"
+    if config.is_file():
+        files = json.loads(config.read_text()).get("weights_files", {}).get("files", {})
+        wanted = files.get(path.name, {}).get("sha256")
+        if wanted and sha256_file(path) != wanted:
+            other = "is not the file that config.json names (sha256)"
+            raise RacinesError(f"{path}: {other}; get it again")
     try:
         tensors = load_file(path, device=device)
     except (SafetensorError, OSError) as error:
@@ -103,11 +108,7 @@ def load_network(path: Path, network: nn.Module, remedy: str) -> None:
 
 
 def read_described(folder: Path, absent: str) -> dict[str, Any]:
-    """Return what the `config.json` beside the weights says.
-
-    Raises:
-        RacinesError: there is none, told with `absent`; or it is no JSON.
-    """
+    """Return what the `config.json` beside the weights says; refuse none, with `absent`."""
     path = Path(folder) / "config.json"
     if not path.is_file():
         raise RacinesError(f"{folder}: {absent}")
@@ -126,13 +127,3 @@ def _halved(tensors: dict[str, Tensor], file: Path) -> dict[str, Tensor]:
                 raise RacinesError(f"{file}: {key} is NaN or too large for half precision")
         halved[key] = tensor.contiguous()
     return halved
-
-
-def _check_digest(path: Path) -> None:
-    config = path.parent / "config.json"
-    if not (config.is_file() and path.is_file()):
-        return
-    files = json.loads(config.read_text()).get("weights_files", {}).get("files", {})
-    wanted = files.get(path.name, {}).get("sha256")
-    if wanted and sha256_file(path) != wanted:
-        raise RacinesError(f"{path}: is not the file that config.json names (sha256); get it again")

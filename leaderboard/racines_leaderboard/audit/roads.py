@@ -28,7 +28,7 @@ from racines_leaderboard.board.recompute import Ground, recompute_scores, score_
 from racines_models.protocol import Run
 from racines_models.provenance import weights_sha256
 from racines_models.registry import generator_class, open_runs, weights_of
-from racines_models.training.repeats import train_seeds
+from racines_models.training.checkpoint import train_seeds
 
 HALF = "half precision"
 

@@ -32,7 +32,7 @@ from racines_leaderboard.submissions.artefacts import YAML, files_of
 from racines_leaderboard.submissions.confined.session import Limits, rehearse
 from racines_leaderboard.submissions.document import check_measured, read_document
 from racines_leaderboard.submissions.file_checks import MAX_BYTES, measure, opened, read_bounded
-from racines_models.exchange.onnx.format import read_onnx
+from racines_models.exchange.onnx.generator import read_onnx
 
 SECONDS = 60
 """The longest that a server may be silent."""

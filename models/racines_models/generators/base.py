@@ -17,9 +17,10 @@ from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
 from racines_models.networks.onnx_module import OnnxModule
 from racines_models.protocol import Card, Run
+from racines_models.provenance import dataset_card
 from racines_models.training.checkpoint import discard_checkpoint
+from racines_models.training.course import Validation
 from racines_models.training.processes import is_main_process
-from racines_models.training.validation import Validation
 from racines_models.weights import load_weights, read_described, save_weights
 
 SCHEMA = "racines.generator/1"
@@ -68,36 +69,25 @@ class BaseGenerator(ABC, Generic[C]):
         """Take back what `tensors` returned, onto `self.device`."""
 
     def onnx_module(self) -> OnnxModule:
-        """Return the fitted network as `racines export generator` writes it; override to allow it.
-
-        Raises:
-            RacinesError: this method has no such network.
-        """
+        """Return the fitted network, as it is exported; override to allow that."""
         raise RacinesError(
             f"{self.name} cannot be an ONNX file: its method is no network of pose and noise; "
             "export its predictions instead: racines export predictions"
         )
 
     def fit(self, store: FrameStore, run: Run) -> dict[str, Any]:
-        """Learn from the train split, save into `run.folder`, and return the metrics.
-
-        Of several processes (see `Processes`), the first saves.
-        """
+        """Learn from the train split, let one process save into the folder; return the metrics."""
         if len(store.split_indices("train")) == 0:
             raise RacinesError("the dataset has no train frames: rebuild it with more trajectories")
         self.device = resolve_device(run.device)
         run = dataclasses.replace(run, device=self.device)
         self.seed = run.seed
-        keys = ("source", "version", "digest", "recipe_digest")
-        self.data = {key: store.manifest.get(key) for key in keys}
+        self.data = dataset_card(store)
         metrics: dict[str, Any] = {"schema": "racines.training/1", "generator": self.name}
         metrics |= self.learn(store, run)
         if not is_main_process():
             return metrics
-        validation = Validation(store, run.seed)
-        drawn = validation.draw(self)
-        validation.grid(drawn, run.folder / "samples.png")
-        metrics["validation"] = validation.figures(drawn)
+        metrics["validation"] = Validation(store, run.seed).look(self, run.folder / "samples.png")
         self.save(run.folder)
         write_json(run.folder / "metrics.json", metrics)
         discard_checkpoint(run.folder)
@@ -114,17 +104,11 @@ class BaseGenerator(ABC, Generic[C]):
     @property
     def card(self) -> Card:
         """Describe the fitted generator."""
+        told = ("name", "title", "summary", "source", "stochastic", "data", "seed", "limits")
         return Card(
-            name=self.name,
-            title=self.title,
-            summary=self.summary,
-            source=self.source,
-            stochastic=self.stochastic,
             weights=sum(tensor.numel() for tensor in self.tensors().values()),
-            data=self.data,
             config=dataclasses.asdict(self.config),  # type: ignore[call-overload]
-            seed=self.seed,
-            limits=self.limits,
+            **{key: getattr(self, key) for key in told},
         )
 
     def save(self, folder: Path) -> None:
@@ -135,29 +119,18 @@ class BaseGenerator(ABC, Generic[C]):
 
     @classmethod
     def load(cls, folder: Path, device: str = "cpu") -> Self:
-        """Read what `save` wrote.
-
-        Raises:
-            RacinesError: no model there, a damaged one, or one of another generator.
-        """
-        content = _read_config(folder, cls.name)
+        """Read what `save` wrote; refuse a damaged model, and one of another generator."""
+        absent = f"no trained {cls.name} here; run: racines train generator {cls.name}"
+        content = read_described(folder, absent)
+        if content.get("schema") != SCHEMA or content.get("name") != cls.name:
+            held = f"holds {content.get('name') or 'something else'}, not {cls.name}"
+            raise RacinesError(f"{folder}/config.json: {held}; name the generator it holds")
         generator = cls(fill(cls.Config, content["config"], f"{folder}/config.json: config"))
         generator.device = resolve_device(device)
         generator.seed, generator.data = content["seed"], content["data"]
         try:
             generator.restore(load_weights(folder / "model.safetensors", generator.device))
         except Exception as error:
-            raise RacinesError(
-                f"{folder}/model.safetensors: cannot be read: {error}; train {cls.name} again"
-            ) from error
+            problem = f"cannot be read: {error}; train {cls.name} again"
+            raise RacinesError(f"{folder}/model.safetensors: {problem}") from error
         return generator
-
-
-def _read_config(folder: Path, name: str) -> dict[str, Any]:
-    content = read_described(folder, f"no trained {name} here; run: racines train generator {name}")
-    if content.get("schema") != SCHEMA or content.get("name") != name:
-        found = content.get("name") or "something else"
-        raise RacinesError(
-            f"{folder}/config.json: holds {found}, not {name}; name the generator it holds"
-        )
-    return content

@@ -3,8 +3,7 @@
 import copy
 import dataclasses
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
@@ -12,17 +11,14 @@ from torch.nn.functional import pixel_shuffle, pixel_unshuffle
 from torch.optim import Adam, Optimizer
 
 from racines_data.errors import RacinesError
-from racines_data.randomness import derive, normal, sample_seeds, uniform
+from racines_data.randomness import derive, normal, uniform
 from racines_data.store.frames import FrameStore
-from racines_models.generators.base import BaseGenerator
-from racines_models.networks.batching import in_fixed_batches
+from racines_models.generators.learned import NetworkGenerator
 from racines_models.networks.conditioning import Conditioning
-from racines_models.networks.convolution import to_gray, to_range
 from racines_models.networks.onnx_module import NoiseInput, OnnxModule
+from racines_models.networks.painting import to_gray, to_range
 from racines_models.networks.unet import CELL, GRID, SPREAD, PlacedUNet, scales
-from racines_models.protocol import Run
 from racines_models.training.objective import TrainBatch, Training, Update
-from racines_models.training.trainer import train
 
 NOISE, TIME, DRAW = 1, 2, 3
 """Random streams: noise and time in training, noise at drawing."""
@@ -53,7 +49,7 @@ class FlowConfig:
     """`euler`, or `heun`: a second look a step, but for the last, which always is Euler's."""
     spacing: float = 1.0
     """1 - t falls as this power: 1 for equal steps, 2 for steps that shorten towards the end."""
-    training: Training = field(default_factory=Training)
+    training: Training = Training()
 
     def __post_init__(self) -> None:
         """Refuse settings that cannot train or draw."""
@@ -69,7 +65,7 @@ class FlowConfig:
             raise RacinesError(f"flow: steps are 1 to 4 and solver is {' or '.join(SOLVERS)}")
 
 
-class Flow(BaseGenerator[FlowConfig]):
+class Flow(NetworkGenerator[FlowConfig]):
     """Straight paths from noise to image, followed by a network that foresees their end."""
 
     name = "flow"
@@ -86,43 +82,20 @@ class Flow(BaseGenerator[FlowConfig]):
         "several steps draw speckle that looks right but is not that of the place",
     )
 
-    nets: nn.ModuleDict | None = None
-
-    def _build(self) -> nn.ModuleDict:
+    def untrained(self) -> dict[str, nn.Module]:
+        """Return the U-Net, which has the conditioning in it."""
         config = self.config
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.seed)
-            conditioning = Conditioning(config.conditioning)
-            net = PlacedUNet(
-                config.width, config.octaves, config.extent, conditioning, config.preconditioned
-            )
-        return nn.ModuleDict({"unet": net}).to(memory_format=torch.channels_last)  # pyright: ignore
+        conditioning = Conditioning(config.conditioning)
+        sizes = config.width, config.octaves, config.extent
+        return {"unet": PlacedUNet(*sizes, conditioning, config.preconditioned)}
 
-    def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
-        """Fit the conditioning, then train."""
-        self.nets = self._build()
-        self._unet.fit(store.parameters[store.split_indices("train")])
-        self.nets.to(self.device)
-        return train(self, store, self.config.training, run)
-
-    @property
-    def _unet(self) -> PlacedUNet:
-        assert self.nets is not None
-        unet = self.nets["unet"]
-        assert isinstance(unet, PlacedUNet)
-        return unet
-
-    def modules(self) -> dict[str, nn.Module]:
-        """Return the U-Net."""
-        return {"unet": self._unet}
-
-    def averaged(self) -> tuple[str, ...]:
-        """Name the U-Net."""
-        return ("unet",)
+    def prepare(self, store: FrameStore) -> None:
+        """Fit the conditioning."""
+        self.net("unet").fit(store.parameters[store.split_indices("train")])
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return one Adam."""
-        return {"unet": Adam(self._unet.parameters(), self.config.learning_rate, (0.9, 0.99))}
+        return {"unet": Adam(self.net("unet").parameters(), self.config.learning_rate, (0.9, 0.99))}
 
     def updates(self, nets: Mapping[str, nn.Module], batch: TrainBatch) -> Iterator[Update]:
         """Yield one step: foresee the image from a point on the way to it.
@@ -132,7 +105,8 @@ class Flow(BaseGenerator[FlowConfig]):
         early times. Preconditioned, it is weighed so that the network's own output counts alike at
         all times (see `scales`): by 1 at time 0, by more where less is left to change.
         """
-        image = _fold(to_range(batch.images))
+        image = pixel_unshuffle(to_range(batch.images), CELL)
+        image = image.contiguous(memory_format=torch.channels_last)
         time = uniform(derive(batch.seeds, TIME), 2)
         time = time[:, 0].where(time[:, 1] >= self.config.pure_noise, 0.0)
         noise = _folded(normal(derive(batch.seeds, NOISE), PIXELS))
@@ -151,31 +125,11 @@ class Flow(BaseGenerator[FlowConfig]):
         other.config = dataclasses.replace(self.config, steps=steps, solver=solver)
         return other
 
-    def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
-        """Follow the flow from each sample's noise."""
-        seeds = sample_seeds(seed, len(parameters), parameters.device)
-        self._unet.eval()
-        return in_fixed_batches(self._follow, parameters, seeds)
-
-    def _follow(self, parameters: Tensor, seeds: Tensor) -> Tensor:
-        return self._journey()(parameters, normal(derive(seeds, DRAW), PIXELS))
-
-    def _journey(self) -> "Journey":
-        config = self.config
-        return Journey(self._unet, config.steps, config.solver, config.spacing)
-
     def onnx_module(self) -> OnnxModule:
         """Return the U-Net with its steps."""
-        return OnnxModule(self._journey(), NoiseInput(PIXELS, (DRAW,)))
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return the U-Net's weights and the conditioning's statistics."""
-        return {} if self.nets is None else self.nets.state_dict()
-
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Take the weights back."""
-        self.nets = self._build().to(self.device)
-        self.nets.load_state_dict(tensors)
+        config = self.config
+        journey = Journey(self.net("unet"), config.steps, config.solver, config.spacing)
+        return OnnxModule(journey, NoiseInput(PIXELS, (DRAW,)))
 
 
 class Journey(nn.Module):
@@ -187,18 +141,13 @@ class Journey(nn.Module):
 
     def forward(self, parameters: Tensor, noise: Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 of (B, 12) parameters and (B, 16384) noise."""
-        start, way = _folded(noise), (self.steps, self.solver, self.spacing)
-        images = follow(self.unet, start, parameters, *way)
+        way = self.steps, self.solver, self.spacing
+        images = follow(self.unet, _folded(noise), parameters, *way)
         return to_gray(pixel_shuffle(images, CELL))
 
 
 def follow(
-    unet: nn.Module,
-    x: Tensor,
-    parameters: Tensor,
-    steps: int,
-    solver: str,
-    spacing: float = 1.0,
+    unet: nn.Module, x: Tensor, parameters: Tensor, steps: int, solver: str, spacing: float = 1.0
 ) -> Tensor:
     """Return the (B, 16, 32, 32) images at the end of the flow from noise `x`.
 
@@ -219,11 +168,6 @@ def follow(
 def _slope(unet: nn.Module, x: Tensor, time: float, parameters: Tensor) -> Tensor:
     foreseen = unet(x, x.new_full((len(x),), time), parameters)
     return (foreseen.float() - x) / (1.0 - time)
-
-
-def _fold(images: Tensor) -> Tensor:
-    folded = pixel_unshuffle(images, CELL)
-    return folded.contiguous(memory_format=torch.channels_last)
 
 
 def _folded(noise: Tensor) -> Tensor:

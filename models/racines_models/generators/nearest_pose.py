@@ -12,6 +12,7 @@ from racines_data.geometry import parameters_to_pose
 from racines_data.store.frames import FrameStore
 from racines_models.generators.base import BaseGenerator
 from racines_models.protocol import Run
+from racines_models.sample import evenly
 
 QUERIES = 64
 """Poses compared at a time: bounds the distance matrix at 37 MB for 144,668 frames."""
@@ -55,7 +56,7 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
         """Remember poses and images of the train split, in order of the store."""
         frames = store.split_indices("train").sort().values
         if 0 < self.config.frames < len(frames):
-            frames = frames[torch.arange(self.config.frames) * len(frames) // self.config.frames]
+            frames = frames[evenly(len(frames), self.config.frames)]
         kept = store.take(frames)
         self.keys = self.embed(kept.parameters).to(self.device)
         self.images = kept.images.to(self.device)
@@ -83,8 +84,6 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
     def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
         """Return (B, 128, 128) images of the nearest poses."""
         assert self.images is not None
-        if not len(parameters):
-            return self.images[:0].clone()
         return self.images[self.nearest(parameters)[0]]
 
     def tensors(self) -> dict[str, Tensor]:

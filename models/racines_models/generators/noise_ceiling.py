@@ -1,6 +1,6 @@
 """The ceiling: the phantom itself, scanned again at the same pose with new electronic noise."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -19,7 +19,7 @@ from racines_models.protocol import Run
 class NoiseCeilingConfig:
     """There is nothing to set: `fit` reads the phantom from the dataset's recipe."""
 
-    phantom: PhantomConfig = field(default_factory=PhantomConfig)
+    phantom: PhantomConfig = PhantomConfig()
     """The phantom that was scanned, as it stands in the saved config."""
 
 
@@ -58,11 +58,7 @@ class NoiseCeiling(BaseGenerator[NoiseCeilingConfig]):
         return {"phantom_version": torch.tensor([int(x) for x in PHANTOM_VERSION.split(".")])}
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Bake the phantom of the config again.
-
-        Raises:
-            RacinesError: the model was saved under another version of the phantom.
-        """
+        """Bake the phantom of the config again; refuse that of another version."""
         saved = ".".join(str(int(x)) for x in tensors["phantom_version"])
         if saved != PHANTOM_VERSION:
             raise RacinesError(f"it was made of phantom {saved}, this is phantom {PHANTOM_VERSION}")

@@ -1,7 +1,7 @@
 """View synthesis: a learned voxel field of the scene, sampled along the probe's beams."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -12,16 +12,14 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.randomness import derive, uniform
 from racines_data.store.frames import FrameStore
-from racines_models.generators.base import BaseGenerator
-from racines_models.networks.batching import in_fixed_batches
+from racines_models.generators.learned import NetworkGenerator
 from racines_models.networks.onnx_module import OnnxModule
-from racines_models.networks.scene_field.echo import MID, EchoDecoder, Place
+from racines_models.networks.scene_field.echo import MID, EchoDecoder, Place, image_loss
 from racines_models.networks.scene_field.field import Layout, VoxelField, lay_out
-from racines_models.networks.scene_field.loss import image_loss
 from racines_models.networks.scene_field.probe import Probe, ProbeGeometry
 from racines_models.protocol import Run
+from racines_models.sample import evenly
 from racines_models.training.objective import TrainBatch, Training, Update
-from racines_models.training.trainer import train
 
 PICKS = 21
 """Random stream: which voxel of four gets a point's gradient."""
@@ -35,7 +33,7 @@ CHUNK = 8
 class SceneFieldConfig:
     """Sizes, probe, rates and loop; lengths in metres."""
 
-    probe: ProbeGeometry = field(default_factory=ProbeGeometry)
+    probe: ProbeGeometry = ProbeGeometry()
     voxel: float = 0.001
     """Edge of a voxel of the fine field, which holds speckle and walls."""
     channels: int = 3
@@ -56,10 +54,8 @@ class SceneFieldConfig:
     """Adam's rate of the samples' offsets out of the plane, mm; 0 leaves a flat image plane."""
     pixel_weight: float = 4.0
     """Of the absolute error against 1 - SSIM."""
-    training: Training = field(
-        default_factory=lambda: Training(
-            batch_size=32, precision="fp32", ema=0.0, schedule="cosine", warmup_images=960
-        )
+    training: Training = Training(
+        batch_size=32, precision="fp32", ema=0.0, schedule="cosine", warmup_images=960
     )
 
     def __post_init__(self) -> None:
@@ -74,7 +70,7 @@ class SceneFieldConfig:
             raise RacinesError("scene-field: rates, pixel_weight and spread are 0 or more")
 
 
-class SceneField(BaseGenerator[SceneFieldConfig]):
+class SceneField(NetworkGenerator[SceneFieldConfig]):
     """Learned voxels, what reaches them, and how their echoes add up."""
 
     name = "scene-field"
@@ -88,49 +84,40 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
         "draws the mean of what is random: electronic noise is left out",
     )
 
-    nets: nn.ModuleDict | None = None
+    fitted = ("place",)
+    memory_format = torch.contiguous_format
+
+    _layouts: tuple[Layout, Layout]
 
     def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
-        """Lay the voxels where the training frames look, then train."""
-        frames = store.split_indices("train")
-        poses = parameters_to_pose(store.parameters[frames])
-        probe = Probe(self.config.probe)
-        some = torch.arange(min(SURVEY, len(frames))) * len(frames) // min(SURVEY, len(frames))
+        """Lay the voxels where the training frames look, train, and round to eight bits."""
+        config, poses = self.config, _training_poses(store)
+        some = evenly(len(poses.position), SURVEY)
         with torch.no_grad():
-            looked = probe.points(Pose(poses.position[some], poses.rotation[some]), coarse=True)
+            surveyed = Pose(poses.position[some], poses.rotation[some])
+            looked = Probe(config.probe).points(surveyed, coarse=True)
         points = looked.flatten(1).T.contiguous()
-        config = self.config
         fine = lay_out(points, 1e3 * config.voxel, config.coverage)
-        coarse = lay_out(points, 1e3 * config.coarse_voxel, 1.0)
-        self.nets = self._build(fine, coarse)
-        self._net("place").fit(poses)
-        self.nets.to(self.device)
-        metrics = train(self, store, config.training, run)
+        self._layouts = fine, lay_out(points, 1e3 * config.coarse_voxel, 1.0)
+        metrics = super().learn(store, run)
         for name in ("fine", "coarse"):
-            self._net(name).quantise()
-        return metrics | {"calibration": self._net("probe").calibration()}
+            self.net(name).quantise()
+        return metrics | {"calibration": self.net("probe").calibration()}
 
-    def _build(self, fine: Layout, coarse: Layout) -> nn.ModuleDict:
-        config = self.config
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.seed)
-            place = Place()
-            nets = {
-                "fine": VoxelField(fine, 1e3 * config.voxel, config.channels, config.spread),
-                "coarse": VoxelField(coarse, 1e3 * config.coarse_voxel, MID, 0.02),
-                "probe": Probe(config.probe),
-                "decoder": EchoDecoder(config.probe.beams, config.probe.samples, place.width),
-                "place": place,
-            }
-        return nn.ModuleDict(nets)
+    def untrained(self) -> dict[str, nn.Module]:
+        """Return the fields of the laid voxels, the probe, the decoder, and its view of a pose."""
+        config, (fine, coarse), place = self.config, self._layouts, Place()
+        return {
+            "fine": VoxelField(fine, 1e3 * config.voxel, config.channels, config.spread),
+            "coarse": VoxelField(coarse, 1e3 * config.coarse_voxel, MID, 0.02),
+            "probe": Probe(config.probe),
+            "decoder": EchoDecoder(config.probe.beams, config.probe.samples, place.width),
+            "place": place,
+        }
 
-    def _net(self, name: str) -> Any:
-        assert self.nets is not None
-        return self.nets[name]
-
-    def modules(self) -> dict[str, nn.Module]:
-        """Return the fields, the probe and the decoder."""
-        return {name: self._net(name) for name in ("fine", "coarse", "probe", "decoder")}
+    def prepare(self, store: FrameStore) -> None:
+        """Take the scales of the training poses."""
+        self.net("place").fit(_training_poses(store))
 
     def averaged(self) -> tuple[str, ...]:
         """Name the decoder: the rate falls to zero, which serves the fields as an average would."""
@@ -138,16 +125,16 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return one Adam with a rate for each part."""
-        config, probe = self.config, self._net("probe")
-        calibration = config.calibration_rate
-        groups = [
-            {"params": [self._net("fine").values], "lr": config.field_rate},
-            {"params": [self._net("coarse").values], "lr": config.coarse_rate},
-            {"params": list(self._net("decoder").parameters()), "lr": config.decoder_rate},
-            {"params": [probe.shift], "lr": calibration},
-            {"params": [probe.turn, probe.scale], "lr": 0.1 * calibration},
-            {"params": [probe.offset], "lr": config.offset_rate},
-        ]
+        config, probe = self.config, self.net("probe")
+        rates = (
+            ([self.net("fine").values], config.field_rate),
+            ([self.net("coarse").values], config.coarse_rate),
+            (list(self.net("decoder").parameters()), config.decoder_rate),
+            ([probe.shift], config.calibration_rate),
+            ([probe.turn, probe.scale], 0.1 * config.calibration_rate),
+            ([probe.offset], config.offset_rate),
+        )
+        groups = [{"params": weights, "lr": rate} for weights, rate in rates]
         return {"scene": Adam(groups, betas=(0.9, 0.99), eps=1e-12, fused=True)}
 
     def updates(self, nets: Mapping[str, nn.Module], batch: TrainBatch) -> Iterator[Update]:
@@ -155,18 +142,13 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
         config, count = self.config, len(batch.images)
         calibrates = max(config.calibration_rate, config.offset_rate) > 0
         live = -(-count // 2) if calibrates else 0  # half of the images are enough for it
-        picks = self._picks(batch.seeds)
+        # A number in [0, 1) for each sample: one table, shifted by image.
+        table = uniform(batch.seeds.new_zeros(1), self.net("probe").lateral.numel())
+        picks = (table + uniform(derive(batch.seeds, PICKS), 1)).remainder(1.0).flatten()
         drawn = self._draw(nets, batch.parameters, picks, live)
-        truth = batch.images.to(torch.float32) / 255.0
-        similarity, error = image_loss(drawn, truth)
+        similarity, error = image_loss(drawn, batch.images.to(torch.float32) / 255.0)
         loss = 1.0 - similarity + config.pixel_weight * error
         yield Update("scene", loss, {"ssim": similarity, "error": error})
-
-    def _picks(self, seeds: Tensor) -> Tensor:
-        """Return a number in [0, 1) for each sample of (B,) images: one table, shifted by image."""
-        count = self._net("probe").lateral.numel()
-        table = uniform(seeds.new_zeros(1), count)
-        return (table + uniform(derive(seeds, PICKS), 1)).remainder(1.0).flatten()
 
     def _draw(
         self,
@@ -176,29 +158,17 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
         live: int = 0,
     ) -> Tensor:
         """Return (B, 128, 128) images of (B, 12) parameters, black 0 and white 1, unclipped."""
-        probe, config = self._net("probe"), self.config
+        probe, (beams, samples) = self.net("probe"), self.net("probe").offset.shape
         pose = parameters_to_pose(parameters)
-        size = config.probe.beams, config.probe.samples
-        half = size[0] // 2, size[1] // 2
         points, moving = _points(probe, pose, live)
-        fine = nets["fine"](points, picks, moving).view(-1, *size, config.channels)
+        fine = nets["fine"](points, picks, moving).view(-1, beams, samples, self.config.channels)
         points, moving = _points(probe, pose, live, coarse=True)
-        coarse = nets["coarse"](points, None, moving).view(-1, *half, MID)
-        inputs = fine, coarse, probe.directions(pose), self._net("place")(pose)
+        coarse = nets["coarse"](points, None, moving).view(-1, beams // 2, samples // 2, MID)
+        inputs = fine, coarse, probe.directions(pose), self.net("place")(pose)
         if torch.compiler.is_exporting():  # a loop over parts would fix the number of images
             return probe.image(nets["decoder"](*inputs))
         parts = zip(*(each.split(CHUNK) for each in inputs), strict=True)
         return torch.cat([probe.image(nets["decoder"](*part)) for part in parts])
-
-    def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
-        """Sample and decode; the seed decides nothing."""
-        assert self.nets is not None
-        nets = self.nets.eval()
-
-        def decode(parameters: Tensor) -> Tensor:
-            return _to_gray(self._draw(nets, parameters))
-
-        return in_fixed_batches(decode, parameters)
 
     def onnx_module(self) -> OnnxModule:
         """Return all of it, as one network of the pose."""
@@ -220,13 +190,10 @@ class SceneField(BaseGenerator[SceneFieldConfig]):
         for key, value in tensors.items():
             name, _, rest = key.partition(".")
             parts.setdefault(name, {})[rest] = value.to(self.device)
-        layouts = [_layout(parts[name]) for name in ("fine", "coarse")]
-        self.nets = self._build(*layouts).to(self.device)
+        self._layouts = _layout(parts["fine"]), _layout(parts["coarse"])
+        self.nets = self.build().to(self.device)
         for name, net in self.nets.items():
-            if isinstance(net, VoxelField):
-                net.unpack(parts[name])
-            else:
-                net.load_state_dict(parts[name])
+            (net.unpack if isinstance(net, VoxelField) else net.load_state_dict)(parts[name])
 
 
 class _Still(nn.Module):
@@ -239,11 +206,12 @@ class _Still(nn.Module):
 
     def forward(self, parameters: Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 of (B, 12) parameters."""
-        return _to_gray(self._field[0]._draw(self.nets, parameters))
+        images = self._field[0]._draw(self.nets, parameters)
+        return images.clamp(0.0, 1.0).mul(255.0).round().to(torch.uint8)
 
 
-def _to_gray(images: Tensor) -> Tensor:
-    return images.clamp(0.0, 1.0).mul(255.0).round().to(torch.uint8)
+def _training_poses(store: FrameStore) -> Pose:
+    return parameters_to_pose(store.parameters[store.split_indices("train")])
 
 
 def _layout(packed: dict[str, Tensor]) -> Layout:

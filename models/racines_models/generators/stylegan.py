@@ -7,7 +7,6 @@ from torch import nn
 
 from racines_data.errors import RacinesError
 from racines_models.generators.gan import ConditionalGan, GanConfig
-from racines_models.networks.discriminator import Discriminator
 from racines_models.networks.style import StyleSynthesis
 
 
@@ -52,7 +51,7 @@ class StyleGan(ConditionalGan[StyleGanConfig]):
 
     def networks(self, condition: int) -> dict[str, nn.Module]:
         """Return StyleGAN2's generator and a residual discriminator."""
-        config, adversary = self.config, self.config.adversary
+        config = self.config
         generator = StyleSynthesis(
             config.width,
             config.latent,
@@ -61,12 +60,5 @@ class StyleGan(ConditionalGan[StyleGanConfig]):
             layers=config.mapping_layers,
             rate=config.mapping_rate,
         )
-        discriminator = Discriminator(
-            config.discriminator_width,
-            condition,
-            config.embedding,
-            joining=adversary.joining,
-            normalisation=adversary.normalisation,
-            residual=True,
-        )
+        discriminator = self.discriminator(condition, residual=True)
         return {"generator": generator, "discriminator": discriminator}

@@ -1,7 +1,8 @@
 """The paper's generator: a conditional VAE whose decoder is also a GAN's generator."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -9,28 +10,18 @@ from torch.nn.functional import mse_loss
 from torch.optim import Adam, Optimizer
 
 from racines_data.errors import RacinesError
-from racines_data.randomness import derive, normal, sample_seeds
-from racines_models.generators.adversarial import AdversarialGenerator
-from racines_models.networks.batching import in_fixed_batches
-from racines_models.networks.conditioning import Conditioning
-from racines_models.networks.convolution import frozen, to_gray, to_range
-from racines_models.networks.discriminator import Discriminator
-from racines_models.networks.framing import Framed
-from racines_models.networks.injection import check_injection
-from racines_models.networks.onnx_module import NoiseInput, OnnxModule
-from racines_models.networks.painting import Painter
+from racines_data.randomness import derive, normal
+from racines_models.generators.learned import AdversarialGenerator
+from racines_models.networks.layers import bottom_features, check_injection, initialise, widths
+from racines_models.networks.painting import to_range
 from racines_models.networks.pyramid import Pyramid
-from racines_models.networks.vae_gan import Encoder
 from racines_models.training.adversary import Adversary
 from racines_models.training.objective import TrainBatch, Training, Update
 
-POSTERIOR, PRIOR, DRAW, AUGMENT = 1, 2, 3, 4
-"""Random streams: noise of the posterior, of the prior in training, of the prior at drawing, and
-changes of the augmentation."""
-
-
-def _adversary() -> Adversary:
-    return Adversary(joining="last", normalisation="batch", r1=0.0)
+POSTERIOR, PRIOR = 1, 2
+"""Random streams: noise of the posterior, and of the prior in training."""
+LOG_VARIANCE = 10.0
+"""Bound of the posterior's log variance, so that its exponential stays finite."""
 
 
 @dataclass(frozen=True)
@@ -62,8 +53,8 @@ class VaeGanConfig:
     """At 0.001 images are smoother and score 1 dB more."""
     sector: bool = True
     """Keep pixels black that are black in every training image; the paper is silent."""
-    adversary: Adversary = field(default_factory=_adversary)
-    training: Training = field(default_factory=Training)
+    adversary: Adversary = Adversary(joining="last", normalisation="batch", r1=0.0)
+    training: Training = Training()
 
     def __post_init__(self) -> None:
         """Refuse sizes and weights that cannot train."""
@@ -92,37 +83,15 @@ class VaeGan(AdversarialGenerator[VaeGanConfig]):
         "weights of the three losses are ours: the paper states none",
     )
 
-    def build(self) -> nn.ModuleDict:
-        """Return the networks in the order that fixes their initial weights."""
-        config, adversary = self.config, self.config.adversary
-        conditioning = Conditioning(config.conditioning)
-        injected = {"injection": config.injection, "embedding": config.embedding}
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.seed)
-            nets = {
-                "conditioning": conditioning,
-                "encoder": Encoder(config.encoder_width, config.latent),
-                "decoder": Framed(
-                    Pyramid(config.width, config.latent, conditioning.width, **injected)
-                ),
-                "discriminator": Discriminator(
-                    config.discriminator_width,
-                    conditioning.width,
-                    config.embedding,
-                    joining=adversary.joining,
-                    normalisation=adversary.normalisation,
-                ),
-            }
-        # Channels last is the faster order on CPU and GPU; fixed here, since orders round apart.
-        return nn.ModuleDict(nets).to(memory_format=torch.channels_last)  # pyright: ignore
-
-    def modules(self) -> dict[str, nn.Module]:
+    def networks(self, condition: int) -> dict[str, nn.Module]:
         """Return encoder, decoder and discriminator."""
-        return {name: self.net(name) for name in ("encoder", "decoder", "discriminator")}
-
-    def averaged(self) -> tuple[str, ...]:
-        """Name the decoder, which draws, and the encoder, which is saved beside it."""
-        return ("encoder", "decoder")
+        config = self.config
+        injected = {"injection": config.injection, "embedding": config.embedding}
+        return {
+            "encoder": Encoder(config.encoder_width, config.latent),
+            "decoder": Pyramid(config.width, config.latent, condition, **injected),
+            "discriminator": self.discriminator(condition),
+        }
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return one Adam for encoder and decoder, one for the discriminator."""
@@ -145,16 +114,12 @@ class VaeGan(AdversarialGenerator[VaeGanConfig]):
         # Both in one pass: the decoder's batch norm then fits the prior, from which it will draw.
         latents, conditions = torch.cat([posterior, prior]), torch.cat([condition, condition])
         rebuilt, drawn = nets["decoder"](latents, conditions).chunk(2)
-
-        adversary, critic = config.adversary, self.net("discriminator")
-        seeds = derive(batch.seeds, AUGMENT)
-        seen = adversary.view(drawn, seeds)
-        yield adversary.critic_update(nets["discriminator"], critic, real, seen, condition, seeds)
-
+        critics = nets["discriminator"], self.net("discriminator")
+        adversarial = yield from self.config.adversary.contest(
+            *critics, real, drawn, condition, batch.seeds
+        )
         reconstruction = mse_loss(rebuilt.float(), real)
         kl = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).float().mean()
-        with frozen(critic):
-            adversarial = adversary.generator_loss(nets["discriminator"](seen, condition))
         loss = (
             config.reconstruction_weight * reconstruction
             + config.kl_weight * kl
@@ -163,18 +128,24 @@ class VaeGan(AdversarialGenerator[VaeGanConfig]):
         logged = {"reconstruction": reconstruction, "kl": kl, "adversarial": adversarial}
         yield Update("vae", loss, logged)
 
-    def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
-        """Decode prior noise of each sample's seed with its condition."""
-        seeds = sample_seeds(seed, len(parameters), parameters.device)
-        decoder, conditioning = self.net("decoder").eval(), self.net("conditioning")
 
-        def decode(parameters: Tensor, seeds: Tensor) -> Tensor:
-            noise = normal(derive(seeds, DRAW), self.config.latent)
-            return to_gray(decoder(noise, conditioning(parameters)))
+class Encoder(nn.Module):
+    """Image to posterior: convolutions, flatten, mean and log variance of the latent."""
 
-        return in_fixed_batches(decode, parameters, seeds)
+    def __init__(self, width: int, latent: int):
+        super().__init__()
+        layers: list[nn.Module] = []
+        for before, after in pairwise([1, *widths(width)]):
+            layers += [
+                nn.Conv2d(before, after, 4, stride=2, padding=1, bias=False),
+                nn.BatchNorm2d(after),
+                nn.LeakyReLU(0.2, inplace=True),
+            ]
+        self.features = nn.Sequential(*layers, nn.Flatten())
+        self.posterior = nn.Linear(bottom_features(width), 2 * latent)
+        self.apply(initialise)
 
-    def onnx_module(self) -> OnnxModule:
-        """Return conditioning and decoder."""
-        painter = Painter(self.net("conditioning"), self.net("decoder"))
-        return OnnxModule(painter, NoiseInput(self.config.latent, (DRAW,)))
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (B, latent) mean and log variance of (B, 1, 128, 128) images in [-1, 1]."""
+        mean, log_variance = self.posterior(self.features(images)).chunk(2, -1)
+        return mean, log_variance.clamp(-LOG_VARIANCE, LOG_VARIANCE)

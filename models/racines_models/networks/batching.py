@@ -7,7 +7,7 @@ AVX2). Dense layers therefore multiply each row on its own here.
 """
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from typing import Any, TypeVar, cast
 
 import torch
@@ -27,14 +27,9 @@ Result = TypeVar("Result", bound=Tensor | tuple[Tensor, ...])
 def in_fixed_batches(function: Callable[..., Result], *inputs: Tensor) -> Result:
     """Apply `function` to (B, …) inputs in chunks of one size, the last one padded with ones.
 
-    Args:
-        function: Treats rows independently, but for rounding; returns a tensor or a tuple of
-            tensors, (B, …) each.
-        inputs: (B, …) tensors of one device; B may be 0.
-
-    Returns:
-        What `function` returns; each row to the last bit the same at every place of every batch,
-        on one machine with one number of threads.
+    It treats rows independently, but for rounding, and returns a tensor or a tuple of tensors,
+    (B, …) each; B may be 0. What is returned is for each row to the last bit the same at every
+    place of every batch, on one machine with one number of threads.
     """
     count, kind = len(inputs[0]), inputs[0].device.type
     size = SIZE.get(kind, 256)
@@ -42,16 +37,12 @@ def in_fixed_batches(function: Callable[..., Result], *inputs: Tensor) -> Result
     # The copy is aligned as any other batch is, also where the inputs are part of a tensor.
     padded = [torch.cat([x, x.new_ones(1).expand(short, *x.shape[1:])]) for x in inputs]
     chunks = zip(*(x.split(size) for x in padded), strict=True)
-    with _rows_alone(kind):
+    with _DenseRowByRow() if kind == "cpu" else nullcontext():
         parts: list[Any] = [function(*chunk) for chunk in chunks]
     if isinstance(parts[0], Tensor):
         return cast(Result, torch.cat(parts)[:count])
     columns = zip(*parts, strict=True)
     return cast(Result, tuple(torch.cat(column)[:count] for column in columns))
-
-
-def _rows_alone(kind: str) -> AbstractContextManager[Any]:
-    return _DenseRowByRow() if kind == "cpu" else nullcontext()
 
 
 class _DenseRowByRow(TorchFunctionMode):

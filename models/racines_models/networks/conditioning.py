@@ -39,10 +39,7 @@ class Conditioning(nn.Module):
         return torch.cat([pose.position, rotation_6d(pose.rotation), parameters[..., :6]], -1)
 
     def fit(self, parameters: Tensor) -> "Conditioning":
-        """Take mean and deviation from (N, 12) training parameters.
-
-        A column without values or without spread (under 1e-6) keeps a deviation of 1.
-        """
+        """Take mean and deviation from (N, 12) training parameters; without spread, 1."""
         raw = self.encode(parameters.double())
         known = torch.isfinite(raw)
         count = known.sum(0).clamp_min(1)

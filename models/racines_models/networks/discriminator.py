@@ -1,6 +1,7 @@
 """Image and condition to one logit: the adversary of every GAN here."""
 
 import math
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -8,10 +9,14 @@ from torch.nn.functional import avg_pool2d, leaky_relu
 from torch.nn.utils.parametrizations import spectral_norm
 
 from racines_data.imaging import IMAGE_SIZE
-from racines_models.networks.attention import SelfAttention
-from racines_models.networks.convolution import bottom_features, initialise, widths
-from racines_models.networks.injection import ConditionEmbedding
-from racines_models.networks.pyramid import ATTENTION_SIZE
+from racines_models.networks.layers import (
+    ConditionEmbedding,
+    attending,
+    bottom_features,
+    initialise,
+    through,
+    widths,
+)
 
 JOININGS = ("last", "layers", "projection")
 NORMALISATIONS = ("none", "batch", "spectral")
@@ -87,13 +92,10 @@ class Discriminator(nn.Module):
         self.embedding = ConditionEmbedding(condition, embedding, normalisation == "batch")
         self.first = PlainDown(1, channels[0], injected, normalisation)
         block = ResidualDown if residual else PlainDown
-        pairs = list(zip(channels, channels[1:], strict=False))
+        pairs = pairwise(channels)
         self.blocks = nn.ModuleList([block(*pair, injected, normalisation) for pair in pairs])
-        self.attention = nn.ModuleDict()
-        if attention:
-            for level, (_, after) in enumerate(pairs):
-                if IMAGE_SIZE >> (level + 2) == ATTENTION_SIZE:
-                    self.attention[str(level)] = SelfAttention(after)
+        sides = [IMAGE_SIZE >> level for level in range(2, len(channels) + 1)]
+        self.attention = attending(sides, channels[1:]) if attention else nn.ModuleDict()
         features = bottom_features(width)
         if joining == "projection":
             self.matched = nn.Linear(features, embedding)
@@ -112,19 +114,11 @@ class Discriminator(nn.Module):
     judged: Tensor
     """Steps of the adversary so far; a buffer, so that a resumed run goes on counting."""
 
-    def features(self, images: Tensor, embedded: Tensor) -> Tensor:
-        """Return (B, features) of (B, 1, 128, 128) images in [-1, 1]."""
-        maps = self.first(images.contiguous(memory_format=torch.channels_last), embedded)
-        for level, block in enumerate(self.blocks):
-            maps = block(maps, embedded)
-            if str(level) in self.attention:
-                maps = self.attention[str(level)](maps)
-        return maps.flatten(1)
-
     def judge(self, images: Tensor, condition: Tensor) -> Tensor:
-        """Return (B,) logits: large for a real image at its own condition."""
+        """Return (B,) logits, large for a real (B, 1, 128, 128) image at its own condition."""
         embedded = self.embedding(condition)
-        features = self.features(images, embedded)
+        maps = self.first(images.contiguous(memory_format=torch.channels_last), embedded)
+        features = through(self.blocks, self.attention, maps, embedded).flatten(1)
         if self.joining != "projection":
             return self.verdict(torch.cat([features, embedded.to(features.dtype)], -1)).squeeze(-1)
         matched = self.matched(features) * embedded

@@ -1,5 +1,7 @@
 """Networks that tell a view and a grade: an encoder and two heads, on images they normalise."""
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -52,11 +54,6 @@ class GraderNetwork(GradingNetwork):
     def __init__(self, input_size: int, width: float = 1.0, labels: int = len(LABELS)) -> None:
         from monai.networks.nets.resnet import resnet18
 
-        encoder = resnet18(
-            spatial_dims=2,
-            n_input_channels=1,
-            conv1_t_stride=2,
-            feed_forward=False,
-            widen_factor=width,
-        )
+        shape: dict[str, Any] = {"spatial_dims": 2, "n_input_channels": 1, "conv1_t_stride": 2}
+        encoder = resnet18(**shape, feed_forward=False, widen_factor=width)
         super().__init__(encoder, input_size, int(FEATURES * width), labels)

@@ -1,11 +1,9 @@
 """What a generator hands over to be exported: one network, and the noise that it takes."""
 
-import importlib
 from dataclasses import dataclass
 
 from torch import Tensor, nn
 
-from racines_data.errors import RacinesError
 from racines_data.randomness import derive, normal
 
 
@@ -35,19 +33,3 @@ class OnnxModule:
     network: nn.Module
     noise: NoiseInput | None = None
     """None: the image follows from the pose alone."""
-
-
-def import_onnx(*packages: str) -> None:
-    """Check that optional packages are there.
-
-    Raises:
-        RacinesError: one is missing; names the extra that brings them.
-    """
-    for name in packages:
-        try:
-            importlib.import_module(name)
-        except ImportError as error:
-            raise RacinesError(
-                f"ONNX needs the package {name}, which is not installed: "
-                "pip install 'racines[onnx]'"
-            ) from error

@@ -1,15 +1,21 @@
 """Latent and condition to image: one pyramid of layers for every GAN of the paper but StyleGAN."""
 
+from itertools import pairwise
+
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate, relu
 
-from racines_models.networks.attention import SelfAttention
-from racines_models.networks.convolution import BOTTOM, bottom_features, initialise, widths
-from racines_models.networks.injection import ConditionalBatchNorm, ConditionEmbedding
-
-ATTENTION_SIZE = 32
-"""Side of the maps that attend: the finest that a CPU affords, with 1,024 places."""
+from racines_models.networks.layers import (
+    BOTTOM,
+    ConditionalBatchNorm,
+    ConditionEmbedding,
+    attending,
+    bottom_features,
+    initialise,
+    through,
+    widths,
+)
 
 
 class PlainUp(nn.Module):
@@ -74,13 +80,9 @@ class Pyramid(nn.Module):
         self.dense = nn.Linear(latent + condition, features, bias=False)
         self.norm = ConditionalBatchNorm(features, flat=True)
         block = ResidualUp if residual else PlainUp
-        pairs = list(zip(channels, channels[1:], strict=False))
-        self.blocks = nn.ModuleList([block(*pair, embedding) for pair in pairs])
-        self.attention = nn.ModuleDict()
-        if attention:
-            for level, (_, after) in enumerate(pairs):
-                if BOTTOM << (level + 1) == ATTENTION_SIZE:
-                    self.attention[str(level)] = SelfAttention(after)
+        self.blocks = nn.ModuleList([block(*pair, embedding) for pair in pairwise(channels)])
+        sides = [BOTTOM << level for level in range(1, len(channels))]
+        self.attention = attending(sides, channels[1:]) if attention else nn.ModuleDict()
         # A residual block ends in a sum, which still has to be normed; a plain one has been.
         self.last = ConditionalBatchNorm(channels[-1], embedding) if residual else None
         self.image = nn.ConvTranspose2d(channels[-1], 1, 4, stride=2, padding=1)
@@ -95,19 +97,13 @@ class Pyramid(nn.Module):
         maps = self.dense(torch.cat([latent, condition], -1))
         maps = relu(self.norm(maps, None)).unflatten(1, (-1, BOTTOM, BOTTOM))
         maps = maps.contiguous(memory_format=torch.channels_last)
-        for level, block in enumerate(self.blocks):
-            maps = block(maps, embedded)
-            if str(level) in self.attention:
-                maps = self.attention[str(level)](maps)
+        maps = through(self.blocks, self.attention, maps, embedded)
         if self.last is not None:
             maps = relu(self.last(maps, embedded))
         return torch.tanh(self.image(maps))
 
 
 def _initialise_layers(module: nn.Module) -> None:
-    """DCGAN's weights for convolutions and plain norms; the rest keeps its own."""
-    if isinstance(module, nn.Linear):
-        return
-    if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d) and not module.affine:
-        return
-    initialise(module)
+    """DCGAN's weights for convolutions and plain norms; dense layers keep their own."""
+    if not isinstance(module, nn.Linear):
+        initialise(module)

@@ -5,12 +5,13 @@ and noise inputs from Karras et al., A Style-Based Generator Architecture for GA
 """
 
 import math
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import conv2d, interpolate, leaky_relu, linear, pixel_shuffle
 
-from racines_models.networks.convolution import BOTTOM, widths
+from racines_models.networks.layers import BOTTOM, widths
 
 SLOPE, GAIN = 0.2, math.sqrt(2.0)
 
@@ -39,10 +40,8 @@ class Mapping(nn.Module):
     def __init__(self, latent: int, condition: int, style: int, layers: int, rate: float):
         super().__init__()
         self.embedding = EqualDense(condition, latent)
-        sizes = [2 * latent, *[style] * layers]
-        self.layers = nn.ModuleList(
-            [EqualDense(a, b, rate=rate) for a, b in zip(sizes, sizes[1:], strict=False)]
-        )
+        sizes = pairwise([2 * latent, *[style] * layers])
+        self.layers = nn.ModuleList([EqualDense(*pair, rate=rate) for pair in sizes])
 
     def forward(self, latent: Tensor, condition: Tensor) -> Tensor:
         """Return (B, style) of (B, latent) and (B, condition)."""
@@ -111,7 +110,7 @@ class StyleSynthesis(nn.Module):
     ):
         super().__init__()
         channels = widths(width)[::-1]
-        pairs = list(zip(channels, channels[1:], strict=False))
+        pairs = list(pairwise(channels))
         sides = [BOTTOM] + [BOTTOM << (level + 1) for level in range(len(pairs)) for _ in range(2)]
         self.sizes = [latent, *(side * side for side in sides)]
         self.noise = sum(self.sizes)
@@ -123,18 +122,15 @@ class StyleSynthesis(nn.Module):
             self.layers.append(StyledLayer(before, after, style, up=True))
             self.layers.append(StyledLayer(after, after, style, up=False))
         shades = [1] * (len(pairs) - 1) + [4]
-        self.gray = nn.ModuleList(
-            [
-                ModulatedConv(channels, count, style, 1, demodulate=False)
-                for channels, count in zip(channels[1:], shades, strict=True)
-            ]
-        )
-        last = self.gray[-1].weight
-        assert isinstance(last, Tensor)
-        with torch.no_grad():
-            # Four alike interleave to no checkerboard (Aitken et al., Checkerboard artifact free
-            # sub-pixel convolution, 2017).
-            last.copy_(last[:1].expand_as(last))
+        gray = [
+            ModulatedConv(after, count, style, 1, demodulate=False)
+            for after, count in zip(channels[1:], shades, strict=True)
+        ]
+        # Four alike interleave to no checkerboard (Aitken et al., Checkerboard artifact free
+        # sub-pixel convolution, 2017).
+        last = gray[-1].weight.data
+        last.copy_(last[:1].expand_as(last))
+        self.gray = nn.ModuleList(gray)
         self.bias = nn.Parameter(torch.zeros(()))
 
     def forward(self, noise: Tensor, condition: Tensor) -> Tensor:

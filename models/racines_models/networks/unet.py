@@ -101,14 +101,13 @@ class PlacedUNet(nn.Module):
         octaves: int,
         extent: float,
         conditioning: Conditioning,
-        preconditioned: bool = False,
+        precondition: bool,
     ):
         super().__init__()
-        self.preconditioned = preconditioned
+        self.preconditioned = precondition
         self.register_buffer("centre", torch.zeros(3))
         self.conditioning, self.place = conditioning, Place(extent, octaves)
-        low, mid, high = width, 2 * width, 4 * width
-        embedding = 2 * width
+        low, mid, high, embedding = width, 2 * width, 4 * width, 2 * width
         self.time = nn.Linear(8, embedding)
         self.pose = nn.Sequential(
             nn.Linear(conditioning.width, embedding), nn.SiLU(), nn.Linear(embedding, embedding)
@@ -127,12 +126,9 @@ class PlacedUNet(nn.Module):
         _silence(self.leave)
 
     def forward(self, noisy: Tensor, time: Tensor, parameters: Tensor) -> Tensor:
-        """Return the (B, 16, 32, 32) clean image foreseen from a noisy one.
+        """Return the (B, 16, 32, 32) clean image foreseen from a noisy one of (B, 12) parameters.
 
-        Args:
-            noisy: (B, 16, 32, 32) folded image on the path.
-            time: (B,) in [0, 1]: 0 is noise, 1 the image.
-            parameters: (B, 12) SI units; forces may be NaN.
+        Both are folded; `time`, (B,) in [0, 1], is 0 for noise and 1 for the image.
         """
         waves = time[:, None] * math.pi * 2.0 ** torch.arange(4, device=time.device)
         condition = self.pose(self.conditioning(parameters))
@@ -144,8 +140,7 @@ class PlacedUNet(nn.Module):
 
     def _foresee(self, noisy: Tensor, embedding: Tensor, parameters: Tensor) -> Tensor:
         place = self.place(parameters, self.centre)
-        low = self.enter(torch.cat([noisy, place], 1))
-        low = self.down_low(low, embedding)
+        low = self.down_low(self.enter(torch.cat([noisy, place], 1)), embedding)
         mid = self.down_mid(self.to_mid(low), embedding)
         high = self.to_high(mid)
         for block in self.middle:

@@ -1,6 +1,10 @@
-"""The adversarial half of every GAN here: its settings, its losses, and its regularisation."""
+"""The adversarial half of every GAN here: its settings, its losses, and its regularisation.
 
-from collections.abc import Callable
+Among the latter differentiable augmentation: random changes that gradients pass through, one a
+sample's seed (Zhao et al., Differentiable Augmentation for Data-Efficient GAN Training, 2020).
+"""
+
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -8,11 +12,18 @@ from torch import Tensor
 from torch.nn.functional import softplus
 
 from racines_data.errors import RacinesError
+from racines_data.randomness import derive, uniform
 from racines_models.networks.discriminator import JOININGS, NORMALISATIONS, Discriminator
-from racines_models.training.differentiable_augmentation import CHANGES, augment
+from racines_models.networks.layers import frozen
 from racines_models.training.objective import Update
 
 LOSSES = ("non-saturating", "hinge")
+AUGMENT, STREAM = 4, 41
+"""Random streams: the augmentation among all of a sample's, and its changes."""
+SHIFT = 1 / 8
+"""Largest shift, as a share of the side."""
+HOLE = 1 / 2
+"""Side of the cut-out square, as a share of the side."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +46,11 @@ class Adversary:
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
-        for key, known in (
-            ("loss", LOSSES),
-            ("joining", JOININGS),
-            ("normalisation", NORMALISATIONS),
-        ):
-            if getattr(self, key) not in known:
-                raise RacinesError(
-                    f"adversary.{key}: {getattr(self, key)!r}: use one of {', '.join(known)}"
-                )
+        choices = {"loss": LOSSES, "joining": JOININGS, "normalisation": NORMALISATIONS}
+        for key, known in choices.items():
+            value = getattr(self, key)
+            if value not in known:
+                raise RacinesError(f"adversary.{key}: {value!r}: use one of {', '.join(known)}")
         unknown = [name for name in self.augment if name not in CHANGES]
         if unknown:
             raise RacinesError(f"adversary.augment: {unknown[0]!r}: use of {', '.join(CHANGES)}")
@@ -54,34 +61,33 @@ class Adversary:
         """Return (B, 1, H, W) images as the discriminator sees them: augmented by (B,) seeds."""
         return augment(images, seeds, self.augment)
 
-    def critic_update(
+    def contest(
         self,
         judge: Callable[[Tensor, Tensor], Tensor],
         critic: Discriminator,
         real: Tensor,
-        seen: Tensor,
+        drawn: Tensor,
         condition: Tensor,
         seeds: Tensor,
-    ) -> Update:
-        """Return the discriminator's step.
+    ) -> Generator[Update, None, Tensor]:
+        """Yield the discriminator's step, then return the generator's loss by the stepped one.
 
-        Args:
-            judge: the discriminator, as the trainer wraps it.
-            critic: the discriminator itself.
-            real: (B, 1, 128, 128) frames in [-1, 1].
-            seen: (B, 1, 128, 128) drawn images, augmented already.
-            condition: (B, condition) of both.
-            seeds: (B,) of the augmentation, with which `seen` was made too.
+        `judge` is the discriminator as the trainer wraps it, `critic` itself. `real` are
+        (B, 1, 128, 128) frames in [-1, 1], `drawn` images of the same poses, which have a
+        (B, condition) and a (B,) seed each.
         """
-        loss = self.critic_loss(
-            judge(self.view(real, seeds), condition), judge(seen.detach(), condition)
-        )
+        seeds = derive(seeds, AUGMENT)
+        seen = self.view(drawn, seeds)
+        of_real = judge(self.view(real, seeds), condition)
+        loss = self.critic_loss(of_real, judge(seen.detach(), condition))
         logged = {"discriminator": loss}
         penalty = self.penalty(critic, real, condition, seeds)
         if penalty is not None:
             logged["r1"] = penalty
             loss = loss + penalty
-        return Update("discriminator", loss, logged)
+        yield Update("discriminator", loss, logged)
+        with frozen(critic):
+            return self.generator_loss(judge(seen, condition))
 
     def critic_loss(self, real: Tensor, drawn: Tensor) -> Tensor:
         """Return the discriminator's loss of (B,) logits, a mean over both halves."""
@@ -103,9 +109,8 @@ class Adversary:
         """
         if not self.r1:
             return None
-        due = int(critic.judged) % self.r1_every == 0
         critic.judged += 1
-        if not due:
+        if (int(critic.judged) - 1) % self.r1_every:
             return None
         with torch.autocast(images.device.type, enabled=False):
             square = gradient_square(
@@ -123,3 +128,63 @@ def gradient_square(critic: Callable[[Tensor], Tensor], images: Tensor) -> Tenso
     images = images.detach().requires_grad_(True)
     (gradient,) = torch.autograd.grad(critic(images).sum(), images, create_graph=True)
     return gradient.square().flatten(1).sum(1).mean()
+
+
+def augment(images: Tensor, seeds: Tensor, changes: Sequence[str]) -> Tensor:
+    """Apply changes in order to (B, C, H, W) images in [-1, 1]; (B,) seeds say how.
+
+    Equal seeds give equal changes, so real and drawn images can undergo the same.
+    """
+    if not changes:
+        return images
+    drawn = uniform(seeds, 2 * len(CHANGES), STREAM).to(images.device)
+    for change in changes:
+        place = 2 * list(CHANGES).index(change)
+        images = CHANGES[change](images, drawn[:, place : place + 2])
+    return images
+
+
+def _brightness(images: Tensor, u: Tensor) -> Tensor:
+    return images + (u[:, :1, None, None] - 0.5)
+
+
+def _contrast(images: Tensor, u: Tensor) -> Tensor:
+    mean = images.mean((1, 2, 3), keepdim=True)
+    return mean + (images - mean) * (u[:, :1, None, None] + 0.5)
+
+
+def _translation(images: Tensor, u: Tensor) -> Tensor:
+    """Shift by whole pixels; what comes in from outside is 0, as in the paper."""
+    size = images.shape[-1]
+    reach = int(size * SHIFT + 0.5)
+    shift = (u * (2 * reach + 1)).floor().long() - reach
+    rows = torch.arange(images.shape[-2], device=images.device) - shift[:, :1]
+    columns = torch.arange(size, device=images.device) - shift[:, 1:]
+    batch = torch.arange(len(images), device=images.device)[:, None, None]
+    down, right = rows.clamp(0, images.shape[-2] - 1), columns.clamp(0, size - 1)
+    moved = images.permute(0, 2, 3, 1)[batch, down[:, :, None], right[:, None, :]]
+    inside = _between(rows, 0, images.shape[-2])[:, :, None] & _between(columns, 0, size)[:, None]
+    return moved.permute(0, 3, 1, 2) * inside[:, None]
+
+
+def _cutout(images: Tensor, u: Tensor) -> Tensor:
+    size = images.shape[-1]
+    hole = int(size * HOLE + 0.5)
+    corner = (u * (size + 1)).floor().long() - hole // 2
+    places = torch.arange(size, device=images.device)
+    rows, columns = (places - corner[:, i : i + 1] for i in (0, 1))
+    inside = _between(rows, 0, hole)[:, :, None] & _between(columns, 0, hole)[:, None]
+    return images * ~inside[:, None]
+
+
+def _between(values: Tensor, low: int, high: int) -> Tensor:
+    return (values >= low) & (values < high)
+
+
+CHANGES = {
+    "brightness": _brightness,
+    "contrast": _contrast,
+    "translation": _translation,
+    "cutout": _cutout,
+}
+"""What can be asked for."""

@@ -44,7 +44,9 @@ def augment(x: Tensor, seeds: Tensor, config: Augmentation) -> Tensor:
     scanner = normal(seeds, 3, SCANNER).unbind(-1)
     choices = uniform(seeds, 6, CHOICES)
     if config.blur:
-        light = _blurred(light, config.blur, choices)
+        weight = torch.where(choices[:, 0] < config.blur, choices[:, 1], 0.0).view(-1, 1, 1, 1)
+        mean = functional.avg_pool2d(light, 3, stride=1, padding=1, count_include_pad=False)
+        light = light.lerp(mean, weight)
     if config.gamma:
         light = light.clamp_min(1e-6).pow((config.gamma * scanner[2]).exp().view(-1, 1, 1, 1))
     depth = torch.linspace(-1.0, 1.0, x.shape[-2], device=x.device)
@@ -53,23 +55,13 @@ def augment(x: Tensor, seeds: Tensor, config: Augmentation) -> Tensor:
     light = light * gain.view(len(x), 1, -1, 1)
     if config.noise:
         light = light + config.noise * normal(seeds, x[0].numel(), NOISE).view(x.shape)
-    if config.erase:
-        tissue = tissue & ~_boxes(x.shape[-1], config, choices)
+    if config.erase:  # a box of half to the whole largest side
+        size = x.shape[-1]
+        half = size * config.erase_side * (0.25 + 0.25 * choices[:, 3])
+        half = torch.where(choices[:, 2] < config.erase, half, -1.0).unsqueeze(-1)
+        place = torch.arange(size, device=x.device) + 0.5
+        down = (place - size * choices[:, 4:5]).abs() < half
+        right = (place - size * choices[:, 5:6]).abs() < half
+        tissue = tissue & ~(down.unsqueeze(-1) & right.unsqueeze(-2)).unsqueeze(1)
     light = light.clamp(0.0, 1.0) * tissue
     return (light * 2.0 - 1.0).contiguous(memory_format=torch.channels_last)
-
-
-def _blurred(light: Tensor, share: float, choices: Tensor) -> Tensor:
-    weight = torch.where(choices[:, 0] < share, choices[:, 1], 0.0).view(-1, 1, 1, 1)
-    mean = functional.avg_pool2d(light, 3, stride=1, padding=1, count_include_pad=False)
-    return light.lerp(mean, weight)
-
-
-def _boxes(size: int, config: Augmentation, choices: Tensor) -> Tensor:
-    """Return (B, 1, S, S) bool: a box in the chosen images, of half to the whole largest side."""
-    half = size * config.erase_side * (0.25 + 0.25 * choices[:, 3])
-    half = torch.where(choices[:, 2] < config.erase, half, -1.0).unsqueeze(-1)
-    place = torch.arange(size, device=choices.device) + 0.5
-    down = (place - size * choices[:, 4:5]).abs() < half
-    right = (place - size * choices[:, 5:6]).abs() < half
-    return (down.unsqueeze(-1) & right.unsqueeze(-2)).unsqueeze(1)

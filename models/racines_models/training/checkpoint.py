@@ -1,18 +1,32 @@
-"""One checkpoint file a run: written whole or not at all, and refused by another run."""
+"""What a run leaves on its way: its checkpoint, and of several seeds those that are done.
 
+Of a method that is trained with several seeds, each is a run of its own: the first stands in the
+run's folder, as if it were the only one; seed n in its subfolder `seed-n`.
+"""
+
+import dataclasses
+import json
 import os
 import pickle
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from racines_data.errors import RacinesError
+from racines_data.files import write_json
+from racines_models.protocol import Run
+from racines_models.training.processes import is_main_process
 
 FOLDER = "checkpoint"
 MISSING = "there is none"
+PREFIX = "seed-"
+DONE = "repeats.json"
+"""Written while the seeds are under way: metrics of those that are done, so that a killed run does
+not begin again with the first."""
 
 
 class Checkpoint:
@@ -37,11 +51,8 @@ class Checkpoint:
     def read(self, resume: bool | None) -> dict[str, Any] | None:
         """Return the state to continue from, or None to start anew; why is said on stderr.
 
-        Args:
-            resume: as `Run.resume`.
-
         Raises:
-            RacinesError: `resume` is True and there is no checkpoint of this very run.
+            RacinesError: `resume` (see `Run`) is True and there is no checkpoint of this very run.
         """
         if resume is False:
             return None
@@ -50,9 +61,11 @@ class Checkpoint:
             try:
                 # weights_only: tensors and plain values, never pickled code.
                 content = torch.load(self._path, map_location="cpu", weights_only=True)
-                problem = self._difference(content["identity"])
-                if not problem:
+                found = content["identity"]
+                keys = [key for key in self._identity if found.get(key) != self._identity[key]]
+                if not keys:
                     return content["state"]
+                problem = f"it was made with another {', '.join(keys)}"
             except (RuntimeError, EOFError, KeyError, pickle.UnpicklingError) as error:
                 problem = f"it cannot be read ({error})"
         if resume:
@@ -61,11 +74,42 @@ class Checkpoint:
             print(f"racines: {self._path}: {problem}: training starts anew", file=sys.stderr)
         return None
 
-    def _difference(self, found: dict[str, Any]) -> str:
-        keys = [key for key in self._identity if found.get(key) != self._identity[key]]
-        return f"it was made with another {', '.join(keys)}" if keys else ""
-
 
 def discard_checkpoint(folder: Path) -> None:
     """Remove the checkpoint of a finished run."""
     shutil.rmtree(folder / FOLDER, ignore_errors=True)
+
+
+def train_seeds(fit: Callable[[Run], dict[str, Any]], run: Run, repeats: int) -> dict[str, Any]:
+    """Train seeds `run.seed`, `run.seed + 1`, …; return the first's metrics, all under `seeds`.
+
+    `fit` trains one run. `run` is the first; the others stand in `seed-<n>` of its folder.
+    """
+    folders = [run.folder, *(run.folder / f"{PREFIX}{run.seed + k}" for k in range(1, repeats))]
+    for folder in repeat_folders(run.folder):
+        if folder not in folders and is_main_process():
+            shutil.rmtree(folder)  # of a former run with more seeds
+    if repeats == 1:
+        return fit(run)
+    done, notes, resume = {}, run.folder / DONE, run.resume
+    if resume is not False and notes.is_file():
+        kept = json.loads(notes.read_text())
+        done = kept["done"] if kept["first"] == run.seed else {}
+    for seed, folder in enumerate(folders, start=run.seed):
+        if str(seed) in done:
+            continue
+        done[str(seed)] = fit(dataclasses.replace(run, folder=folder, seed=seed, resume=resume))
+        resume = None if resume else resume  # only the seed that was cut short has a checkpoint
+        if is_main_process():
+            write_json(notes, {"first": run.seed, "done": done})
+    metrics = done[str(run.seed)] | {"seeds": done}
+    if is_main_process():
+        write_json(run.folder / "metrics.json", metrics)
+        notes.unlink()
+    return metrics
+
+
+def repeat_folders(folder: Path) -> list[Path]:
+    """Return the folders of the further seeds of a run, by seed."""
+    found = {path.name.removeprefix(PREFIX): path for path in folder.glob(f"{PREFIX}*")}
+    return [found[seed] for seed in sorted(filter(str.isdigit, found), key=int)]

@@ -1,14 +1,16 @@
-"""Loss curves (DVCLive), sample grids and a progress bar: the trainer's only voice."""
+"""The trainer's voice, loss curves (DVCLive) and a progress bar, and the guard that stops it."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
+import torch
 from dvclive.live import Live
 from rich.progress import TextColumn
 from torch import Tensor
 
+from racines_data.errors import RacinesError
 from racines_data.progress import progress_bar
 
 CURVES = "dvclive"
@@ -40,12 +42,7 @@ class TrainingLog:
         self._progress.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._progress.stop()
         if self._live:
             self._live.end()
@@ -53,9 +50,7 @@ class TrainingLog:
     def add(self, scalars: Mapping[str, Tensor]) -> None:
         """Add one step's scalars to the row under way."""
         self._steps += 1
-        for name, value in scalars.items():
-            value = value.detach().float()
-            self._sums[name] = self._sums[name] + value if name in self._sums else value
+        _add(self._sums, scalars)
 
     def row(self, seen: int) -> None:
         """Write the means since the last row."""
@@ -86,10 +81,47 @@ class TrainingLog:
         self._steps, self.last = state["steps"], state["last"]
 
 
+class Guard:
+    """Stops a training whose loss is no longer a number, before it overwrites its checkpoint.
+
+    It looks after every step on a CPU, and with the curves elsewhere: reading a loss makes an
+    accelerator wait, so there they are summed. A sum that holds one NaN or infinity is one.
+    """
+
+    def __init__(self, name: str, device: torch.device, start: int = 0):
+        self._name = name
+        self.every_step = device.type == "cpu"
+        self._sums: dict[str, Tensor] = {}
+        self._checked_at = start
+
+    def add(self, losses: Mapping[str, Tensor]) -> None:
+        """Add one step's losses by the name of their optimizer."""
+        _add(self._sums, losses)
+
+    def check(self, seen: int) -> None:
+        """Refuse to go on if one of the losses since the last check is NaN or infinite."""
+        sums = {name: float(total) for name, total in self._sums.items()}
+        broken = [(name, value) for name, value in sums.items() if not math.isfinite(value)]
+        if broken:
+            named = " and ".join(f"loss {name!r} is {value}" for name, value in broken)
+            raise RacinesError(
+                f"{self._name}: {named} between images {self._checked_at:,} and "
+                f"{seen:,}; the last checkpoint is kept. Lower the learning rate, set "
+                "training.gradient_clip (1, say) or training.precision: fp32"
+            )
+        self._sums, self._checked_at = {}, seen
+
+
+def _add(sums: dict[str, Tensor], scalars: Mapping[str, Tensor]) -> None:
+    for name, value in scalars.items():
+        value = value.detach().float()
+        sums[name] = sums[name] + value if name in sums else value
+
+
 def _forget_after(curves: Path, seen: int) -> None:
     """Drop rows that a killed run wrote after its last checkpoint, so that none appears twice."""
     for path in curves.glob("plots/metrics/**/*.tsv"):
         header, *rows = path.read_text().splitlines() or [""]
-        kept = [row for row in rows if (row.split("\t")[0] or "x").isdigit()]
-        kept = [row for row in kept if int(row.split("\t")[0]) <= seen]
+        whole = [row for row in rows if row.partition("\t")[0].isdigit()]
+        kept = [row for row in whole if int(row.partition("\t")[0]) <= seen]
         path.write_text("\n".join([header, *kept]) + "\n")

@@ -47,9 +47,8 @@ class Training:
         if self.batch_size < 2:
             raise RacinesError("training.batch_size: batch norm needs at least 2")
         if self.precision not in ("auto", "fp32", "bf16", "fp16"):
-            raise RacinesError(
-                f"training.precision: {self.precision!r}: use auto, fp32, bf16 or fp16"
-            )
+            known = "auto, fp32, bf16 or fp16"
+            raise RacinesError(f"training.precision: {self.precision!r}: use {known}")
         if self.schedule not in ("constant", "cosine"):
             raise RacinesError(f"training.schedule: {self.schedule!r}: use constant or cosine")
         if not 0 <= self.warmup_images < self.images:

@@ -1,49 +1,63 @@
 """Several processes that train as one: equal shares of each batch, averaged gradients.
 
+`in_processes` starts them on this machine.
+
 Gradients are averaged here after each backward pass, not by DistributedDataParallel: that wrapper
 expects one forward and one backward pass of every weight a step, while an adversarial generator
-calls a network several times, freezes another for one loss, and steps two optimizers in turn. Its
-options for such cases (unused parameters, static graph, buffers sent anew at each forward) change
-results or fail at the second call; a plain average is right for whatever a generator does.
+calls a network several times, freezes another for one loss, and steps two optimizers in turn.
 """
 
+import multiprocessing
 import os
-from collections.abc import Iterable, Mapping
+import pickle
+import socket
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
 
 import torch
 import torch.distributed as dist
 from accelerate import Accelerator
 from torch import Tensor, nn
+from torch.multiprocessing.spawn import ProcessExitedException, start_processes
 
 from racines_data.errors import RacinesError
+
+T = TypeVar("T")
 
 
 def is_main_process() -> bool:
     """Return whether this process writes files: the only one, or the first of several."""
-    if dist.is_available() and dist.is_initialized():
-        return dist.get_rank() == 0
-    return int(os.environ.get("RANK", "0")) == 0
+    return (dist.get_rank() if _joined() else int(os.environ.get("RANK", "0"))) == 0
 
 
 def leave() -> None:
     """Take leave of the other processes, if there are any."""
-    if dist.is_available() and dist.is_initialized():
+    if _joined():
         dist.destroy_process_group()
 
 
-class Processes:
-    """This process among those of a run; with one process nothing here does anything.
+def _joined() -> bool:
+    return dist.is_available() and dist.is_initialized()
 
-    Raises:
-        RacinesError: the batch cannot be shared equally, or several processes were asked for and
-            one was started.
-    """
+
+class Processes:
+    """This process among those of a run; with one process nothing here does anything."""
 
     def __init__(self, accelerator: Accelerator, batch_size: int):
         self.rank, self.count = accelerator.process_index, accelerator.num_processes
         self.main = accelerator.is_main_process
         self._device = accelerator.device
-        _refuse_lone_launch(self.count)
+        asked = {"MASTER_ADDR", "ACCELERATE_USE_CPU"} <= os.environ.keys()
+        if self.count == 1 and asked and "WORLD_SIZE" not in os.environ:
+            raise RacinesError(
+                "accelerate launch starts several CPU processes through MPI only, and started one: "
+                "use racines train generator NAME --processes N, or torchrun"
+            )
         if batch_size % self.count or batch_size // self.count < 2:
             raise RacinesError(
                 f"training.batch_size: {batch_size} images cannot be shared by {self.count} "
@@ -84,31 +98,71 @@ class Processes:
         return dict(zip(scalars, values.unbind(), strict=True))
 
     def start_alike(self, nets: Iterable[nn.Module], seen: int) -> None:
-        """Give all processes the first one's weights.
-
-        Raises:
-            RacinesError: the processes would continue from different image counts.
-        """
+        """Give all processes the first one's weights; refuse to go on from different counts."""
         if self.count == 1:
             return
         counts = torch.tensor([seen, -seen], device=self._device)
         dist.all_reduce(counts, dist.ReduceOp.MAX)
         if int(counts.sum()):
-            raise RacinesError(
-                "the processes found different checkpoints: the folder of a run must be one that "
-                "all of them see"
-            )
+            remedy = "the folder of a run must be one that all of them see"
+            raise RacinesError(f"the processes found different checkpoints: {remedy}")
         for net in nets:
             for tensor in net.state_dict().values():
                 dist.broadcast(tensor, 0)
 
 
-def _refuse_lone_launch(count: int) -> None:
-    """`accelerate launch --cpu --num_processes 2` without MPI starts one process and no word."""
-    environment = os.environ
-    asked = "MASTER_ADDR" in environment and "ACCELERATE_USE_CPU" in environment
-    if count == 1 and asked and "WORLD_SIZE" not in environment:
-        raise RacinesError(
-            "accelerate launch starts several CPU processes through MPI only, and started one: "
-            "use racines train generator NAME --processes N, or torchrun"
-        )
+def in_processes(count: int, work: Callable[..., T], *arguments: Any) -> T:
+    """Call `work` in `count` processes that know of each other, as torchrun would.
+
+    On CUDA each takes the device of its number. `work` is a function of a module, so that other
+    processes can import it; what it takes and returns must be picklable.
+
+    Returns:
+        What the first process returned.
+
+    Raises:
+        RacinesError: a process refused its input, or died; the others are ended.
+    """
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with TemporaryDirectory() as folder:
+        try:
+            given = (count, port, Path(folder), work, arguments)
+            start_processes(_worker, given, count, daemon=True)
+        except ProcessExitedException as error:
+            told = Path(folder, f"{error.error_index}.refusal")
+            fate = f"it ended with exit code {error.exit_code}"
+            refusal = told.read_text() if told.is_file() else fate
+            raise RacinesError(f"process {error.error_index} of {count}: {refusal}") from error
+        return pickle.loads(Path(folder, "0.result").read_bytes())
+
+
+def _worker(
+    rank: int, count: int, port: int, folder: Path, work: Callable[..., Any], arguments: Any
+) -> None:
+    """Leave what `work` returns, or why it refused, as a file in the folder."""
+    os.environ |= {"RANK": str(rank), "LOCAL_RANK": str(rank)}
+    os.environ |= {"WORLD_SIZE": str(count), "LOCAL_WORLD_SIZE": str(count)}
+    os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
+    if "OMP_NUM_THREADS" not in os.environ:
+        torch.set_num_threads(max(1, (os.cpu_count() or 1) // count))
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    try:
+        Path(folder, f"{rank}.result").write_bytes(pickle.dumps(work(*arguments)))
+    except RacinesError as error:
+        Path(folder, f"{rank}.refusal").write_text(str(error))
+        sys.exit(1)
+    except BaseException:
+        traceback.print_exc()
+        sys.exit(1)
+    finally:
+        leave()
+
+
+def _die_with_parent() -> None:
+    """Do not go on when the command was killed: it may be started again on the same folder."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

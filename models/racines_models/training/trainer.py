@@ -2,22 +2,23 @@
 
 import time
 import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import torch
 from accelerate import Accelerator
 from accelerate.state import AcceleratorState
-from torch import Tensor
+from torch import Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR
+from torch.optim.swa_utils import AveragedModel
 
 from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore
 from racines_models.protocol import Run
-from racines_models.training.average import Average
 from racines_models.training.checkpoint import Checkpoint
 from racines_models.training.course import Course, FrameCourse
-from racines_models.training.guard import Guard
-from racines_models.training.log import TrainingLog
+from racines_models.training.log import Guard, TrainingLog
 from racines_models.training.objective import Learner, Training
 from racines_models.training.processes import Processes
 
@@ -35,13 +36,8 @@ def train(
     On the CPU, a run that was killed and resumed ends in the same bits as an undisturbed one.
     Several processes (see `Processes`) share each batch and train as one; the first writes.
 
-    Args:
-        learner: What is trained.
-        store: The frames.
-        config: Budget, precision, averaging, intervals.
-        run: Where; its device is there (see `resolve_device`).
-        course: What is fed, and how fast is learned; the train split by the config by default.
-        checkpoint_seconds: Least time between two checkpoints.
+    The device of `run` is there (see `resolve_device`). Without a `course` the train split is fed
+    by the config. Between two checkpoints lie `checkpoint_seconds` at least.
 
     Returns:
         Metrics: `images` and `steps` trained, `seconds` (of all attempts up to their last
@@ -56,7 +52,11 @@ def train(
     batches = trainer.course.batches(trainer.seen, config.stop)
     began = saved = time.perf_counter()
     began -= trainer.seconds
-    tasks = (trainer.write_row, trainer.look, trainer.write_checkpoint)
+    tasks = (
+        (config.log_every, trainer.write_row),
+        (config.sample_every, trainer.look),
+        (config.checkpoint_every, trainer.write_checkpoint),
+    )
     with trainer.log, warnings.catch_warnings():
         # The optimizer of a later stage has its rate moved before its first step.
         warnings.filterwarnings("ignore", "Detected call of")
@@ -64,31 +64,22 @@ def train(
             trainer.step(batch)
             now = time.perf_counter()
             trainer.seconds = now - began
-            due = [trainer.due(each) for each in _intervals(config)]
-            due[-1] = due[-1] and now - saved >= checkpoint_seconds
-            saved = now if due[-1] else saved
-            if trainer.guard.every_step or any(due):
+            due = [task for every, task in tasks if trainer.due(every)]
+            if trainer.write_checkpoint in due and now - saved < checkpoint_seconds:
+                due.remove(trainer.write_checkpoint)
+            if trainer.guard.every_step or due:
                 trainer.guard.check(trainer.seen)
-            for task, is_due in zip(tasks, due, strict=True):
-                if is_due:
-                    task()
+            for task in due:
+                task()
+            saved = now if trainer.write_checkpoint in due else saved
     return trainer.finish()
-
-
-def _intervals(config: Training) -> tuple[int, int, int]:
-    return config.log_every, config.sample_every, config.checkpoint_every
 
 
 class _Trainer:
     """The state of one run: networks, optimizers, average, curves, and how far it has come."""
 
     def __init__(
-        self,
-        learner: Learner,
-        store: FrameStore,
-        config: Training,
-        run: Run,
-        course: Course | None,
+        self, learner: Learner, store: FrameStore, config: Training, run: Run, course: Course | None
     ):
         self.learner, self.config, self.folder = learner, config, run.folder
         self.accelerator = accelerator = _accelerator(config, run)
@@ -110,9 +101,9 @@ class _Trainer:
         state = self.checkpoint.read(run.resume)
         self.seen: int = state["seen"] if state else 0
         self.seconds: float = state["seconds"] if state else 0.0
-        name, main = learner.name, self.processes.main
-        self.guard = Guard(name, device, self.seen)
-        self.log = TrainingLog(run.folder, name, self.seen, config.stop, run.progress, main)
+        self.guard = Guard(learner.name, device, self.seen)
+        shown, main = run.progress, self.processes.main
+        self.log = TrainingLog(run.folder, learner.name, self.seen, config.stop, shown, main)
         if state and self.seen:
             self._restore(state)
         self.processes.start_alike(self.modules.values(), self.seen)
@@ -149,27 +140,26 @@ class _Trainer:
         self.seen += self.config.batch_size
 
     def write_row(self) -> None:
-        """Write a row of the curves."""
         self.log.row(self.seen)
 
     def look(self) -> None:
         """Let the course look at the averaged networks."""
-        if not self.processes.main:
-            return
-        with self.average.applied():
-            figures = self.course.look(self.seen, self.folder)
-        self.log.metrics(self.seen, figures)
+        if self.processes.main:
+            with self.average.applied():
+                figures = self.course.look(self.seen, self.folder)
+            self.log.metrics(self.seen, figures)
 
     def write_checkpoint(self) -> None:
         """Write everything that a resumed run needs; with several processes, it is alike in all."""
         if not self.processes.main:
             return
+        scaler = self.accelerator.scaler
         state = {
             "seen": self.seen,
             "seconds": self.seconds,
             "modules": {name: net.state_dict() for name, net in self.modules.items()},
             "optimizers": {name: each.state_dict() for name, each in self.optimizers.items()},
-            "scaler": self.accelerator.scaler.state_dict() if self.accelerator.scaler else {},
+            "scaler": scaler.state_dict() if scaler else {},
             "average": self.average.state(),
             "log": self.log.state(),
             "course": self.course.state(),
@@ -205,13 +195,66 @@ class _Trainer:
         }
 
 
-def resolve_precision(precision: str, device: str) -> str:
-    """Return what `auto` stands for on a device, or the precision named.
+class Average:
+    """Averages parameters and buffers of networks; switched off, it is the weights themselves.
 
-    Raises:
-        RacinesError: fp16 on a CPU, which would train in full precision and not say so.
+    The decay warms up as (1 + t) / (10 + t), so that a short run forgets its random start.
     """
-    if precision == "fp16" and device == "cpu":
+
+    def __init__(self, nets: Sequence[nn.Module], decay: float):
+        self._nets, self._decay = nn.ModuleList(nets), decay
+        self._model: AveragedModel | None = None
+        if decay:
+            self._model = AveragedModel(self._nets, multi_avg_fn=self._move, use_buffers=True)
+            # The random start is the average of no step, not absent: the first step does not
+            # replace it, but moves it.
+            self._model.n_averaged.fill_(1)
+
+    def _move(self, averaged: Any, live: Any, _: Any) -> None:
+        """Move lists of tensors of one type, as `AveragedModel` asks."""
+        assert self._model is not None
+        steps = int(self._model.n_averaged)  # lies on the CPU: no wait for the device
+        decay = min(self._decay, (1 + steps) / (10 + steps))
+        if averaged[0].is_floating_point():
+            torch._foreach_lerp_(averaged, live, 1.0 - decay)  # pyright: ignore
+        else:  # batch norm's counters
+            torch._foreach_copy_(averaged, live)  # pyright: ignore
+
+    def update(self) -> None:
+        """Move the average towards the weights after a step."""
+        if self._model is not None:
+            self._model.update_parameters(self._nets)
+
+    def apply(self) -> None:
+        """Put the average into the networks for good."""
+        if self._model is not None:
+            self._nets.load_state_dict(self._model.module.state_dict())
+
+    @contextmanager
+    def applied(self) -> Iterator[None]:
+        """Put the average into the networks, in evaluation mode, for the length of a block."""
+        kept = {key: value.detach().clone() for key, value in self._nets.state_dict().items()}
+        self.apply()
+        self._nets.eval()
+        try:
+            yield
+        finally:
+            self._nets.load_state_dict(kept)
+            self._nets.train()
+
+    def state(self) -> dict[str, Tensor]:
+        """Return what `restore` needs."""
+        return {} if self._model is None else dict(self._model.state_dict())
+
+    def restore(self, state: dict[str, Tensor]) -> None:
+        """Continue from a saved state."""
+        if self._model is not None:
+            self._model.load_state_dict(state)
+
+
+def resolve_precision(precision: str, device: str) -> str:
+    """Return what `auto` stands for on a device, or the precision named."""
+    if precision == "fp16" and device == "cpu":  # it would train in full precision and not say so
         raise RacinesError("training.precision: fp16 needs a CUDA device; use bf16, fp32 or auto")
     if precision != "auto":
         return precision

@@ -17,8 +17,7 @@ from racines_data.records import encode_png
 from racines_data.schema import PARAMETERS
 from racines_models.exchange.predictions import reader as predictions_reader
 from racines_models.exchange.predictions.file import Task, write_poses, write_predictions
-from racines_models.exchange.predictions.png import decode_gray
-from racines_models.exchange.predictions.reader import Predictions
+from racines_models.exchange.predictions.reader import Predictions, decode_gray
 from racines_models.registry import open_generator
 from racines_models.sample import draw, take_sample
 from tests.models.labelled import LabelledStore

@@ -10,7 +10,7 @@ from racines_models.generators.gan import GanConfig
 from racines_models.generators.residual_cgan import ResidualCgan, ResidualCganConfig
 from racines_models.generators.stylegan import StyleGan, StyleGanConfig
 from racines_models.generators.vae_gan import VaeGan, VaeGanConfig
-from racines_models.networks.attention import SelfAttention
+from racines_models.networks.layers import SelfAttention
 from racines_models.networks.pyramid import Pyramid, ResidualUp
 from racines_models.networks.style import ModulatedConv, StyleSynthesis
 from racines_models.protocol import Run

@@ -9,8 +9,8 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
 from racines_models.exchange.onnx.export import export_generator
 from racines_models.generators.scene_field import SceneField, SceneFieldConfig
+from racines_models.networks.scene_field.echo import similarity
 from racines_models.networks.scene_field.field import VoxelField, lay_out
-from racines_models.networks.scene_field.loss import similarity
 from racines_models.networks.scene_field.probe import Probe, ProbeGeometry
 from racines_models.protocol import Run
 from racines_models.registry import open_generator

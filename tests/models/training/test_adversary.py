@@ -16,8 +16,7 @@ from racines_models.generators.residual_cgan import ResidualCganConfig
 from racines_models.generators.stylegan import StyleGanConfig
 from racines_models.networks.discriminator import JOININGS, Discriminator
 from racines_models.protocol import Run
-from racines_models.training.adversary import Adversary, gradient_square
-from racines_models.training.differentiable_augmentation import CHANGES, augment
+from racines_models.training.adversary import CHANGES, Adversary, augment, gradient_square
 from racines_models.training.objective import Training
 from tests.conftest import ROOT
 from tests.documents import blocks

@@ -13,13 +13,11 @@ from torch.optim import SGD
 from racines_data.errors import RacinesError
 from racines_models.generators.base import BaseGenerator
 from racines_models.protocol import Run
-from racines_models.training.average import Average
 from racines_models.training.checkpoint import Checkpoint
-from racines_models.training.feed import Feed
-from racines_models.training.guard import Guard
+from racines_models.training.course import Feed, rate_factor
+from racines_models.training.log import Guard
 from racines_models.training.objective import Training, Update
-from racines_models.training.schedule import rate_factor
-from racines_models.training.trainer import resolve_precision, train
+from racines_models.training.trainer import Average, resolve_precision, train
 
 
 @dataclasses.dataclass(frozen=True)

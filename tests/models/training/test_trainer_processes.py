@@ -16,11 +16,11 @@ from torch.optim import SGD
 from racines_data.errors import RacinesError
 from racines_models.generators.flow import Flow, FlowConfig
 from racines_models.generators.vae_gan import VaeGan
-from racines_models.networks.convolution import frozen
+from racines_models.networks.layers import frozen
 from racines_models.protocol import Run
-from racines_models.training.feed import Feed
-from racines_models.training.launch import in_processes
+from racines_models.training.course import Feed
 from racines_models.training.objective import Training, Update
+from racines_models.training.processes import in_processes
 from tests.conftest import ROOT
 from tests.models.conftest import FakeStore
 from tests.models.training.test_trainer import Toy, ToyConfig
@@ -159,7 +159,7 @@ SCRIPT = """
 import dataclasses
 import sys
 from pathlib import Path
-from racines_models.training.launch import in_processes
+from racines_models.training.processes import in_processes
 from tests.models.training import test_trainer_processes as here
 if __name__ == "__main__":
     training = dataclasses.replace(here.TRAINING, images=80_000_000)

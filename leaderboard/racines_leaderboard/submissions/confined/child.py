@@ -131,7 +131,7 @@ def _session() -> Callable[[bytes], Run]:
     """Run a graph: inputs in, all outputs back."""
     import onnxruntime
 
-    from racines_models.exchange.onnx.session import open_session
+    from racines_models.exchange.onnx.file import open_session
 
     onnxruntime.get_available_providers()
 

@@ -50,8 +50,7 @@ def train_generator(
 
 def _started(processes: int, *fit: Any) -> dict[str, Any] | None:
     """Return the metrics, or None in a process whose word is not needed."""
-    from racines_models.training.launch import in_processes
-    from racines_models.training.processes import is_main_process, leave
+    from racines_models.training.processes import in_processes, is_main_process, leave
 
     if processes > 1:
         return in_processes(processes, _fit, *fit)
@@ -66,7 +65,7 @@ def _fit(name: str, settings: dict[str, Any], data: Path, run: "Run") -> dict[st
     from racines_data.config import fill
     from racines_data.store.frames import open_store
     from racines_models.registry import generator_class
-    from racines_models.training.repeats import train_seeds
+    from racines_models.training.checkpoint import train_seeds
 
     cls, store = generator_class(name), open_store(data)
     config = fill(cls.Config, settings, f"generators.{cls.name}")

@@ -1,7 +1,4 @@
-"""Generators as ONNX files: `export` writes one, `generator` draws with one.
-
-`format` says what a file has to hold, `file` checks it, `session` runs it.
-"""
+"""Generators as ONNX files: `export` writes one, `generator` draws with one, `file` checks any."""
 
 import lazy_loader
 

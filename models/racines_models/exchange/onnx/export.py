@@ -16,10 +16,9 @@ from torch import nn
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
 from racines_data.schema import PARAMETERS
-from racines_models.exchange.onnx.file import MAX_BYTES
-from racines_models.exchange.onnx.format import NOISE, OUTPUT, PARAMS, SCHEMA
-from racines_models.exchange.onnx.session import open_session
-from racines_models.networks.onnx_module import OnnxModule, import_onnx
+from racines_models.exchange.onnx.file import MAX_BYTES, import_onnx, open_session
+from racines_models.exchange.onnx.generator import NOISE, OUTPUT, PARAMS, SCHEMA
+from racines_models.networks.onnx_module import OnnxModule
 
 OPSET = 18
 """Operator set written: the oldest that torch's exporter targets natively."""
@@ -28,7 +27,7 @@ EXAMPLES = 2
 
 
 def export_generator(generator: Any, path: Path) -> dict[str, Any]:
-    """Write a fitted generator as an ONNX file (interface: `racines_models.exchange.onnx.format`).
+    """Write a fitted generator as an ONNX file, with the interface that `OnnxGenerator` reads.
 
     Returns:
         What was written: path, size in bytes, opset, noise numbers a sample.
@@ -40,17 +39,24 @@ def export_generator(generator: Any, path: Path) -> dict[str, Any]:
     hook = getattr(generator, "onnx_module", None)
     if hook is None:
         name = getattr(generator, "name", type(generator).__name__)
-        raise RacinesError(
-            f"{name} has no onnx_module(): it cannot be an ONNX file; "
-            "export its predictions instead: racines export predictions"
-        )
+        remedy = "export its predictions instead: racines export predictions"
+        raise RacinesError(f"{name} has no onnx_module(): it cannot be an ONNX file; {remedy}")
     if not getattr(generator, "tensors", lambda: True)():
         raise RacinesError(f"{generator.name} is not fitted: call fit, or load a trained folder")
     module: OnnxModule = hook()
     examples = {PARAMS: torch.zeros(EXAMPLES, len(PARAMETERS))}
     if module.noise is not None:
         examples[NOISE] = torch.zeros(EXAMPLES, module.noise.size)
-    written = write_onnx(module.network, examples, OUTPUT, _metadata(generator, module), path)
+    card = dataclasses.asdict(generator.card)
+    metadata = {
+        "racines.schema": SCHEMA,
+        "racines.name": card["name"],
+        "racines.output": "gray",
+        "racines.stochastic": json.dumps(card["stochastic"]),
+        "racines.noise": json.dumps(dataclasses.asdict(module.noise) if module.noise else None),
+        "racines.card": json.dumps(card),
+    }
+    written = write_onnx(module.network, examples, OUTPUT, metadata, path)
     return written | {"noise": module.noise.size if module.noise else 0}
 
 
@@ -63,12 +69,8 @@ def write_onnx(
 ) -> dict[str, Any]:
     """Trace a network and write it as one file that opens without its code.
 
-    Args:
-        network: Takes the examples by position; exported in float32, as in evaluation.
-        examples: (2, …) inputs by name; the exported batch is free.
-        output: Name of its one output.
-        metadata: What the file says of itself.
-        path: The file.
+    The network takes the (2, …) `examples` by position, and is exported in float32, as in
+    evaluation, for a batch of any size. The file says `metadata` of itself.
 
     Returns:
         Path, size in bytes, opset.
@@ -78,7 +80,6 @@ def write_onnx(
     """
     import_onnx("onnx", "onnxruntime", "onnxscript")
     model = _trace(network, examples, output)
-    _strip(model)
     for key, value in metadata.items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, value
@@ -95,12 +96,12 @@ def write_onnx(
 
 
 def _trace(network: nn.Module, examples: dict[str, torch.Tensor], output: str) -> Any:
-    traced = copy.deepcopy(network).cpu().float().eval()
+    traced = _Ordered(copy.deepcopy(network).cpu().float().eval())
     free = {0: torch.export.Dim.DYNAMIC}
     with _quiet(), torch.no_grad():
         try:
             program = torch.onnx.export(
-                _Ordered(traced),
+                traced,
                 tuple(examples.values()),
                 input_names=list(examples),
                 output_names=[output],
@@ -110,15 +111,21 @@ def _trace(network: nn.Module, examples: dict[str, torch.Tensor], output: str) -
                 verbose=False,
             )
         except Exception as error:
-            raise RacinesError(
-                f"{type(network).__name__} cannot be traced to ONNX: {error}"
-            ) from error
+            name = type(network).__name__
+            raise RacinesError(f"{name} cannot be traced to ONNX: {error}") from error
     assert program is not None
-    return program.model_proto
+    model: Any = program.model_proto
+    graph = model.graph
+    values = [*graph.input, *graph.output, *graph.value_info, *graph.initializer]
+    # The tracer's notes hold stack traces with paths of this machine.
+    for part in [model, graph, *graph.node, *values]:
+        part.doc_string = ""
+        del part.metadata_props[:]
+    return model
 
 
 class _Ordered(nn.Module):
-    """Inputs by position, whatever the network calls them."""
+    """A network whose inputs come by position, whatever it calls them."""
 
     def __init__(self, network: nn.Module):
         super().__init__()
@@ -128,30 +135,6 @@ class _Ordered(nn.Module):
         return self.network(*inputs)
 
 
-def _strip(model: Any) -> None:
-    """Drop the tracer's notes, which hold stack traces with paths of this machine."""
-    model.doc_string = ""
-    del model.metadata_props[:]
-    graph = model.graph
-    parts = [graph, *graph.node, *graph.input, *graph.output, *graph.value_info]
-    for part in [*parts, *graph.initializer]:
-        part.doc_string = ""
-        del part.metadata_props[:]
-
-
-def _metadata(generator: Any, module: OnnxModule) -> dict[str, str]:
-    card = dataclasses.asdict(generator.card)
-    noise = dataclasses.asdict(module.noise) if module.noise else None
-    return {
-        "racines.schema": SCHEMA,
-        "racines.name": card["name"],
-        "racines.output": "gray",
-        "racines.stochastic": json.dumps(card["stochastic"]),
-        "racines.noise": json.dumps(noise),
-        "racines.card": json.dumps(card),
-    }
-
-
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Silence the tracer's remarks on packages that are absent and axes that it renamed."""
@@ -159,8 +142,7 @@ def _quiet() -> Iterator[None]:
     level = logger.level
     logger.setLevel(logging.ERROR)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             yield
     finally:
         logger.setLevel(level)

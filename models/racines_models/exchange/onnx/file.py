@@ -1,5 +1,9 @@
-"""An ONNX file opened as what a stranger sent: bounded, in one piece, standard operators only."""
+"""An ONNX file opened as what a stranger sent: bounded, in one piece, standard operators only.
 
+`open_session` runs it. Nothing here imports torch: a confined process has little memory.
+"""
+
+import importlib
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -7,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
-from racines_models.networks.onnx_module import import_onnx
+from racines_models.exchange.naming import check_size
 
 MAX_BYTES = 512 * 2**20
 OLDEST = 11
@@ -22,6 +26,36 @@ FLOAT, UINT8 = 1, 2
 """ONNX's element types."""
 
 
+def import_onnx(*packages: str) -> None:
+    """Refuse to go on without optional packages; says which extra brings them."""
+    for name in packages:
+        try:
+            importlib.import_module(name)
+        except ImportError as error:
+            absent = f"ONNX needs the package {name}, which is not installed"
+            raise RacinesError(f"{absent}: pip install 'racines[onnx]'") from error
+
+
+def open_session(content: bytes, where: str, device: str) -> Any:
+    """Return the onnxruntime session of a model: one thread, deterministic, on CUDA if it can.
+
+    What it cannot load is refused with a `RacinesError` that begins with `where`.
+    """
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.use_deterministic_compute = True
+    options.log_severity_level = 4
+    wanted = ["CUDAExecutionProvider"] if device.startswith("cuda") else []
+    providers = [each for each in wanted if each in onnxruntime.get_available_providers()]
+    try:
+        return onnxruntime.InferenceSession(content, options, [*providers, "CPUExecutionProvider"])
+    except Exception as error:
+        raise RacinesError(f"{where}: onnxruntime cannot load it: {error}") from error
+
+
 def read_model(path: Path) -> tuple[bytes, Any, int]:
     """Return a file's bytes, its `onnx.ModelProto` and its operator set; nothing is run.
 
@@ -32,7 +66,11 @@ def read_model(path: Path) -> tuple[bytes, Any, int]:
     import_onnx("onnx", "onnxruntime")
     import onnx
 
-    content = _read(path)
+    check_size(path, MAX_BYTES)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise RacinesError(f"{path}: cannot be read: {error}") from error
     try:
         model = onnx.load_model_from_string(content)
     except Exception as error:
@@ -49,18 +87,6 @@ def read_model(path: Path) -> tuple[bytes, Any, int]:
     return content, model, opset
 
 
-def _read(path: Path) -> bytes:
-    if not path.is_file():
-        raise RacinesError(f"{path}: no such file")
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise RacinesError(f"{path}: {size:,} bytes: at most {MAX_BYTES:,} are read")
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise RacinesError(f"{path}: cannot be read: {error}") from error
-
-
 def _messages(message: Any) -> Iterator[Any]:
     """Yield a protobuf message and all those within it."""
     yield message
@@ -72,15 +98,14 @@ def _messages(message: Any) -> Iterator[Any]:
 
 def _check_inside(model: Any, path: Path) -> None:
     for part in _messages(model):
-        if part.DESCRIPTOR.name == "TensorProto" and (
-            part.external_data or part.data_location == part.EXTERNAL
-        ):
+        kind = part.DESCRIPTOR.name
+        if kind == "TensorProto" and (part.external_data or part.data_location == part.EXTERNAL):
             raise RacinesError(
                 f"{path}: tensor {part.name!r} lies in another file: save the model as one file "
                 "(onnx.save(model, path, save_as_external_data=False))"
             )
         # Every element of a tensor takes a bit at least, and a file holds MAX_BYTES at most.
-        dims = part.dims if part.DESCRIPTOR.name in TENSORS else ()
+        dims = part.dims if kind in TENSORS else ()
         if min(dims, default=0) < 0 or math.prod(dims) > 8 * MAX_BYTES:
             raise RacinesError(
                 f"{path}: a tensor claims {' x '.join(map(str, dims))} elements, more than the "
@@ -110,20 +135,10 @@ def declared_shape(value: Any) -> list[int | None]:
 def check_value(
     value: Any, path: Path, wanted: str, rest: tuple[int, ...], kinds: tuple[int, ...]
 ) -> int | None:
-    """Check an input's or output's type, and its shape after the batch; return the fixed batch.
+    """Return the fixed batch size of an input or output, None if it is free; refuse a wrong one.
 
-    Args:
-        value: The graph's description of it.
-        path: The file, for errors.
-        wanted: What to give instead, for errors.
-        rest: Sizes after the batch.
-        kinds: Element types that are taken.
-
-    Returns:
-        The fixed batch size, None if it is free.
-
-    Raises:
-        RacinesError: another type or shape.
+    `rest` are the sizes needed after the batch, `kinds` the element types that are taken, `wanted`
+    says so in the `RacinesError`.
     """
     shape = declared_shape(value)
     kind = value.type.tensor_type.elem_type
@@ -133,27 +148,23 @@ def check_value(
     )
     if kind not in kinds or not fits:
         shown = ", ".join("?" if size is None else str(size) for size in shape)
-        raise RacinesError(
-            f"{path}: {value.name} is ONNX type {kind}, shape ({shown}): give {wanted}"
-        )
+        given = f"{value.name} is ONNX type {kind}, shape ({shown})"
+        raise RacinesError(f"{path}: {given}: give {wanted}")
     return shape[0]
 
 
 def read_metadata(model: Any, path: Path, schema: str, keys: Sequence[str]) -> dict[str, str]:
-    """Return the metadata whose keys begin with `racines.`, without that.
-
-    Raises:
-        RacinesError: an unknown key, one that stands twice or is too long, or another schema.
-    """
+    """Return the metadata whose keys begin with `racines.`, without that, if all are as allowed."""
     told: dict[str, str] = {}
     for entry in model.metadata_props:
         prefix, _, key = entry.key.partition(".")
         if prefix != "racines":
             continue
+        where = f"{path}: metadata {entry.key}"
         if key not in keys:
-            raise RacinesError(f"{path}: metadata racines.{key}: unknown; known: {', '.join(keys)}")
+            raise RacinesError(f"{where}: unknown; known: {', '.join(keys)}")
         if key in told or len(entry.value) > MAX_TEXT:
-            raise RacinesError(f"{path}: metadata racines.{key}: stands twice or is too long")
+            raise RacinesError(f"{where}: stands twice or is too long")
         told[key] = entry.value
     if told.get("schema", schema) != schema:
         raise RacinesError(f"{path}: racines.schema is {told['schema'][:80]!r}, not {schema}")
@@ -161,17 +172,12 @@ def read_metadata(model: Any, path: Path, schema: str, keys: Sequence[str]) -> d
 
 
 def parsed(told: dict[str, str], key: str, kind: type, path: Path) -> Any:
-    """Return a metadata value that is JSON of a kind or null; None if it is absent.
-
-    Raises:
-        RacinesError: no JSON, or of another kind.
-    """
-    if key not in told:
-        return None
+    """Return a metadata value if it is JSON of a kind or null, None if it is absent."""
+    where = f"{path}: metadata racines.{key}"
     try:
-        value = json.loads(told[key])
+        value = json.loads(told.get(key, "null"))
     except (ValueError, RecursionError) as error:
-        raise RacinesError(f"{path}: metadata racines.{key}: not valid JSON: {error}") from error
+        raise RacinesError(f"{where}: not valid JSON: {error}") from error
     if value is not None and type(value) is not kind:
-        raise RacinesError(f"{path}: metadata racines.{key}: a {type(value).__name__} is no {key}")
+        raise RacinesError(f"{where}: a {type(value).__name__} is no {key}")
     return value

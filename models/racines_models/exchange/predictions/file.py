@@ -5,11 +5,12 @@ The columns and keys are described in `docs/outside.md`.
 """
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
@@ -32,13 +33,8 @@ GROUP = 256
 """Rows of a row group, which bounds what a reader holds at once."""
 
 IDS = [pa.field("sample", pa.int64(), False), pa.field("seed", pa.int64(), False)]
-POSE_COLUMNS = pa.schema(
-    [
-        *IDS,
-        pa.field("noise_seed", pa.int64(), False),
-        *(pa.field(name, pa.float32()) for name in PARAMETERS),
-    ]
-)
+NOISE_SEED = pa.field("noise_seed", pa.int64(), False)
+POSE_COLUMNS = pa.schema([*IDS, NOISE_SEED, *(pa.field(name, pa.float32()) for name in PARAMETERS)])
 PREDICTION_COLUMNS = pa.schema([*IDS, pa.field("image", pa.binary(), False)])
 
 
@@ -70,16 +66,13 @@ def write_poses(path: Path, task: Task) -> int:
 
     `noise_seed` is the seed that a generator of ours gets for the sample: a hash of seed and row.
     """
-    index = task.sample.frames.index
-    parameters = task.sample.frames.parameters.numpy()
+    frames = task.sample.frames
 
-    def groups() -> Iterator[pa.Table]:
-        for seed in task.seeds:
-            noise = derive(torch.full_like(index, seed), DRAW, index)
-            columns = [index.numpy(), _repeat(seed, len(index)), noise.numpy(), *parameters.T]
-            yield pa.table([pa.array(column) for column in columns], schema=POSE_COLUMNS)
+    def columns(seed: int) -> list[Any]:
+        noise = derive(torch.full_like(frames.index, seed), DRAW, frames.index)
+        return [noise.numpy(), *frames.parameters.numpy().T]
 
-    return _write(path, POSE_COLUMNS, task.metadata(POSES), groups())
+    return _write(path, POSE_COLUMNS, task.metadata(POSES), task, columns)
 
 
 def write_predictions(
@@ -100,37 +93,33 @@ def write_predictions(
         raise RacinesError(f"text: {len(text):,} characters: give at most {MAX_TEXT:,}")
     if text:
         metadata["text"] = text
-    index = task.sample.frames.index
 
-    def groups() -> Iterator[pa.Table]:
-        for seed in task.seeds:
-            images = draw(generator, task.sample.frames, seed, progress).numpy()
-            for start in range(0, len(index), GROUP):
-                rows = index[start : start + GROUP].numpy()
-                png = [encode_png(image) for image in images[start : start + GROUP]]
-                columns: list[Any] = [rows, _repeat(seed, len(rows)), png]
-                yield pa.table([pa.array(c) for c in columns], schema=PREDICTION_COLUMNS)
+    def columns(seed: int) -> list[Any]:
+        images = draw(generator, task.sample.frames, seed, progress).numpy()
+        return [[encode_png(image) for image in images]]
 
-    return _write(path, PREDICTION_COLUMNS, metadata, groups())
-
-
-def _repeat(seed: int, count: int) -> Any:
-    return torch.full((count,), seed, dtype=torch.int64).numpy()
+    return _write(path, PREDICTION_COLUMNS, metadata, task, columns)
 
 
 def _write(
-    path: Path, schema: pa.Schema, metadata: dict[str, str], groups: Iterator[pa.Table]
+    path: Path,
+    schema: pa.Schema,
+    metadata: dict[str, str],
+    task: Task,
+    columns: Callable[[int], list[Any]],
 ) -> int:
+    """Write the rows of each seed, with the `columns` behind sample and seed."""
     schema = schema.with_metadata({f"racines.{key}": value for key, value in metadata.items()})
+    index = task.sample.frames.index.numpy()
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.name}.part")
-    rows = 0
     try:
         with pq.ParquetWriter(aside, schema, compression="zstd", use_dictionary=False) as writer:
-            for table in groups:
-                writer.write_table(table.cast(schema), row_group_size=GROUP)
-                rows += len(table)
+            for seed in task.seeds:
+                values = [index, np.full(len(index), seed), *columns(seed)]
+                table = pa.table([pa.array(each) for each in values], schema=schema)
+                writer.write_table(table, row_group_size=GROUP)
         os.replace(aside, path)
     finally:
         aside.unlink(missing_ok=True)
-    return rows
+    return len(index) * len(task.seeds)

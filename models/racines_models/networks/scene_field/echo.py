@@ -3,7 +3,7 @@
 Amplitudes of the fine field are weighted by what reaches them, added up coherently over the
 neighbouring beams and samples, squared, and joined by what adds up incoherently; then follow
 logarithm, gray map and smoothing. Every number in it is learned; those that start from a
-physical guess are named in `EchoDecoder`.
+physical guess are named in `EchoDecoder`. `image_loss` is what a drawn image costs.
 """
 
 import torch
@@ -16,6 +16,8 @@ MID = 9
 """Channels of the coarse field: attenuation, incoherent power, coherent gain, two vectors."""
 REACH, SMOOTH = 6, 3
 """Half-widths of the beam profiles and of the smoothing, beams."""
+WINDOW, SIGMA = 11, 1.5
+"""The window of Wang et al. (2004), as in the score of structural similarity."""
 
 
 class Place(nn.Module):
@@ -52,17 +54,13 @@ class Place(nn.Module):
 
 
 class EchoDecoder(nn.Module):
-    """Turns (B, L, S, C) fine and (B, L/2, S/2, 9) coarse numbers into (B, L, S) gray, 0-1."""
+    """Turns (B, L, S, C) fine and (B, L/2, S/2, 9) coarse numbers into (B, L, S) gray, 0-1.
+
+    L are the beams, S the samples along one; `inputs` entries describe a pose for the contact.
+    """
 
     def __init__(self, beams: int, samples: int, inputs: int, hidden: int = 64):
-        """Start from a beam as wide as its neighbours' distance and a 68 dB gray scale.
-
-        Args:
-            beams: L.
-            samples: S.
-            inputs: Entries of the pose's description, for the contact.
-            hidden: Width of the contact's network.
-        """
+        # A beam as wide as its neighbours' distance, and a 68 dB gray scale, to start from.
         super().__init__()
         self.far = nn.Parameter(_bell(0.85, REACH))
         self.near = nn.Parameter(_bell(1.85, REACH))
@@ -73,10 +71,9 @@ class EchoDecoder(nn.Module):
         self.dark = nn.Parameter(torch.full((beams, samples), -5.0))
         self.shade = nn.Parameter(torch.tensor([0.147, 0.75]))
         self.gray = nn.Parameter(torch.tensor([0.6, 0.3]))
-        smooth = _bell(0.8, SMOOTH)
-        self.smooth_beams = nn.Parameter(smooth / smooth.sum())
-        smooth = _bell(0.3, SMOOTH)
-        self.smooth_samples = nn.Parameter(smooth / smooth.sum())
+        beams_bell, samples_bell = _bell(0.8, SMOOTH), _bell(0.3, SMOOTH)
+        self.smooth_beams = nn.Parameter(beams_bell / beams_bell.sum())
+        self.smooth_samples = nn.Parameter(samples_bell / samples_bell.sum())
         last = nn.Linear(hidden, beams)
         nn.init.zeros_(last.weight)
         nn.init.constant_(last.bias, 3.0)
@@ -85,14 +82,7 @@ class EchoDecoder(nn.Module):
         )
 
     def forward(self, fine: Tensor, coarse: Tensor, directions: Tensor, pose: Tensor) -> Tensor:
-        """Return (B, L, S) gray levels.
-
-        Args:
-            fine: (B, L, S, C) amplitudes.
-            coarse: (B, L/2, S/2, 9).
-            directions: (B, L, 3) of the beams.
-            pose: (B, inputs) description of the pose.
-        """
+        """Return the gray levels, by (B, L, 3) directions of the beams and (B, inputs) of poses."""
         loss, power, amplitude, mirror = self._tissue(coarse, directions)
         coupling = self.contact(pose).sigmoid().unsqueeze(-1)
         received = (self.gain - loss.cumsum(-1)).exp() * coupling
@@ -101,7 +91,11 @@ class EchoDecoder(nn.Module):
         amplitude = fine * (received * amplitude.exp()).unsqueeze(-1)
         echoes = self._coherent(amplitude.permute(0, 3, 1, 2))
         level = (echoes + incoherent.unsqueeze(1)).log().mean(1)
-        return self._picture(level)
+        shade = level * self.shade[0] + self.shade[1]
+        shade = functional.elu(8.0 * shade) * 0.125 + 0.125  # smooth where a gray map clips
+        gray = shade.square() * (self.gray[0] + self.gray[1] * shade)
+        gray = torch.matmul(_banded(self.smooth_beams, gray.shape[1]), gray)
+        return torch.matmul(gray, _banded(self.smooth_samples, gray.shape[2]))
 
     def _tissue(self, coarse: Tensor, directions: Tensor) -> tuple[Tensor, ...]:
         """Return (B, L, S) loss, log power, log amplitude and mirror echo, seen from a side."""
@@ -128,13 +122,6 @@ class EchoDecoder(nn.Module):
         heard = torch.matmul(profiles, bands).square()
         return heard.view(count, 2, channels, beams, samples).sum(2)
 
-    def _picture(self, level: Tensor) -> Tensor:
-        shade = level * self.shade[0] + self.shade[1]
-        shade = functional.elu(8.0 * shade) * 0.125 + 0.125  # smooth where a gray map clips
-        gray = shade.square() * (self.gray[0] + self.gray[1] * shade)
-        gray = torch.matmul(_banded(self.smooth_beams, gray.shape[1]), gray)
-        return torch.matmul(gray, _banded(self.smooth_samples, gray.shape[2]))
-
 
 def _bell(sigma: float, reach: int) -> Tensor:
     taps = torch.exp(-0.5 * (torch.arange(-reach, reach + 1.0) / sigma) ** 2)
@@ -148,3 +135,22 @@ def _banded(taps: Tensor, size: int) -> Tensor:
     offset = index.unsqueeze(0) - index.unsqueeze(1) + reach
     picked = taps[offset.clamp(0, 2 * reach)]
     return picked * ((offset >= 0) & (offset <= 2 * reach))
+
+
+def image_loss(drawn: Tensor, truth: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the mean SSIM and a smooth absolute error of (B, H, W) images, black 0 and white 1."""
+    error = ((drawn - truth).square() + 1e-4).sqrt().mean()
+    return similarity(drawn, truth), error
+
+
+def similarity(drawn: Tensor, truth: Tensor) -> Tensor:
+    """Return the mean SSIM where the window is whole; the blur is two matrix products."""
+    half = WINDOW // 2
+    taps = torch.exp(-0.5 * ((torch.arange(WINDOW) - half) / SIGMA) ** 2)
+    taps = (taps / taps.sum()).to(drawn)
+    rows, columns = (_banded(taps, size)[half:-half] for size in drawn.shape[1:])
+    maps = torch.stack([drawn, truth, drawn * drawn, truth * truth, drawn * truth])
+    a, b, aa, bb, ab = rows @ maps @ columns.T
+    spread, shared = aa - a * a + bb - b * b, ab - a * b
+    value = (2.0 * a * b + 1e-4) * (2.0 * shared + 9e-4)
+    return (value / ((a * a + b * b + 1e-4) * (spread + 9e-4))).mean()

@@ -28,12 +28,9 @@ class Layout(NamedTuple):
 
 
 def lay_out(points: Tensor, voxel: float, coverage: float) -> Layout:
-    """Allocate bricks for (N, 3) points, mm: the most visited ones, until they hold a share.
+    """Allocate bricks where (N, 3) points, mm, lie: the most visited, until they hold a share.
 
-    Args:
-        points: Samples of where beams go.
-        voxel: Edge of a voxel, mm.
-        coverage: Share of the points that get a brick of their own, in (0, 1].
+    `voxel` is the edge of a voxel, mm; `coverage` the share of the points, in (0, 1].
     """
     edge = SIDE * voxel
     origin = points.min(0).values - edge
@@ -90,13 +87,11 @@ class VoxelField(nn.Module):
         self.values.copy_((self.codes * self.scales).view_as(self.values))
 
     def forward(self, points: Tensor, picks: Tensor | None = None, live: int = 0) -> Tensor:
-        """Return the (N, channels) numbers at (3, N) points.
+        """Return the (N, channels) numbers at (3, N) points, mm, in the base frame.
 
-        Args:
-            points: mm, base frame.
-            picks: (N,) uniform in [0, 1): the gradient of a point goes to one of its four voxels,
-                drawn by their weights. Right on average, and a quarter of the work.
-            live: So many points, the first ones, get a gradient of their own.
+        With `picks`, (N,) uniform in [0, 1), the gradient of a point goes to one of its four
+        voxels, drawn by their weights: right on average, and a quarter of the work. So many points
+        as are `live`, the first ones, get a gradient of their own.
         """
         if torch.compiler.is_exporting():
             return self._plainly(points)
@@ -109,16 +104,11 @@ class VoxelField(nn.Module):
         return _Fetch.apply(self.values, rows, weights, picks, live)  # pyright: ignore
 
     def _plainly(self, points: Tensor) -> Tensor:
-        """Return what `forward` returns, in operators that ONNX has.
-
-        Indices are int64, and eight bits a number are read as they are stored.
-        """
+        """Return what `forward` returns in operators of ONNX: int64 indices, codes as stored."""
         place = self._place(points)
         low = place.to(torch.int64)
         rest = place - low
-        shape = self.table.shape
-        strides = low.new_tensor([shape[1] * shape[2], shape[2], 1]).unsqueeze(1)
-        inner = low.new_tensor([SIDE * SIDE, SIDE, 1]).unsqueeze(1)
+        strides, inner = self._strides(low)
         table = self.table.view(-1).to(torch.int64)
         total = torch.zeros_like(rest[0]).unsqueeze(1)
         for up, weight in zip(_steps(*rest), _weights(rest).unbind(1), strict=True):
@@ -139,33 +129,29 @@ class VoxelField(nn.Module):
         place = (points - self.origin.unsqueeze(1)) * (1.0 / self.voxel)
         return torch.minimum(place.clamp(min=0.0), last)
 
+    def _strides(self, like: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (3, 1) what a step along each axis adds: to a brick's place, and to a row."""
+        _, deep, wide = self.table.shape
+        strides = like.new_tensor([deep * wide, wide, 1]).unsqueeze(1)
+        return strides, like.new_tensor([SIDE * SIDE, SIDE, 1]).unsqueeze(1)
+
     def _corners(self, place: Tensor) -> tuple[Tensor, Tensor]:
         """Return (N, 4) int32 rows and weights of the voxels around (3, N) places."""
-        shape = self.table.shape
         low = place.to(torch.int32)
-        strides = low.new_tensor([shape[1] * shape[2], shape[2], 1]).unsqueeze(1)
-        inner = low.new_tensor([SIDE * SIDE, SIDE, 1]).unsqueeze(1)
-        high = low + 1
-        bricks = ((low >> 3) * strides, (high >> 3) * strides)
-        voxels = ((low & 7) * inner, (high & 7) * inner)
         rest = place - low
-        steps = _steps(*rest)
-        rows = torch.stack([self._rows(bricks, voxels, each) for each in steps], -1)
-        return rows, _weights(rest)
-
-    def _rows(
-        self, bricks: tuple[Tensor, Tensor], voxels: tuple[Tensor, Tensor], up: Tensor | bool
-    ) -> Tensor:
-        if isinstance(up, bool):
-            brick, voxel = bricks[up], voxels[up]
-        else:
-            brick = torch.where(up, bricks[1], bricks[0])
-            voxel = torch.where(up, voxels[1], voxels[0])
-        return (
-            self.table.view(-1)
-            .index_select(0, brick.sum(0, dtype=torch.int32))
-            .add_(voxel.sum(0, dtype=torch.int32))
-        )
+        strides, inner = self._strides(low)
+        ends = low, low + 1
+        bricks = [(end >> 3) * strides for end in ends]
+        voxels = [(end & 7) * inner for end in ends]
+        rows = []
+        for up in _steps(*rest):
+            brick, voxel = (
+                parts[up] if isinstance(up, bool) else torch.where(up, parts[1], parts[0])
+                for parts in (bricks, voxels)
+            )
+            first = self.table.view(-1).index_select(0, brick.sum(0, dtype=torch.int32))
+            rows.append(first.add_(voxel.sum(0, dtype=torch.int32)))
+        return torch.stack(rows, -1), _weights(rest)
 
 
 def _weights(rest: Tensor) -> Tensor:

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn.functional import grid_sample
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose, axis_angle_to_matrix
+from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3, rotate
 from racines_data.imaging import IMAGE_SIZE
 
 
@@ -63,13 +63,8 @@ class Probe(nn.Module):
         self.scale = nn.Parameter(torch.zeros(()))
         self.offset = nn.Parameter(torch.zeros(geometry.beams, geometry.samples))
         lay = _sector if geometry.kind == "sector" else _plane
-        across, along, lateral, axial, pixels, mask = lay(geometry)
-        self.register_buffer("across", across, persistent=False)
-        self.register_buffer("along", along, persistent=False)
-        self.register_buffer("lateral", lateral, persistent=False)
-        self.register_buffer("axial", axial, persistent=False)
-        self.register_buffer("pixels", pixels.unsqueeze(0), persistent=False)
-        self.register_buffer("mask", mask.to(torch.float32), persistent=False)
+        for name, grid in lay(geometry).items():
+            self.register_buffer(name, grid, persistent=False)
 
     def calibration(self) -> dict[str, list[float] | float]:
         """Return shift, m, turn, rad, and scale as learned."""
@@ -79,11 +74,6 @@ class Probe(nn.Module):
             "scale": round(self.scale.exp().item(), 5),
         }
 
-    def axes(self, pose: Pose) -> Tensor:
-        """Return (B, 3, 3): the image's axes (lateral, elevation, axial) as columns."""
-        turn = axis_angle_to_matrix(self.turn)
-        return (pose.rotation.unsqueeze(-1) * turn).sum(-2)
-
     def points(self, pose: Pose, coarse: bool = False) -> Tensor:
         """Return (3, B, beams, samples) positions, mm; coarse ones lie between 2 x 2 samples."""
         grids = torch.stack([self.lateral, self.offset, self.axial])
@@ -92,15 +82,14 @@ class Probe(nn.Module):
         scale = torch.stack([self.scale, torch.zeros_like(self.scale), self.scale]).exp()
         local = axis_angle_to_matrix(self.turn) @ (scale.unsqueeze(1) * grids.flatten(1))
         local = (local + self.shift.unsqueeze(1)).view_as(grids)
-        placed = pose.rotation.flatten(0, 1) @ local.flatten(1)
-        placed = placed.view(-1, 3, local.shape[1], local.shape[2])
-        placed = placed + (pose.position * 1e3).view(-1, 3, 1, 1)
-        return placed.transpose(0, 1)
+        placed = (pose.rotation.flatten(0, 1) @ local.flatten(1)).view(-1, *local.shape)
+        return (placed + (pose.position * 1e3).view(-1, 3, 1, 1)).transpose(0, 1)
 
     def directions(self, pose: Pose) -> Tensor:
         """Return (B, beams, 3) unit vectors of the beams."""
         local = torch.stack([self.across, torch.zeros_like(self.across), self.along], -1)
-        return (self.axes(pose).unsqueeze(1) * local.unsqueeze(-2)).sum(-1)
+        axes = matmul3(pose.rotation, axis_angle_to_matrix(self.turn))  # of the image, as columns
+        return rotate(axes.unsqueeze(1), local)
 
     def image(self, polar: Tensor) -> Tensor:
         """Turn (B, beams, samples) into (B, 128, 128), zero outside the sector."""
@@ -113,13 +102,11 @@ class Probe(nn.Module):
 
 def _pixels() -> tuple[Tensor, Tensor]:
     """Return how far pixels lie right of the image's middle and below its top, pixels."""
-    rows, columns = torch.meshgrid(
-        torch.arange(float(IMAGE_SIZE)), torch.arange(float(IMAGE_SIZE)), indexing="ij"
-    )
+    rows, columns = torch.meshgrid([torch.arange(float(IMAGE_SIZE))] * 2, indexing="ij")
     return columns - (IMAGE_SIZE - 1) / 2, rows + 0.5
 
 
-def _sector(geometry: ProbeGeometry) -> tuple[Tensor, ...]:
+def _sector(geometry: ProbeGeometry) -> dict[str, Tensor]:
     half, face = geometry.half_angle, geometry.face * 1e3
     depth, samples = geometry.depth * 1e3, geometry.samples
     angle = torch.linspace(-half, half, geometry.beams)
@@ -133,18 +120,28 @@ def _sector(geometry: ProbeGeometry) -> tuple[Tensor, ...]:
     at = torch.atan2(right, down)
     place = ((reach - face) / depth * samples - 0.5) / (samples - 1) * 2.0 - 1.0
     mask = (at.abs() <= half) & (reach <= face + depth) & (reach >= face)
-    grid = torch.stack([place, at / half], -1)
-    return angle.sin(), angle.cos(), lateral, axial, grid, mask
+    return {
+        "across": angle.sin(),
+        "along": angle.cos(),
+        "lateral": lateral,
+        "axial": axial,
+        "pixels": torch.stack([place, at / half], -1).unsqueeze(0),
+        "mask": mask.to(torch.float32),
+    }
 
 
-def _plane(geometry: ProbeGeometry) -> tuple[Tensor, ...]:
+def _plane(geometry: ProbeGeometry) -> dict[str, Tensor]:
     beams, samples, depth = geometry.beams, geometry.samples, geometry.depth * 1e3
     lateral = ((torch.arange(beams) + 0.5) / beams - 0.5) * depth
     axial = (torch.arange(samples) + 0.5) / samples * depth
     right, down = (x / IMAGE_SIZE for x in _pixels())
     place = (down * samples - 0.5) / (samples - 1) * 2.0 - 1.0
     at = ((right + 0.5) * beams - 0.5) / (beams - 1) * 2.0 - 1.0
-    zero, one = torch.zeros(beams), torch.ones(beams)
-    mask = torch.ones(IMAGE_SIZE, IMAGE_SIZE)
-    grids = lateral.unsqueeze(1).expand(-1, samples), axial.expand(beams, -1)
-    return zero, one, *grids, torch.stack([place, at], -1), mask
+    return {
+        "across": torch.zeros(beams),
+        "along": torch.ones(beams),
+        "lateral": lateral.unsqueeze(1).expand(-1, samples),
+        "axial": axial.expand(beams, -1),
+        "pixels": torch.stack([place, at], -1).unsqueeze(0),
+        "mask": torch.ones(IMAGE_SIZE, IMAGE_SIZE),
+    }

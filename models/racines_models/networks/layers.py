@@ -1,0 +1,149 @@
+"""What generators and discriminators are built of: sizes, initial weights, condition, attention."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import max_pool2d
+
+from racines_data.errors import RacinesError
+from racines_data.imaging import IMAGE_SIZE
+
+LEVELS = 5
+"""Halvings from 128 to 4."""
+BOTTOM = IMAGE_SIZE >> LEVELS
+INJECTIONS = ("concat", "norm")
+"""Where the condition enters a generator: at its input only, or in every normalisation."""
+ATTENTION_SIZE = 32
+"""Side of the maps that attend: the finest that a CPU affords, with 1,024 places."""
+POOL = 4
+
+
+def widths(width: int) -> list[int]:
+    """Return the channels after each halving: doubling thrice, then level."""
+    return [width * min(1 << level, 8) for level in range(LEVELS)]
+
+
+def bottom_features(width: int) -> int:
+    """Return the entries of the flattened 4×4 map."""
+    return widths(width)[-1] * BOTTOM * BOTTOM
+
+
+def initialise(module: nn.Module) -> None:
+    """Draw weights as DCGAN does: N(0, 0.02), batch-norm scales N(1, 0.02).
+
+    Source: Radford et al., Unsupervised Representation Learning with Deep Convolutional
+    Generative Adversarial Networks, 2016, section 4.
+    """
+    if isinstance(module, nn.Conv2d | nn.ConvTranspose2d | nn.Linear):
+        nn.init.normal_(module.weight, 0.0, 0.02)
+        if module.bias is not None:
+            nn.init.zeros_(module.bias)
+    elif isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d) and module.affine:
+        nn.init.normal_(module.weight, 1.0, 0.02)
+        nn.init.zeros_(module.bias)
+
+
+@contextmanager
+def frozen(net: nn.Module) -> Iterator[None]:
+    """Let gradients pass through a network without computing those of its weights."""
+    net.requires_grad_(False)
+    try:
+        yield
+    finally:
+        net.requires_grad_(True)
+
+
+def check_injection(injection: str, name: str) -> None:
+    """Refuse an injection that is none, in the config of a name."""
+    if injection not in INJECTIONS:
+        raise RacinesError(f"{name}.injection: {injection!r}: use {' or '.join(INJECTIONS)}")
+
+
+class ConditionalBatchNorm(nn.Module):
+    """Batch norm whose scale and shift are linear in an embedding of the condition.
+
+    `embedding` 0 makes it a plain batch norm, with scale and shift of its own. Maps may be
+    (B, C, H, W), or (B, C) after a dense layer.
+
+    Source: de Vries et al., Modulating Early Visual Processing by Language, 2017, section 3; the
+    same per-channel scale and shift as FiLM (Perez et al., 2018).
+    """
+
+    def __init__(self, channels: int, embedding: int = 0, flat: bool = False):
+        super().__init__()
+        kind = nn.BatchNorm1d if flat else nn.BatchNorm2d
+        self.norm = kind(channels, affine=not embedding)
+        self.affine = nn.Linear(embedding, 2 * channels) if embedding else None
+        if self.affine is not None:
+            initialise(self.affine)
+
+    def forward(self, maps: Tensor, embedded: Tensor | None) -> Tensor:
+        """Return normalised maps; (B, embedding) is used only if the layer has one."""
+        maps = self.norm(maps)
+        if self.affine is None:
+            return maps
+        affine = self.affine(embedded).to(maps.dtype)
+        scale, shift = affine.view(*affine.shape, *(1,) * (maps.dim() - 2)).chunk(2, 1)
+        return torch.addcmul(shift, maps, 1.0 + scale)
+
+
+class ConditionEmbedding(nn.Sequential):
+    """(B, condition) to (B, width): two dense layers, shared by all that use the embedding."""
+
+    def __init__(self, condition: int, width: int, batch_norm: bool = False):
+        layers: list[nn.Module] = []
+        for inputs in (condition, width):
+            layers += [nn.Linear(inputs, width)]
+            layers += [nn.BatchNorm1d(width)] if batch_norm else []
+            layers += [nn.LeakyReLU(0.2)]
+        super().__init__(*layers)
+
+
+class SelfAttention(nn.Module):
+    """Each place gathers from all others; a learned gain that starts at 0 adds it to the map.
+
+    Keys and values are pooled 4×4, queries and keys have an eighth of the channels (at least 8).
+
+    Source: Zhang et al., Self-Attention Generative Adversarial Networks, 2019, section 3.
+    """
+
+    def __init__(self, channels: int):
+        super().__init__()
+        inner, outer = max(channels // 8, 8), max(channels // 2, 8)
+        self.query = nn.Conv2d(channels, inner, 1, bias=False)
+        self.key = nn.Conv2d(channels, inner, 1, bias=False)
+        self.value = nn.Conv2d(channels, outer, 1, bias=False)
+        self.out = nn.Conv2d(outer, channels, 1, bias=False)
+        self.gain = nn.Parameter(torch.zeros(()))
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Return (B, C, H, W) maps with what each place gathered."""
+        query = self.query(maps).flatten(2).transpose(1, 2)
+        key = max_pool2d(self.key(maps), POOL).flatten(2)
+        value = max_pool2d(self.value(maps), POOL).flatten(2).transpose(1, 2)
+        # Plainly written: fused attention has no second derivative, which R1 needs.
+        gathered = (query @ key).softmax(-1).to(value.dtype) @ value
+        gathered = gathered.transpose(1, 2).unflatten(2, maps.shape[2:])
+        return maps + self.gain.to(maps.dtype) * self.out(gathered)
+
+
+def attending(sides: Iterable[int], channels: Iterable[int]) -> nn.ModuleDict:
+    """Return self-attention by level, where the level's maps have a side of 32."""
+    attention = nn.ModuleDict()
+    for level, (side, count) in enumerate(zip(sides, channels, strict=True)):
+        if side == ATTENTION_SIZE:
+            attention[str(level)] = SelfAttention(count)
+    return attention
+
+
+def through(
+    blocks: nn.ModuleList, attention: nn.ModuleDict, maps: Tensor, embedded: Tensor | None
+) -> Tensor:
+    """Return maps after all blocks, each followed by the self-attention of its level, if any."""
+    for level, block in enumerate(blocks):
+        maps = block(maps, embedded)
+        if str(level) in attention:
+            maps = attention[str(level)](maps)
+    return maps
