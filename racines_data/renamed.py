@@ -21,7 +21,7 @@ MOVED = {
         "card_tables=tables croissant croissant_rai datasheet"
     ),
     "racines_data.cli": (
-        "cli_card=card cli_export=export cli_hub=hub cli_import=importing cli_phantom=sheet"
+        "cli_card=card cli_export=exchange cli_hub=exchange cli_import=build cli_phantom=card"
     ),
     "racines_data.export.lerobot": "export.lerobot_statistics=statistics",
     "racines_data.hub": "push",
@@ -32,12 +32,12 @@ MOVED = {
     ),
     "racines_data.sources.tracked": "sources.mha=mha",
     "racines_data.store": (
-        "batch_memory=memory export.sweeps=sweeps loader restore store_writer=writer"
+        "batch_memory=frames export.sweeps=sweeps loader restore=writer store_writer=writer"
     ),
     "racines_data.validate": (
-        "validate_duplicates=duplicates validate_files=files validate_labels=labels "
-        "validate_oracle=oracle validate_report=report validate_rows=rows "
-        "validate_splits=splits validate_statistics=statistics validate_survey=survey"
+        "validate_duplicates=duplicates validate_files=identity validate_labels=labels "
+        "validate_oracle=labels validate_report=run validate_rows=rows "
+        "validate_splits=identity validate_statistics=statistics validate_survey=survey"
     ),
     "racines_envs.agents": "agents.trace=trace_agent rollout trace=trace_file",
     "racines_envs.agents.onnx": (

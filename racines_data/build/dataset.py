@@ -131,10 +131,13 @@ def build(
     """
     config = config or DataConfig()
     out = out.resolve()  # a link to the dataset stays a link
-    _check_out(out)
+    recover_folder(out)
+    if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
+        raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
     if config.workers < 1 or config.shards < 1:
         raise RacinesError("data.workers and data.shards must be one or more")
-    _check_version(source)
+    if not re.fullmatch(r"\d+\.\d+\.\d+", source.version):
+        raise RacinesError(f"source {source.name}: version {source.version!r} is not x.y.z")
     units = _plan(source, config)
     many_units = [] if many is None else _plan(many, config)
     recipe = _recipe(source, config, many)
@@ -182,13 +185,13 @@ def peak_memory(workers: int) -> int:
 def _plan(source: Source, config: DataConfig) -> list[Unit]:
     units = list(source.plan())
     _check_report(source.report, units, config)
-    _check_units(units, source)
+    if not units:
+        raise RacinesError(f"source {source.name}: no trajectory to build from")
+    ids = [unit.id for unit in units]
+    if len(set(ids)) < len(ids):
+        twice = next(name for name in ids if ids.count(name) > 1)
+        raise RacinesError(f"source {source.name}: trajectory {twice!r} occurs twice")
     return units
-
-
-def _check_version(source: Source) -> None:
-    if not re.fullmatch(r"\d+\.\d+\.\d+", source.version):
-        raise RacinesError(f"source {source.name}: version {source.version!r} is not x.y.z")
 
 
 def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str, Any]:
@@ -201,21 +204,6 @@ def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str
         "settings": source.recipe(),
         **others,
     }
-
-
-def _check_out(out: Path) -> None:
-    recover_folder(out)
-    if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
-        raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
-
-
-def _check_units(units: Sequence[Unit], source: Source) -> None:
-    if not units:
-        raise RacinesError(f"source {source.name}: no trajectory to build from")
-    ids = [unit.id for unit in units]
-    if len(set(ids)) < len(ids):
-        twice = next(name for name in ids if ids.count(name) > 1)
-        raise RacinesError(f"source {source.name}: trajectory {twice!r} occurs twice")
 
 
 def _check_report(report: Sequence[Finding], units: Sequence[Unit], config: DataConfig) -> None:

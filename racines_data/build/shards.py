@@ -6,6 +6,7 @@ Rows are grouped by split and by whether they belong to the held-out session, so
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,23 +20,8 @@ from racines_data.schema import SPLITS, trajectory_features
 from racines_data.sources.base import Source, Unit
 
 _ROW_GROUP = 256
-
-
-@dataclass(frozen=True)
-class Part:
-    """The staged trajectories of one config."""
-
-    config: str
-    """`frames` or `multi_phantom`."""
-    source: Source
-    units: Sequence[Unit]
-    """All units, in the source's order."""
-    splits: Mapping[str, str]
-    """Split of each unit's id."""
-    folder: Path
-    """The staging folder that holds the units."""
-    held_out: str | None = None
-    """The session kept for test in the `sessions` config."""
+Paths = dict[str, tuple[list[str], list[str]]]
+"""Shards of each split that has rows: not held out, and held out."""
 
 
 @dataclass(frozen=True)
@@ -55,19 +41,46 @@ class Group:
         return sum(row["frames"] for row in self.rows)
 
 
-def group_units(part: Part) -> list[Group]:
-    """Return the groups of a part in the order of the dataset; some may be empty."""
-    groups = {(split, side): Group(split, side) for split in SPLITS for side in (False, True)}
-    for index, unit in enumerate(part.units):
-        path = unit_path(part.folder, index)
-        group = groups[part.splits[unit.id], unit.session == part.held_out]
-        group.members.append(path)
-        group.rows.append(_trajectory_row(unit, group.split, path))
-    return list(groups.values())
+@dataclass(frozen=True)
+class Part:
+    """The staged trajectories of one config."""
+
+    config: str
+    """`frames` or `multi_phantom`."""
+    source: Source
+    units: Sequence[Unit]
+    """All units, in the source's order."""
+    splits: Mapping[str, str]
+    """Split of each unit's id."""
+    folder: Path
+    """The staging folder that holds the units."""
+    held_out: str | None = None
+    """The session kept for test in the `sessions` config."""
+
+    @cached_property
+    def groups(self) -> list[Group]:
+        """The groups in the order of the dataset, once all is staged; some may be empty."""
+        groups = {(split, side): Group(split, side) for split in SPLITS for side in (False, True)}
+        for index, unit in enumerate(self.units):
+            path = unit_path(self.folder, index)
+            group = groups[self.splits[unit.id], unit.session == self.held_out]
+            group.members.append(path)
+            group.rows.append(_trajectory_row(unit, group.split, path))
+        return list(groups.values())
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of the `trajectories` config, in order."""
+        return [row for group in self.groups for row in group.rows]
+
+    def tables(self) -> Iterator[pa.Table]:
+        """Yield the staged trajectories in order, memory-mapped, one at a time."""
+        return (open_unit(path)[0] for group in self.groups for path in group.members)
 
 
 def _trajectory_row(unit: Unit, split: str, path: Path) -> dict[str, Any]:
     table, digest = open_unit(path)
+    first, last = table["timestamp"][0].as_py(), table["timestamp"][-1].as_py()
     return {
         "trajectory": unit.id,
         "session": unit.session,
@@ -75,61 +88,26 @@ def _trajectory_row(unit: Unit, split: str, path: Path) -> dict[str, Any]:
         "phantom": table["phantom"][0].as_py(),
         "split": split,
         "frames": len(table),
-        "duration": _duration(table),
+        "duration": None if first is None else last - first,
         "digest": digest,
     }
 
 
-def _duration(table: pa.Table) -> float | None:
-    first, last = table["timestamp"][0].as_py(), table["timestamp"][-1].as_py()
-    return None if first is None else last - first
+def write_shards(final: Path, part: Part, shards: int, done: Callable[[int], None]) -> Paths:
+    """Write at least `shards` shards of a config; one that is there already is left as it is.
 
-
-def group_rows(groups: Sequence[Group]) -> list[dict[str, Any]]:
-    """Return the rows of the `trajectories` config, in order."""
-    return [row for group in groups for row in group.rows]
-
-
-def group_tables(groups: Sequence[Group]) -> Iterator[pa.Table]:
-    """Yield the staged trajectories in order, memory-mapped, one at a time."""
-    return (open_unit(path)[0] for group in groups for path in group.members)
-
-
-def group_bounds(groups: Sequence[Group]) -> dict[str, tuple[int, int]]:
-    """Return the first and the past-the-last row of each split."""
-    bounds, start = {}, 0
-    for split in SPLITS:
-        stop = start + sum(group.frames for group in groups if group.split == split)
-        bounds[split], start = (start, stop), stop
-    return bounds
-
-
-def write_shards(
-    final: Path, config: str, groups: Sequence[Group], shards: int, done: Callable[[int], None]
-) -> dict[str, tuple[list[str], list[str]]]:
-    """Write the shards of a config; a shard that is there already is left as it is.
-
-    Args:
-        final: Folder of the dataset.
-        config: Name of the config, and of its folder under `data/`.
-        groups: From `group_units`.
-        shards: Least number of shards.
-        done: Called with the number of frames of every shard that is whole.
-
-    Returns:
-        The paths of each split, not held out and held out; splits without rows are left out.
+    `done` is called with the number of frames of every shard that is whole.
     """
-    counts = divide_shards([group.frames for group in groups], shards)
-    paths: dict[str, tuple[list[str], list[str]]] = {}
+    counts = divide_shards([group.frames for group in part.groups], shards)
+    paths: Paths = {}
     for split in SPLITS:
-        total = sum(n for group, n in zip(groups, counts, strict=True) if group.split == split)
+        divided = [pair for pair in zip(part.groups, counts, strict=True) if pair[0].split == split]
+        total = sum(count for _, count in divided)
         sides: tuple[list[str], list[str]] = [], []
-        for group, count in zip(groups, counts, strict=True):
-            if group.split != split or not count:
-                continue
+        for group, count in divided:
             for start, stop in shard_bounds(group.frames, count):
                 number = len(sides[0]) + len(sides[1])
-                name = f"data/{config}/{split}-{number:05d}-of-{total:05d}.parquet"
+                name = f"data/{part.config}/{split}-{number:05d}-of-{total:05d}.parquet"
                 write_once(final / name, _shard_writer(group, start, stop))
                 sides[group.held_out].append(name)
                 done(stop - start)
@@ -147,8 +125,7 @@ def _slice(group: Group, start: int, stop: int) -> pa.Table:
     for path, row in zip(group.members, group.rows, strict=True):
         low, high = max(start - first, 0), min(stop - first, row["frames"])
         if low < high:
-            table, _ = open_unit(path)
-            parts.append(table.slice(low, high - low).drop_columns("pixels"))
+            parts.append(open_unit(path)[0].slice(low, high - low).drop_columns("pixels"))
         first += row["frames"]
     # Each unit's schema carries its own digest: what a shard says must be the features alone.
     features = {b"huggingface": (parts[0].schema.metadata or {})[b"huggingface"]}

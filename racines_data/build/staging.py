@@ -12,11 +12,12 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import torch
@@ -29,7 +30,9 @@ from racines_data.records import check_trajectory, pixels_array, trajectory_to_t
 from racines_data.sources.base import Source, Unit, has_poses, labels_of_source
 
 _DIGEST = b"racines.digest"
-_source: Source | None = None  # a worker's own copy, set by its initialiser
+_source: Source | None = None  # a worker's own copy
+Task = list[tuple[Unit, Path]]
+"""Units that one worker makes one after the other, and their files."""
 
 
 def staging_folder(out: Path, source: Source, recipe_digest: str) -> AbstractContextManager[Path]:
@@ -40,16 +43,11 @@ def staging_folder(out: Path, source: Source, recipe_digest: str) -> AbstractCon
     Raises:
         RacinesError: another build of the same dataset is running.
     """
-    key = f"{recipe_digest}/{_code_digest(source)}"
+    code = hashlib.sha256()
+    for file in sorted({*Path(__file__).parent.rglob("*.py"), Path(inspect.getfile(type(source)))}):
+        code.update(file.read_bytes())
+    key = f"{recipe_digest}/{code.hexdigest()}"
     return working_folder(out, "staging", key, "another build of it is running; wait for it")
-
-
-def _code_digest(source: Source) -> str:
-    files = {*Path(__file__).parent.rglob("*.py"), Path(inspect.getfile(type(source)))}
-    digest = hashlib.sha256()
-    for file in sorted(files):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
 
 
 def unit_path(folder: Path, index: int) -> Path:
@@ -71,107 +69,111 @@ def stage_units(
     progress: bool,
     by_session: bool = False,
 ) -> None:
-    """Make the units that are not staged yet, in `workers` processes.
+    """Make the units that are not staged yet in `folder`, in `workers` processes.
 
-    Args:
-        source: Makes the units.
-        units: All units, in order.
-        folder: Folder of this source's units.
-        workers: Number of processes.
-        progress: Show a progress bar on stderr.
-        by_session: Give a session's units to one worker, one after the other: for a source to
-            which a session costs something (a heart is baked once).
+    With `by_session` one worker makes all units of a session: for a source to which a session costs
+    something (a heart is baked once).
 
     Raises:
         RacinesError: the source refuses a unit, or a worker dies.
     """
     (folder / "units").mkdir(parents=True, exist_ok=True)
-    waiting = [index for index in range(len(units)) if not _is_staged(folder, index)]
-    tasks: dict[str | int, list[int]] = {}
-    for index in waiting:
-        tasks.setdefault(units[index].session if by_session else index, []).append(index)
+    tasks: dict[str | int, Task] = {}
+    staged = 0
+    for index, unit in enumerate(units):
+        path = unit_path(folder, index)
+        if _is_staged(path):
+            staged += unit.frames
+        else:
+            tasks.setdefault(unit.session if by_session else index, []).append((unit, path))
     with progress_bar(progress) as bar:
-        task = bar.add_task(f"{folder.name} frames", total=sum(unit.frames for unit in units))
-        done = set(range(len(units))) - set(waiting)
-        bar.advance(task, sum(units[index].frames for index in done))
-        for indices in _produce(source, units, list(tasks.values()), folder, workers):
-            bar.advance(task, sum(units[index].frames for index in indices))
+        total = sum(unit.frames for unit in units)
+        shown = bar.add_task(f"{folder.name} frames", total=total, completed=staged)
+        for frames in _produce(source, list(tasks.values()), workers):
+            bar.advance(shown, frames)
 
 
-def _is_staged(folder: Path, index: int) -> bool:
+def _is_staged(path: Path) -> bool:
     try:
-        open_unit(unit_path(folder, index))
+        open_unit(path)
     except (OSError, KeyError, pa.ArrowInvalid):
         return False
     return True
 
 
-def _produce(
-    source: Source, units: Sequence[Unit], tasks: Sequence[list[int]], folder: Path, workers: int
-) -> Iterator[list[int]]:
+def _produce(source: Source, tasks: Sequence[Task], workers: int) -> Iterator[int]:
+    """Do the tasks; yield the number of frames of each when it is done."""
     if workers == 1 or len(tasks) < 2:
         threads = torch.get_num_threads()
         torch.set_num_threads(1)  # as in a worker: the number of threads may change last bits
         try:
-            for indices in tasks:
-                for index in indices:
-                    _stage(source, units[index], folder, index)
-                yield indices
+            for task in tasks:
+                yield _stage(source, task)
         finally:
             torch.set_num_threads(threads)
         return
+    with worker_pool(workers, _take, (source,), "to go on, with fewer workers") as pool:
+        for future in as_completed([pool.submit(_work, task) for task in tasks]):
+            yield future.result()
+
+
+@contextmanager
+def worker_pool(
+    workers: int, start: Callable[..., None], given: tuple[Any, ...], remedy: str
+) -> Iterator[ProcessPoolExecutor]:
+    """Give processes of one thread each, in which `start(*given)` runs first.
+
+    Raises:
+        RacinesError: a worker died; its message tells to run again, and the remedy.
+    """
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _start_worker, (source,)) as pool:
-        futures = [
-            pool.submit(_work, [units[index] for index in indices], folder, indices)
-            for indices in tasks
-        ]
+    with ProcessPoolExecutor(workers, context, _start_worker, (start, given)) as pool:
         try:
-            for future in as_completed(futures):
-                yield future.result()
+            yield pool
         except BrokenProcessPool as error:
             raise RacinesError(
-                "a worker process died (out of memory?): run again to go on, with fewer workers"
+                f"a worker process died (out of memory?): run again {remedy}"
             ) from error
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _start_worker(source: Source) -> None:
-    global _source
-    _source = source
+def _start_worker(start: Callable[..., None], given: tuple[Any, ...]) -> None:
     torch.set_num_threads(1)
-    threading.Thread(target=die_with_parent, daemon=True).start()
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    start(*given)
 
 
-def die_with_parent() -> None:
-    """Wait for the parent of a worker to end, then end the worker; run it in a thread.
-
-    A pool's workers outlive a parent that was killed, waiting for work that never comes.
-    """
+def _die_with_parent() -> None:
+    # A pool's workers outlive a parent that was killed, waiting for work that never comes.
     parent = multiprocessing.parent_process()
     if parent is not None:
         multiprocessing.connection.wait([parent.sentinel])
         os._exit(1)
 
 
-def _work(units: list[Unit], folder: Path, indices: list[int]) -> list[int]:
+def _take(source: Source) -> None:
+    global _source
+    _source = source
+
+
+def _work(task: Task) -> int:
     assert _source is not None
-    for unit, index in zip(units, indices, strict=True):
-        _stage(_source, unit, folder, index)
-    return indices
+    return _stage(_source, task)
 
 
-def _stage(source: Source, unit: Unit, folder: Path, index: int) -> None:
-    trajectory = source.produce(unit)
+def _stage(source: Source, task: Task) -> int:
+    """Make the units of a task; return the number of frames that were expected of them."""
     labels = labels_of_source(source)
-    check_trajectory(trajectory, unit, labels, has_poses(source))
-    table = trajectory_to_table(trajectory, source.name, labels)
-    table = table.append_column("pixels", pixels_array(trajectory.images))
-    metadata = {**(table.schema.metadata or {}), _DIGEST: trajectory_digest(trajectory).encode()}
-    table = table.replace_schema_metadata(metadata)
-    path = unit_path(folder, index)
-    aside = path.with_suffix(f".{os.getpid()}")
-    with pa.OSFile(str(aside), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
-        writer.write_table(table)
-    os.replace(aside, path)
+    for unit, path in task:
+        trajectory = source.produce(unit)
+        check_trajectory(trajectory, unit, labels, has_poses(source))
+        table = trajectory_to_table(trajectory, source.name, labels)
+        table = table.append_column("pixels", pixels_array(trajectory.images))
+        digest = {_DIGEST: trajectory_digest(trajectory).encode()}
+        table = table.replace_schema_metadata((table.schema.metadata or {}) | digest)
+        aside = path.with_suffix(f".{os.getpid()}")
+        with pa.OSFile(str(aside), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
+            writer.write_table(table)
+        os.replace(aside, path)
+    return sum(unit.frames for unit, _ in task)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -10,17 +11,7 @@ from typing import Any
 import pyarrow as pa
 
 from racines_data.build.canonical import write_canonical
-from racines_data.build.shards import (
-    Group,
-    Part,
-    group_bounds,
-    group_rows,
-    group_tables,
-    group_units,
-    write_parquet,
-    write_shards,
-    write_trajectories,
-)
+from racines_data.build.shards import Part, Paths, write_parquet, write_shards, write_trajectories
 from racines_data.card.croissant import add_croissant
 from racines_data.card.markdown import write_card
 from racines_data.card.pictures import write_pictures
@@ -55,9 +46,7 @@ def write_dataset(
         progress: Show a progress bar on stderr.
     """
     _keep_finished(final)
-    groups = group_units(main)
-    rows = group_rows(groups)
-    source = main.source
+    source, rows = main.source, main.rows
     manifest: dict[str, Any] = {
         "schema": "racines.manifest/1",
         "name": "racines",
@@ -73,12 +62,15 @@ def write_dataset(
         "held_out_session": main.held_out,
         "counts": _counts(rows),
         "report": _report_counts(source.report),
-        "configs": _configs(_write_part(final, main, groups, shards, progress)),
-        "canonical": write_canonical(final, group_tables(groups)),
+        "configs": _configs(_write_part(final, main, shards, progress)),
+        "canonical": write_canonical(final, main.tables()),
     }
     manifest["configs"]["trajectories"] = write_trajectories(final, rows)
     if many is not None:
-        manifest[MULTI_PHANTOM] = _write_many(final, many, manifest["configs"], shards, progress)
+        paths = _write_part(final, many, shards, progress)
+        manifest["configs"][many.config] = {split: others for split, (others, _) in paths.items()}
+        canonical = write_canonical(final, many.tables(), f"canonical/{many.config}")
+        manifest[MULTI_PHANTOM] = {**_count_hearts(many.rows), "canonical": canonical}
     _write_report(final / REPORT, source.report)
     write_pictures(final, manifest)
     (final / CARD).write_text(write_card(manifest))
@@ -97,24 +89,17 @@ def _keep_finished(final: Path) -> None:
             path.unlink()
 
 
-def _write_part(
-    final: Path, part: Part, groups: Sequence[Group], shards: int, progress: bool
-) -> dict[str, tuple[list[str], list[str]]]:
-    """Write a config's shards and store; return each split's paths, not held out and held out."""
+def _write_part(final: Path, part: Part, shards: int, progress: bool) -> Paths:
+    """Write a config's shards and store; return the paths of the shards."""
+    rows = part.rows
     with progress_bar(progress) as bar:
-        total = sum(group.frames for group in groups)
-        task = bar.add_task(f"{part.config} shards", total=total)
-        paths = write_shards(final, part.config, groups, shards, lambda n: bar.advance(task, n))
-    write_once(
-        final / store_name(part.config),
-        lambda path: write_store(
-            path, lambda: group_tables(groups), group_rows(groups), group_bounds(groups)
-        ),
-    )
+        task = bar.add_task(f"{part.config} shards", total=sum(row["frames"] for row in rows))
+        paths = write_shards(final, part, shards, lambda count: bar.advance(task, count))
+    write_once(final / store_name(part.config), lambda path: write_store(path, part.tables, rows))
     return paths
 
 
-def _configs(frames: dict[str, tuple[list[str], list[str]]]) -> dict[str, dict[str, list[str]]]:
+def _configs(frames: Paths) -> dict[str, dict[str, list[str]]]:
     """Return the paths of the splits of `frames`, and of `sessions` if a session is held out."""
     configs = {"frames": {split: [*others, *held] for split, (others, held) in frames.items()}}
     held_out = [path for _, held in frames.values() for path in held]
@@ -124,29 +109,36 @@ def _configs(frames: dict[str, tuple[list[str], list[str]]]) -> dict[str, dict[s
     return configs
 
 
-def _write_many(
-    final: Path, part: Part, configs: dict[str, dict[str, list[str]]], shards: int, progress: bool
-) -> dict[str, Any]:
-    """Write the config of many hearts, add its paths to `configs`; return what it holds."""
-    groups = group_units(part)
-    rows = group_rows(groups)
-    paths = _write_part(final, part, groups, shards, progress)
-    configs[part.config] = {split: others for split, (others, _) in paths.items()}
-    splits = {split: _count([row for row in rows if row["split"] == split]) for split in SPLITS}
-    canonical = write_canonical(final, group_tables(groups), f"canonical/{part.config}")
-    return {**_count(rows), "splits": splits, "digest": _digest(rows), "canonical": canonical}
+def _digest(rows: Sequence[dict[str, Any]]) -> str:
+    return content_digest((row["split"], row["trajectory"], row["digest"]) for row in rows)
 
 
-def _count(rows: Sequence[dict[str, Any]]) -> dict[str, int]:
+def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    sessions: Counter[str] = Counter()
+    for row in rows:
+        sessions[row["session"]] += row["frames"]
     return {
-        "hearts": len({row["session"] for row in rows}),
+        "frames": sessions.total(),
         "trajectories": len(rows),
-        "frames": sum(row["frames"] for row in rows),
+        "splits": {split: _size(chosen) for split, chosen in _by_split(rows).items()},
+        "sessions": dict(sessions),
     }
 
 
-def _digest(rows: Sequence[dict[str, Any]]) -> str:
-    return content_digest((row["split"], row["trajectory"], row["digest"]) for row in rows)
+def _count_hearts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    def counts(rows: Sequence[dict[str, Any]]) -> dict[str, int]:
+        return {"hearts": len({row["session"] for row in rows}), **_size(rows)}
+
+    splits = {split: counts(chosen) for split, chosen in _by_split(rows).items()}
+    return {**counts(rows), "splits": splits, "digest": _digest(rows)}
+
+
+def _by_split(rows: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    return {split: [row for row in rows if row["split"] == split] for split in SPLITS}
+
+
+def _size(rows: Sequence[dict[str, Any]]) -> dict[str, int]:
+    return {"trajectories": len(rows), "frames": sum(row["frames"] for row in rows)}
 
 
 def _seal(final: Path) -> dict[str, dict[str, Any]]:
@@ -169,15 +161,3 @@ def _write_report(path: Path, report: Sequence[Finding]) -> None:
 def _report_counts(report: Sequence[Finding]) -> dict[str, int]:
     refused = sum(finding.frames for finding in report if finding.refused)
     return {"refused_frames": refused, "flagged": sum(not finding.refused for finding in report)}
-
-
-def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    sessions: dict[str, int] = {}
-    for row in rows:
-        sessions[row["session"]] = sessions.get(row["session"], 0) + row["frames"]
-    splits = {}
-    for split in SPLITS:
-        frames = [row["frames"] for row in rows if row["split"] == split]
-        splits[split] = {"trajectories": len(frames), "frames": sum(frames)}
-    total = sum(row["frames"] for row in rows)
-    return {"frames": total, "trajectories": len(rows), "splits": splits, "sessions": sessions}

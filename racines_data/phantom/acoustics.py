@@ -14,6 +14,7 @@ from torch import Tensor
 
 from racines_data.geometry import Pose
 from racines_data.phantom.config import ProbeConfig
+from racines_data.phantom.scan import gaussian_matrix
 from racines_data.phantom.volume import (
     ALONG_SHEETS,
     ATTENUATION_STEP,
@@ -116,16 +117,13 @@ def make_beams(probe: ProbeConfig, gel_attenuation: float, device: torch.device)
 
 def _profile(size: int, sigma: float) -> Tensor:
     """Return a symmetric banded matrix of Gaussian rows with unit energy (keeps speckle power)."""
-    offset = torch.arange(size).unsqueeze(0) - torch.arange(size).unsqueeze(1)
-    matrix = torch.exp(-0.5 * (offset / sigma) ** 2)
-    matrix[offset.abs() > math.ceil(4 * sigma)] = 0.0
+    matrix = gaussian_matrix(size, sigma, 4)
     return matrix / matrix.square().sum(1, keepdim=True).sqrt()
 
 
 def _mean_over(size: int, sigma: float) -> Tensor:
     """Return the matrix of a Gaussian mean over neighbours; rows sum to one."""
-    offset = torch.arange(size).unsqueeze(0) - torch.arange(size).unsqueeze(1)
-    matrix = torch.exp(-0.5 * (offset / sigma) ** 2)
+    matrix = gaussian_matrix(size, sigma)
     return matrix / matrix.sum(1, keepdim=True)
 
 
@@ -142,9 +140,8 @@ def _clutter(probe: ProbeConfig, depth: Tensor) -> Tensor:
 def sample_echoes(volume: Volume, beams: Beams, probe: ProbeConfig, pose: Pose) -> Tensor:
     """Return the (B, 2, L, S) complex echoes of the block before the point spread function."""
     x, y, z = (pose.rotation[:, :, i] for i in range(3))
-    direction = x.unsqueeze(1) * beams.sin.view(1, -1, 1) + z.unsqueeze(1) * beams.cos.view(
-        1, -1, 1
-    )
+    sin, cos = beams.sin.view(1, -1, 1), beams.cos.view(1, -1, 1)
+    direction = x.unsqueeze(1) * sin + z.unsqueeze(1) * cos
     index = _voxel_index(volume, beams, pose.position, direction, y)
     packed = volume.packed.index_select(0, index.flatten())
     scatterers = packed.view(torch.int16).view(*index.shape, 4)

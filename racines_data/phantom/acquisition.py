@@ -11,6 +11,7 @@ down, in which the probe's leaning and turning are nearly independent.
 
 import math
 from dataclasses import dataclass, field
+from itertools import cycle, pairwise
 from typing import NamedTuple
 
 import torch
@@ -84,16 +85,9 @@ def plan_lengths(config: AcquisitionConfig) -> list[int]:
 
 def plan_targets(count: int, config: AcquisitionConfig) -> list[str]:
     """Return the target of each trajectory: views in turn, random scans evenly between them."""
-    targets, done, turn = [], 0, 0
-    views = anatomy_views(config.phantom.anatomy)
-    for i in range(count):
-        if math.floor((i + 1) * config.random_share + 0.5) > done:
-            targets.append(RANDOM)
-            done += 1
-        else:
-            targets.append(views[turn % len(views)])
-            turn += 1
-    return targets
+    views = cycle(anatomy_views(config.phantom.anatomy))
+    scans = [math.floor(i * config.random_share + 0.5) for i in range(count + 1)]
+    return [RANDOM if after > before else next(views) for before, after in pairwise(scans)]
 
 
 def make_sweep(
@@ -152,7 +146,7 @@ _DEGREES_A_MILLIMETRE = math.radians(1.0) / 0.001
 def _around(point: Tensor, millimetres: float, draw: _Draw, count: int = 1) -> Tensor:
     """Scatter points by some millimetres in position and as many degrees in angle."""
     scale = _SPREAD * millimetres * 1e-3
-    scale = torch.cat([scale[:3], scale[3:] * _DEGREES_A_MILLIMETRE])
+    scale[3:] *= _DEGREES_A_MILLIMETRE
     return point + draw.normal(count, 6) * scale
 
 

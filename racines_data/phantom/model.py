@@ -86,15 +86,10 @@ class Phantom(World):
 
     def render(self, pose: Pose, seeds: Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 images of poses on this device, unchecked."""
-        parts = [
-            part
-            for i in range(0, len(seeds), CHUNK)
-            for part in self._render_chunk(
-                Pose(*(x[i : i + CHUNK] for x in pose)), seeds[i : i + CHUNK]
-            )
-        ]
-        if not parts:
+        if not len(seeds):
             return torch.zeros((0, 128, 128), dtype=torch.uint8, device=self.device)
+        chunks = zip(*(x.split(CHUNK) for x in (*pose, seeds)), strict=True)
+        parts = [part for chunk in chunks for part in self._render_chunk(*chunk)]
         return parts[0] if len(parts) == 1 else torch.cat(parts)
 
     def envelope(self, pose: Pose, seeds: Tensor) -> Tensor:
@@ -111,22 +106,18 @@ class Phantom(World):
             field = acoustics.add_face(field, self._beams, probe, coupling, noise)
             yield acoustics.echo_power(field)
 
-    def _render_chunk(self, pose: Pose, seeds: Tensor) -> Iterator[Tensor]:
-        """Yield the images of at most `CHUNK` poses, some at a time."""
-        probe, size = self.config.probe, CACHED.get(self.device.type, CHUNK)
-        inputs = (*pose, seeds, self.coupling(pose))
-        for position, rotation, noise, coupling in zip(
-            *(x.split(size) for x in inputs), strict=True
-        ):
-            powers = self._looks(Pose(position, rotation), noise, coupling)
-            looks = [log_compress(power, probe) for power in powers]
+    def _render_chunk(self, *inputs: Tensor) -> Iterator[Tensor]:
+        """Yield the images of at most `CHUNK` positions, rotations and seeds, some at a time."""
+        size = CACHED.get(self.device.type, CHUNK)
+        inputs = (*inputs, self.coupling(Pose(*inputs[:2])))
+        for *pose, seeds, coupling in zip(*(x.split(size) for x in inputs), strict=True):
+            powers = self._looks(Pose(*pose), seeds, coupling)
+            looks = [log_compress(power, self.config.probe) for power in powers]
             yield self._converter.convert(sum(looks[1:], looks[0]) / len(looks))
 
     def coupling(self, pose: Pose) -> Tensor:
         """Return (B, beams) acoustic coupling in 0-1."""
-        return contact.coupling(
-            pose, self.surface_height, self.config.probe, self.config.probe.beams
-        )
+        return contact.coupling(pose, self.surface_height, self.config.probe)
 
     def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
         """Return (B, 6) force, N, and torque, N·m, at the wrist sensor in the probe's axes.

@@ -14,9 +14,8 @@ from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM
 from racines_data.phantom.acquisition import AcquisitionConfig
 from racines_data.phantom.anatomy import anatomy_views
-from racines_data.phantom.config import PHANTOM_VERSION
+from racines_data.phantom.config import PHANTOM_VERSION, heart_config
 from racines_data.phantom.model import shared_phantom
-from racines_data.phantom.population import heart_config
 from racines_data.randomness import derive, sample_seeds
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Finding, Unit

@@ -3,7 +3,7 @@
 import io
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -56,11 +56,7 @@ def read_sweeps(
 ) -> Iterator[Sweep]:
     """Yield the trajectories of a dataset in its order, their files' digests checked first.
 
-    Args:
-        root: The dataset.
-        split: One split only.
-        limit: Frames to read at most; the last trajectory may be cut short.
-        config: `frames` or `multi_phantom`.
+    At most `limit` frames are read: the last trajectory may be cut short.
 
     Raises:
         RacinesError: no such dataset, config or split, a damaged file, or a limit below one.
@@ -78,7 +74,7 @@ def read_sweeps(
     check_files(root, files, rebuild_hint(manifest))
     left = limit
     for name, paths in wanted.items():
-        for table in _trajectories(root, paths):
+        for table in trajectories(root, paths):
             part = table if left is None else table.slice(0, left)
             if len(part):
                 yield Sweep(name, part)
@@ -87,13 +83,15 @@ def read_sweeps(
                 return
 
 
-def _trajectories(root: Path, paths: list[str]) -> Iterator[pa.Table]:
+def trajectories(root: Path, paths: Sequence[str]) -> Iterator[pa.Table]:
     """Yield one table a trajectory; it may begin in one file and go on in the next."""
     held: list[pa.Table] = []
     for path in paths:
         with pq.ParquetFile(root / path) as file:
             for batch in file.iter_batches(_BATCH):
-                for part in _runs(pa.Table.from_batches([batch])):
+                table = pa.Table.from_batches([batch])
+                for start, stop in pairwise(run_edges(table["trajectory"].to_numpy())):
+                    part = table.slice(start, stop - start)
                     if held and not part["trajectory"][0].equals(held[0]["trajectory"][0]):
                         yield pa.concat_tables(held).combine_chunks()
                         held = []
@@ -102,11 +100,11 @@ def _trajectories(root: Path, paths: list[str]) -> Iterator[pa.Table]:
         yield pa.concat_tables(held).combine_chunks()
 
 
-def _runs(table: pa.Table) -> Iterator[pa.Table]:
-    names = table["trajectory"].to_numpy()
-    ends = np.flatnonzero(names[1:] != names[:-1]) + 1
-    for start, stop in pairwise([0, *ends.tolist(), len(table)]):
-        yield table.slice(start, stop - start)
+def run_edges(values: np.ndarray) -> list[int]:
+    """Return where runs of equal values begin, and the length; of nothing, nothing."""
+    if not len(values):
+        return []
+    return [0, *(np.flatnonzero(values[1:] != values[:-1]) + 1).tolist(), len(values)]
 
 
 @contextmanager

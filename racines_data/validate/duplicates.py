@@ -120,11 +120,7 @@ def nearest_distance(queries: Tensor, keys: Tensor) -> Tensor:
 
 
 def check_exact(found: Duplicates) -> str:
-    """Check that no held-out frame is a training frame.
-
-    Raises:
-        RacinesError: one is, to the byte.
-    """
+    """Check that no held-out frame is a training frame."""
     if found.exact:
         raise RacinesError(
             f"{found.exact} of {found.held_out} held-out frames are copies of training frames"
@@ -134,11 +130,7 @@ def check_exact(found: Duplicates) -> str:
 
 
 def check_near(found: Duplicates) -> str:
-    """Check the share of near-copies.
-
-    Raises:
-        RacinesError: it is above the limit.
-    """
+    """Check the share of near-copies."""
     if found.near is None:
         return "not told: no probe is at rest, or there is no frame to compare with"
     by_frame = found.near_frame_split or 0.0

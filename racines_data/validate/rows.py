@@ -4,12 +4,10 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from racines_data.digest import trajectory_digest
 from racines_data.errors import RacinesError
@@ -18,11 +16,15 @@ from racines_data.records import check_trajectory, table_to_trajectory
 from racines_data.schema import PARAMETERS, Trajectory
 from racines_data.sources.base import Unit
 from racines_data.store.frames import FrameStore
+from racines_data.store.sweeps import trajectories
 
 LIMITS = {"force": 200.0, "torque": 50.0, "position": 10.0, "rotation": math.pi + 1e-5}
 """Largest absolute value of a parameter by its kind: N, N·m, m, rad."""
 POOL = 8
 """Edge, in pixels, of the blocks whose means are an image's signature."""
+
+_KEPT = ("id", "session", "target_view", "phantom", "parameters", "timestamps", "views", "grades")
+_STORED = ("images", "views", "parameters", "controls", "grades", "timestamps")
 
 
 @dataclass(frozen=True)
@@ -30,8 +32,12 @@ class Piece:
     """A run of whole trajectories of one split that begin in one shard."""
 
     split: str
-    parts: tuple[tuple[str, int, int], ...]
-    """File, first and past-the-last row; a second file where the last trajectory goes on."""
+    names: Sequence[str]
+    """The shard, and those into which its last trajectory may go on."""
+    first: int
+    """Row of the shard in which they begin; rows before it end a trajectory of the one before."""
+    stop: int
+    """Past-the-last row, counted from the shard's beginning."""
     start: int
     """Row of the store at which they begin."""
     poses: bool = True
@@ -40,7 +46,7 @@ class Piece:
     @property
     def frames(self) -> int:
         """Number of frames."""
-        return sum(stop - first for _, first, stop in self.parts)
+        return self.stop - self.first
 
 
 @dataclass(frozen=True)
@@ -74,43 +80,28 @@ class CheckedSweep:
         return len(self.timestamps)
 
 
-def run_edges(values: np.ndarray) -> list[int]:
-    """Return where runs of equal values begin, and the length; of nothing, nothing."""
-    if not len(values):
-        return []
-    return [0, *(np.flatnonzero(values[1:] != values[:-1]) + 1).tolist(), len(values)]
-
-
 def read_piece(
     root: Path, labels: Sequence[str], store: FrameStore | None, piece: Piece
 ) -> tuple[list[CheckedSweep], list[str]]:
-    """Read and check the trajectories of a piece.
-
-    Returns:
-        Those that could be read, and why others could not.
-    """
-    table = pa.concat_tables([_read_part(root / name, a, b) for name, a, b in piece.parts])
-    ids = table["trajectory"].to_numpy()
+    """Read and check a piece; return its trajectories, and why others could not be read."""
     sweeps, faults = [], []
-    for first, stop in pairwise(run_edges(ids)):
-        rows = table.slice(first, stop - first)
+    stop = 0
+    for rows in trajectories(root, piece.names):
+        first, stop = stop, stop + len(rows)
+        if first >= piece.stop:
+            break
+        if first < piece.first:
+            continue
         try:
             trajectory = table_to_trajectory(rows)
         except (OSError, ValueError, SyntaxError, TypeError, pa.ArrowException) as error:
-            faults.append(f"trajectory {ids[first]}: its rows cannot be read: {error}")
+            name = rows["trajectory"][0].as_py()
+            faults.append(f"trajectory {name}: its rows cannot be read: {error}")
             continue
-        place = slice(piece.start + first, piece.start + stop)
+        begin = piece.start + first - piece.first
+        place = slice(begin, begin + len(rows))
         sweeps.append(_sweep(piece, rows, trajectory, labels, store, place))
     return sweeps, faults
-
-
-def _read_part(path: Path, start: int, stop: int) -> pa.Table:
-    file = pq.ParquetFile(path)
-    sizes = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
-    ends = np.cumsum(sizes)
-    wanted = [i for i, end in enumerate(ends) if end > start and end - sizes[i] < stop]
-    begins = int(ends[wanted[0]]) - sizes[wanted[0]]
-    return file.read_row_groups(wanted).slice(start - begins, stop - start)
 
 
 def _sweep(
@@ -127,24 +118,15 @@ def _sweep(
     except RacinesError as error:
         faults.append(("rows", f"{error}"))
     if store is not None and not _in_store(store, place, piece.split, trajectory):
-        reason = f"trajectory {trajectory.id} differs between store and shards"
-        faults.append(("store", reason))
-    images = trajectory.images
+        faults.append(("store", f"trajectory {trajectory.id} differs between store and shards"))
     predicted = [rows[name].cast(pa.float32()) for name in ("view_predicted", "grade_predicted")]
     return CheckedSweep(
         split=piece.split,
-        id=trajectory.id,
-        session=trajectory.session,
-        target_view=trajectory.target_view,
-        phantom=trajectory.phantom,
+        **{name: getattr(trajectory, name) for name in _KEPT},
         digest=trajectory_digest(trajectory),
-        parameters=trajectory.parameters,
-        timestamps=trajectory.timestamps,
-        views=trajectory.views,
-        grades=trajectory.grades,
         predicted=np.stack([c.fill_null(np.nan).to_numpy() for c in predicted], -1),
-        hashes=np.array([_hash(image) for image in images], np.uint64),
-        signatures=signatures(images),
+        hashes=np.array([_hash(image) for image in trajectory.images], np.uint64),
+        signatures=signatures(trajectory.images),
         faults=tuple(faults),
     )
 
@@ -169,18 +151,11 @@ def _in_store(store: FrameStore, place: slice, split: str, trajectory: Trajector
     if place.stop > len(store) or not start <= place.start < stop:
         return False
     index = store.trajectory_index[place]
-    columns = ("parameters", "controls", "grades", "timestamps")
+    pairs = ((getattr(store, name)[place].numpy(), getattr(trajectory, name)) for name in _STORED)
     return (
         store.trajectories[int(index[0])] == trajectory.id
         and bool((index == index[0]).all())
-        and np.array_equal(store.images[place].numpy(), trajectory.images)
-        and np.array_equal(store.views[place].numpy(), trajectory.views)
-        and all(
-            np.array_equal(
-                getattr(store, name)[place].numpy(), getattr(trajectory, name), equal_nan=True
-            )
-            for name in columns
-        )
+        and all(np.array_equal(stored, read, equal_nan=True) for stored, read in pairs)
     )
 
 
@@ -190,8 +165,8 @@ def _hash(image: np.ndarray) -> int:
 
 def signatures(images: np.ndarray) -> np.ndarray:
     """Return (T, 256) float16 means of 8x8 blocks of (T, 128, 128) uint8 images."""
-    if images.shape[1:] != (IMAGE_SIZE, IMAGE_SIZE):
-        return np.zeros((len(images), (IMAGE_SIZE // POOL) ** 2), np.float16)
     side = IMAGE_SIZE // POOL
+    if images.shape[1:] != (IMAGE_SIZE, IMAGE_SIZE):
+        return np.zeros((len(images), side * side), np.float16)
     blocks = images.reshape(-1, side, POOL, side, POOL)
     return blocks.mean((2, 4), dtype=np.float32).reshape(-1, side * side).astype(np.float16)

@@ -12,20 +12,32 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
 from racines_data.build.canonical import same_version
 from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
+from racines_data.tables import console_table
 from racines_data.validate.duplicates import check_exact, check_near, find_duplicates
-from racines_data.validate.files import check_card, check_recipe, rehash_files
-from racines_data.validate.labels import check_annotation, check_labels, check_views, view_shares
-from racines_data.validate.oracle import check_rejudged, rejudge
-from racines_data.validate.splits import (
+from racines_data.validate.identity import (
+    check_card,
     check_content,
     check_counts,
     check_rate,
+    check_recipe,
     check_splits,
     check_times,
+    rehash_files,
+)
+from racines_data.validate.labels import (
+    check_annotation,
+    check_labels,
+    check_rejudged,
+    check_views,
+    rejudge,
+    view_shares,
 )
 from racines_data.validate.statistics import (
     Verdict,
@@ -33,14 +45,13 @@ from racines_data.validate.statistics import (
     check_paper,
     has_paper,
     must_meet_paper,
-    parameter_statistics,
     statistics_of,
     verdicts_of,
 )
 from racines_data.validate.survey import Survey, survey
 from racines_data.views import PAPER_STATISTICS, ParameterStatistics
 
-__all__ = ["Check", "Validation", "has_paper", "parameter_statistics", "to_json", "validate"]
+_KINDS = ("minimum", "maximum", "mean", "std")
 
 
 @dataclass(frozen=True)
@@ -85,13 +96,9 @@ class Validation:
 def validate(
     root: Path, against: Path | None = None, workers: int = 1, progress: bool = False
 ) -> Validation:
-    """Check a dataset, reading every byte of it.
+    """Check a dataset, reading every byte of it; `against` should be the same version.
 
-    Args:
-        root: Folder of the dataset.
-        against: Another build that should be the same version.
-        workers: Processes that decode the images of a large dataset.
-        progress: Show a progress bar on stderr.
+    A large dataset's images are decoded in `workers` processes.
 
     Raises:
         RacinesError: there is no dataset.
@@ -126,14 +133,6 @@ def _check_config(
     if not surveys or not surveys[0].sweeps:
         return  # without rows there is nothing more to say of them
     found = surveys[0]
-    _check_identity(result, prefix, found, root)
-    _check_meaning(result, prefix, found)
-    if config == "frames":
-        _check_paper(result, found)
-
-
-def _check_identity(result: Validation, prefix: str, found: Survey, root: Path) -> None:
-    manifest = result.manifest
 
     def store() -> str:
         found.raise_faults("store")
@@ -143,6 +142,9 @@ def _check_identity(result: Validation, prefix: str, found: Survey, root: Path) 
     result.add(f"{prefix}content", lambda: check_content(found, manifest))
     result.add(f"{prefix}splits", lambda: check_splits(found, root, manifest))
     result.add(f"{prefix}store", store)
+    _check_meaning(result, prefix, found)
+    if config == "frames":
+        _check_paper(result, found)
 
 
 def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
@@ -201,3 +203,35 @@ def to_json(result: Validation) -> dict[str, Any]:
         "statistics": statistics,
         "figures": result.figures,
     }
+
+
+def print_validation(result: Validation) -> None:
+    """Print one line a check, and the parameters beside the paper's table, on stdout."""
+    console = Console()
+    for check in result.checks:
+        line = Text.assemble(_mark(check), f"  {check.name}: {check.detail}")
+        console.print(line, soft_wrap=True, highlight=False)
+    if result.statistics:
+        console.print(_table(result))
+
+
+def _mark(check: Check) -> tuple[str, str]:
+    if check.ok:
+        return "ok", "green"
+    return ("BROKEN", "red") if check.binding else ("note", "yellow")
+
+
+def _table(result: Validation) -> Table:
+    rows: list[list[str | Text]] = []
+    for name, values in result.statistics.items():
+        rows.append([name, *_numbers(values)])
+        if name in result.verdicts:
+            faults = result.verdicts[name].faults
+            rows[-1].append(Text("; ".join(faults), "red") if faults else Text("holds", "green"))
+            paper = ("  paper, real", *_numbers(PAPER_STATISTICS[name]))
+            rows.append([Text(cell, "dim") for cell in paper])
+    return console_table(("parameter", *_KINDS, *(["verdict"] if result.verdicts else [])), rows)
+
+
+def _numbers(values: Any) -> list[str]:
+    return [f"{getattr(values, kind):.4f}" for kind in _KINDS]

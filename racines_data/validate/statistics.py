@@ -8,7 +8,6 @@ import numpy as np
 
 from racines_data.errors import RacinesError
 from racines_data.schema import PARAMETERS
-from racines_data.store.frames import FrameStore
 from racines_data.views import PAPER_STATISTICS, ParameterStatistics
 
 MEAN_LIMIT = 0.25
@@ -64,11 +63,6 @@ def statistics_of(parameters: np.ndarray) -> dict[str, ParameterStatistics]:
     return statistics
 
 
-def parameter_statistics(store: FrameStore) -> dict[str, ParameterStatistics]:
-    """Return minimum, maximum, mean and standard deviation of each parameter that is there."""
-    return statistics_of(store.parameters.numpy())
-
-
 def verdicts_of(statistics: dict[str, ParameterStatistics]) -> dict[str, Verdict]:
     """Hold each parameter beside the paper's table."""
     return {name: _verdict(ours, PAPER_STATISTICS[name]) for name, ours in statistics.items()}
@@ -104,11 +98,7 @@ def _simulates_heart(manifest: dict[str, Any]) -> bool:
 
 
 def check_paper(verdicts: dict[str, Verdict]) -> str:
-    """Check the table.
-
-    Raises:
-        RacinesError: a parameter is missing or does not hold, each by name.
-    """
+    """Check that every parameter was measured and holds."""
     faults = [f"{name} was not measured" for name in PARAMETERS if name not in verdicts]
     faults += [
         f"{name}: {', '.join(verdict.faults)}"
@@ -139,9 +129,6 @@ def check_modes(parameters: np.ndarray) -> str:
     """Check that rotation_x has two modes, at ±π, and next to nothing between them.
 
     A probe that looks down has rotation_x = ±π, and hand and tremor carry it across the jump.
-
-    Raises:
-        RacinesError: a mode is missing, or probes look upwards.
     """
     up, down, between = rotation_modes(parameters)
     said = f"{100 * up:.1f} % within 45° of +π, {100 * down:.1f} % of -π"

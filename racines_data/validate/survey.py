@@ -5,27 +5,24 @@
 A trajectory may cross shards: it belongs to the shard in which it begins.
 """
 
-import multiprocessing
-import threading
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from itertools import groupby, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
-import torch
 
-from racines_data.build.staging import die_with_parent
+from racines_data.build.staging import worker_pool
 from racines_data.errors import RacinesError
 from racines_data.manifest import manifest_labels
 from racines_data.progress import progress_bar
 from racines_data.records import features_of
 from racines_data.store.frames import FrameStore
-from racines_data.validate.rows import CheckedSweep, Piece, read_piece, run_edges
+from racines_data.store.sweeps import run_edges
+from racines_data.validate.rows import CheckedSweep, Piece, read_piece
 
 WORTH_WORKERS = 8192
 """Frames from which starting worker processes costs less than they save."""
@@ -54,11 +51,7 @@ class Survey:
         return np.repeat(values, [len(sweep) for sweep in self.sweeps])
 
     def raise_faults(self, check: str) -> None:
-        """Raise what was found for a check, if anything.
-
-        Raises:
-            RacinesError: the first reason, and how many more there are.
-        """
+        """Raise the first reason found for a check, if any, and say how many more there are."""
         found = self.faults.get(check, [])
         if found:
             more = f" (and {len(found) - 1} more trajectories)" if len(found) > 1 else ""
@@ -78,50 +71,22 @@ def plan_pieces(root: Path, manifest: dict[str, Any], config: str) -> list[Piece
         for name in names:
             if not pq.read_schema(root / name).equals(schema):
                 raise RacinesError(f"{name}: columns differ from the schema of `frames`")
-        runs = list(_runs(root, names))
-        for _, group in groupby(runs, key=lambda run: run[0][0]):
-            parts = _join([part for run in group for part in run])
-            pieces.append(Piece(split, parts, start, manifest.get("poses", True)))
-            start += pieces[-1].frames
+        tables = [pq.read_table(root / name, columns=["trajectory"]) for name in names]
+        ends = np.cumsum([0, *map(len, tables)]).tolist()
+        edges = np.array(run_edges(pa.concat_tables(tables)["trajectory"].to_numpy()) or [0])
+        bounds = pairwise(edges[np.searchsorted(edges, ends)].tolist())
+        for index, (first, stop) in enumerate(bounds):
+            if first < stop:
+                place = first - ends[index], stop - ends[index], start + first
+                pieces.append(Piece(split, names[index:], *place, manifest.get("poses", True)))
+        start += ends[-1]
     return pieces
-
-
-def _runs(root: Path, names: Sequence[str]) -> Iterator[list[tuple[str, int, int]]]:
-    """Yield the parts of each trajectory: file, first row, past-the-last row."""
-    last, run = None, []
-    for name in names:
-        ids = pq.read_table(root / name, columns=["trajectory"])["trajectory"]
-        words = ids.to_numpy()
-        for first, stop in pairwise(run_edges(words)):
-            word = words[first]
-            if run and word != last:
-                yield run
-                run = []
-            run.append((name, first, stop))
-            last = word
-    if run:
-        yield run
-
-
-def _join(parts: Sequence[tuple[str, int, int]]) -> tuple[tuple[str, int, int], ...]:
-    joined = []
-    for name, group in groupby(parts, key=lambda part: part[0]):
-        rows = list(group)
-        joined.append((name, rows[0][1], rows[-1][2]))
-    return tuple(joined)
 
 
 def survey(
     root: Path, manifest: dict[str, Any], config: str, workers: int = 1, progress: bool = False
 ) -> Survey:
-    """Read all rows of a config.
-
-    Args:
-        root: Folder of the dataset.
-        manifest: Its manifest.
-        config: `frames` or `multi_phantom`.
-        workers: Processes that decode and check; small configs are read in this one.
-        progress: Show a progress bar on stderr.
+    """Read all rows of a config in `workers` processes; small configs in this one.
 
     Raises:
         RacinesError: a shard cannot be read at all, or its columns are not those of the schema.
@@ -154,20 +119,11 @@ def _read(
     pieces: Sequence[Piece], given: tuple[Path, str, Sequence[str], bool], workers: int
 ) -> Iterator[tuple[list[CheckedSweep], list[str]]]:
     if workers == 1 or sum(piece.frames for piece in pieces) < WORTH_WORKERS:
-        root, labels, store = _open(*given)
-        for piece in pieces:
-            yield read_piece(root, labels, store, piece)
+        state = _open(*given)
+        yield from (read_piece(*state, piece) for piece in pieces)
         return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _start_worker, given) as pool:
-        try:
-            yield from pool.map(_work, pieces)
-        except BrokenProcessPool as error:
-            raise RacinesError(
-                "a worker process died (out of memory?): run again with fewer --workers"
-            ) from error
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+    with worker_pool(workers, _start, given, "with fewer --workers") as pool:
+        yield from pool.map(_work, pieces)
 
 
 def _open(
@@ -176,11 +132,9 @@ def _open(
     return root, labels, FrameStore(root, config) if stored else None
 
 
-def _start_worker(root: Path, config: str, labels: Sequence[str], stored: bool) -> None:
+def _start(*given: Any) -> None:
     global _state
-    torch.set_num_threads(1)
-    threading.Thread(target=die_with_parent, daemon=True).start()
-    _state = _open(root, config, labels, stored)
+    _state = _open(*given)
 
 
 def _work(piece: Piece) -> tuple[list[CheckedSweep], list[str]]:

@@ -16,8 +16,7 @@ from racines_data.build.dataset import (
 )
 from racines_data.errors import RacinesError
 from racines_data.manifest import read_manifest
-from racines_data.phantom.config import PhantomConfig
-from racines_data.phantom.population import heart_config
+from racines_data.phantom.config import PhantomConfig, heart_config
 from racines_data.sources.multi_phantom import MultiPhantomSource
 from racines_data.sources.phantom import PhantomSource
 from racines_data.store.frames import FrameStore

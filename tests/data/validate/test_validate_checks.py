@@ -18,10 +18,9 @@ from racines_data.validate.duplicates import (
     find_duplicates,
     nearest_distance,
 )
-from racines_data.validate.labels import check_views, view_shares
-from racines_data.validate.oracle import check_rejudged, rejudge
+from racines_data.validate.identity import check_splits
+from racines_data.validate.labels import check_rejudged, check_views, rejudge, view_shares
 from racines_data.validate.rows import CheckedSweep, signatures
-from racines_data.validate.splits import check_splits
 from racines_data.validate.statistics import (
     check_modes,
     check_paper,

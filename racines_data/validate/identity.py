@@ -1,14 +1,18 @@
-"""Checks of the rows together: counts, content digest, splits, clock."""
+"""Checks of files and rows against the manifest: bytes, card, recipe, counts, splits, clock."""
 
+from concurrent.futures import ThreadPoolExecutor
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
+import yaml
 
-from racines_data.digest import content_digest
+from racines_data.digest import content_digest, recipe_digest
 from racines_data.errors import RacinesError
-from racines_data.manifest import MULTI_PHANTOM, config_digest
+from racines_data.files import sha256_file
+from racines_data.manifest import CARD, MULTI_PHANTOM, config_digest, describe
 from racines_data.schema import SPLITS
 from racines_data.validate.survey import Survey
 
@@ -16,12 +20,54 @@ RATE_TOLERANCE = 0.01
 """Largest departure of a time step from the median one, as a share."""
 
 
-def check_counts(survey: Survey, manifest: dict[str, Any]) -> str:
-    """Check the numbers of frames and trajectories of each split.
+def rehash_files(root: Path, manifest: dict[str, Any], workers: int = 1) -> str:
+    """Hash every file again, whatever an earlier check found."""
+    files = manifest["files"]
+    for config, splits in manifest["configs"].items():
+        for name in chain.from_iterable(splits.values()):
+            if name not in files:
+                raise RacinesError(f"{name} of config {config} is not among the manifest's files")
+    for name in files:
+        if not (root / name).is_file():
+            raise RacinesError(f"{name} is missing")
+    with ThreadPoolExecutor(workers) as pool:  # hashing runs outside the interpreter's lock
+        hashes = pool.map(lambda name: sha256_file(root / name), files)
+        for (name, record), found in zip(files.items(), hashes, strict=True):
+            if found != record["sha256"]:
+                raise RacinesError(f"{name} is damaged: its sha256 differs")
+    size = sum(record["bytes"] for record in files.values())
+    return f"{len(files)} files, {size / 1e6:.1f} MB, every sha256 as recorded"
 
-    Raises:
-        RacinesError: they are not those recorded.
-    """
+
+def check_card(root: Path, manifest: dict[str, Any]) -> str:
+    """Check that the card describes this content, and names the manifest's configs and files."""
+    text = (root / CARD).read_text()
+    try:
+        head = yaml.safe_load(text.split("---\n", 2)[1])
+        configs = {config["config_name"]: config for config in head["configs"]}
+        named = {
+            name: {part["split"]: part["path"] for part in config["data_files"]}
+            for name, config in configs.items()
+        }
+    except (yaml.YAMLError, IndexError, KeyError, TypeError) as error:
+        raise RacinesError(f"{CARD}: its YAML header cannot be read: {error}") from error
+    for name, config in configs.items():
+        if config.get("description") != describe(manifest, name):
+            raise RacinesError(f"{CARD} describes another dataset: its digest or source differs")
+    if named != manifest["configs"]:
+        raise RacinesError(f"{CARD} names other configs, splits or files than the manifest")
+    return f"names the source, the content digest and {len(named)} configs"
+
+
+def check_recipe(manifest: dict[str, Any]) -> str:
+    """Check the recipe digest."""
+    if recipe_digest(manifest["recipe"]) != manifest["recipe_digest"]:
+        raise RacinesError("the recipe does not have the recorded recipe digest")
+    return manifest["recipe_digest"][:16]
+
+
+def check_counts(survey: Survey, manifest: dict[str, Any]) -> str:
+    """Check the numbers of frames and trajectories of each split against those recorded."""
     many = survey.config == MULTI_PHANTOM
     recorded = (manifest[MULTI_PHANTOM] if many else manifest["counts"])["splits"]
     for split in SPLITS:
@@ -36,11 +82,7 @@ def check_counts(survey: Survey, manifest: dict[str, Any]) -> str:
 
 
 def check_content(survey: Survey, manifest: dict[str, Any]) -> str:
-    """Check the content digest.
-
-    Raises:
-        RacinesError: the rows do not have it.
-    """
+    """Check the content digest."""
     rows = ((sweep.split, sweep.id, sweep.digest) for sweep in survey.sweeps)
     wanted = config_digest(manifest, survey.config)
     if content_digest(rows) != wanted:
@@ -49,16 +91,11 @@ def check_content(survey: Survey, manifest: dict[str, Any]) -> str:
 
 
 def check_splits(survey: Survey, root: Path, manifest: dict[str, Any]) -> str:
-    """Check that no trajectory, and in `multi_phantom` no heart, is in two splits.
-
-    Raises:
-        RacinesError: one is, or the config `trajectories` or `sessions` says otherwise.
-    """
+    """Check that no trajectory, and in `multi_phantom` no heart, is in two splits."""
     _check_apart("trajectory", [(sweep.id, sweep.split) for sweep in survey.sweeps])
     if survey.config == MULTI_PHANTOM:
         _check_apart("heart", [(f"{sweep.phantom}", sweep.split) for sweep in survey.sweeps])
-        hearts = len({sweep.phantom for sweep in survey.sweeps})
-        return f"{hearts} hearts, each in one split"
+        return f"{len({sweep.phantom for sweep in survey.sweeps})} hearts, each in one split"
     _check_listed(survey, root, manifest)
     held = manifest["held_out_session"]
     if "sessions" in manifest["configs"]:
@@ -80,8 +117,7 @@ def _check_listed(survey: Survey, root: Path, manifest: dict[str, Any]) -> None:
     keys = ("trajectory", "session", "target_view", "phantom", "split", "frames", "digest")
     listed = {
         row["trajectory"]: tuple(row[key] for key in keys)
-        for names in manifest["configs"]["trajectories"].values()
-        for name in names
+        for name in chain.from_iterable(manifest["configs"]["trajectories"].values())
         for row in pq.read_table(root / name).to_pylist()
     }
     found = {
@@ -108,30 +144,23 @@ def _check_held_out(root: Path, splits: dict[str, list[str]], held: str | None) 
 
 
 def check_times(survey: Survey) -> str:
-    """Check that time goes forward in each trajectory.
-
-    Raises:
-        RacinesError: it stands still or goes back.
-    """
+    """Check that time goes forward in each trajectory."""
     for sweep in survey.sweeps:
-        if (np.diff(sweep.timestamps) <= 0).any():
-            row = int(np.flatnonzero(np.diff(sweep.timestamps) <= 0)[0])
-            raise RacinesError(f"trajectory {sweep.id}: time does not go on after frame {row}")
+        halts = np.flatnonzero(np.diff(sweep.timestamps) <= 0)
+        if len(halts):
+            raise RacinesError(f"trajectory {sweep.id}: time does not go on after frame {halts[0]}")
     total = sum(float(sweep.timestamps[-1] - sweep.timestamps[0]) for sweep in survey.sweeps)
     return f"increasing in every trajectory, {total:.0f} s in all"
 
 
 def check_rate(survey: Survey) -> str:
-    """Check that all frames are equally far apart in time.
-
-    Raises:
-        RacinesError: some are not: frames were lost, or the clock wavers.
-    """
-    steps = [np.diff(sweep.timestamps) for sweep in survey.sweeps if len(sweep) > 1]
-    if not steps:
+    """Check that all frames are equally far apart in time."""
+    sweeps = [sweep for sweep in survey.sweeps if len(sweep) > 1]
+    if not sweeps:
         return "no trajectory has two frames"
+    steps = [np.diff(sweep.timestamps) for sweep in sweeps]
     step = float(np.median(np.concatenate(steps)))
-    for sweep, each in zip((s for s in survey.sweeps if len(s) > 1), steps, strict=True):
+    for sweep, each in zip(sweeps, steps, strict=True):
         off = np.abs(each / step - 1)
         if not (off <= RATE_TOLERANCE).all():
             row = int(np.argmax(off))
