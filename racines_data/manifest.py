@@ -30,11 +30,7 @@ def rebuild_hint(manifest: Mapping[str, Any]) -> str:
 
 
 def read_manifest(root: Path) -> dict[str, Any]:
-    """Read the manifest of a dataset.
-
-    Raises:
-        RacinesError: there is no dataset, or its manifest is damaged.
-    """
+    """Read a manifest; raise `RacinesError` if there is no dataset, or its manifest is damaged."""
     path = root / MANIFEST
     if not path.is_file():
         raise RacinesError(
@@ -60,11 +56,7 @@ def manifest_labels(manifest: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def check_split(split: str) -> str:
-    """Return the split if it is one.
-
-    Raises:
-        RacinesError: it is not.
-    """
+    """Return the split if it is one; else raise `RacinesError`."""
     from racines_data.schema import SPLITS
 
     if split not in SPLITS:
@@ -79,10 +71,6 @@ STORES = ("frames", MULTI_PHANTOM)
 def store_name(config: str) -> str:
     """Return the file of a config's store in the dataset."""
     return f"store/{config}.arrow"
-
-
-STORE = store_name("frames")
-"""The store of the default config."""
 
 
 def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:

@@ -13,7 +13,7 @@ from types import ModuleType
 
 MOVED = {
     "racines_data": "card_style=plotting",
-    "racines_data.build": "canonical shards splits staging writer",
+    "racines_data.build": "canonical=writer shards=writer splits staging writer",
     "racines_data.card": (
         "card_frames=frames card_paths=paths card_pictures=pictures card_plots=plots "
         "card_realism=realism card_rewrite=rewrite card_samples=samples "
@@ -32,11 +32,11 @@ MOVED = {
     ),
     "racines_data.sources.tracked": "sources.mha=mha",
     "racines_data.store": (
-        "batch_memory=frames export.sweeps=sweeps loader restore=writer store_writer=writer"
+        "batch_memory=frames export.sweeps=sweeps loader=frames restore=writer store_writer=writer"
     ),
     "racines_data.validate": (
         "validate_duplicates=duplicates validate_files=identity validate_labels=labels "
-        "validate_oracle=labels validate_report=run validate_rows=rows "
+        "validate_oracle=labels validate_report=run validate_rows=survey "
         "validate_splits=identity validate_statistics=statistics validate_survey=survey"
     ),
     "racines_envs.agents": "agents.trace=trace_agent rollout trace=trace_file",

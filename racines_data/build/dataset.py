@@ -16,10 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from racines_data.build.shards import Part
 from racines_data.build.splits import assign_group_splits, assign_splits, held_out_session
 from racines_data.build.staging import stage_units, staging_folder
-from racines_data.build.writer import write_dataset
+from racines_data.build.writer import Part, write_dataset
 from racines_data.config import Settings, fill, section
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
@@ -27,8 +26,7 @@ from racines_data.files import recover_folder, swap_folder
 from racines_data.manifest import MANIFEST, MULTI_PHANTOM
 from racines_data.sources.base import Finding, Source, Unit, source_class, source_names
 
-FORMAT = 3
-"""Version of the layout of units, shards and store; part of every recipe."""
+FORMAT = 3  # version of the layout of units, shards and store; part of every recipe
 
 
 @dataclass(frozen=True)
@@ -92,9 +90,6 @@ def make_multi_phantom(
     """Make the source of many hearts that goes with the phantom; none if no hearts are asked for.
 
     Other sources have no other hearts: the section is then left unread.
-
-    Raises:
-        RacinesError: unknown or impossible settings.
     """
     from racines_data.sources.multi_phantom import MultiPhantomSource
     from racines_data.sources.phantom import PhantomSource
@@ -162,8 +157,7 @@ def build(
 def recipe_of(values: Mapping[str, Any]) -> str:
     """Return the recipe digest of the dataset that a `data` section builds; nothing is built.
 
-    Raises:
-        RacinesError: as `build`; so for recordings, whose recipe is known once they are read.
+    That of recordings is known once they are read: here they are refused.
     """
     config, sections = read_data_section(values)
     source = make_source(config, sections.get(config.source))

@@ -13,11 +13,12 @@ import multiprocessing.connection
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pyarrow as pa
 import torch
@@ -30,18 +31,15 @@ from racines_data.records import check_trajectory, pixels_array, trajectory_to_t
 from racines_data.sources.base import Source, Unit, has_poses, labels_of_source
 
 _DIGEST = b"racines.digest"
-_source: Source | None = None  # a worker's own copy
-Task = list[tuple[Unit, Path]]
-"""Units that one worker makes one after the other, and their files."""
+_state: Any = None  # a worker's own copy
+State, Task, Result = TypeVar("State"), TypeVar("Task"), TypeVar("Result")
 
 
 def staging_folder(out: Path, source: Source, recipe_digest: str) -> AbstractContextManager[Path]:
     """Open the staging folder of a build, beside its output; removed when the build succeeds.
 
-    Its name tells the recipe and the code apart, so that units of another are never taken up.
-
-    Raises:
-        RacinesError: another build of the same dataset is running.
+    Its name tells the recipe and the code apart, so that units of another are never taken up; if
+    another build of the same dataset is running, that is a `RacinesError`.
     """
     code = hashlib.sha256()
     for file in sorted({*Path(__file__).parent.rglob("*.py"), Path(inspect.getfile(type(source)))}):
@@ -73,12 +71,9 @@ def stage_units(
 
     With `by_session` one worker makes all units of a session: for a source to which a session costs
     something (a heart is baked once).
-
-    Raises:
-        RacinesError: the source refuses a unit, or a worker dies.
     """
     (folder / "units").mkdir(parents=True, exist_ok=True)
-    tasks: dict[str | int, Task] = {}
+    tasks: dict[str | int, list[tuple[Unit, Path]]] = {}
     staged = 0
     for index, unit in enumerate(units):
         path = unit_path(folder, index)
@@ -89,7 +84,8 @@ def stage_units(
     with progress_bar(progress) as bar:
         total = sum(unit.frames for unit in units)
         shown = bar.add_task(f"{folder.name} frames", total=total, completed=staged)
-        for frames in _produce(source, list(tasks.values()), workers):
+        remedy = "to go on, with fewer workers"
+        for frames in in_workers(_stage, source, list(tasks.values()), workers, remedy):
             bar.advance(shown, frames)
 
 
@@ -101,35 +97,30 @@ def _is_staged(path: Path) -> bool:
     return True
 
 
-def _produce(source: Source, tasks: Sequence[Task], workers: int) -> Iterator[int]:
-    """Do the tasks; yield the number of frames of each when it is done."""
+def in_workers(
+    work: Callable[[State, Task], Result],
+    state: State,
+    tasks: Sequence[Task],
+    workers: int,
+    remedy: str,
+) -> Iterator[Result]:
+    """Yield `work(state, task)` of each task, in order, from processes of one thread each.
+
+    The state is pickled to each process once. One worker, or one task, is this process. If a worker
+    dies, the `RacinesError` tells to run again, and the remedy.
+    """
     if workers == 1 or len(tasks) < 2:
         threads = torch.get_num_threads()
         torch.set_num_threads(1)  # as in a worker: the number of threads may change last bits
         try:
-            for task in tasks:
-                yield _stage(source, task)
+            yield from (work(state, task) for task in tasks)
         finally:
             torch.set_num_threads(threads)
         return
-    with worker_pool(workers, _take, (source,), "to go on, with fewer workers") as pool:
-        for future in as_completed([pool.submit(_work, task) for task in tasks]):
-            yield future.result()
-
-
-@contextmanager
-def worker_pool(
-    workers: int, start: Callable[..., None], given: tuple[Any, ...], remedy: str
-) -> Iterator[ProcessPoolExecutor]:
-    """Give processes of one thread each, in which `start(*given)` runs first.
-
-    Raises:
-        RacinesError: a worker died; its message tells to run again, and the remedy.
-    """
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _start_worker, (start, given)) as pool:
+    with ProcessPoolExecutor(workers, context, _start_worker, (state,)) as pool:
         try:
-            yield pool
+            yield from pool.map(partial(_in_worker, work), tasks)
         except BrokenProcessPool as error:
             raise RacinesError(
                 f"a worker process died (out of memory?): run again {remedy}"
@@ -138,10 +129,11 @@ def worker_pool(
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _start_worker(start: Callable[..., None], given: tuple[Any, ...]) -> None:
+def _start_worker(state: Any) -> None:
+    global _state
+    _state = state
     torch.set_num_threads(1)
     threading.Thread(target=_die_with_parent, daemon=True).start()
-    start(*given)
 
 
 def _die_with_parent() -> None:
@@ -152,20 +144,14 @@ def _die_with_parent() -> None:
         os._exit(1)
 
 
-def _take(source: Source) -> None:
-    global _source
-    _source = source
+def _in_worker(work: Callable[[Any, Task], Result], task: Task) -> Result:
+    return work(_state, task)
 
 
-def _work(task: Task) -> int:
-    assert _source is not None
-    return _stage(_source, task)
-
-
-def _stage(source: Source, task: Task) -> int:
-    """Make the units of a task; return the number of frames that were expected of them."""
+def _stage(source: Source, members: Sequence[tuple[Unit, Path]]) -> int:
+    """Make some units, each into its file; return the number of frames expected of them."""
     labels = labels_of_source(source)
-    for unit, path in task:
+    for unit, path in members:
         trajectory = source.produce(unit)
         check_trajectory(trajectory, unit, labels, has_poses(source))
         table = trajectory_to_table(trajectory, source.name, labels)
@@ -176,4 +162,4 @@ def _stage(source: Source, task: Task) -> int:
         with pa.OSFile(str(aside), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
             writer.write_table(table)
         os.replace(aside, path)
-    return sum(unit.frames for unit, _ in task)
+    return sum(unit.frames for unit, _ in members)

@@ -41,14 +41,10 @@ TISSUES = (
  STONE) = range(len(TISSUES))  # fmt: skip
 
 MM = 1e-3
-TOP = (0.490, 0.010, 0.065)
-"""The organ's origin in the base frame, m."""
-LENGTH, WIDTH, THICKNESS = 105.0, 52.0, 48.0
-"""Outer size of the canonical kidney, mm."""
-KIDNEY = (12.0, -14.0, -78.0)
-"""Its centre, mm."""
-NECK, FUNDUS = (-26.0, 40.0, -80.0), (28.0, 29.0, -58.0)
-"""Ends of the gallbladder's axis, mm."""
+TOP = (0.490, 0.010, 0.065)  # the organ's origin in the base frame, m
+LENGTH, WIDTH, THICKNESS = 105.0, 52.0, 48.0  # outer size of the canonical kidney, mm
+KIDNEY = (12.0, -14.0, -78.0)  # its centre, mm
+NECK, FUNDUS = (-26.0, 40.0, -80.0), (28.0, 29.0, -58.0)  # ends of the gallbladder's axis, mm
 SIDEWAYS = (0.0, 0.25, -1.0)
 """The beam that looks at the kidney through the liver, from the front and the right."""
 
@@ -56,18 +52,12 @@ SIDEWAYS = (0.0, 0.25, -1.0)
 class Variation(NamedTuple):
     """What a seed decides."""
 
-    kidney: float = 1.0
-    """Size of the kidney."""
-    sinus: float = 1.0
-    """Size of the renal sinus in the kidney; a larger one leaves less parenchyma."""
-    gallbladder: float = 1.0
-    """Width of the gallbladder."""
-    turn: float = 0.0
-    """Rotation of everything about the vertical, rad."""
-    tilt: float = 0.0
-    """How much more the lower pole lies to the front, slope."""
-    stone: float = 0.0
-    """Radius of a gallstone, mm; none if 0."""
+    kidney: float = 1.0  # size of the kidney
+    sinus: float = 1.0  # size of the renal sinus in the kidney; a larger one leaves less parenchyma
+    gallbladder: float = 1.0  # width of the gallbladder
+    turn: float = 0.0  # rotation of everything about the vertical, rad
+    tilt: float = 0.0  # how much more the lower pole lies to the front, slope
+    stone: float = 0.0  # radius of a gallstone, mm; none if 0
 
 
 def abdomen(seed: int = 0) -> Anatomy:

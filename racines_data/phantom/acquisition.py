@@ -54,18 +54,13 @@ class AcquisitionConfig:
 class PlannedSweep(NamedTuple):
     """One trajectory of T poses."""
 
-    pose: Pose
-    """Where the probe truly is."""
-    velocity: Tensor
-    """(T, 6) true velocity, m/s and rad/s, base frame."""
-    control: Tensor
-    """(T, 6) commanded velocity, without the tremor."""
-    times: Tensor
-    """(T,) float64 seconds."""
+    pose: Pose  # where the probe truly is
+    velocity: Tensor  # (T, 6) true velocity, m/s and rad/s, base frame
+    control: Tensor  # (T, 6) commanded velocity, without the tremor
+    times: Tensor  # (T,) float64 seconds
 
 
-DWELL = 0.53
-"""Share of a trajectory's frames in which the view is held."""
+DWELL = 0.53  # share of a trajectory's frames in which the view is held
 
 
 def plan_lengths(config: AcquisitionConfig) -> list[int]:

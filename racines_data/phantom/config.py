@@ -24,8 +24,7 @@ _SPREAD = {
     "haze": 7.0,  # dB: what differs most from one patient to the next
 }
 """How far an examination's settings stray from the base probe's, either way."""
-COVER = 2.5
-"""Most unevenness of the cover, dB/cm/MHz."""
+COVER = 2.5  # most unevenness of the cover, dB/cm/MHz
 
 
 @dataclass(frozen=True)
@@ -152,10 +151,7 @@ class PhantomConfig:
 
 
 def heart_config(base: PhantomConfig, seed: int) -> PhantomConfig:
-    """Return the phantom of another heart, with scatterers of its own, as another examiner sees it.
-
-    `seed` is the anatomy's, 1 or more; 0 is the canonical heart.
-    """
+    """Return the phantom of another heart (1 or more), with its own scatterers and examiner."""
     cover = COVER * uniform(sample_seeds(seed, 1), 1, _STREAM + 1).item()
     block = replace(base.block, seed=base.block.seed + 10 * seed, cover=cover)
     draw = uniform(sample_seeds(seed, 1), len(_SPREAD), _STREAM)[0].tolist()
@@ -175,11 +171,7 @@ def phantom_settings(manifest: Mapping[str, Any], config: str) -> dict[str, Any]
 
 
 def recorded_phantom(manifest: dict[str, Any]) -> PhantomConfig:
-    """Return the phantom that a dataset was acquired from.
-
-    Raises:
-        RacinesError: the frames are no phantom's, or of another version of it.
-    """
+    """Return the phantom of a dataset; `RacinesError` if it has none, or one of another version."""
     found = phantom_settings(manifest, "frames")
     if found is None:
         raise RacinesError(

@@ -39,16 +39,10 @@ W = (0.0, 0.0, 1.0)
 # Up in the organ frame: apex, anterior and right side face the scanned surface, so that the
 # apical, subcostal and parasternal windows all lie on one flat top.
 DOWN = (0.45, -0.60, -0.66)
-HEADING = 3.83
-"""Rotation of the heart about the vertical, rad."""
-ORIGIN = (0.4673, 0.0013, 0.0)
-"""x and y of the heart's reference point in the base frame, m; z comes from APEX_DEPTH."""
-HOME = (0.4830, 0.0595, 0.0, -0.116, 0.070, 1.98)
-WANDER = (0.5070, 0.0350, 1.80)
-REFERENCE = (0.0, 0.0, 35.0)
-"""The reference point: the middle of the LV, organ frame, mm."""
-REFERENCE_DEPTH = 0.0575
-"""Depth of the reference point under the surface at z = 0.065, m."""
+HEADING = 3.83  # rotation of the heart about the vertical, rad
+ORIGIN = (0.4673, 0.0013)  # x and y of the heart's reference point in the base frame, m
+REFERENCE = (0.0, 0.0, 35.0)  # the reference point: the middle of the LV, organ frame, mm
+REFERENCE_DEPTH = 0.0575  # depth of the reference point under the surface at z = 0.065, m
 
 
 @dataclass(frozen=True)
@@ -56,27 +50,17 @@ class _Form:
     """What varies from heart to heart; the defaults are the canonical heart."""
 
     size: float = 1.0
-    wall: float = 1.0
-    """Thickness of the walls."""
-    turn: float = 0.0
-    """Rotation about the vertical, rad."""
-    ventricle: float = 1.0
-    """Width of the left ventricle against its length."""
-    right: float = 1.0
-    """Width of the right ventricle."""
-    atria: float = 1.0
-    """Radius of the atria."""
-    gel: float = -13.0
-    """Backscatter of the surroundings, dB, and how unevenly they scatter, dB."""
-    unevenness: float = 1.0
-    blood: float = -34.0
-    """Backscatter of blood, dB."""
-    patchiness: float = 3.5
-    """Slow variation of the walls' backscatter, dB."""
-    grain: float = 0.0
-    """Fine variation of the surroundings' backscatter, dB."""
-    layers: float = 0.0
-    """Share of the surroundings that is layers of connective tissue; a gel block has none."""
+    wall: float = 1.0  # thickness of the walls
+    turn: float = 0.0  # rotation about the vertical, rad
+    ventricle: float = 1.0  # width of the left ventricle against its length
+    right: float = 1.0  # width of the right ventricle
+    atria: float = 1.0  # radius of the atria
+    gel: float = -13.0  # backscatter of the surroundings, dB
+    unevenness: float = 1.0  # how unevenly they scatter, dB
+    blood: float = -34.0  # backscatter of blood, dB
+    patchiness: float = 3.5  # slow variation of the walls' backscatter, dB
+    grain: float = 0.0  # fine variation of the surroundings' backscatter, dB
+    layers: float = 0.0  # share of the surroundings that is layers of connective tissue
     layer_seed: int = 0
 
 
@@ -99,8 +83,8 @@ def heart(seed: int = 0) -> Anatomy:
         views=tuple(replace(view, focus=_scaled(view.focus, size)) for view in _VIEWS),
         axes=axes,
         origin=origin,
-        home=HOME,
-        wander=WANDER,
+        home=(0.4830, 0.0595, 0.0, -0.116, 0.070, 1.98),
+        wander=(0.5070, 0.0350, 1.80),
     )
 
 
@@ -282,6 +266,6 @@ def _placement(turn: float) -> tuple[tuple[Point, ...], Point]:
     base_y = sin * forward + cos * side
     axes = torch.stack([base_x, base_y, -down], dim=-1)  # row i: organ axis i in base coordinates
     reference = torch.tensor(REFERENCE, dtype=torch.float64) * MM
-    target = torch.tensor([*ORIGIN[:2], 0.065 - REFERENCE_DEPTH], dtype=torch.float64)
+    target = torch.tensor([*ORIGIN, 0.065 - REFERENCE_DEPTH], dtype=torch.float64)
     origin = target - axes.T @ reference
     return tuple(to_point(row) for row in axes), to_point(origin)

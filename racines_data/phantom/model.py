@@ -21,14 +21,12 @@ from racines_data.randomness import derive, sample_seeds
 from racines_data.views import labels_of
 from racines_data.world import Truth, Workspace, World
 
-CHUNK = 64
-"""Frames rendered at once: bounds the memory of the polar grids (about 1 MB a frame)."""
+CHUNK = 64  # frames rendered at once: bounds the memory of the polar grids (about 1 MB a frame)
 CACHED = {"cpu": 16}
 """Frames whose polar grids are worked on at once by device type, else the chunk: sixteen fit the
 caches of a CPU, two threads included. The coupling of a chunk is computed at once all the same,
 since a CPU may round it otherwise in what is left after the last full vector."""
-VECTORS = 32
-"""Rows that fill whole vectors of a CPU, whatever their columns."""
+VECTORS = 32  # rows that fill whole vectors of a CPU, whatever their columns
 
 
 class Phantom(World):
@@ -120,10 +118,7 @@ class Phantom(World):
         return contact.coupling(pose, self.surface_height, self.config.probe)
 
     def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
-        """Return (B, 6) force, N, and torque, N·m, at the wrist sensor in the probe's axes.
-
-        `velocity` is (B, 6), m/s and rad/s in the base frame; at rest if absent.
-        """
+        """Return (B, 6) force, N, and torque, N·m, at the wrist sensor in the probe's axes."""
         return contact.wrench(pose, velocity, self.surface_height, self.config.contact)
 
     def truth(self, parameters: Tensor) -> Truth:
@@ -149,11 +144,7 @@ class Phantom(World):
         return Truth(*(each[:count] for each in truth))
 
     def target(self, view: str) -> Pose:
-        """Return the nominal pose of a view, a batch of one.
-
-        Raises:
-            RacinesError: the anatomy has no such view.
-        """
+        """Return the nominal pose of a view, a batch of one; `RacinesError` if there is none."""
         if view not in self.views:
             raise RacinesError(f"unknown view {view!r}: choose one of {', '.join(self.views)}")
         row = self.views.index(view)
@@ -161,24 +152,17 @@ class Phantom(World):
 
 
 def _workspace(config: WorkspaceConfig, block: BlockConfig, device: torch.device) -> Workspace:
-    low = [block.minimum[0] + config.margin, block.minimum[1] + config.margin, config.lowest]
-    high = [block.maximum[0] - config.margin, block.maximum[1] - config.margin, config.highest]
-    return Workspace(
-        torch.tensor(low, device=device),
-        torch.tensor(high, device=device),
-        config.tilt_max,
-        config.yaw_max,
-    )
+    low = [*(edge + config.margin for edge in block.minimum[:2]), config.lowest]
+    high = [*(edge - config.margin for edge in block.maximum[:2]), config.highest]
+    corners = torch.tensor([low, high], device=device)
+    return Workspace(*corners, config.tilt_max, config.yaw_max)
 
 
 def shared_phantom(config: PhantomConfig | None = None, device: str = "cpu") -> Phantom:
-    """Return the one phantom of a configuration and device in this process.
-
-    Only the last few are kept, so that work on many hearts does not fill the memory.
-    """
+    """Return the one phantom of a configuration and device in this process."""
     return _baked(config or PhantomConfig(), device)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=2)  # few, so that work on many hearts does not fill the memory
 def _baked(config: PhantomConfig, device: str) -> Phantom:
     return Phantom(config, device)

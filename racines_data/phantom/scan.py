@@ -13,16 +13,11 @@ from racines_data.phantom.config import ProbeConfig
 class ScanConverter(NamedTuple):
     """Speckle reduction, then bilinear weights from the polar grid to the sector's pixels."""
 
-    smooth_beams: Tensor
-    """(L, L) from the left."""
-    smooth_samples: Tensor
-    """(S, S) from the right."""
-    pixels: Tensor
-    """(P,) int64 flat indices of the pixels inside the sector."""
-    taps: Tensor
-    """(4 * P,) int64 flat indices into the (beams, samples) grid."""
-    weights: Tensor
-    """(4, P) float32."""
+    smooth_beams: Tensor  # (L, L) from the left
+    smooth_samples: Tensor  # (S, S) from the right
+    pixels: Tensor  # (P,) int64 flat indices of the pixels inside the sector
+    taps: Tensor  # (4 * P,) int64 flat indices into the (beams, samples) grid
+    weights: Tensor  # (4, P) float32
 
     def convert(self, polar: Tensor) -> Tensor:
         """Turn (B, beams, samples) gray levels 0-255 into (B, 128, 128) uint8 images."""
@@ -54,8 +49,8 @@ def scan_converter(probe: ProbeConfig, device: torch.device) -> ScanConverter:
     weights = torch.stack([(1 - fb) * (1 - fs), (1 - fb) * fs, fb * (1 - fs), fb * fs])
     along, across = probe.smoothing
     converter = ScanConverter(
-        smooth_beams=_averaging(probe.beams, across),
-        smooth_samples=_averaging(probe.samples, along).T.contiguous(),
+        smooth_beams=averaging(probe.beams, across, 3),
+        smooth_samples=averaging(probe.samples, along, 3).T.contiguous(),
         pixels=inside.flatten().nonzero().squeeze(1),
         taps=taps.flatten(),
         weights=weights,
@@ -63,11 +58,9 @@ def scan_converter(probe: ProbeConfig, device: torch.device) -> ScanConverter:
     return ScanConverter(*(part.to(device) for part in converter))
 
 
-def _averaging(size: int, sigma: float) -> Tensor:
+def averaging(size: int, sigma: float, reach: float | None = None) -> Tensor:
     """Return the matrix of a Gaussian average over neighbours; rows sum to one."""
-    if sigma <= 0:
-        return torch.eye(size)
-    matrix = gaussian_matrix(size, sigma, 3)
+    matrix = gaussian_matrix(size, sigma, reach) if sigma > 0 else torch.eye(size)
     return matrix / matrix.sum(1, keepdim=True)
 
 

@@ -25,14 +25,10 @@ WINDOW_FREE, WINDOW_LOST = 0.015, 0.035
 class Oracle(NamedTuple):
     """Landmarks and views of an anatomy in the base frame."""
 
-    centres: Tensor
-    """(S, 3) m."""
-    radii: Tensor
-    """(S,) m."""
-    weights: Tensor
-    """(V, S), rows sum to one."""
-    targets: Pose
-    """(V,) nominal poses."""
+    centres: Tensor  # (S, 3) m
+    radii: Tensor  # (S,) m
+    weights: Tensor  # (V, S), rows sum to one
+    targets: Pose  # (V,) nominal poses
 
     def judge(self, pose: Pose, probe: ProbeConfig, coupling: Tensor) -> Truth:
         """Judge (B,) poses whose (B, beams) coupling is known."""

@@ -11,20 +11,13 @@ from racines_data.phantom.anatomy import Anatomy
 from racines_data.phantom.config import BlockConfig
 from racines_data.randomness import normal, sample_seeds
 
-ATTENUATION_STEP = 0.02
-"""dB/cm/MHz of one unit of the packed attenuation byte."""
-SCATTERER_STEP = 5e-4
-"""Amplitude of one unit of a packed scatterer; myocardium has 1, blood 0.02."""
-SCATTER_BLUR = 0.5
-"""Correlation of scatterers, voxels."""
-REFLECTOR_STEP = 0.002
-"""Impedance difference (MRayl a voxel) of one unit of a packed gradient byte."""
-SHEET = 5.0
-"""Length of a sheet's normal, in units of the packed gradient: too short to shine as a mirror."""
-ALONG_SHEETS = 0.5
-"""Amplitude of a sheet's echo along it against across (Mottley & Miller 1988: 5 to 6 dB)."""
-COVER = 0.006, 0.014
-"""Depth at which the cover lies, m."""
+ATTENUATION_STEP = 0.02  # dB/cm/MHz of one unit of the packed attenuation byte
+SCATTERER_STEP = 5e-4  # amplitude of one unit of a packed scatterer; myocardium has 1, blood 0.02
+SCATTER_BLUR = 0.5  # correlation of scatterers, voxels
+REFLECTOR_STEP = 0.002  # impedance difference (MRayl a voxel) of one unit of a packed gradient byte
+SHEET = 5.0  # length of a sheet's normal, packed gradient: too short to shine as a mirror
+ALONG_SHEETS = 0.5  # echo along a sheet against across (Mottley & Miller 1988: 5 to 6 dB)
+COVER = 0.006, 0.014  # depth at which the cover lies, m
 
 
 class Volume(NamedTuple):
@@ -34,11 +27,9 @@ class Volume(NamedTuple):
     gradient, three int8 in `REFLECTOR_STEP`. Byte 7: attenuation, uint8 in `ATTENUATION_STEP`.
     """
 
-    packed: Tensor
-    """(X * Y * Z,) int64, z fastest, since beams run mostly along z."""
+    packed: Tensor  # (X * Y * Z,) int64, z fastest, since beams run mostly along z
     shape: tuple[int, int, int]
-    origin: Tensor
-    """(3,) float32 centre of voxel (0, 0, 0), base frame, m."""
+    origin: Tensor  # (3,) float32 centre of voxel (0, 0, 0), base frame, m
     voxel: float
 
 

@@ -15,9 +15,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
-from racines_data.digest import check_files
+from racines_data.digest import checked_shards
 from racines_data.errors import RacinesError
-from racines_data.manifest import check_split, read_manifest, rebuild_hint
+from racines_data.manifest import read_manifest
 
 _BATCH = 1024
 
@@ -27,8 +27,7 @@ class Sweep:
     """One trajectory of T frames, and its split."""
 
     split: str
-    table: pa.Table
-    """T rows of the `frames` config, in order."""
+    table: pa.Table  # T rows of the `frames` config, in order
 
     def __len__(self) -> int:
         return len(self.table)
@@ -63,23 +62,13 @@ def read_sweeps(
     """
     if limit is not None and limit < 1:
         raise RacinesError(f"limit {limit}: give one frame or more")
-    manifest = read_manifest(root)
-    if config not in manifest["configs"]:
-        raise RacinesError(f"{root}: unknown config {config!r}")
-    shards = manifest["configs"][config]
-    if split is not None and check_split(split) not in shards:
-        raise RacinesError(f"{root}: config {config!r} has no split {split!r}: too few rows")
-    wanted = {name: paths for name, paths in shards.items() if split in (None, name)}
-    files = {path: manifest["files"][path] for paths in wanted.values() for path in paths}
-    check_files(root, files, rebuild_hint(manifest))
+    wanted = checked_shards(root, read_manifest(root), config, split)
     left = limit
     for name, paths in wanted.items():
         for table in trajectories(root, paths):
-            part = table if left is None else table.slice(0, left)
-            if len(part):
-                yield Sweep(name, part)
-            left = None if left is None else left - len(part)
-            if left == 0:
+            yield Sweep(name, table.slice(0, left))
+            left = None if left is None else left - len(table)
+            if left is not None and left <= 0:
                 return
 
 
@@ -111,10 +100,7 @@ def run_edges(values: np.ndarray) -> list[int]:
 def new_folder(out: Path) -> Iterator[Path]:
     """Give a folder beside `out` to write in; it becomes `out` when the block ends without error.
 
-    What a killed run has left there is written again.
-
-    Raises:
-        RacinesError: `out` exists.
+    What a killed run has left there is written again; an `out` that exists is refused.
     """
     if out.exists():
         raise RacinesError(f"{out}: exists; name a new folder or remove it")

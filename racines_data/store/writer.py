@@ -32,8 +32,7 @@ def write_store(
     Args:
         path: The file to write.
         tables: Gives the rows of `frames` with a `pixels` column, one table a trajectory.
-        trajectories: `trajectory`, `session`, `target_view`, `phantom`, `split` and `frames` of
-            each; those of a split follow one another.
+        trajectories: Identity, `split` and `frames` of each, in the order of the splits.
     """
     splits, start = {}, 0
     for split in SPLITS:
@@ -88,10 +87,7 @@ def restore_stores(root: Path) -> list[str]:
     """Make the training stores that a dataset names and lacks, from its shards; return their paths.
 
     Equal pixels and numbers; should another pyarrow lay the file out otherwise, the manifest here
-    gets its sha256.
-
-    Raises:
-        RacinesError: a damaged shard, or a folder that cannot be written.
+    gets its sha256. A damaged shard, or a folder that cannot be written, is a `RacinesError`.
     """
     made = []
     for config in STORES:

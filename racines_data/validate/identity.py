@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import yaml
+from PIL import Image
 
 from racines_data.digest import content_digest, recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_data.manifest import CARD, MULTI_PHANTOM, config_digest, describe
+from racines_data.manifest import CARD, MULTI_PHANTOM, config_digest, describe, read_manifest
 from racines_data.schema import SPLITS
 from racines_data.validate.survey import Survey
 
-RATE_TOLERANCE = 0.01
-"""Largest departure of a time step from the median one, as a share."""
+RATE_TOLERANCE = 0.01  # largest departure of a time step from the median one, as a share
+TOLERANCE = 1  # gray levels by which canonical frames of one version may differ
 
 
 def rehash_files(root: Path, manifest: dict[str, Any], workers: int = 1) -> str:
@@ -168,3 +169,26 @@ def check_rate(survey: Survey) -> str:
                 f"trajectory {sweep.id}: {each[row]:.4g} s after frame {row}, elsewhere {step:.4g}"
             )
     return f"{1 / step:.4g} frames a second throughout"
+
+
+def same_version(root: Path, other: Path) -> str:
+    """Check that two builds are of one version, and say how they differ.
+
+    Floating point differs in the last bit between processors, so that a rebuild elsewhere may
+    differ by one gray level in a few pixels, and its content digest with it. It is the same version
+    if it has the same recipe, and canonical frames within one gray level.
+    """
+    one, two = read_manifest(root), read_manifest(other)
+    for key in ("source", "version", "recipe_digest"):
+        if one[key] != two[key]:
+            raise RacinesError(f"{key} is {one[key]} here and {two[key]} in {other}")
+    more = [manifest.get(MULTI_PHANTOM, {}) for manifest in (one, two)]
+    if one["digest"] == two["digest"] and more[0].get("digest") == more[1].get("digest"):
+        return "equal, byte for byte"
+    furthest = 0
+    for frame in [*one["canonical"], *more[0].get("canonical", [])]:
+        images = [np.asarray(Image.open(folder / frame["file"]), int) for folder in (root, other)]
+        furthest = max(furthest, int(np.abs(images[0] - images[1]).max()))
+    if furthest > TOLERANCE:
+        raise RacinesError(f"canonical frames differ by {furthest} gray levels from {other}")
+    return f"same recipe; content differs, canonical frames by {furthest} gray level at most"

@@ -22,15 +22,12 @@ from racines_data.phantom.model import Phantom
 from racines_data.validate.survey import Survey
 from racines_data.views import RANDOM
 
-SAMPLE = 2048
-"""Frames judged again, at even distances over the whole config."""
-HEARTS = 3
-"""Hearts of `multi_phantom` judged again: each has to be made first, which takes seconds."""
+SAMPLE = 2048  # frames judged again, at even distances over the whole config
+HEARTS = 3  # hearts of `multi_phantom` judged again: each has to be made first, which takes seconds
 VIEW_AGREEMENT = 0.97
 """Least share of equal views. The recorded pose has the sensor's noise, the recorded label is of
 the true pose: frames at the edge of a view may fall to either side."""
-GRADE_ERROR = 0.3
-"""Largest median difference of grades, of frames with the same view."""
+GRADE_ERROR = 0.3  # largest median difference of grades, of frames with the same view
 
 
 def check_labels(survey: Survey, labels: tuple[str, ...]) -> str:
@@ -67,15 +64,15 @@ def view_shares(survey: Survey, labels: tuple[str, ...]) -> dict[str, Any]:
     known = views >= 0
     if not known.any():
         return {"frames": {}, "on_target": {}}
-    counts = np.bincount(views[known], minlength=len(labels)) / known.sum()
-    on_target = {}
-    for index, label in enumerate(labels):
-        chosen = known & (target == label)
-        if chosen.any():
-            on_target[label] = float((views[chosen] == index).mean())
+    shares = np.bincount(views[known], minlength=len(labels)) / known.sum()
+    aimed = {label: views[known & (target == label)] for label in labels}
     return {
-        "frames": {label: float(share) for label, share in zip(labels, counts, strict=True)},
-        "on_target": on_target,
+        "frames": dict(zip(labels, shares.tolist(), strict=True)),
+        "on_target": {
+            label: float((aimed[label] == index).mean())
+            for index, label in enumerate(labels)
+            if len(aimed[label])
+        },
     }
 
 
@@ -114,17 +111,11 @@ class Rejudged:
 
     n: int
     view_agreement: float
-    grade_error: float | None
-    """Median absolute difference over frames judged to be of the same view; None if there are
-    none."""
+    grade_error: float | None  # median absolute difference over frames of the same view, if any
 
 
 def rejudge(survey: Survey, manifest: Mapping[str, Any]) -> Rejudged | str:
-    """Judge a sample of poses with the oracle that the recipe names; or say why there is none.
-
-    Raises:
-        RacinesError: the recipe's settings are unknown to this code.
-    """
+    """Judge a sample of poses with the oracle that the recipe names; or say why there is none."""
     settings = phantom_settings(manifest, survey.config)
     if settings is None:
         return "the source has no oracle"

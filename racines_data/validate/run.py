@@ -16,29 +16,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from racines_data.build.canonical import same_version
 from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
 from racines_data.tables import console_table
-from racines_data.validate.duplicates import check_exact, check_near, find_duplicates
-from racines_data.validate.identity import (
-    check_card,
-    check_content,
-    check_counts,
-    check_rate,
-    check_recipe,
-    check_splits,
-    check_times,
-    rehash_files,
-)
-from racines_data.validate.labels import (
-    check_annotation,
-    check_labels,
-    check_rejudged,
-    check_views,
-    rejudge,
-    view_shares,
-)
+from racines_data.validate import duplicates, identity, labels
 from racines_data.validate.statistics import (
     Verdict,
     check_modes,
@@ -61,8 +42,7 @@ class Check:
     name: str
     ok: bool
     detail: str
-    binding: bool = True
-    """Whether the dataset is invalid without it; else it is told and no more."""
+    binding: bool = True  # whether the dataset is invalid without it; else it is told and no more
 
 
 @dataclass(frozen=True)
@@ -105,14 +85,14 @@ def validate(
     """
     manifest = read_manifest(root)
     result = Validation(manifest)
-    result.add("files", lambda: rehash_files(root, manifest, workers))
-    result.add("card", lambda: check_card(root, manifest))
-    result.add("recipe", lambda: check_recipe(manifest))
+    result.add("files", lambda: identity.rehash_files(root, manifest, workers))
+    result.add("card", lambda: identity.check_card(root, manifest))
+    result.add("recipe", lambda: identity.check_recipe(manifest))
     for config in ("frames", MULTI_PHANTOM):
         if config in manifest["configs"]:
             _check_config(result, root, config, workers, progress)
     if against is not None:
-        result.add("same version", lambda: same_version(root, against))
+        result.add("same version", lambda: identity.same_version(root, against))
     return result
 
 
@@ -138,51 +118,47 @@ def _check_config(
         found.raise_faults("store")
         return f"{len(found)} frames, equal to the shards"
 
-    result.add(f"{prefix}counts", lambda: check_counts(found, manifest))
-    result.add(f"{prefix}content", lambda: check_content(found, manifest))
-    result.add(f"{prefix}splits", lambda: check_splits(found, root, manifest))
+    result.add(f"{prefix}counts", lambda: identity.check_counts(found, manifest))
+    result.add(f"{prefix}content", lambda: identity.check_content(found, manifest))
+    result.add(f"{prefix}splits", lambda: identity.check_splits(found, root, manifest))
     result.add(f"{prefix}store", store)
     _check_meaning(result, prefix, found)
-    if config == "frames":
-        _check_paper(result, found)
+    if config != "frames":
+        return
+    parameters = found.column("parameters")
+    result.statistics.update(statistics_of(parameters))
+    if has_paper(manifest):
+        result.verdicts.update(verdicts_of(result.statistics))
+        binding = must_meet_paper(manifest)
+        result.add("paper's table", lambda: check_paper(result.verdicts), binding)
+        result.add("rotation_x", lambda: check_modes(parameters), binding)
 
 
 def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
-    manifest, labels = result.manifest, manifest_labels(result.manifest)
+    manifest, named = result.manifest, manifest_labels(result.manifest)
     simulated = manifest["source"] == "phantom"
     if manifest.get("poses", True):  # single images have neither poses nor times
-        result.add(f"{prefix}times", lambda: check_times(found))
-        result.add(f"{prefix}rate", lambda: check_rate(found), binding=simulated)
-    result.add(f"{prefix}labels", lambda: check_labels(found, labels))
-    shares = view_shares(found, labels)
-    result.add(f"{prefix}views", lambda: check_views(shares), binding=False)
-    result.add(f"{prefix}annotation", lambda: check_annotation(found, manifest, labels))
-    copies = find_duplicates(found)
-    result.add(f"{prefix}copies", lambda: check_exact(copies))
-    result.add(f"{prefix}near-copies", lambda: check_near(copies), binding=simulated)
+        result.add(f"{prefix}times", lambda: identity.check_times(found))
+        result.add(f"{prefix}rate", lambda: identity.check_rate(found), binding=simulated)
+    result.add(f"{prefix}labels", lambda: labels.check_labels(found, named))
+    shares = labels.view_shares(found, named)
+    result.add(f"{prefix}views", lambda: labels.check_views(shares), binding=False)
+    result.add(f"{prefix}annotation", lambda: labels.check_annotation(found, manifest, named))
+    copies = duplicates.find_duplicates(found)
+    result.add(f"{prefix}copies", lambda: duplicates.check_exact(copies))
+    result.add(f"{prefix}near-copies", lambda: duplicates.check_near(copies), binding=simulated)
     figures: dict[str, Any] = {"views": shares, "duplicates": vars(copies)}
     if simulated:
         judged: list[Any] = []
 
         def oracle() -> str:
-            judged.append(rejudge(found, manifest))
-            return check_rejudged(judged[0])
+            judged.append(labels.rejudge(found, manifest))
+            return labels.check_rejudged(judged[0])
 
         result.add(f"{prefix}oracle", oracle)
         if judged and not isinstance(judged[0], str):
             figures["oracle"] = vars(judged[0])
     result.figures[found.config] = figures
-
-
-def _check_paper(result: Validation, found: Survey) -> None:
-    parameters = found.column("parameters")
-    result.statistics.update(statistics_of(parameters))
-    if not has_paper(result.manifest):
-        return
-    result.verdicts.update(verdicts_of(result.statistics))
-    binding = must_meet_paper(result.manifest)
-    result.add("paper's table", lambda: check_paper(result.verdicts), binding)
-    result.add("rotation_x", lambda: check_modes(parameters), binding)
 
 
 def to_json(result: Validation) -> dict[str, Any]:
@@ -209,16 +185,12 @@ def print_validation(result: Validation) -> None:
     """Print one line a check, and the parameters beside the paper's table, on stdout."""
     console = Console()
     for check in result.checks:
-        line = Text.assemble(_mark(check), f"  {check.name}: {check.detail}")
+        broken = ("BROKEN", "red") if check.binding else ("note", "yellow")
+        mark = ("ok", "green") if check.ok else broken
+        line = Text.assemble(mark, f"  {check.name}: {check.detail}")
         console.print(line, soft_wrap=True, highlight=False)
     if result.statistics:
         console.print(_table(result))
-
-
-def _mark(check: Check) -> tuple[str, str]:
-    if check.ok:
-        return "ok", "green"
-    return ("BROKEN", "red") if check.binding else ("note", "yellow")
 
 
 def _table(result: Validation) -> Table:

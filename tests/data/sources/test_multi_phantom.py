@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import racines_data
-from racines_data.build.canonical import same_version
 from racines_data.build.dataset import (
     DataConfig,
     build,
@@ -20,6 +19,7 @@ from racines_data.phantom.config import PhantomConfig, heart_config
 from racines_data.sources.multi_phantom import MultiPhantomSource
 from racines_data.sources.phantom import PhantomSource
 from racines_data.store.frames import FrameStore
+from racines_data.validate.identity import same_version
 from racines_data.views import LABELS
 from tests.data.build.test_build import files
 from tests.data.fake_source import FakeConfig, FakeSource
