@@ -12,10 +12,10 @@ from racines_data.views import LABELS
 METADATA = b"racines.store"
 MANIFEST = "manifest.json"
 CARD = "README.md"
-MULTI_PHANTOM = "multi_phantom"
-"""Name of the config of many simulated hearts."""
+MULTI_PHANTOM = "multi_phantom"  # the config of many simulated hearts
 DEFAULT_ROOT = Path("data/racines")
 ROOT_VARIABLE = "RACINES_DATA"
+STORES = ("frames", MULTI_PHANTOM)  # configs with a store; `sessions` are rows of `frames`
 
 
 def default_root(root: Path | str | None = None) -> Path:
@@ -62,10 +62,6 @@ def check_split(split: str) -> str:
     if split not in SPLITS:
         raise RacinesError(f"unknown split {split!r}: choose one of {', '.join(SPLITS)}")
     return split
-
-
-STORES = ("frames", MULTI_PHANTOM)
-"""Configs that may have a store; `sessions` are the rows of `frames`."""
 
 
 def store_name(config: str) -> str:

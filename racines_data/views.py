@@ -21,8 +21,7 @@ VIEW_TITLES = {
     "PSMV": "parasternal short axis, mitral valve",
     "Random": "no standard view",
 }
-HEART = "heart"
-"""Name of the anatomy that everything takes where none is named."""
+HEART = "heart"  # the anatomy that everything takes where none is named
 ANATOMIES = Plugins("anatomy", "racines.anatomies", or_give="module:function")
 """Functions `(seed: int) -> Anatomy`. The extras of an entry point name its views in label order,
 so that they are known without importing it: `abdomen = "module:function [KLX,KSX,GB]"`."""

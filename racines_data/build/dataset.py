@@ -63,10 +63,8 @@ def read_data_section(values: Mapping[str, Any]) -> tuple[DataConfig, dict[str, 
     """
     names = (*source_names(), MULTI_PHANTOM)
     sections = {name: section(values, name) for name in names if name in values}
-    rest = Settings(values, getattr(values, "file", ""))
-    for name in sections:
-        del rest[name]
-    return fill(DataConfig, rest, "data"), sections
+    rest = {name: value for name, value in values.items() if name not in sections}
+    return fill(DataConfig, Settings(rest, getattr(values, "file", "")), "data"), sections
 
 
 def make_source(

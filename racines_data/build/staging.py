@@ -32,7 +32,9 @@ from racines_data.sources.base import Source, Unit, has_poses, labels_of_source
 
 _DIGEST = b"racines.digest"
 _state: Any = None  # a worker's own copy
-State, Task, Result = TypeVar("State"), TypeVar("Task"), TypeVar("Result")
+State = TypeVar("State")
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 
 def staging_folder(out: Path, source: Source, recipe_digest: str) -> AbstractContextManager[Path]:

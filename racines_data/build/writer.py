@@ -7,7 +7,7 @@ so that the configs `frames` and `sessions` name the same files.
 import dataclasses
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -160,35 +160,30 @@ def _keep_finished(final: Path) -> None:
 
 
 def _write_part(final: Path, part: Part, shards: int, progress: bool) -> Paths:
-    """Write a config's shards and store; return the paths of the shards."""
+    """Write a config's shards, `shards` or more, and its store, where they are not there already.
+
+    Return the paths of the shards.
+    """
     rows = part.rows
+    paths: Paths = {}
+    counts = divide_shards([group.frames for group in part.groups], shards)
+    divided = list(zip(part.groups, counts, strict=True))
     with progress_bar(progress) as bar:
         task = bar.add_task(f"{part.config} shards", total=sum(row["frames"] for row in rows))
-        paths = _write_shards(final, part, shards, lambda count: bar.advance(task, count))
+        for split in SPLITS:
+            own = [(group, count) for group, count in divided if group.split == split]
+            total = sum(count for _, count in own)
+            sides: tuple[list[str], list[str]] = [], []
+            for group, count in own:
+                for start, stop in shard_bounds(group.frames, count):
+                    number = len(sides[0]) + len(sides[1])
+                    name = f"data/{part.config}/{split}-{number:05d}-of-{total:05d}.parquet"
+                    write_once(final / name, partial(_write_shard, group, start, stop))
+                    sides[group.held_out].append(name)
+                    bar.advance(task, stop - start)
+            if total:
+                paths[split] = sides
     write_once(final / store_name(part.config), lambda path: write_store(path, part.tables, rows))
-    return paths
-
-
-def _write_shards(final: Path, part: Part, shards: int, done: Callable[[int], None]) -> Paths:
-    """Write at least `shards` shards of a config; one that is there already is left as it is.
-
-    `done` is called with the number of frames of every shard that is whole.
-    """
-    counts = divide_shards([group.frames for group in part.groups], shards)
-    paths: Paths = {}
-    for split in SPLITS:
-        divided = [pair for pair in zip(part.groups, counts, strict=True) if pair[0].split == split]
-        total = sum(count for _, count in divided)
-        sides: tuple[list[str], list[str]] = [], []
-        for group, count in divided:
-            for start, stop in shard_bounds(group.frames, count):
-                number = len(sides[0]) + len(sides[1])
-                name = f"data/{part.config}/{split}-{number:05d}-of-{total:05d}.parquet"
-                write_once(final / name, partial(_write_shard, group, start, stop))
-                sides[group.held_out].append(name)
-                done(stop - start)
-        if total:
-            paths[split] = sides
     return paths
 
 
@@ -214,8 +209,7 @@ def _write_trajectories(final: Path, rows: Sequence[dict[str, Any]]) -> dict[str
     """Write the `trajectories` config; return the paths of its splits."""
     paths = {}
     (final / "data" / "trajectories").mkdir(parents=True, exist_ok=True)
-    for split in SPLITS:
-        chosen = [row for row in rows if row["split"] == split]
+    for split, chosen in _by_split(rows).items():
         if chosen:
             paths[split] = [f"data/trajectories/{split}-00000-of-00001.parquet"]
             schema = trajectory_features().arrow_schema

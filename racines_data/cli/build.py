@@ -1,7 +1,6 @@
 """The commands `racines data build` and `racines data import`. Heavy imports stand inside."""
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -122,7 +121,7 @@ def import_(
         typer.echo("every file is sound")
 
 
-def _report(findings: Sequence["Finding"]) -> dict[str, Any]:
+def _report(findings: list["Finding"]) -> dict[str, Any]:
     from racines_data.sources.release.kinds import count_kinds
 
     return {"kinds": count_kinds(findings), "findings": [vars(finding) for finding in findings]}
@@ -137,14 +136,14 @@ def _print_dataset(out: Path, manifest: dict[str, Any]) -> None:
     )
 
 
-def _print_kinds(findings: Sequence["Finding"], headline: str) -> None:
+def _print_kinds(findings: list["Finding"], headline: str) -> None:
     typer.echo(headline)
     for kind, count in _report(findings)["kinds"].items():
         typer.echo(f"  {count:6d}  {kind}")
     _print_findings(findings)
 
 
-def _print_findings(findings: Sequence["Finding"]) -> None:
+def _print_findings(findings: list["Finding"]) -> None:
     for finding in findings[:_SHOWN]:
         verdict = "refused" if finding.refused else "flagged"
         item = f" {finding.item}" if finding.item else ""

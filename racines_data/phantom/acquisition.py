@@ -9,9 +9,9 @@ the hand on top. Coordinates are x, y, z and the Euler angles with rotation_x me
 down, in which the probe's leaning and turning are nearly independent.
 """
 
+import itertools
 import math
 from dataclasses import dataclass, field
-from itertools import cycle, pairwise
 from typing import NamedTuple
 
 import torch
@@ -80,9 +80,11 @@ def plan_lengths(config: AcquisitionConfig) -> list[int]:
 
 def plan_targets(count: int, config: AcquisitionConfig) -> list[str]:
     """Return the target of each trajectory: views in turn, random scans evenly between them."""
-    views = cycle(anatomy_views(config.phantom.anatomy))
+    views = itertools.cycle(anatomy_views(config.phantom.anatomy))
     scans = [math.floor(i * config.random_share + 0.5) for i in range(count + 1)]
-    return [RANDOM if after > before else next(views) for before, after in pairwise(scans)]
+    return [
+        RANDOM if after > before else next(views) for before, after in itertools.pairwise(scans)
+    ]
 
 
 def make_sweep(
@@ -111,15 +113,13 @@ class _Draw:
     """A stream of draws from one seed."""
 
     def __init__(self, seed: Tensor):
-        self._seed, self._stream = seed, 100
+        self._seed, self._streams = seed, itertools.count(101)
 
     def uniform(self, *shape: int) -> Tensor:
-        self._stream += 1
-        return uniform(self._seed, math.prod(shape), self._stream).view(shape)
+        return uniform(self._seed, math.prod(shape), next(self._streams)).view(shape)
 
     def normal(self, *shape: int) -> Tensor:
-        self._stream += 1
-        return normal(self._seed, math.prod(shape), self._stream).view(shape)
+        return normal(self._seed, math.prod(shape), next(self._streams)).view(shape)
 
 
 def coordinates(pose: Pose) -> Tensor:

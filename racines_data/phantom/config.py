@@ -14,17 +14,6 @@ from racines_data.randomness import sample_seeds, uniform
 
 PHANTOM_VERSION = "1.0.0"
 """Part of every recipe digest: raise it whenever an image, a force or a truth changes."""
-_STREAM = 41
-_SPREAD = {
-    "gain": 5.0,  # dB
-    "dynamic_range": 10.0,  # dB
-    "gray_map": 0.4,
-    "noise": 6.0,  # dB
-    "reverberation": 6.0,  # dB
-    "haze": 7.0,  # dB: what differs most from one patient to the next
-}
-"""How far an examination's settings stray from the base probe's, either way."""
-COVER = 2.5  # most unevenness of the cover, dB/cm/MHz
 
 
 @dataclass(frozen=True)
@@ -150,8 +139,21 @@ class PhantomConfig:
     workspace: WorkspaceConfig = field(default_factory=WorkspaceConfig)
 
 
+_STREAM = 41
+_SPREAD = {
+    "gain": 5.0,  # dB
+    "dynamic_range": 10.0,  # dB
+    "gray_map": 0.4,
+    "noise": 6.0,  # dB
+    "reverberation": 6.0,  # dB
+    "haze": 7.0,  # dB: what differs most from one patient to the next
+}
+"""How far an examination's settings stray from the base probe's, either way."""
+COVER = 2.5  # most unevenness of the cover, dB/cm/MHz
+
+
 def heart_config(base: PhantomConfig, seed: int) -> PhantomConfig:
-    """Return the phantom of another heart (1 or more), with its own scatterers and examiner."""
+    """Return the phantom of heart `seed`, 1 or more: its scatterers and its examiner differ too."""
     cover = COVER * uniform(sample_seeds(seed, 1), 1, _STREAM + 1).item()
     block = replace(base.block, seed=base.block.seed + 10 * seed, cover=cover)
     draw = uniform(sample_seeds(seed, 1), len(_SPREAD), _STREAM)[0].tolist()

@@ -154,8 +154,8 @@ class Phantom(World):
 def _workspace(config: WorkspaceConfig, block: BlockConfig, device: torch.device) -> Workspace:
     low = [*(edge + config.margin for edge in block.minimum[:2]), config.lowest]
     high = [*(edge - config.margin for edge in block.maximum[:2]), config.highest]
-    corners = torch.tensor([low, high], device=device)
-    return Workspace(*corners, config.tilt_max, config.yaw_max)
+    lowest, highest = torch.tensor([low, high], device=device)
+    return Workspace(lowest, highest, config.tilt_max, config.yaw_max)
 
 
 def shared_phantom(config: PhantomConfig | None = None, device: str = "cpu") -> Phantom:

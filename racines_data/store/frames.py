@@ -121,7 +121,6 @@ class FrameStore:
     """Target view of each trajectory."""
     sessions: list[str]
     """Session of each trajectory."""
-
     phantoms: list[int | None]
     """Seed of each trajectory's simulated anatomy; absent for recordings."""
 

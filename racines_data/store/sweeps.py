@@ -63,13 +63,13 @@ def read_sweeps(
     if limit is not None and limit < 1:
         raise RacinesError(f"limit {limit}: give one frame or more")
     wanted = checked_shards(root, read_manifest(root), config, split)
-    left = limit
     for name, paths in wanted.items():
         for table in trajectories(root, paths):
-            yield Sweep(name, table.slice(0, left))
-            left = None if left is None else left - len(table)
-            if left is not None and left <= 0:
-                return
+            yield Sweep(name, table.slice(0, limit))
+            if limit is not None:
+                limit -= len(table)
+                if limit <= 0:
+                    return
 
 
 def trajectories(root: Path, paths: Sequence[str]) -> Iterator[pa.Table]:

@@ -19,20 +19,10 @@ from rich.text import Text
 from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
 from racines_data.tables import console_table
-from racines_data.validate import duplicates, identity, labels
-from racines_data.validate.statistics import (
-    Verdict,
-    check_modes,
-    check_paper,
-    has_paper,
-    must_meet_paper,
-    statistics_of,
-    verdicts_of,
-)
+from racines_data.validate import duplicates, identity, labels, statistics
+from racines_data.validate.statistics import Verdict
 from racines_data.validate.survey import Survey, survey
 from racines_data.views import PAPER_STATISTICS, ParameterStatistics
-
-_KINDS = ("minimum", "maximum", "mean", "std")
 
 
 @dataclass(frozen=True)
@@ -51,10 +41,8 @@ class Validation:
 
     manifest: dict[str, Any]
     checks: list[Check] = field(default_factory=list)
-    statistics: dict[str, ParameterStatistics] = field(default_factory=dict)
-    """Of the parameters that were measured at all."""
-    verdicts: dict[str, Verdict] = field(default_factory=dict)
-    """Of the parameters beside the paper's table, where it is the measure."""
+    statistics: dict[str, ParameterStatistics] = field(default_factory=dict)  # what was measured
+    verdicts: dict[str, Verdict] = field(default_factory=dict)  # where the paper is the measure
     figures: dict[str, Any] = field(default_factory=dict)
     """Views, duplicates and agreement with the oracle, by config."""
 
@@ -126,12 +114,12 @@ def _check_config(
     if config != "frames":
         return
     parameters = found.column("parameters")
-    result.statistics.update(statistics_of(parameters))
-    if has_paper(manifest):
-        result.verdicts.update(verdicts_of(result.statistics))
-        binding = must_meet_paper(manifest)
-        result.add("paper's table", lambda: check_paper(result.verdicts), binding)
-        result.add("rotation_x", lambda: check_modes(parameters), binding)
+    result.statistics.update(statistics.statistics_of(parameters))
+    if statistics.has_paper(manifest):
+        result.verdicts.update(statistics.verdicts_of(result.statistics))
+        binding = statistics.must_meet_paper(manifest)
+        result.add("paper's table", lambda: statistics.check_paper(result.verdicts), binding)
+        result.add("rotation_x", lambda: statistics.check_modes(parameters), binding)
 
 
 def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
@@ -163,20 +151,19 @@ def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
 
 def to_json(result: Validation) -> dict[str, Any]:
     """Return a validation as JSON, the paper's statistics and the verdict beside ours."""
-    statistics = {}
+    parameters = {}
     for name, value in result.statistics.items():
-        statistics[name] = {**vars(value), "paper": None, "verdict": None}
-        if name in result.verdicts:
-            verdict = result.verdicts[name]
-            statistics[name]["paper"] = vars(PAPER_STATISTICS[name])
-            statistics[name]["verdict"] = {**vars(verdict), "ok": not verdict.faults}
+        parameters[name] = {**vars(value), "paper": None, "verdict": None}
+        if verdict := result.verdicts.get(name):
+            parameters[name]["paper"] = vars(PAPER_STATISTICS[name])
+            parameters[name]["verdict"] = {**vars(verdict), "ok": not verdict.faults}
     keys = ("source", "version", "digest", "recipe_digest", "counts")
     return {
         "schema": "racines.validation/1",
         **{key: result.manifest[key] for key in keys},
         "ok": result.ok,
         "checks": [dataclasses.asdict(check) for check in result.checks],
-        "statistics": statistics,
+        "statistics": parameters,
         "figures": result.figures,
     }
 
@@ -202,8 +189,9 @@ def _table(result: Validation) -> Table:
             rows[-1].append(Text("; ".join(faults), "red") if faults else Text("holds", "green"))
             paper = ("  paper, real", *_numbers(PAPER_STATISTICS[name]))
             rows.append([Text(cell, "dim") for cell in paper])
-    return console_table(("parameter", *_KINDS, *(["verdict"] if result.verdicts else [])), rows)
+    head = ["parameter", *(field.name for field in dataclasses.fields(ParameterStatistics))]
+    return console_table([*head, "verdict"] if result.verdicts else head, rows)
 
 
-def _numbers(values: Any) -> list[str]:
-    return [f"{getattr(values, kind):.4f}" for kind in _KINDS]
+def _numbers(values: ParameterStatistics) -> list[str]:
+    return [f"{value:.4f}" for value in dataclasses.astuple(values)]

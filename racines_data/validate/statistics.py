@@ -30,14 +30,12 @@ class Verdict:
     @property
     def faults(self) -> list[str]:
         """What does not hold."""
-        faults = []
-        if not self.mean <= MEAN_LIMIT:
-            faults.append(f"mean off by {self.mean:.2f} std")
-        if not STD_RATIO[0] <= self.std <= STD_RATIO[1]:
-            faults.append(f"std x {self.std:.2f}")
-        if not self.beyond <= RANGE_LIMIT:
-            faults.append(f"{100 * self.beyond:.0f} % beyond the range")
-        return faults
+        limits = (
+            (self.mean <= MEAN_LIMIT, f"mean off by {self.mean:.2f} std"),
+            (STD_RATIO[0] <= self.std <= STD_RATIO[1], f"std x {self.std:.2f}"),
+            (self.beyond <= RANGE_LIMIT, f"{100 * self.beyond:.0f} % beyond the range"),
+        )
+        return [fault for holds, fault in limits if not holds]
 
 
 def statistics_of(parameters: np.ndarray) -> dict[str, ParameterStatistics]:
