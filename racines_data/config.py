@@ -122,16 +122,13 @@ def _prefix(file: str) -> str:
 
 def _shape(config: Any) -> Any:
     """Return the type of the mappings that fill a config, by the annotations of its fields."""
-    hints = get_type_hints(
-        config if isinstance(config, type) else type(config), include_extras=True
-    )
+    kind = config if isinstance(config, type) else type(config)
+    hints = get_type_hints(kind, include_extras=True)
     shapes = {}
-    for field in dataclasses.fields(config):
-        default = _default(config, field)
+    for name, default in _defaults(config).items():
+        shapes[name] = _shape(default) if _is_config(default) else hints[name]
         if default is dataclasses.MISSING:
-            shapes[field.name] = Required[hints[field.name]]
-        else:
-            shapes[field.name] = _shape(default) if _is_config(default) else hints[field.name]
+            shapes[name] = Required[hints[name]]
     shape = TypedDict("shape", shapes, total=False)  # pyright: ignore[reportArgumentType]
     settings = {"extra": "forbid", "arbitrary_types_allowed": True}
     setattr(shape, "__pydantic_config__", settings)  # noqa: B010
@@ -141,11 +138,9 @@ def _shape(config: Any) -> Any:
 def _filled(config: Any, values: dict[str, Any]) -> dict[str, Any]:
     """Return the fields that are given, nested ones in the place of those of the default."""
     filled = dict(values)
-    for field in dataclasses.fields(config):
-        default = _default(config, field)
-        if field.name in values and _is_config(default):
-            own = _filled(default, values[field.name])
-            filled[field.name] = dataclasses.replace(default, **own)
+    for name, default in _defaults(config).items():
+        if name in values and _is_config(default):
+            filled[name] = dataclasses.replace(default, **_filled(default, values[name]))
     return filled
 
 
@@ -154,9 +149,8 @@ def _fault(config: Any, error: dict[str, Any], where: str) -> str:
     place = ".".join([where, *path] if where else path)
     if error["type"] == "extra_forbidden":
         for name in path[:-1]:
-            config = _default(config, next(f for f in dataclasses.fields(config) if f.name == name))
-        known = ", ".join(field.name for field in dataclasses.fields(config)) or "none"
-        return f"{place}: unknown key; known: {known}"
+            config = _defaults(config)[name]
+        return f"{place}: unknown key; known: {', '.join(_defaults(config)) or 'none'}"
     if error["type"] == "missing":
         return f"{place}: needed, and left out"
     value, allowed = error["input"], error["msg"].removeprefix("Input should be ")
@@ -167,10 +161,14 @@ def _is_config(default: Any) -> bool:
     return dataclasses.is_dataclass(default) and not isinstance(default, type)
 
 
-def _default(config: Any, field: dataclasses.Field[Any]) -> Any:
-    """Return what an instance holds, or the default of a class; `MISSING` where it has none."""
+def _defaults(config: Any) -> dict[str, Any]:
+    """Return what the fields of an instance hold, or a class's defaults; `MISSING` for none."""
+    fields = dataclasses.fields(config)
     if not isinstance(config, type):
-        return getattr(config, field.name)
-    if field.default_factory is not dataclasses.MISSING:
-        return field.default_factory()
-    return field.default
+        return {field.name: getattr(config, field.name) for field in fields}
+    return {
+        each.name: each.default
+        if each.default_factory is dataclasses.MISSING
+        else each.default_factory()
+        for each in fields
+    }

@@ -8,6 +8,8 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ import numpy as np
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic
+from racines_data.manifest import check_split, rebuild_hint
 from racines_data.schema import Trajectory
 
 
@@ -78,7 +81,25 @@ def check_files(root: Path, files: Mapping[str, Mapping[str, Any]], remedy: str)
             raise RacinesError(f"{root / name}: damaged (sha256 differs); {remedy}")
         fresh[str(path)] = seal
     if fresh != known:
-        _write_verified(fresh)
+        kept = {name: seal for name, seal in fresh.items() if Path(name).exists()}
+        with suppress(OSError):  # a cache folder that cannot be written costs time, no more
+            write_atomic(_verified_path(), json.dumps(kept))
+
+
+def checked_shards(
+    root: Path, manifest: Mapping[str, Any], config: str, split: str | None, *more: str
+) -> dict[str, list[str]]:
+    """Return the shards of a config by split, or of one; they and `more` files are checked."""
+    if config not in manifest["configs"]:
+        known = ", ".join(manifest["configs"])
+        raise RacinesError(f"{root}: unknown config {config!r}; this dataset has {known}")
+    shards = manifest["configs"][config]
+    if split is not None and check_split(split) not in shards:
+        raise RacinesError(f"{root}: config {config!r} has no split {split!r}: too few rows")
+    wanted = {name: paths for name, paths in shards.items() if split in (None, name)}
+    names = (*more, *chain.from_iterable(wanted.values()))
+    check_files(root, {name: manifest["files"][name] for name in names}, rebuild_hint(manifest))
+    return wanted
 
 
 def _verified_path() -> Path:
@@ -92,13 +113,3 @@ def _read_verified() -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}
-
-
-def _write_verified(seals: dict[str, Any]) -> None:
-    # Only a memory of what was checked: a cache folder that cannot be written costs time, no more.
-    path = _verified_path()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomic(path, json.dumps({k: v for k, v in seals.items() if Path(k).exists()}))
-    except OSError:
-        return

@@ -63,17 +63,11 @@ def recover_folder(out: Path) -> None:
 def working_folder(out: Path, kind: str, key: str, busy: str) -> Iterator[Path]:
     """Open the folder of unfinished work on `out`, beside it; removed when the work is done.
 
-    What a killed process left is gone on with by the same key, and removed by work of another,
-    which will never go on from it.
-
-    Args:
-        out: What is being made.
-        kind: Of the work, in the folder's name.
-        key: All that decides what the work makes.
-        busy: What the error says of `out`.
+    `key` is all that decides what the work makes. What a killed process left is gone on with by the
+    same key, and removed by work of another, which will never go on from it.
 
     Raises:
-        RacinesError: another process is at the same work.
+        RacinesError: another process is at the same work; `busy` says so.
     """
     folder = out.parent / f".{out.name}.{kind}-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
     folder.mkdir(parents=True, exist_ok=True)
@@ -98,10 +92,10 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
     write_atomic(path, json.dumps(content, indent=2) + "\n")
 
 
-def image_bytes(image: Image.Image) -> bytes:
-    """Encode a picture as PNG."""
+def image_bytes(image: Image.Image, **options: Any) -> bytes:
+    """Encode a picture as PNG, with PIL's options."""
     buffer = io.BytesIO()
-    image.save(buffer, "PNG")
+    image.save(buffer, "PNG", **options)
     return buffer.getvalue()
 
 

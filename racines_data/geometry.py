@@ -9,11 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-FORCE = slice(0, 3)
-TORQUE = slice(3, 6)
-POSITION = slice(6, 9)
-ROTATION = slice(9, 12)
-"""Columns of the twelve parameters."""
+POSITION, ROTATION = slice(6, 9), slice(9, 12)  # of the twelve parameters
 
 
 class Pose(NamedTuple):

@@ -60,8 +60,9 @@ def check_images(images: Tensor) -> Tensor:
         raise RacinesError(
             f"images have shape {tuple(images.shape)}: give (B, {IMAGE_SIZE}, {IMAGE_SIZE})"
         )
-    if images.numel() and int(images.max()) <= 1:
+    darkest, brightest = images.aminmax() if images.numel() else (0, 255)
+    if brightest <= 1:
         raise RacinesError("images lie in 0-1: scale them to gray levels 0-255 before uint8")
-    if images.numel() and int(images.max()) == int(images.min()):
+    if brightest == darkest:
         raise RacinesError("images are constant: nothing was drawn")
     return images

@@ -7,15 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from racines_data.errors import RacinesError
-from racines_data.manifest import (
-    CARD,
-    ROOT_VARIABLE,
-    check_split,
-    default_root,
-    describe,
-    read_manifest,
-    rebuild_hint,
-)
+from racines_data.manifest import CARD, ROOT_VARIABLE, default_root, describe, read_manifest
 
 if TYPE_CHECKING:
     from datasets import Dataset, DatasetDict, IterableDataset, IterableDatasetDict
@@ -44,7 +36,7 @@ def load(
     """
     import datasets
 
-    from racines_data.digest import check_files
+    from racines_data.digest import checked_shards
 
     if repo_id is not None:
         from racines_data.hub.fetch import download
@@ -57,14 +49,7 @@ def load(
             f"{folder}: holds {manifest['source']} {manifest['version']}, not {version}; point "
             f"root or {ROOT_VARIABLE} at that version, or build it with the code that made it"
         )
-    if config not in manifest["configs"]:
-        known = ", ".join(manifest["configs"])
-        raise RacinesError(f"{folder}: unknown config {config!r}; this dataset has {known}")
-    paths = manifest["configs"][config]
-    if split is not None and check_split(split) not in paths:
-        raise RacinesError(f"{folder}: config {config!r} has no split {split!r}: too few rows")
-    wanted = [path for name in paths for path in paths[name] if split in (None, name)]
-    check_files(folder, {n: manifest["files"][n] for n in (CARD, *wanted)}, rebuild_hint(manifest))
+    checked_shards(folder, manifest, config, split, CARD)
     loaded = datasets.load_dataset(str(folder), config, split=split, streaming=streaming)
     for part in loaded.values() if isinstance(loaded, dict) else [loaded]:
         part.info.description = describe(manifest, config)

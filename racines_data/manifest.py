@@ -12,10 +12,10 @@ from racines_data.views import LABELS
 METADATA = b"racines.store"
 MANIFEST = "manifest.json"
 CARD = "README.md"
-MULTI_PHANTOM = "multi_phantom"
-"""Name of the config of many simulated hearts."""
+MULTI_PHANTOM = "multi_phantom"  # the config of many simulated hearts
 DEFAULT_ROOT = Path("data/racines")
 ROOT_VARIABLE = "RACINES_DATA"
+STORES = ("frames", MULTI_PHANTOM)  # configs with a store; `sessions` are rows of `frames`
 
 
 def default_root(root: Path | str | None = None) -> Path:
@@ -30,11 +30,7 @@ def rebuild_hint(manifest: Mapping[str, Any]) -> str:
 
 
 def read_manifest(root: Path) -> dict[str, Any]:
-    """Read the manifest of a dataset.
-
-    Raises:
-        RacinesError: there is no dataset, or its manifest is damaged.
-    """
+    """Read a manifest; raise `RacinesError` if there is no dataset, or its manifest is damaged."""
     path = root / MANIFEST
     if not path.is_file():
         raise RacinesError(
@@ -60,11 +56,7 @@ def manifest_labels(manifest: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def check_split(split: str) -> str:
-    """Return the split if it is one.
-
-    Raises:
-        RacinesError: it is not.
-    """
+    """Return the split if it is one; else raise `RacinesError`."""
     from racines_data.schema import SPLITS
 
     if split not in SPLITS:
@@ -72,17 +64,9 @@ def check_split(split: str) -> str:
     return split
 
 
-STORES = ("frames", MULTI_PHANTOM)
-"""Configs that may have a store; `sessions` are the rows of `frames`."""
-
-
 def store_name(config: str) -> str:
     """Return the file of a config's store in the dataset."""
     return f"store/{config}.arrow"
-
-
-STORE = store_name("frames")
-"""The store of the default config."""
 
 
 def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:

@@ -3,7 +3,6 @@
 Nothing of pyplot is used, so no window system, global figure or user's matplotlibrc has a part.
 """
 
-import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -12,6 +11,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
+
+from racines_data.files import image_bytes
 
 INK, MUTED, GRID = "#1f2933", "#66727f", "#e4e8ec"
 OURS, PAPER = "#4477aa", "#cc3311"
@@ -69,9 +70,7 @@ def encode(figure: Figure, gray: bool = False) -> bytes:
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     few = picture.convert("L") if gray else picture.quantize(_COLOURS, dither=Image.Dither.NONE)
-    buffer = io.BytesIO()
-    few.save(buffer, "PNG", optimize=True)
-    return buffer.getvalue()
+    return image_bytes(few, optimize=True)
 
 
 def evenly(count: int, wanted: int) -> np.ndarray:

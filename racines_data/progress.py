@@ -15,12 +15,9 @@ from rich.progress import (
 
 
 def progress_bar(shown: bool, unit: str = "", *more: ProgressColumn) -> Progress:
-    """Return a progress bar, hidden where nobody looks.
+    """Return a progress bar with `more` columns behind it, hidden where stderr is no terminal.
 
-    Args:
-        shown: False hides it; so does a stderr that is no terminal.
-        unit: What is counted, in the plural.
-        more: Columns behind it.
+    `unit` is what is counted, in the plural.
     """
     console = Console(stderr=True)
     return Progress(

@@ -10,6 +10,7 @@ from datasets import Features
 from PIL import Image
 
 from racines_data.errors import RacinesError
+from racines_data.files import image_bytes
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.schema import CONTROLS, PARAMETERS, SOURCES, Trajectory, frame_features
 from racines_data.sources.base import Unit
@@ -29,9 +30,7 @@ def encode_png(image: np.ndarray) -> bytes:
     Of the filtered rows of speckle, runs are all that a search for repeats would find: as small
     within 1 %, in two thirds of the time.
     """
-    buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "PNG", compress_type=zlib.Z_RLE)
-    return buffer.getvalue()
+    return image_bytes(Image.fromarray(image), compress_type=zlib.Z_RLE)
 
 
 def trajectory_to_table(
@@ -40,14 +39,17 @@ def trajectory_to_table(
     """Return a trajectory as rows of the `frames` config, with the Hugging Face metadata."""
     count = len(trajectory)
     features = features_of(source, labels)
-    columns: dict[str, pa.Array] = {"image": _images(trajectory)}
-    for index, name in enumerate(PARAMETERS):
-        columns[name] = pa.array(trajectory.parameters[:, index], pa.float32(), from_pandas=True)
+    floats = dict(zip(PARAMETERS, trajectory.parameters.T, strict=True))
+    floats |= zip(CONTROLS, trajectory.controls.T, strict=True)
+    floats["grade"] = trajectory.grades
+    columns: dict[str, pa.Array] = {
+        name: pa.array(values, pa.float32(), from_pandas=True) for name, values in floats.items()
+    }
+    names = [f"{trajectory.id}-{frame:05d}.png" for frame in range(count)]
+    pngs = pa.array([encode_png(image) for image in trajectory.images], pa.binary())
+    columns["image"] = pa.StructArray.from_arrays([pngs, pa.array(names)], ["bytes", "path"])
     columns["timestamp"] = pa.array(trajectory.timestamps, pa.float64(), from_pandas=True)
-    for index, name in enumerate(CONTROLS):
-        columns[name] = pa.array(trajectory.controls[:, index], pa.float32(), from_pandas=True)
     columns["view"] = pa.array(trajectory.views, pa.int64(), mask=trajectory.views < 0)
-    columns["grade"] = pa.array(trajectory.grades, pa.float32(), from_pandas=True)
     # What a grader makes of the frames is filled in later, by `racines data annotate`.
     columns["view_predicted"] = pa.nulls(count, pa.int64())
     columns["grade_predicted"] = pa.nulls(count, pa.float32())
@@ -58,12 +60,6 @@ def trajectory_to_table(
     columns["trajectory"] = pa.repeat(trajectory.id, count)
     columns["frame"] = pa.array(np.arange(count), pa.int32())
     return pa.table([columns[name] for name in features], schema=features.arrow_schema)
-
-
-def _images(trajectory: Trajectory) -> pa.Array:
-    names = [f"{trajectory.id}-{frame:05d}.png" for frame in range(len(trajectory))]
-    pngs = pa.array([encode_png(image) for image in trajectory.images], pa.binary())
-    return pa.StructArray.from_arrays([pngs, pa.array(names)], ["bytes", "path"])
 
 
 def pixels_array(images: np.ndarray) -> pa.FixedSizeBinaryArray:

@@ -13,7 +13,7 @@ from types import ModuleType
 
 MOVED = {
     "racines_data": "card_style=plotting",
-    "racines_data.build": "canonical shards splits staging writer",
+    "racines_data.build": "canonical=writer shards=writer splits staging writer",
     "racines_data.card": (
         "card_frames=frames card_paths=plots card.paths=plots card_pictures=pictures "
         "card_plots=plots card_realism=realism card_rewrite=rewrite card_samples=pictures "
@@ -22,7 +22,7 @@ MOVED = {
         "croissant_rai=croissant card.croissant_rai=croissant datasheet"
     ),
     "racines_data.cli": (
-        "cli_card=card cli_export=export cli_hub=hub cli_import=importing cli_phantom=sheet"
+        "cli_card=card cli_export=exchange cli_hub=exchange cli_import=build cli_phantom=card"
     ),
     "racines_data.export.lerobot": "export.lerobot_statistics=writer",
     "racines_data.hub": "push",
@@ -37,12 +37,12 @@ MOVED = {
     ),
     "racines_data.sources.tracked": "sources.mha=mha",
     "racines_data.store": (
-        "batch_memory=memory export.sweeps=sweeps loader restore store_writer=writer"
+        "batch_memory=frames export.sweeps=sweeps loader=frames restore=writer store_writer=writer"
     ),
     "racines_data.validate": (
-        "validate_duplicates=duplicates validate_files=files validate_labels=labels "
-        "validate_oracle=oracle validate_report=report validate_rows=rows "
-        "validate_splits=splits validate_statistics=statistics validate_survey=survey"
+        "validate_duplicates=duplicates validate_files=identity validate_labels=labels "
+        "validate_oracle=labels validate_report=run validate_rows=survey "
+        "validate_splits=identity validate_statistics=statistics validate_survey=survey"
     ),
     "racines_envs.agents": (
         "agents.encoders=networks agents.identity=training agents.registry=protocol "

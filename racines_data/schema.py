@@ -9,19 +9,8 @@ from datasets import ClassLabel, Features, Image, Value
 from racines_data.errors import RacinesError
 from racines_data.views import LABELS
 
-PARAMETERS = (
-    "force_x",
-    "force_y",
-    "force_z",
-    "torque_x",
-    "torque_y",
-    "torque_z",
-    "position_x",
-    "position_y",
-    "position_z",
-    "rotation_x",
-    "rotation_y",
-    "rotation_z",
+PARAMETERS = tuple(
+    f"{kind}_{axis}" for kind in ("force", "torque", "position", "rotation") for axis in "xyz"
 )
 """The twelve conditioning parameters: N, N·m, m, rad; robot base frame."""
 
@@ -54,18 +43,9 @@ def frame_features(sources: Sequence[str] = SOURCES, labels: Sequence[str] = LAB
 
 def trajectory_features() -> Features:
     """Return the features of the `trajectories` config."""
-    return Features(
-        {
-            "trajectory": Value("string"),
-            "session": Value("string"),
-            "target_view": Value("string"),
-            "phantom": Value("int32"),
-            "split": Value("string"),
-            "frames": Value("int32"),
-            "duration": Value("float64"),
-            "digest": Value("string"),
-        }
-    )
+    kinds = dict.fromkeys(("trajectory", "session", "target_view"), "string")
+    kinds |= {"phantom": "int32", "split": "string", "frames": "int32", "duration": "float64"}
+    return Features({name: Value(kind) for name, kind in (kinds | {"digest": "string"}).items()})
 
 
 @dataclass(frozen=True)

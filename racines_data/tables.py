@@ -37,11 +37,8 @@ def markdown_table(
     """Return a Markdown table; the columns from `right` on are aligned to the right."""
     rule = ["---" if right is None or i < right else "---:" for i in range(len(head))]
     lines = [head, [Markdown(mark) for mark in rule], *rows]
-    return "\n".join(f"| {' | '.join(map(_cell, line))} |" for line in lines)
-
-
-def _cell(value: Any) -> str:
-    return value if isinstance(value, Markdown) else escape(value)
+    cells = ((c if isinstance(c, Markdown) else escape(c) for c in line) for line in lines)
+    return "\n".join(f"| {' | '.join(line)} |" for line in cells)
 
 
 def console_table(

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from racines_data.errors import RacinesError
 from racines_data.plugins import Plugins
 
 VIEWS = ("A4C", "SC", "PL", "PSAV", "PSMV")
@@ -22,10 +21,7 @@ VIEW_TITLES = {
     "PSMV": "parasternal short axis, mitral valve",
     "Random": "no standard view",
 }
-
-
-HEART = "heart"
-"""Name of the anatomy that everything takes where none is named."""
+HEART = "heart"  # the anatomy that everything takes where none is named
 ANATOMIES = Plugins("anatomy", "racines.anatomies", or_give="module:function")
 """Functions `(seed: int) -> Anatomy`. The extras of an entry point name its views in label order,
 so that they are known without importing it: `abdomen = "module:function [KLX,KSX,GB]"`."""
@@ -40,17 +36,6 @@ def organs() -> dict[str, tuple[str, ...]]:
 def labels_of(views: Sequence[str]) -> tuple[str, ...]:
     """Return the class labels of an anatomy's views, in label order: the views, then `Random`."""
     return (*views, RANDOM)
-
-
-def view_index(view: str) -> int:
-    """Return the label of a target view.
-
-    Raises:
-        RacinesError: the name is not one of the five views.
-    """
-    if view not in VIEWS:
-        raise RacinesError(f"unknown view {view!r}: choose one of {', '.join(VIEWS)}")
-    return VIEWS.index(view)
 
 
 @dataclass(frozen=True)

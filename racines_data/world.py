@@ -63,11 +63,7 @@ class World(Protocol):
     workspace: Workspace
 
     def target(self, view: str) -> Pose:
-        """Return the nominal pose of a view, a batch of one.
-
-        Raises:
-            RacinesError: no such view.
-        """
+        """Return the nominal pose of a view, a batch of one; `RacinesError` if it has none."""
         ...
 
     def judge(self, pose: Pose) -> Truth:
@@ -75,7 +71,10 @@ class World(Protocol):
         ...
 
     def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
-        """Return (B, 6) force, N, and torque, N·m, in the probe's axes, at rest by default."""
+        """Return (B, 6) force, N, and torque, N·m, in the probe's axes, at rest by default.
+
+        `velocity` is (B, 6), m/s and rad/s in the base frame.
+        """
         ...
 
     def render(self, pose: Pose, seeds: Tensor) -> Tensor:
@@ -110,21 +109,14 @@ class World(Protocol):
     ) -> Pose | None:
         """Return a start a seed that does not show a label; None: they are drawn around the target.
 
-        Args:
-            label: What a start may not show.
-            target: The nominal pose, a batch of one.
-            seeds: (N,).
-            distance: Least and most distance from the target along the top, m.
-            angle: Least and most angle to it, rad.
+        `target` is the nominal pose, a batch of one; `distance` is the least and the most from it
+        along the top, m, and `angle` likewise, rad. `seeds` are (N,).
         """
         return None
 
     def own_nearest(self, pose: Pose, label: int, units: tuple[float, float]) -> Pose | None:
-        """Return the nearest poses that show a label; None: they are searched with `judge`.
+        """Return the nearest of (N,) poses that show a label; None: they are searched with `judge`.
 
-        Args:
-            pose: (N,) poses.
-            label: What they shall show.
-            units: What counts as one step of shift, m, and of turn, rad.
+        `units` are what counts as one step of shift, m, and of turn, rad.
         """
         return None

@@ -16,10 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from racines_data.build.shards import Part
 from racines_data.build.splits import assign_group_splits, assign_splits, held_out_session
 from racines_data.build.staging import stage_units, staging_folder
-from racines_data.build.writer import write_dataset
+from racines_data.build.writer import Part, write_dataset
 from racines_data.config import Settings, fill, section
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
@@ -27,8 +26,7 @@ from racines_data.files import recover_folder, swap_folder
 from racines_data.manifest import MANIFEST, MULTI_PHANTOM
 from racines_data.sources.base import Finding, Source, Unit, source_class, source_names
 
-FORMAT = 3
-"""Version of the layout of units, shards and store; part of every recipe."""
+FORMAT = 3  # version of the layout of units, shards and store; part of every recipe
 
 
 @dataclass(frozen=True)
@@ -65,10 +63,8 @@ def read_data_section(values: Mapping[str, Any]) -> tuple[DataConfig, dict[str, 
     """
     names = (*source_names(), MULTI_PHANTOM)
     sections = {name: section(values, name) for name in names if name in values}
-    rest = Settings(values, getattr(values, "file", ""))
-    for name in sections:
-        del rest[name]
-    return fill(DataConfig, rest, "data"), sections
+    rest = {name: value for name, value in values.items() if name not in sections}
+    return fill(DataConfig, Settings(rest, getattr(values, "file", "")), "data"), sections
 
 
 def make_source(
@@ -92,9 +88,6 @@ def make_multi_phantom(
     """Make the source of many hearts that goes with the phantom; none if no hearts are asked for.
 
     Other sources have no other hearts: the section is then left unread.
-
-    Raises:
-        RacinesError: unknown or impossible settings.
     """
     from racines_data.sources.phantom import MultiPhantomSource, PhantomSource
 
@@ -130,10 +123,13 @@ def build(
     """
     config = config or DataConfig()
     out = out.resolve()  # a link to the dataset stays a link
-    _check_out(out)
+    recover_folder(out)
+    if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
+        raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
     if config.workers < 1 or config.shards < 1:
         raise RacinesError("data.workers and data.shards must be one or more")
-    _check_version(source)
+    if not re.fullmatch(r"\d+\.\d+\.\d+", source.version):
+        raise RacinesError(f"source {source.name}: version {source.version!r} is not x.y.z")
     units = _plan(source, config)
     many_units = [] if many is None else _plan(many, config)
     recipe = _recipe(source, config, many)
@@ -158,8 +154,7 @@ def build(
 def recipe_of(values: Mapping[str, Any]) -> str:
     """Return the recipe digest of the dataset that a `data` section builds; nothing is built.
 
-    Raises:
-        RacinesError: as `build`; so for recordings, whose recipe is known once they are read.
+    That of recordings is known once they are read: here they are refused.
     """
     config, sections = read_data_section(values)
     source = make_source(config, sections.get(config.source))
@@ -181,13 +176,13 @@ def peak_memory(workers: int) -> int:
 def _plan(source: Source, config: DataConfig) -> list[Unit]:
     units = list(source.plan())
     _check_report(source.report, units, config)
-    _check_units(units, source)
+    if not units:
+        raise RacinesError(f"source {source.name}: no trajectory to build from")
+    ids = [unit.id for unit in units]
+    if len(set(ids)) < len(ids):
+        twice = next(name for name in ids if ids.count(name) > 1)
+        raise RacinesError(f"source {source.name}: trajectory {twice!r} occurs twice")
     return units
-
-
-def _check_version(source: Source) -> None:
-    if not re.fullmatch(r"\d+\.\d+\.\d+", source.version):
-        raise RacinesError(f"source {source.name}: version {source.version!r} is not x.y.z")
 
 
 def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str, Any]:
@@ -200,21 +195,6 @@ def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str
         "settings": source.recipe(),
         **others,
     }
-
-
-def _check_out(out: Path) -> None:
-    recover_folder(out)
-    if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
-        raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
-
-
-def _check_units(units: Sequence[Unit], source: Source) -> None:
-    if not units:
-        raise RacinesError(f"source {source.name}: no trajectory to build from")
-    ids = [unit.id for unit in units]
-    if len(set(ids)) < len(ids):
-        twice = next(name for name in ids if ids.count(name) > 1)
-        raise RacinesError(f"source {source.name}: trajectory {twice!r} occurs twice")
 
 
 def _check_report(report: Sequence[Finding], units: Sequence[Unit], config: DataConfig) -> None:

@@ -46,11 +46,7 @@ def assign_splits(
 def assign_group_splits(
     units: Sequence[Unit], validation: float, test: float, seed: int
 ) -> dict[str, str]:
-    """Return the split of each trajectory id such that a session is in one split.
-
-    Raises:
-        RacinesError: the shares do not leave anything to train on.
-    """
+    """Return the split of each trajectory id such that a session is in one split."""
     sessions = dict.fromkeys(unit.session for unit in units)
     wholes = [Unit(name, name, "", 0) for name in sessions]
     splits = assign_splits(wholes, validation, test, seed)

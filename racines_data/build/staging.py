@@ -12,11 +12,13 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import threading
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
+from typing import Any, TypeVar
 
 import pyarrow as pa
 import torch
@@ -29,27 +31,23 @@ from racines_data.records import check_trajectory, pixels_array, trajectory_to_t
 from racines_data.sources.base import Source, Unit, has_poses, labels_of_source
 
 _DIGEST = b"racines.digest"
-_source: Source | None = None  # a worker's own copy, set by its initialiser
+_state: Any = None  # a worker's own copy
+State = TypeVar("State")
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 
 
 def staging_folder(out: Path, source: Source, recipe_digest: str) -> AbstractContextManager[Path]:
     """Open the staging folder of a build, beside its output; removed when the build succeeds.
 
-    Its name tells the recipe and the code apart, so that units of another are never taken up.
-
-    Raises:
-        RacinesError: another build of the same dataset is running.
+    Its name tells the recipe and the code apart, so that units of another are never taken up; if
+    another build of the same dataset is running, that is a `RacinesError`.
     """
-    key = f"{recipe_digest}/{_code_digest(source)}"
+    code = hashlib.sha256()
+    for file in sorted({*Path(__file__).parent.rglob("*.py"), Path(inspect.getfile(type(source)))}):
+        code.update(file.read_bytes())
+    key = f"{recipe_digest}/{code.hexdigest()}"
     return working_folder(out, "staging", key, "another build of it is running; wait for it")
-
-
-def _code_digest(source: Source) -> str:
-    files = {*Path(__file__).parent.rglob("*.py"), Path(inspect.getfile(type(source)))}
-    digest = hashlib.sha256()
-    for file in sorted(files):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
 
 
 def unit_path(folder: Path, index: int) -> Path:
@@ -71,107 +69,99 @@ def stage_units(
     progress: bool,
     by_session: bool = False,
 ) -> None:
-    """Make the units that are not staged yet, in `workers` processes.
+    """Make the units that are not staged yet in `folder`, in `workers` processes.
 
-    Args:
-        source: Makes the units.
-        units: All units, in order.
-        folder: Folder of this source's units.
-        workers: Number of processes.
-        progress: Show a progress bar on stderr.
-        by_session: Give a session's units to one worker, one after the other: for a source to
-            which a session costs something (a heart is baked once).
-
-    Raises:
-        RacinesError: the source refuses a unit, or a worker dies.
+    With `by_session` one worker makes all units of a session: for a source to which a session costs
+    something (a heart is baked once).
     """
     (folder / "units").mkdir(parents=True, exist_ok=True)
-    waiting = [index for index in range(len(units)) if not _is_staged(folder, index)]
-    tasks: dict[str | int, list[int]] = {}
-    for index in waiting:
-        tasks.setdefault(units[index].session if by_session else index, []).append(index)
+    tasks: dict[str | int, list[tuple[Unit, Path]]] = {}
+    staged = 0
+    for index, unit in enumerate(units):
+        path = unit_path(folder, index)
+        if _is_staged(path):
+            staged += unit.frames
+        else:
+            tasks.setdefault(unit.session if by_session else index, []).append((unit, path))
     with progress_bar(progress) as bar:
-        task = bar.add_task(f"{folder.name} frames", total=sum(unit.frames for unit in units))
-        done = set(range(len(units))) - set(waiting)
-        bar.advance(task, sum(units[index].frames for index in done))
-        for indices in _produce(source, units, list(tasks.values()), folder, workers):
-            bar.advance(task, sum(units[index].frames for index in indices))
+        total = sum(unit.frames for unit in units)
+        shown = bar.add_task(f"{folder.name} frames", total=total, completed=staged)
+        remedy = "to go on, with fewer workers"
+        for frames in in_workers(_stage, source, list(tasks.values()), workers, remedy):
+            bar.advance(shown, frames)
 
 
-def _is_staged(folder: Path, index: int) -> bool:
+def _is_staged(path: Path) -> bool:
     try:
-        open_unit(unit_path(folder, index))
+        open_unit(path)
     except (OSError, KeyError, pa.ArrowInvalid):
         return False
     return True
 
 
-def _produce(
-    source: Source, units: Sequence[Unit], tasks: Sequence[list[int]], folder: Path, workers: int
-) -> Iterator[list[int]]:
+def in_workers(
+    work: Callable[[State, Task], Result],
+    state: State,
+    tasks: Sequence[Task],
+    workers: int,
+    remedy: str,
+) -> Iterator[Result]:
+    """Yield `work(state, task)` of each task, in order, from processes of one thread each.
+
+    The state is pickled to each process once. One worker, or one task, is this process. If a worker
+    dies, the `RacinesError` tells to run again, and the remedy.
+    """
     if workers == 1 or len(tasks) < 2:
         threads = torch.get_num_threads()
         torch.set_num_threads(1)  # as in a worker: the number of threads may change last bits
         try:
-            for indices in tasks:
-                for index in indices:
-                    _stage(source, units[index], folder, index)
-                yield indices
+            yield from (work(state, task) for task in tasks)
         finally:
             torch.set_num_threads(threads)
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _start_worker, (source,)) as pool:
-        futures = [
-            pool.submit(_work, [units[index] for index in indices], folder, indices)
-            for indices in tasks
-        ]
+    with ProcessPoolExecutor(workers, context, _start_worker, (state,)) as pool:
         try:
-            for future in as_completed(futures):
-                yield future.result()
+            yield from pool.map(partial(_in_worker, work), tasks)
         except BrokenProcessPool as error:
             raise RacinesError(
-                "a worker process died (out of memory?): run again to go on, with fewer workers"
+                f"a worker process died (out of memory?): run again {remedy}"
             ) from error
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _start_worker(source: Source) -> None:
-    global _source
-    _source = source
+def _start_worker(state: Any) -> None:
+    global _state
+    _state = state
     torch.set_num_threads(1)
-    threading.Thread(target=die_with_parent, daemon=True).start()
+    threading.Thread(target=_die_with_parent, daemon=True).start()
 
 
-def die_with_parent() -> None:
-    """Wait for the parent of a worker to end, then end the worker; run it in a thread.
-
-    A pool's workers outlive a parent that was killed, waiting for work that never comes.
-    """
+def _die_with_parent() -> None:
+    # A pool's workers outlive a parent that was killed, waiting for work that never comes.
     parent = multiprocessing.parent_process()
     if parent is not None:
         multiprocessing.connection.wait([parent.sentinel])
         os._exit(1)
 
 
-def _work(units: list[Unit], folder: Path, indices: list[int]) -> list[int]:
-    assert _source is not None
-    for unit, index in zip(units, indices, strict=True):
-        _stage(_source, unit, folder, index)
-    return indices
+def _in_worker(work: Callable[[Any, Task], Result], task: Task) -> Result:
+    return work(_state, task)
 
 
-def _stage(source: Source, unit: Unit, folder: Path, index: int) -> None:
-    trajectory = source.produce(unit)
+def _stage(source: Source, members: Sequence[tuple[Unit, Path]]) -> int:
+    """Make some units, each into its file; return the number of frames expected of them."""
     labels = labels_of_source(source)
-    check_trajectory(trajectory, unit, labels, has_poses(source))
-    table = trajectory_to_table(trajectory, source.name, labels)
-    table = table.append_column("pixels", pixels_array(trajectory.images))
-    metadata = {**(table.schema.metadata or {}), _DIGEST: trajectory_digest(trajectory).encode()}
-    table = table.replace_schema_metadata(metadata)
-    path = unit_path(folder, index)
-    aside = path.with_suffix(f".{os.getpid()}")
-    with pa.OSFile(str(aside), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
-        writer.write_table(table)
-    os.replace(aside, path)
+    for unit, path in members:
+        trajectory = source.produce(unit)
+        check_trajectory(trajectory, unit, labels, has_poses(source))
+        table = trajectory_to_table(trajectory, source.name, labels)
+        table = table.append_column("pixels", pixels_array(trajectory.images))
+        digest = {_DIGEST: trajectory_digest(trajectory).encode()}
+        table = table.replace_schema_metadata((table.schema.metadata or {}) | digest)
+        aside = path.with_suffix(f".{os.getpid()}")
+        with pa.OSFile(str(aside), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
+            writer.write_table(table)
+        os.replace(aside, path)
+    return sum(unit.frames for unit, _ in members)

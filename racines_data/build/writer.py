@@ -1,26 +1,24 @@
-"""Packaging staged trajectories: shards, training stores, card, manifest."""
+"""Packaging staged trajectories: shards, training stores, card, manifest.
+
+The rows of a shard are of one split, and all of them belong to the held-out session or none does,
+so that the configs `frames` and `sessions` name the same files.
+"""
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 
-from racines_data.build.canonical import write_canonical
-from racines_data.build.shards import (
-    Group,
-    Part,
-    group_bounds,
-    group_rows,
-    group_tables,
-    group_units,
-    write_parquet,
-    write_shards,
-    write_trajectories,
-)
+from racines_data.build.splits import divide_shards, shard_bounds
+from racines_data.build.staging import open_unit, unit_path
 from racines_data.card.croissant import add_croissant
 from racines_data.card.markdown import write_card
 from racines_data.card.pictures import write_pictures
@@ -28,12 +26,77 @@ from racines_data.digest import content_digest, recipe_digest
 from racines_data.files import sha256_file, write_once
 from racines_data.manifest import CARD, MANIFEST, MULTI_PHANTOM, store_name
 from racines_data.progress import progress_bar
-from racines_data.schema import SPLITS
-from racines_data.sources.base import Finding, has_poses, labels_of_source
+from racines_data.schema import PARAMETERS, SPLITS, trajectory_features
+from racines_data.sources.base import Finding, Source, Unit, has_poses, labels_of_source
 from racines_data.sources.card import own_card
 from racines_data.store.writer import write_store
 
 REPORT = "import_report.parquet"
+_ROW_GROUP = 256
+Paths = dict[str, tuple[list[str], list[str]]]
+"""Shards of each split that has rows: not held out, and held out."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Trajectories that shards must not mix: one split, and in or out of the held-out session."""
+
+    split: str
+    held_out: bool
+    members: list[Path] = field(default_factory=list)  # files of the staged trajectories
+    rows: list[dict[str, Any]] = field(default_factory=list)  # theirs of the `trajectories` config
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return sum(row["frames"] for row in self.rows)
+
+
+@dataclass(frozen=True)
+class Part:
+    """The staged trajectories of one config."""
+
+    config: str  # `frames` or `multi_phantom`
+    source: Source
+    units: Sequence[Unit]  # all, in the source's order
+    splits: Mapping[str, str]  # split of each unit's id
+    folder: Path  # the staging folder that holds the units
+    held_out: str | None = None  # the session kept for test in the `sessions` config
+
+    @cached_property
+    def groups(self) -> list[Group]:
+        """The groups in the order of the dataset, once all is staged; some may be empty."""
+        groups = {(split, side): Group(split, side) for split in SPLITS for side in (False, True)}
+        for index, unit in enumerate(self.units):
+            path = unit_path(self.folder, index)
+            group = groups[self.splits[unit.id], unit.session == self.held_out]
+            group.members.append(path)
+            group.rows.append(_trajectory_row(unit, group.split, path))
+        return list(groups.values())
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of the `trajectories` config, in order."""
+        return [row for group in self.groups for row in group.rows]
+
+    def tables(self) -> Iterator[pa.Table]:
+        """Yield the staged trajectories in order, memory-mapped, one at a time."""
+        return (open_unit(path)[0] for group in self.groups for path in group.members)
+
+
+def _trajectory_row(unit: Unit, split: str, path: Path) -> dict[str, Any]:
+    table, digest = open_unit(path)
+    first, last = table["timestamp"][0].as_py(), table["timestamp"][-1].as_py()
+    return {
+        "trajectory": unit.id,
+        "session": unit.session,
+        "target_view": unit.target_view,
+        "phantom": table["phantom"][0].as_py(),
+        "split": split,
+        "frames": len(table),
+        "duration": None if first is None else last - first,
+        "digest": digest,
+    }
 
 
 def write_dataset(
@@ -44,20 +107,13 @@ def write_dataset(
     shards: int,
     progress: bool = False,
 ) -> dict[str, Any]:
-    """Write a dataset of staged units and return its manifest.
+    """Write a dataset of staged units, at least `shards` shards a config; return its manifest.
 
-    Args:
-        final: The folder to write; shards and stores that a killed run has left in it are kept.
-        main: The `frames`.
-        many: The `multi_phantom` config, if there is one.
-        recipe: All that decided the bytes.
-        shards: Least number of shards of a config.
-        progress: Show a progress bar on stderr.
+    Shards and stores that a killed run has left in `final` are kept. `many` is the `multi_phantom`
+    config, if there is one; `recipe` is all that decided the bytes.
     """
     _keep_finished(final)
-    groups = group_units(main)
-    rows = group_rows(groups)
-    source = main.source
+    source, rows = main.source, main.rows
     manifest: dict[str, Any] = {
         "schema": "racines.manifest/1",
         "name": "racines",
@@ -72,13 +128,19 @@ def write_dataset(
         **({"card": dataclasses.asdict(card)} if (card := own_card(source)) else {}),
         "held_out_session": main.held_out,
         "counts": _counts(rows),
-        "report": _report_counts(source.report),
-        "configs": _configs(_write_part(final, main, groups, shards, progress)),
-        "canonical": write_canonical(final, group_tables(groups)),
+        "report": {
+            "refused_frames": sum(each.frames for each in source.report if each.refused),
+            "flagged": sum(not each.refused for each in source.report),
+        },
+        "configs": _configs(_write_part(final, main, shards, progress)),
+        "canonical": _write_canonical(final, main.tables()),
     }
-    manifest["configs"]["trajectories"] = write_trajectories(final, rows)
+    manifest["configs"]["trajectories"] = _write_trajectories(final, rows)
     if many is not None:
-        manifest[MULTI_PHANTOM] = _write_many(final, many, manifest["configs"], shards, progress)
+        paths = _write_part(final, many, shards, progress)
+        manifest["configs"][many.config] = {split: others for split, (others, _) in paths.items()}
+        canonical = _write_canonical(final, many.tables(), f"canonical/{many.config}")
+        manifest[MULTI_PHANTOM] = {**_count_hearts(many.rows), "canonical": canonical}
     _write_report(final / REPORT, source.report)
     write_pictures(final, manifest)
     (final / CARD).write_text(write_card(manifest))
@@ -97,24 +159,65 @@ def _keep_finished(final: Path) -> None:
             path.unlink()
 
 
-def _write_part(
-    final: Path, part: Part, groups: Sequence[Group], shards: int, progress: bool
-) -> dict[str, tuple[list[str], list[str]]]:
-    """Write a config's shards and store; return each split's paths, not held out and held out."""
+def _write_part(final: Path, part: Part, shards: int, progress: bool) -> Paths:
+    """Write a config's shards, `shards` or more, and its store, where they are not there already.
+
+    Return the paths of the shards.
+    """
+    rows = part.rows
+    paths: Paths = {}
+    counts = divide_shards([group.frames for group in part.groups], shards)
+    divided = list(zip(part.groups, counts, strict=True))
     with progress_bar(progress) as bar:
-        total = sum(group.frames for group in groups)
-        task = bar.add_task(f"{part.config} shards", total=total)
-        paths = write_shards(final, part.config, groups, shards, lambda n: bar.advance(task, n))
-    write_once(
-        final / store_name(part.config),
-        lambda path: write_store(
-            path, lambda: group_tables(groups), group_rows(groups), group_bounds(groups)
-        ),
-    )
+        task = bar.add_task(f"{part.config} shards", total=sum(row["frames"] for row in rows))
+        for split in SPLITS:
+            own = [(group, count) for group, count in divided if group.split == split]
+            total = sum(count for _, count in own)
+            sides: tuple[list[str], list[str]] = [], []
+            for group, count in own:
+                for start, stop in shard_bounds(group.frames, count):
+                    number = len(sides[0]) + len(sides[1])
+                    name = f"data/{part.config}/{split}-{number:05d}-of-{total:05d}.parquet"
+                    write_once(final / name, partial(_write_shard, group, start, stop))
+                    sides[group.held_out].append(name)
+                    bar.advance(task, stop - start)
+            if total:
+                paths[split] = sides
+    write_once(final / store_name(part.config), lambda path: write_store(path, part.tables, rows))
     return paths
 
 
-def _configs(frames: dict[str, tuple[list[str], list[str]]]) -> dict[str, dict[str, list[str]]]:
+def _write_shard(group: Group, start: int, stop: int, path: Path) -> None:
+    parts, first = [], 0
+    for member, row in zip(group.members, group.rows, strict=True):
+        low, high = max(start - first, 0), min(stop - first, row["frames"])
+        if low < high:
+            parts.append(open_unit(member)[0].slice(low, high - low).drop_columns("pixels"))
+        first += row["frames"]
+    # Each unit's schema carries its own digest: what a shard says must be the features alone.
+    features = {b"huggingface": (parts[0].schema.metadata or {})[b"huggingface"]}
+    parts = [part.replace_schema_metadata(features) for part in parts]
+    write_parquet(path, pa.concat_tables(parts))
+
+
+def write_parquet(path: Path, table: pa.Table) -> None:
+    """Write a table with row groups small enough to stream."""
+    pq.write_table(table, path, row_group_size=_ROW_GROUP, compression="zstd")
+
+
+def _write_trajectories(final: Path, rows: Sequence[dict[str, Any]]) -> dict[str, list[str]]:
+    """Write the `trajectories` config; return the paths of its splits."""
+    paths = {}
+    (final / "data" / "trajectories").mkdir(parents=True, exist_ok=True)
+    for split, chosen in _by_split(rows).items():
+        if chosen:
+            paths[split] = [f"data/trajectories/{split}-00000-of-00001.parquet"]
+            schema = trajectory_features().arrow_schema
+            write_parquet(final / paths[split][0], pa.Table.from_pylist(chosen, schema))
+    return paths
+
+
+def _configs(frames: Paths) -> dict[str, dict[str, list[str]]]:
     """Return the paths of the splits of `frames`, and of `sessions` if a session is held out."""
     configs = {"frames": {split: [*others, *held] for split, (others, held) in frames.items()}}
     held_out = [path for _, held in frames.values() for path in held]
@@ -124,29 +227,58 @@ def _configs(frames: dict[str, tuple[list[str], list[str]]]) -> dict[str, dict[s
     return configs
 
 
-def _write_many(
-    final: Path, part: Part, configs: dict[str, dict[str, list[str]]], shards: int, progress: bool
-) -> dict[str, Any]:
-    """Write the config of many hearts, add its paths to `configs`; return what it holds."""
-    groups = group_units(part)
-    rows = group_rows(groups)
-    paths = _write_part(final, part, groups, shards, progress)
-    configs[part.config] = {split: others for split, (others, _) in paths.items()}
-    splits = {split: _count([row for row in rows if row["split"] == split]) for split in SPLITS}
-    canonical = write_canonical(final, group_tables(groups), f"canonical/{part.config}")
-    return {**_count(rows), "splits": splits, "digest": _digest(rows), "canonical": canonical}
+def _write_canonical(
+    final: Path, tables: Iterable[pa.Table], folder: str = "canonical"
+) -> list[dict[str, Any]]:
+    """Write the middle frame of the first trajectory of each target view, and return its figures.
 
-
-def _count(rows: Sequence[dict[str, Any]]) -> dict[str, int]:
-    return {
-        "hearts": len({row["session"] for row in rows}),
-        "trajectories": len(rows),
-        "frames": sum(row["frames"] for row in rows),
-    }
+    `tables` are rows of `frames`, one table a trajectory, in the dataset's order.
+    """
+    (final / folder).mkdir(parents=True, exist_ok=True)
+    chosen: dict[str, dict[str, Any]] = {}
+    for table in tables:
+        view = table["target_view"][0].as_py()
+        if view in chosen:
+            continue
+        row = table.slice(len(table) // 2, 1).to_pylist()[0]
+        name = f"{folder}/{view}.png"
+        (final / name).write_bytes(row["image"]["bytes"])
+        keys = "trajectory", "frame", "target_view"
+        parameters = {key: row[key] for key in PARAMETERS}
+        chosen[view] = {"file": name, **{key: row[key] for key in keys}, "parameters": parameters}
+    return list(chosen.values())
 
 
 def _digest(rows: Sequence[dict[str, Any]]) -> str:
     return content_digest((row["split"], row["trajectory"], row["digest"]) for row in rows)
+
+
+def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    sessions: Counter[str] = Counter()
+    for row in rows:
+        sessions[row["session"]] += row["frames"]
+    return {
+        "frames": sessions.total(),
+        "trajectories": len(rows),
+        "splits": {split: _size(chosen) for split, chosen in _by_split(rows).items()},
+        "sessions": dict(sessions),
+    }
+
+
+def _count_hearts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    def counts(rows: Sequence[dict[str, Any]]) -> dict[str, int]:
+        return {"hearts": len({row["session"] for row in rows}), **_size(rows)}
+
+    splits = {split: counts(chosen) for split, chosen in _by_split(rows).items()}
+    return {**counts(rows), "splits": splits, "digest": _digest(rows)}
+
+
+def _by_split(rows: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    return {split: [row for row in rows if row["split"] == split] for split in SPLITS}
+
+
+def _size(rows: Sequence[dict[str, Any]]) -> dict[str, int]:
+    return {"trajectories": len(rows), "frames": sum(row["frames"] for row in rows)}
 
 
 def _seal(final: Path) -> dict[str, dict[str, Any]]:
@@ -164,20 +296,3 @@ def _write_report(path: Path, report: Sequence[Finding]) -> None:
     schema = pa.schema({**kinds, "reason": pa.string(), "frames": pa.int32()})
     rows = [dataclasses.asdict(finding) for finding in report]
     write_parquet(path, pa.Table.from_pylist(rows, schema))
-
-
-def _report_counts(report: Sequence[Finding]) -> dict[str, int]:
-    refused = sum(finding.frames for finding in report if finding.refused)
-    return {"refused_frames": refused, "flagged": sum(not finding.refused for finding in report)}
-
-
-def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    sessions: dict[str, int] = {}
-    for row in rows:
-        sessions[row["session"]] = sessions.get(row["session"], 0) + row["frames"]
-    splits = {}
-    for split in SPLITS:
-        frames = [row["frames"] for row in rows if row["split"] == split]
-        splits[split] = {"trajectories": len(frames), "frames": sum(frames)}
-    total = sum(row["frames"] for row in rows)
-    return {"frames": total, "trajectories": len(rows), "splits": splits, "sessions": sessions}

@@ -1,4 +1,4 @@
-"""The commands on datasets, one a module, and the options and settings that all commands share.
+"""The commands on datasets, and the options and settings that all commands share.
 
 `racines_leaderboard.cli.command` puts the `racines` command together.
 """

@@ -1,14 +1,20 @@
-"""The command `racines data build`. Heavy imports stand inside, so that --help is instant."""
+"""The commands `racines data build` and `racines data import`. Heavy imports stand inside."""
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import given, read_settings
+from racines_data.cli.settings import given, overrides, read_settings
 from racines_data.errors import RacinesError
+
+if TYPE_CHECKING:
+    from racines_data.sources.base import Finding
+
+_SHOWN = 20
+_KEYS = ("source", "version", "digest", "recipe_digest", "counts", "report")
 
 
 def build(
@@ -28,36 +34,29 @@ def build(
     """Acquire or import a dataset, and write it as shards, a training store and a card."""
     import time
 
-    from racines_data.build.dataset import build as build_dataset
-    from racines_data.build.dataset import (
-        make_multi_phantom,
-        make_source,
-        peak_memory,
-        read_data_section,
-    )
+    from racines_data.build import dataset
     from racines_data.config import section
 
     start = time.perf_counter()
     values = section(read_settings(params, profile), "data")
     values |= given(source=source, workers=workers, frames=frames, seed=seed, strict=strict or None)
-    config, sections = read_data_section(values)
+    config, sections = dataset.read_data_section(values)
     if frames is not None:
         _check_frames_wanted(config.source)
-    made = make_source(config, sections.get(config.source), inputs or [])
-    many = make_multi_phantom(made, config, sections.get("multi_phantom"))
-    manifest = build_dataset(made, out, config, progress=not as_json, many=many)
-    findings = [vars(finding) for finding in made.report]
+    made = dataset.make_source(config, sections.get(config.source), inputs or [])
+    many = dataset.make_multi_phantom(made, config, sections.get("multi_phantom"))
+    manifest = dataset.build(made, out, config, progress=not as_json, many=many)
     if as_json:
-        keys = ("source", "version", "digest", "recipe_digest", "tag", "counts", "report")
-        summary = {key: manifest[key] for key in keys}
+        summary = {key: manifest[key] for key in (*_KEYS, "tag")}
         summary["multi_phantom"] = manifest.get("multi_phantom")
-        usage = {
-            "seconds": round(time.perf_counter() - start, 2),
-            "peak_memory": peak_memory(config.workers),
-        }
-        typer.echo(json.dumps({"out": str(out), **summary, "findings": findings, **usage}))
+        summary["findings"] = [vars(finding) for finding in made.report]
+        summary["seconds"] = round(time.perf_counter() - start, 2)
+        summary["peak_memory"] = dataset.peak_memory(config.workers)
+        typer.echo(json.dumps({"out": str(out), **summary}))
     else:
-        _print_build(out, manifest, findings)
+        _print_dataset(out, manifest)
+        typer.echo(f"recipe  {manifest['recipe_digest']}")
+        _print_findings(made.report)
 
 
 def _check_frames_wanted(source: str) -> None:
@@ -69,22 +68,86 @@ def _check_frames_wanted(source: str) -> None:
         raise RacinesError(f"--frames: source {source} has the frames of its inputs; leave it out")
 
 
-def _print_build(out: Path, manifest: dict[str, Any], findings: list[dict[str, Any]]) -> None:
-    from rich.console import Console
+def import_(
+    inputs: Annotated[list[Path], typer.Argument(help="Folder or files to import.")],
+    source: Annotated[
+        str, typer.Option(help="release, cactus, tracked, or another's name.")
+    ] = "release",
+    out: opt.Out = Path("data/imported"),
+    settings: opt.Set = None,
+    strict: opt.Strict = False,
+    max_refused: Annotated[
+        float | None, typer.Option(min=0, max=1, help="Largest share of frames to refuse.")
+    ] = None,
+    workers: opt.Workers = None,
+    seed: opt.Seed = None,
+    params: opt.Params = None,
+    profile: opt.Profile = None,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Import recordings as a dataset, and say by kind what could not be used.
 
-    console = Console()
+    A source has settings of its own, such as --set unit=mm. What is refused or flagged stands, file
+    by file, in import_report.parquet of the dataset.
+    """
+    from racines_data.build import dataset
+    from racines_data.config import section
+
+    values = section(read_settings(params, profile), "data") | given(
+        source=source, workers=workers, seed=seed, max_refused=max_refused, strict=strict or None
+    )
+    config, sections = dataset.read_data_section(values)
+    own = sections.get(config.source, {}) | overrides(settings)
+    made = dataset.make_source(config, own, inputs)
+    if hasattr(made, "progress"):
+        setattr(made, "progress", not as_json)  # noqa: B010
+    try:
+        manifest = dataset.build(made, out, config, progress=not as_json)
+    except RacinesError as error:
+        if as_json:
+            typer.echo(json.dumps({"out": None, "error": str(error), **_report(made.report)}))
+        elif made.report:
+            _print_kinds(made.report, "nothing was imported")
+        raise
+    if as_json:
+        summary = {key: manifest[key] for key in _KEYS}
+        typer.echo(json.dumps({"out": str(out), **summary, **_report(made.report)}))
+        return
+    _print_dataset(out, manifest)
+    refused, flagged = manifest["report"]["refused_frames"], manifest["report"]["flagged"]
+    if made.report:
+        _print_kinds(made.report, f"{refused} frames refused, {flagged} findings flagged")
+    else:
+        typer.echo("every file is sound")
+
+
+def _report(findings: list["Finding"]) -> dict[str, Any]:
+    from racines_data.sources.folder import count_kinds
+
+    return {"kinds": count_kinds(findings), "findings": [vars(finding) for finding in findings]}
+
+
+def _print_dataset(out: Path, manifest: dict[str, Any]) -> None:
     counts = manifest["counts"]
     splits = ", ".join(f"{name} {count['frames']}" for name, count in counts["splits"].items())
-    console.print(
+    typer.echo(
         f"{out}: {manifest['source']} {manifest['version']}, {counts['frames']} frames in "
-        f"{counts['trajectories']} trajectories ({splits})\ncontent {manifest['digest']}\n"
-        f"recipe  {manifest['recipe_digest']}",
-        soft_wrap=True,
-        highlight=False,
+        f"{counts['trajectories']} trajectories ({splits})\ncontent {manifest['digest']}"
     )
-    for finding in findings[:20]:
-        verdict = "refused" if finding["refused"] else "flagged"
-        text = f"{verdict}: {finding['file']} {finding['item']}: {finding['reason']}"
-        console.print(text, soft_wrap=True, highlight=False, markup=False)
-    if len(findings) > 20:
-        console.print(f"… and {len(findings) - 20} more: see import_report.parquet")
+
+
+def _print_kinds(findings: list["Finding"], headline: str) -> None:
+    typer.echo(headline)
+    for kind, count in _report(findings)["kinds"].items():
+        typer.echo(f"  {count:6d}  {kind}")
+    _print_findings(findings)
+
+
+def _print_findings(findings: list["Finding"]) -> None:
+    for finding in findings[:_SHOWN]:
+        verdict = "refused" if finding.refused else "flagged"
+        item = f" {finding.item}" if finding.item else ""
+        typer.echo(f"{verdict}: {finding.file}{item}: {finding.reason}")
+    if len(findings) > _SHOWN:
+        more = len(findings) - _SHOWN
+        typer.echo(f"… and {more} more: see import_report.parquet, or --json")

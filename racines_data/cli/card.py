@@ -1,4 +1,4 @@
-"""The command `racines data card`. Heavy imports stand inside."""
+"""The commands `racines data card` and `racines study sheet`. Heavy imports stand inside."""
 
 import json
 from pathlib import Path
@@ -36,3 +36,17 @@ def card(
         typer.echo(
             f"{folder / CARD}: written, {len(manifest.get('realism', []))} realism report(s)"
         )
+
+
+def sheet(
+    out: opt.OutFile = Path("docs/images/contact_sheet.png"),
+    anatomy: Annotated[str, typer.Option(help="Name of an anatomy.")] = "heart",
+    anatomy_seed: Annotated[int, typer.Option(help="0 is the canonical organ.")] = 0,
+    seed: opt.DrawSeed = 0,
+) -> None:
+    """Draw a contact sheet: every view at falling grades, and `Random` scans."""
+    from racines_data.phantom import Phantom, PhantomConfig
+    from racines_data.phantom.figures import contact_sheet
+
+    contact_sheet(Phantom(PhantomConfig(anatomy=anatomy, anatomy_seed=anatomy_seed)), out, seed)
+    typer.echo(f"wrote {out}")

@@ -20,15 +20,13 @@ def validate(
 ) -> None:
     """Check files, digests, rows, splits, copies and statistics; exit 1 if anything is wrong."""
     from racines_data.manifest import default_root
-    from racines_data.validate.report import print_validation
-    from racines_data.validate.run import to_json
-    from racines_data.validate.run import validate as check
+    from racines_data.validate import run
 
-    result = check(default_root(root), against, workers or 1, progress=not as_json)
+    result = run.validate(default_root(root), against, workers or 1, progress=not as_json)
     if as_json:
-        typer.echo(json.dumps(to_json(result)))
+        typer.echo(json.dumps(run.to_json(result)))
     else:
-        print_validation(result)
+        run.print_validation(result)
     if not result.ok:
         broken = "; ".join(
             f"{each.name}: {each.detail}" for each in result.checks if each.binding and not each.ok

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from racines_data.phantom.anatomy import Anatomy, Structure, Tissue, ViewSpec
+from racines_data.phantom.anatomy import Anatomy, Point, Structure, Tissue, ViewSpec, to_point
 from racines_data.phantom.shapes import capsule, ellipsoid, smooth_union, subtract, tube, union
 from racines_data.randomness import sample_seeds, uniform
 
@@ -40,16 +40,11 @@ TISSUES = (
 (GEL, LIVER, CORTEX, PYRAMID, SINUS, CAPSULE, DIAPHRAGM, BLOOD, WALL, GALLBLADDER_WALL, BILE,
  STONE) = range(len(TISSUES))  # fmt: skip
 
-Triple = tuple[float, float, float]
 MM = 1e-3
-TOP = (0.490, 0.010, 0.065)
-"""The organ's origin in the base frame, m."""
-LENGTH, WIDTH, THICKNESS = 105.0, 52.0, 48.0
-"""Outer size of the canonical kidney, mm."""
-KIDNEY = (12.0, -14.0, -78.0)
-"""Its centre, mm."""
-NECK, FUNDUS = (-26.0, 40.0, -80.0), (28.0, 29.0, -58.0)
-"""Ends of the gallbladder's axis, mm."""
+TOP = (0.490, 0.010, 0.065)  # the organ's origin in the base frame, m
+LENGTH, WIDTH, THICKNESS = 105.0, 52.0, 48.0  # outer size of the canonical kidney, mm
+KIDNEY = (12.0, -14.0, -78.0)  # its centre, mm
+NECK, FUNDUS = (-26.0, 40.0, -80.0), (28.0, 29.0, -58.0)  # ends of the gallbladder's axis, mm
 SIDEWAYS = (0.0, 0.25, -1.0)
 """The beam that looks at the kidney through the liver, from the front and the right."""
 
@@ -57,18 +52,12 @@ SIDEWAYS = (0.0, 0.25, -1.0)
 class Variation(NamedTuple):
     """What a seed decides."""
 
-    kidney: float = 1.0
-    """Size of the kidney."""
-    sinus: float = 1.0
-    """Size of the renal sinus in the kidney; a larger one leaves less parenchyma."""
-    gallbladder: float = 1.0
-    """Width of the gallbladder."""
-    turn: float = 0.0
-    """Rotation of everything about the vertical, rad."""
-    tilt: float = 0.0
-    """How much more the lower pole lies to the front, slope."""
-    stone: float = 0.0
-    """Radius of a gallstone, mm; none if 0."""
+    kidney: float = 1.0  # size of the kidney
+    sinus: float = 1.0  # size of the renal sinus in the kidney; a larger one leaves less parenchyma
+    gallbladder: float = 1.0  # width of the gallbladder
+    turn: float = 0.0  # rotation of everything about the vertical, rad
+    tilt: float = 0.0  # how much more the lower pole lies to the front, slope
+    stone: float = 0.0  # radius of a gallstone, mm; none if 0
 
 
 def abdomen(seed: int = 0) -> Anatomy:
@@ -81,7 +70,7 @@ def abdomen(seed: int = 0) -> Anatomy:
         tissues=TISSUES,
         paint=lambda points: _paint(points / MM, varied, kidney),
         structures=tuple(
-            Structure(name, _metres(centre), radius * MM)
+            Structure(name, to_point(centre * MM), radius * MM)
             for name, (centre, radius) in _structures(varied, kidney).items()
         ),
         views=_views(kidney),
@@ -104,11 +93,6 @@ def _variation(seed: int) -> Variation:
         tilt=0.20 * (draw[4] - 0.5),
         stone=3.0 + 4.0 * draw[6] if draw[5] > 0.6 else 0.0,
     )
-
-
-def _metres(point: Tensor) -> Triple:
-    u, v, w = (point * MM).tolist()
-    return u, v, w
 
 
 def _kidney_axes(tilt: float) -> Tensor:
@@ -178,7 +162,7 @@ def _sinus(local: Tensor, size: float) -> Tensor:
     return smooth_union(body, gate, 5.0)
 
 
-def _pyramids() -> list[tuple[Triple, Triple]]:
+def _pyramids() -> list[tuple[Point, Point]]:
     """Return tip and base of the pyramids, which stand around the sinus but not in the hilum."""
     pyramids = []
     for along in (25.0, 58.0, 90.0, 122.0, 155.0):
@@ -211,7 +195,7 @@ def gallbladder(p: Tensor, width: float) -> Tensor:
     return smooth_union(pear, duct, 3.0)
 
 
-def _between(share: float) -> Triple:
+def _between(share: float) -> Point:
     """Return a point on the gallbladder's axis, from neck (0) to fundus (1)."""
     u, v, w = (a + share * (b - a) for a, b in zip(NECK, FUNDUS, strict=True))
     return u, v, w
@@ -224,7 +208,8 @@ def _structures(varied: Variation, kidney: Tensor) -> dict[str, tuple[Tensor, fl
     """Return centre, mm, and the distance from the plane at which each is lost, mm."""
     centre, size = torch.tensor(KIDNEY), varied.kidney
     along, hilum, front = kidney * size
-    beam = _unit(SIDEWAYS)
+    beam = torch.tensor(SIDEWAYS)
+    beam = beam / beam.norm()
     neck, fundus = torch.tensor(NECK), torch.tensor(FUNDUS)
     middle = torch.tensor(_between(0.5))
     return {
@@ -242,38 +227,28 @@ def _structures(varied: Variation, kidney: Tensor) -> dict[str, tuple[Tensor, fl
     }
 
 
-def _unit(vector: Triple) -> Tensor:
-    direction = torch.tensor(vector)
-    return direction / direction.norm()
-
-
 def _views(kidney: Tensor) -> tuple[ViewSpec, ...]:
-    focus = _metres(torch.tensor(KIDNEY))
+    focus = to_point(torch.tensor(KIDNEY) * MM)
     sideways, down = torch.tensor(SIDEWAYS), torch.tensor([0.0, 0.0, -1.0])
     axis = torch.tensor(FUNDUS) - torch.tensor(NECK)
     return (
         ViewSpec(
-            "KLX", focus, SIDEWAYS, _triple(torch.linalg.cross(sideways, kidney[0])),
+            "KLX", focus, SIDEWAYS, to_point(torch.linalg.cross(sideways, kidney[0])),
             (("kidney upper pole", 1.0), ("kidney lower pole", 1.0), ("renal sinus", 1.5),
              ("liver over the kidney", 0.5)),
             title="kidney, longitudinal",
         ),
         ViewSpec(
-            "KSX", focus, SIDEWAYS, _triple(kidney[0]),
+            "KSX", focus, SIDEWAYS, to_point(kidney[0]),
             (("renal sinus", 1.0), ("renal hilum", 1.0), ("lateral cortex", 1.0),
              ("anterior cortex", 1.0), ("liver over the kidney", 0.5)),
             title="kidney, transverse",
         ),
         ViewSpec(
-            "GB", _metres(torch.tensor(_between(0.6))), _triple(down),
-            _triple(torch.linalg.cross(down, axis)),
+            "GB", to_point(torch.tensor(_between(0.6)) * MM), to_point(down),
+            to_point(torch.linalg.cross(down, axis)),
             (("gallbladder neck", 1.0), ("gallbladder body", 1.5), ("gallbladder fundus", 1.0),
              ("liver over the gallbladder", 0.5)),
             title="gallbladder, longitudinal",
         ),
     )  # fmt: skip
-
-
-def _triple(vector: Tensor) -> Triple:
-    x, y, z = vector.tolist()
-    return x, y, z

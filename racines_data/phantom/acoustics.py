@@ -14,6 +14,7 @@ from torch import Tensor
 
 from racines_data.geometry import Pose
 from racines_data.phantom.config import ProbeConfig
+from racines_data.phantom.scan import averaging, gaussian_matrix
 from racines_data.phantom.volume import (
     ALONG_SHEETS,
     ATTENUATION_STEP,
@@ -23,22 +24,14 @@ from racines_data.phantom.volume import (
 )
 from racines_data.randomness import derive, normal, sample_seeds
 
-SPECKLE_GAIN = 0.68
-"""Undoes the gain of the point spread function on correlated scatterers: myocardium is 1."""
-SPECULAR_GAIN = 0.05
-"""Echo of a head-on interface, per unit of packed impedance gradient."""
-SPECULAR_LOSS = 0.02
-"""One-way loss at an interface, dB per unit of packed gradient."""
-AIR_LOSS = 60.0
-"""One-way loss a centimetre outside the block, dB."""
-LOOK_STEP = 1.6
-"""Phase between sub-bands over one standard deviation of the pulse, rad: nearly uncorrelated."""
-RINGING_DEPTH = 0.035
-"""Depth at which reverberation has lost a factor e of its power, m."""
-NEAR_FIELD = 0.025
-"""Depth at which the near field's gain is a factor e closer to that in depth, m."""
-VEIL_ANGLE, VEIL_DEPTH = 0.20, 0.020
-"""How far around multiple scattering gathers its echoes: standard deviation, rad and m."""
+SPECKLE_GAIN = 0.68  # undoes the blur's gain on correlated scatterers: myocardium is 1
+SPECULAR_GAIN = 0.05  # echo of a head-on interface, per unit of packed impedance gradient
+SPECULAR_LOSS = 0.02  # one-way loss at an interface, dB per unit of packed gradient
+AIR_LOSS = 60.0  # one-way loss a centimetre outside the block, dB
+LOOK_STEP = 1.6  # phase between sub-bands over one sigma of the pulse, rad: nearly uncorrelated
+RINGING_DEPTH = 0.035  # depth at which reverberation has lost a factor e of its power, m
+NEAR_FIELD = 0.025  # depth at which the near field's gain is a factor e closer to that in depth, m
+VEIL_ANGLE, VEIL_DEPTH = 0.20, 0.020  # reach of multiple scattering: standard deviation, rad and m
 NOISE_BANK = 1 << 20
 REVERBERATION_SEED = 977
 
@@ -46,35 +39,22 @@ REVERBERATION_SEED = 977
 class Beams(NamedTuple):
     """The fixed polar grid of a probe and everything precomputed on it."""
 
-    sin: Tensor
-    """(L,) lateral component of each beam's direction."""
+    sin: Tensor  # (L,) lateral component of each beam's direction
     cos: Tensor
-    depth: Tensor
-    """(S,) distance of each sample from the face, m."""
-    elevation: Tensor
-    """(L, S) offset out of the plane, m: one draw a point stands for the slice's thickness."""
-    axial: Tensor
-    """(S, S) pulse, as a matrix from the right."""
-    lateral_far: Tensor
-    """(L, L) beam profile at the focus with its side lobes, from the left."""
+    depth: Tensor  # (S,) distance of each sample from the face, m
+    elevation: Tensor  # (L, S) offset out of the plane, m: one draw a point for its thickness
+    axial: Tensor  # (S, S) pulse, as a matrix from the right
+    lateral_far: Tensor  # (L, L) beam profile at the focus with its side lobes, from the left
     lateral_near: Tensor
-    veil_across: Tensor
-    """(L, L) and (S, S): the mean echo power around, from the left and from the right."""
-    veil_along: Tensor
-    near: Tensor
-    """(N,) share of the near profile, of the N samples that lie before the focus."""
-    turn: Tensor
-    """(looks, 2, S) cosine and sine of the phase by which each sub-band differs from the first."""
-    ringing: Tensor
-    """(S,) power of what bounces between the layers under the probe."""
-    hiss: Tensor
-    """(S,) power of the electronic noise, as the TGC lifts it."""
-    lift: Tensor
-    """(L, S) dB: the TGC, less what a steered beam loses, and the near field by its gain."""
-    clutter: Tensor
-    """(2, L, S) reverberation of the face, fixed to the probe."""
-    noise: Tensor
-    """(NOISE_BANK,) standard normal numbers; a frame reads a run of them."""
+    veil_across: Tensor  # (L, L) from the left: the mean echo power around
+    veil_along: Tensor  # (S, S) from the right
+    near: Tensor  # (N,) share of the near profile, of the N samples that lie before the focus
+    turn: Tensor  # (looks, 2, S) cosine and sine of each sub-band's phase against the first
+    ringing: Tensor  # (S,) power of what bounces between the layers under the probe
+    hiss: Tensor  # (S,) power of the electronic noise, as the TGC lifts it
+    lift: Tensor  # (L, S) dB: the TGC, less the loss of steered beams and of the near field
+    clutter: Tensor  # (2, L, S) reverberation of the face, fixed to the probe
+    noise: Tensor  # (NOISE_BANK,) standard normal numbers; a frame reads a run of them
 
 
 def make_beams(probe: ProbeConfig, gel_attenuation: float, device: torch.device) -> Beams:
@@ -101,8 +81,8 @@ def make_beams(probe: ProbeConfig, gel_attenuation: float, device: torch.device)
         axial=_profile(probe.samples, probe.axial_sigma / step),
         lateral_far=_profile(probe.beams, sigma) + lobes,
         lateral_near=_profile(probe.beams, 2.2 * sigma) + lobes,
-        veil_across=_mean_over(probe.beams, VEIL_ANGLE / spacing) * 10.0 ** (probe.haze / 10.0),
-        veil_along=_mean_over(probe.samples, VEIL_DEPTH / step).T.contiguous(),
+        veil_across=averaging(probe.beams, VEIL_ANGLE / spacing) * 10.0 ** (probe.haze / 10.0),
+        veil_along=averaging(probe.samples, VEIL_DEPTH / step).T.contiguous(),
         near=share[share > 0.0],
         turn=torch.stack([turn.cos(), turn.sin()], 1),
         ringing=10.0 ** (probe.reverberation / 10.0) * torch.exp(-depth / RINGING_DEPTH),
@@ -116,17 +96,8 @@ def make_beams(probe: ProbeConfig, gel_attenuation: float, device: torch.device)
 
 def _profile(size: int, sigma: float) -> Tensor:
     """Return a symmetric banded matrix of Gaussian rows with unit energy (keeps speckle power)."""
-    offset = torch.arange(size).unsqueeze(0) - torch.arange(size).unsqueeze(1)
-    matrix = torch.exp(-0.5 * (offset / sigma) ** 2)
-    matrix[offset.abs() > math.ceil(4 * sigma)] = 0.0
+    matrix = gaussian_matrix(size, sigma, 4)
     return matrix / matrix.square().sum(1, keepdim=True).sqrt()
-
-
-def _mean_over(size: int, sigma: float) -> Tensor:
-    """Return the matrix of a Gaussian mean over neighbours; rows sum to one."""
-    offset = torch.arange(size).unsqueeze(0) - torch.arange(size).unsqueeze(1)
-    matrix = torch.exp(-0.5 * (offset / sigma) ** 2)
-    return matrix / matrix.sum(1, keepdim=True)
 
 
 def _clutter(probe: ProbeConfig, depth: Tensor) -> Tensor:
@@ -142,9 +113,8 @@ def _clutter(probe: ProbeConfig, depth: Tensor) -> Tensor:
 def sample_echoes(volume: Volume, beams: Beams, probe: ProbeConfig, pose: Pose) -> Tensor:
     """Return the (B, 2, L, S) complex echoes of the block before the point spread function."""
     x, y, z = (pose.rotation[:, :, i] for i in range(3))
-    direction = x.unsqueeze(1) * beams.sin.view(1, -1, 1) + z.unsqueeze(1) * beams.cos.view(
-        1, -1, 1
-    )
+    sin, cos = beams.sin.view(1, -1, 1), beams.cos.view(1, -1, 1)
+    direction = x.unsqueeze(1) * sin + z.unsqueeze(1) * cos
     index = _voxel_index(volume, beams, pose.position, direction, y)
     packed = volume.packed.index_select(0, index.flatten())
     scatterers = packed.view(torch.int16).view(*index.shape, 4)

@@ -9,6 +9,7 @@ the hand on top. Coordinates are x, y, z and the Euler angles with rotation_x me
 down, in which the probe's leaning and turning are nearly independent.
 """
 
+import itertools
 import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -53,18 +54,13 @@ class AcquisitionConfig:
 class PlannedSweep(NamedTuple):
     """One trajectory of T poses."""
 
-    pose: Pose
-    """Where the probe truly is."""
-    velocity: Tensor
-    """(T, 6) true velocity, m/s and rad/s, base frame."""
-    control: Tensor
-    """(T, 6) commanded velocity, without the tremor."""
-    times: Tensor
-    """(T,) float64 seconds."""
+    pose: Pose  # where the probe truly is
+    velocity: Tensor  # (T, 6) true velocity, m/s and rad/s, base frame
+    control: Tensor  # (T, 6) commanded velocity, without the tremor
+    times: Tensor  # (T,) float64 seconds
 
 
-DWELL = 0.53
-"""Share of a trajectory's frames in which the view is held."""
+DWELL = 0.53  # share of a trajectory's frames in which the view is held
 
 
 def plan_lengths(config: AcquisitionConfig) -> list[int]:
@@ -84,16 +80,11 @@ def plan_lengths(config: AcquisitionConfig) -> list[int]:
 
 def plan_targets(count: int, config: AcquisitionConfig) -> list[str]:
     """Return the target of each trajectory: views in turn, random scans evenly between them."""
-    targets, done, turn = [], 0, 0
-    views = anatomy_views(config.phantom.anatomy)
-    for i in range(count):
-        if math.floor((i + 1) * config.random_share + 0.5) > done:
-            targets.append(RANDOM)
-            done += 1
-        else:
-            targets.append(views[turn % len(views)])
-            turn += 1
-    return targets
+    views = itertools.cycle(anatomy_views(config.phantom.anatomy))
+    scans = [math.floor(i * config.random_share + 0.5) for i in range(count + 1)]
+    return [
+        RANDOM if after > before else next(views) for before, after in itertools.pairwise(scans)
+    ]
 
 
 def make_sweep(
@@ -122,15 +113,13 @@ class _Draw:
     """A stream of draws from one seed."""
 
     def __init__(self, seed: Tensor):
-        self._seed, self._stream = seed, 100
+        self._seed, self._streams = seed, itertools.count(101)
 
     def uniform(self, *shape: int) -> Tensor:
-        self._stream += 1
-        return uniform(self._seed, math.prod(shape), self._stream).view(shape)
+        return uniform(self._seed, math.prod(shape), next(self._streams)).view(shape)
 
     def normal(self, *shape: int) -> Tensor:
-        self._stream += 1
-        return normal(self._seed, math.prod(shape), self._stream).view(shape)
+        return normal(self._seed, math.prod(shape), next(self._streams)).view(shape)
 
 
 def coordinates(pose: Pose) -> Tensor:
@@ -152,7 +141,7 @@ _DEGREES_A_MILLIMETRE = math.radians(1.0) / 0.001
 def _around(point: Tensor, millimetres: float, draw: _Draw, count: int = 1) -> Tensor:
     """Scatter points by some millimetres in position and as many degrees in angle."""
     scale = _SPREAD * millimetres * 1e-3
-    scale = torch.cat([scale[:3], scale[3:] * _DEGREES_A_MILLIMETRE])
+    scale[3:] *= _DEGREES_A_MILLIMETRE
     return point + draw.normal(count, 6) * scale
 
 

@@ -13,6 +13,14 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.views import ANATOMIES, organs
 
+Point = tuple[float, float, float]
+
+
+def to_point(vector: Tensor) -> Point:
+    """Return a (3,) tensor as numbers."""
+    x, y, z = vector.tolist()
+    return x, y, z
+
 
 @dataclass(frozen=True)
 class Tissue:
@@ -31,7 +39,6 @@ class Tissue:
     """Standard deviation of slow (centimetre) variation of the backscatter, dB."""
     grain: float = 0.0
     """Standard deviation of fine (2-3 mm) variation of the backscatter, dB."""
-
     sheets: bool = False
     """Whether it lies in sheets along its surface, which scatter less along than across."""
 
@@ -46,7 +53,7 @@ class Structure:
     """A landmark that a view has to show."""
 
     name: str
-    centre: tuple[float, float, float]
+    centre: Point
     """Organ frame, m."""
     radius: float
     """Distance from the image plane at which it is all but lost, m."""
@@ -60,11 +67,11 @@ class ViewSpec:
     """
 
     name: str
-    focus: tuple[float, float, float]
+    focus: Point
     """A point of the image plane on the central beam, m."""
-    beam: tuple[float, float, float]
+    beam: Point
     """Direction of the central beam; made orthogonal to the normal."""
-    normal: tuple[float, float, float]
+    normal: Point
     """Normal of the image plane, out of the image (the probe's y axis)."""
     structures: tuple[tuple[str, float], ...]
     """Names and weights of the structures that make the view complete."""
@@ -85,13 +92,13 @@ class Anatomy:
     """Maps (M, 3) points of the organ frame, m, to (M,) int64 tissue indices."""
     structures: tuple[Structure, ...]
     views: tuple[ViewSpec, ...]
-    axes: tuple[tuple[float, float, float], ...]
+    axes: tuple[Point, ...]
     """Rows are the organ's axes in the base frame."""
-    origin: tuple[float, float, float]
+    origin: Point
     """The organ's origin in the base frame, m."""
     home: tuple[float, float, float, float, float, float] = (0.4886, 0.0400, 0.0, 0.0, 0.05, 1.90)
     """Where an operator starts: x, y, m; then (unused) z, two leans and the turn, rad."""
-    wander: tuple[float, float, float] = (0.4886, 0.0400, 0.9)
+    wander: Point = (0.4886, 0.0400, 0.9)
     """Middle of the random scans: x, y, m, and the turn of the probe, rad."""
 
 
@@ -113,9 +120,5 @@ def load_anatomy(name: str, seed: int) -> Anatomy:
 
 @cache
 def anatomy_views(name: str) -> tuple[str, ...]:
-    """Return the names of an anatomy's views, in label order.
-
-    Raises:
-        RacinesError: no such anatomy.
-    """
+    """Return the names of an anatomy's views, in label order."""
     return organs().get(name) or tuple(view.name for view in load_anatomy(name, 0).views)

@@ -1,6 +1,16 @@
-"""Configuration of the phantom: block, probe, contact and workspace; metres, seconds, newtons."""
+"""Configuration of the phantom: block, probe, contact and workspace; metres, seconds, newtons.
 
-from dataclasses import dataclass, field
+With it, what one seed of the population makes of a configuration, and the one of a dataset.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from racines_data.config import fill
+from racines_data.errors import RacinesError
+from racines_data.manifest import MULTI_PHANTOM
+from racines_data.randomness import sample_seeds, uniform
 
 PHANTOM_VERSION = "1.0.0"
 """Part of every recipe digest: raise it whenever an image, a force or a truth changes."""
@@ -127,3 +137,52 @@ class PhantomConfig:
     probe: ProbeConfig = field(default_factory=ProbeConfig)
     contact: ContactConfig = field(default_factory=ContactConfig)
     workspace: WorkspaceConfig = field(default_factory=WorkspaceConfig)
+
+
+_STREAM = 41
+_SPREAD = {
+    "gain": 5.0,  # dB
+    "dynamic_range": 10.0,  # dB
+    "gray_map": 0.4,
+    "noise": 6.0,  # dB
+    "reverberation": 6.0,  # dB
+    "haze": 7.0,  # dB: what differs most from one patient to the next
+}
+"""How far an examination's settings stray from the base probe's, either way."""
+COVER = 2.5  # most unevenness of the cover, dB/cm/MHz
+
+
+def heart_config(base: PhantomConfig, seed: int) -> PhantomConfig:
+    """Return the phantom of heart `seed`, 1 or more: its scatterers and its examiner differ too."""
+    cover = COVER * uniform(sample_seeds(seed, 1), 1, _STREAM + 1).item()
+    block = replace(base.block, seed=base.block.seed + 10 * seed, cover=cover)
+    draw = uniform(sample_seeds(seed, 1), len(_SPREAD), _STREAM)[0].tolist()
+    strayed = {
+        name: getattr(base.probe, name) + spread * (2.0 * x - 1.0)
+        for (name, spread), x in zip(_SPREAD.items(), draw, strict=True)
+    }
+    return replace(base, anatomy_seed=seed, block=block, probe=replace(base.probe, **strayed))
+
+
+def phantom_settings(manifest: Mapping[str, Any], config: str) -> dict[str, Any] | None:
+    """Return the phantom's settings and version as the recipe names them; None for others."""
+    recipe = manifest.get("recipe") or {}
+    part = recipe.get(MULTI_PHANTOM if config == MULTI_PHANTOM else "settings") or {}
+    settings = (part.get("acquisition") or {}).get("phantom")
+    return settings and {"version": part.get("phantom"), "phantom": settings}
+
+
+def recorded_phantom(manifest: dict[str, Any]) -> PhantomConfig:
+    """Return the phantom of a dataset; `RacinesError` if it has none, or one of another version."""
+    found = phantom_settings(manifest, "frames")
+    if found is None:
+        raise RacinesError(
+            f"the dataset's source is {manifest.get('source')}: only a simulated "
+            "phantom can be scanned again; leave noise-ceiling out of `generators`"
+        )
+    if found["version"] != PHANTOM_VERSION:
+        raise RacinesError(
+            f"the dataset is of phantom {found['version']}, this is phantom "
+            f"{PHANTOM_VERSION}: build it again with racines data build"
+        )
+    return fill(PhantomConfig, found["phantom"], "manifest.json: recipe: phantom")

@@ -1,11 +1,13 @@
 """Pictures of the phantom for people: the contact sheet of the views."""
 
+import io
 from pathlib import Path
 
 import numpy as np
 import torch
 from matplotlib.figure import Figure
 
+from racines_data.files import write_atomic
 from racines_data.geometry import Pose, euler_to_matrix, matrix_to_euler
 from racines_data.phantom.model import Phantom
 from racines_data.randomness import normal, sample_seeds
@@ -17,57 +19,51 @@ CANDIDATES = 400
 
 def contact_sheet(phantom: Phantom, out: Path, seed: int = 0) -> None:
     """Draw each view at its nominal pose and at poses of falling grade, and `Random` scans."""
-    rows = [(name, *_samples(phantom, name, seed)) for name in phantom.labels]
     titles = VIEW_TITLES | {name: title for name, title in phantom.titles.items() if title}
-    figure = Figure(figsize=(COLUMNS * 1.75 + 1.2, len(rows) * 1.62 + 0.5), facecolor="black")
-    axes = figure.subplots(len(rows), COLUMNS, squeeze=False)
-    for row, (name, images, grades) in enumerate(rows):
-        for column in range(COLUMNS):
-            axis = axes[row, column]
-            axis.imshow(images[column], cmap="gray", vmin=0, vmax=255)
+    count = len(phantom.labels)
+    figure = Figure(figsize=(COLUMNS * 1.75 + 1.2, count * 1.62 + 0.5), facecolor="black")
+    axes = figure.subplots(count, COLUMNS, squeeze=False)
+    for row, name in zip(axes, phantom.labels, strict=True):
+        for axis, image, grade in zip(row, *_samples(phantom, name, seed), strict=True):
+            axis.imshow(image, cmap="gray", vmin=0, vmax=255)
             axis.set_axis_off()
-            label = "Random" if name == RANDOM else f"grade {grades[column]:.1f}"
+            label = "Random" if name == RANDOM else f"grade {grade:.1f}"
             axis.set_title(label, color="white", fontsize=8, pad=2)
-        axes[row, 0].text(
-            -0.12, 0.5, f"{name}\n{_wrapped(titles.get(name, ''))}", color="white", fontsize=9,
-            ha="right", va="center", transform=axes[row, 0].transAxes,
+        title = titles.get(name, "").replace(" ", "\n")
+        row[0].text(
+            -0.12, 0.5, f"{name}\n{title}", color="white", fontsize=9,
+            ha="right", va="center", transform=row[0].transAxes,
         )  # fmt: skip
     figure.subplots_adjust(left=0.14, right=0.995, top=0.97, bottom=0.01, wspace=0.03, hspace=0.14)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    temporary = out.with_name(f".{out.name}.tmp")
-    figure.savefig(temporary, format="png", dpi=110, facecolor="black", metadata={"Software": None})
-    temporary.replace(out)
-
-
-def _wrapped(text: str) -> str:
-    return text.replace(" ", "\n").replace(",\n", ",\n")
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110, facecolor="black", metadata={"Software": None})
+    write_atomic(out, buffer.getvalue())
 
 
 def _samples(phantom: Phantom, name: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return COLUMNS images and grades: nominal first, then evenly down the grades."""
-    start = phantom.target(phantom.views[0] if name == RANDOM else name)
-    spread = 1.0 if name != RANDOM else 5.0
+    random = name == RANDOM
+    start = phantom.target(phantom.views[0] if random else name)
+    spread = 5.0 if random else 1.0
     draw = normal(sample_seeds(seed, CANDIDATES), 6)
     position = start.position.cpu() + draw[:, :3] * spread * torch.tensor([0.006, 0.006, 0.001])
     angles = matrix_to_euler(start.rotation).cpu() + draw[:, 3:] * spread * 0.09
-    if name == RANDOM:
+    if random:
         centre = (phantom.workspace.position_min + phantom.workspace.position_max) / 2
         position[:, :2] = centre[:2].cpu() + draw[:, :2] * torch.tensor([0.04, 0.03])
         position[:, 2] = start.position[0, 2]
-        angles[:, 2] = 1.5 * draw[:, 5]
-        angles[:, 0] = torch.pi + 0.3 * draw[:, 3]
-        angles[:, 1] = 0.25 * draw[:, 4]
+        lean = draw[:, 3:] * torch.tensor([0.3, 0.25, 1.5])
+        angles = lean + torch.tensor([torch.pi, 0.0, 0.0])
     pose = Pose(position, euler_to_matrix(angles)).to(phantom.device)
-    if name != RANDOM:
+    if not random:
         pose = Pose(*(torch.cat([a, b]) for a, b in zip(start, pose, strict=True)))
     truth = phantom.judge(pose)
-    label = phantom.labels.index(name)
-    hits = ((truth.view == label) & phantom.workspace.contains(pose)).nonzero().squeeze(1)
-    grade = truth.grade[hits]
-    if name == RANDOM:
+    shown = truth.view == phantom.labels.index(name)
+    hits = (shown & phantom.workspace.contains(pose)).nonzero().squeeze(1)
+    if random:
         chosen = hits[:COLUMNS]
     else:
-        order = hits[grade.argsort(descending=True)]
+        order = hits[truth.grade[hits].argsort(descending=True)]
         chosen = order[torch.linspace(0, len(order) - 1, COLUMNS).round().long()]
         chosen[0] = 0
     images = phantom.render(Pose(*(x[chosen] for x in pose)), sample_seeds(seed, COLUMNS))

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from racines_data.phantom.anatomy import Anatomy, Structure, Tissue, ViewSpec
+from racines_data.phantom.anatomy import Anatomy, Point, Structure, Tissue, ViewSpec, to_point
 from racines_data.phantom.shapes import capsule, ellipsoid, smooth_union, subtract, tube, union
 from racines_data.randomness import sample_seeds, uniform
 
@@ -31,7 +31,6 @@ TISSUES = (
 )
 GEL, MYOCARDIUM, BLOOD, WALL, PERICARDIUM, CONNECTIVE = range(6)
 
-Triple = tuple[float, float, float]
 MM = 1e-3
 S = (-0.5, math.sqrt(0.75), 0.0)
 T = (math.sqrt(0.75), 0.5, 0.0)
@@ -40,16 +39,10 @@ W = (0.0, 0.0, 1.0)
 # Up in the organ frame: apex, anterior and right side face the scanned surface, so that the
 # apical, subcostal and parasternal windows all lie on one flat top.
 DOWN = (0.45, -0.60, -0.66)
-HEADING = 3.83
-"""Rotation of the heart about the vertical, rad."""
-ORIGIN = (0.4673, 0.0013, 0.0)
-"""x and y of the heart's reference point in the base frame, m; z comes from APEX_DEPTH."""
-HOME = (0.4830, 0.0595, 0.0, -0.116, 0.070, 1.98)
-WANDER = (0.5070, 0.0350, 1.80)
-REFERENCE = (0.0, 0.0, 35.0)
-"""The reference point: the middle of the LV, organ frame, mm."""
-REFERENCE_DEPTH = 0.0575
-"""Depth of the reference point under the surface at z = 0.065, m."""
+HEADING = 3.83  # rotation of the heart about the vertical, rad
+ORIGIN = (0.4673, 0.0013)  # x and y of the heart's reference point in the base frame, m
+REFERENCE = (0.0, 0.0, 35.0)  # the reference point: the middle of the LV, organ frame, mm
+REFERENCE_DEPTH = 0.0575  # depth of the reference point under the surface at z = 0.065, m
 
 
 @dataclass(frozen=True)
@@ -57,27 +50,17 @@ class _Form:
     """What varies from heart to heart; the defaults are the canonical heart."""
 
     size: float = 1.0
-    wall: float = 1.0
-    """Thickness of the walls."""
-    turn: float = 0.0
-    """Rotation about the vertical, rad."""
-    ventricle: float = 1.0
-    """Width of the left ventricle against its length."""
-    right: float = 1.0
-    """Width of the right ventricle."""
-    atria: float = 1.0
-    """Radius of the atria."""
-    gel: float = -13.0
-    """Backscatter of the surroundings, dB, and how unevenly they scatter, dB."""
-    unevenness: float = 1.0
-    blood: float = -34.0
-    """Backscatter of blood, dB."""
-    patchiness: float = 3.5
-    """Slow variation of the walls' backscatter, dB."""
-    grain: float = 0.0
-    """Fine variation of the surroundings' backscatter, dB."""
-    layers: float = 0.0
-    """Share of the surroundings that is layers of connective tissue; a gel block has none."""
+    wall: float = 1.0  # thickness of the walls
+    turn: float = 0.0  # rotation about the vertical, rad
+    ventricle: float = 1.0  # width of the left ventricle against its length
+    right: float = 1.0  # width of the right ventricle
+    atria: float = 1.0  # radius of the atria
+    gel: float = -13.0  # backscatter of the surroundings, dB
+    unevenness: float = 1.0  # how unevenly they scatter, dB
+    blood: float = -34.0  # backscatter of blood, dB
+    patchiness: float = 3.5  # slow variation of the walls' backscatter, dB
+    grain: float = 0.0  # fine variation of the surroundings' backscatter, dB
+    layers: float = 0.0  # share of the surroundings that is layers of connective tissue
     layer_seed: int = 0
 
 
@@ -97,11 +80,11 @@ def heart(seed: int = 0) -> Anatomy:
             Structure(name, _scaled(centre, size), radius * MM * size)
             for name, (centre, radius) in _STRUCTURES.items()
         ),
-        views=tuple(_view(size, *row) for row in _VIEWS),
+        views=tuple(replace(view, focus=_scaled(view.focus, size)) for view in _VIEWS),
         axes=axes,
         origin=origin,
-        home=HOME,
-        wander=WANDER,
+        home=(0.4830, 0.0595, 0.0, -0.116, 0.070, 1.98),
+        wander=(0.5070, 0.0350, 1.80),
     )
 
 
@@ -128,11 +111,11 @@ def _tissues(form: _Form) -> tuple[Tissue, ...]:
     )
 
 
-def _scaled(point: tuple[float, float, float], size: float) -> tuple[float, float, float]:
+def _scaled(point: Point, size: float) -> Point:
     return (point[0] * MM * size, point[1] * MM * size, point[2] * MM * size)
 
 
-def _along(s: float, t: float, w: float) -> tuple[float, float, float]:
+def _along(s: float, t: float, w: float) -> Point:
     """Return the point with coordinates along s, t and w."""
     return (s * S[0] + t * T[0], s * S[1] + t * T[1], w)
 
@@ -180,20 +163,21 @@ def _paint(p: Tensor, form: _Form) -> Tensor:
         subtract(lv, papillary), subtract(rv_cavity, trabecula), la, ra, aorta, pulmonary,
         mitral, tricuspid,
     )  # fmt: skip
+    atria = union(la, ra)
     # Septa: the atria and the aortic root are kept apart by their walls.
-    septum = torch.maximum(union(la, ra), (_signed_gap(la, ra) - atrial_wall / 2))
-    root = torch.maximum(torch.maximum(union(la, ra), aorta - 2.5), -(aorta))
+    septum = torch.maximum(atria, (la - ra).abs() / 2 - atrial_wall / 2)
+    root = torch.maximum(torch.maximum(atria, aorta - 2.5), -aorta)
     muscle = union(lv_outer, subtract(rv, lv_outer) - rv_wall)
-    atria = union(la, ra) - atrial_wall
+    atria_outer = atria - atrial_wall
     vessels = union(aorta - 2.2, pulmonary - 2.0, outflow - 2.5)
-    heart_outer = union(muscle, atria, vessels)
+    heart_outer = union(muscle, atria_outer, vessels)
 
     tissue = torch.full_like(u, GEL, dtype=torch.int64)
     if form.layers:
         tissue[_layers(p, form) & (heart_outer > 3.0)] = CONNECTIVE
     tissue[heart_outer < 1.4] = PERICARDIUM
     tissue[(heart_outer < 0.0)] = MYOCARDIUM
-    tissue[torch.minimum(vessels, atria) < 0.0] = WALL
+    tissue[torch.minimum(vessels, atria_outer) < 0.0] = WALL
     tissue[torch.minimum(lv_outer, rv - rv_wall) < 0.0] = MYOCARDIUM
     tissue[(aorta - 2.2 < 0.0) & (w < 2.0)] = WALL
     tissue[blood < 0.0] = BLOOD
@@ -211,14 +195,9 @@ def _layers(p: Tensor, form: _Form) -> Tensor:
     return wave.mean(1).abs() < 0.3 * form.layers
 
 
-def _signed_gap(a: Tensor, b: Tensor) -> Tensor:
-    """Distance from the surface halfway between two shapes."""
-    return (a - b).abs() / 2
-
-
 # --- landmarks and views -------------------------------------------------------------------------
 
-_STRUCTURES: dict[str, tuple[tuple[float, float, float], float]] = {
+_STRUCTURES: dict[str, tuple[Point, float]] = {
     # name: (centre, distance from the plane at which it is lost), mm
     "LV apex": ((0.0, 0.0, 72.0), 14.0),
     "LV": ((0.0, 0.0, 30.0), 16.0),
@@ -248,7 +227,7 @@ _FOUR = (("LV", 1.5), ("LV apex", 1.0), ("septum", 1.0), ("LV lateral wall", 1.0
          ("LA", 1.0), ("RA", 1.0), ("crux", 1.0))  # fmt: skip
 
 
-def _in_plane(first: tuple[float, float, float], degrees: float) -> tuple[float, float, float]:
+def _in_plane(first: Point, degrees: float) -> Point:
     """Rotate from -w (apical) towards `first` by an angle: a beam of a long-axis plane."""
     angle = math.radians(degrees)
     sin, cos = math.sin(angle), math.cos(angle)
@@ -256,35 +235,23 @@ def _in_plane(first: tuple[float, float, float], degrees: float) -> tuple[float,
 
 
 _FOUR_NORMAL = (0.0, -1.0, 0.05)
-_VIEWS = (
-    # name, focus mm, beam, normal, structures
-    ("A4C", (-9.0, -1.5, 20.0), _in_plane((1.0, 0.0, 0.0), 5.0), _FOUR_NORMAL, _FOUR),
-    ("SC", (-10.0, -1.5, 22.0), _in_plane((1.0, 0.0, 0.0), 46.0), _FOUR_NORMAL,
-     (("LV", 1.5), *_FOUR[2:])),
-    ("PL", _along(2.0, 0.0, 8.0), _in_plane((-S[0], -S[1], 0.0), 68.0), T,
-     (("LV", 1.0), ("anteroseptum", 1.0), ("posterior wall", 1.0), ("aortic root", 1.5),
-      ("aortic outflow", 1.0), ("LA below root", 1.0), ("RV outflow", 0.5))),
-    ("PSAV", _along(14.0, 0.0, -16.0), (0.6, -0.8, 0.0), W,
-     (("aortic root", 2.0), ("RVOT", 1.0), ("pulmonary trunk", 1.0), ("LA below root", 1.0),
-      ("RA beside root", 1.0))),
-    ("PSMV", _along(0.0, 0.0, 6.0), (0.6, -0.8, 0.0), W,
-     (("mitral annulus anterior", 1.0), ("mitral annulus posterior", 1.0),
-      ("mitral annulus lateral", 1.0), ("mitral annulus septal", 1.0), ("RV base", 1.0))),
+_VIEWS = (  # focus: mm
+    ViewSpec("A4C", (-9.0, -1.5, 20.0), _in_plane((1.0, 0.0, 0.0), 5.0), _FOUR_NORMAL, _FOUR),
+    ViewSpec("SC", (-10.0, -1.5, 22.0), _in_plane((1.0, 0.0, 0.0), 46.0), _FOUR_NORMAL,
+             (("LV", 1.5), *_FOUR[2:])),
+    ViewSpec("PL", _along(2.0, 0.0, 8.0), _in_plane((-S[0], -S[1], 0.0), 68.0), T,
+             (("LV", 1.0), ("anteroseptum", 1.0), ("posterior wall", 1.0), ("aortic root", 1.5),
+              ("aortic outflow", 1.0), ("LA below root", 1.0), ("RV outflow", 0.5))),
+    ViewSpec("PSAV", _along(14.0, 0.0, -16.0), (0.6, -0.8, 0.0), W,
+             (("aortic root", 2.0), ("RVOT", 1.0), ("pulmonary trunk", 1.0), ("LA below root", 1.0),
+              ("RA beside root", 1.0))),
+    ViewSpec("PSMV", _along(0.0, 0.0, 6.0), (0.6, -0.8, 0.0), W,
+             (("mitral annulus anterior", 1.0), ("mitral annulus posterior", 1.0),
+              ("mitral annulus lateral", 1.0), ("mitral annulus septal", 1.0), ("RV base", 1.0))),
 )  # fmt: skip
 
 
-def _view(
-    size: float,
-    name: str,
-    focus: tuple[float, float, float],
-    beam: tuple[float, float, float],
-    normal: tuple[float, float, float],
-    structures: tuple[tuple[str, float], ...],
-) -> ViewSpec:
-    return ViewSpec(name, _scaled(focus, size), beam, normal, structures)
-
-
-def _placement(turn: float) -> tuple[tuple[Triple, ...], Triple]:
+def _placement(turn: float) -> tuple[tuple[Point, ...], Point]:
     """Return the organ's axes (rows u, v, w in the base frame) and its origin."""
     down = torch.tensor(DOWN, dtype=torch.float64)
     down = down / down.norm()
@@ -299,11 +266,6 @@ def _placement(turn: float) -> tuple[tuple[Triple, ...], Triple]:
     base_y = sin * forward + cos * side
     axes = torch.stack([base_x, base_y, -down], dim=-1)  # row i: organ axis i in base coordinates
     reference = torch.tensor(REFERENCE, dtype=torch.float64) * MM
-    target = torch.tensor([ORIGIN[0], ORIGIN[1], 0.065 - REFERENCE_DEPTH], dtype=torch.float64)
+    target = torch.tensor([*ORIGIN, 0.065 - REFERENCE_DEPTH], dtype=torch.float64)
     origin = target - axes.T @ reference
-    return tuple(_triple(row) for row in axes), _triple(origin)
-
-
-def _triple(values: torch.Tensor) -> Triple:
-    x, y, z = values.tolist()
-    return x, y, z
+    return tuple(to_point(row) for row in axes), to_point(origin)

@@ -21,14 +21,12 @@ from racines_data.randomness import derive, sample_seeds
 from racines_data.views import labels_of
 from racines_data.world import Truth, Workspace, World
 
-CHUNK = 64
-"""Frames rendered at once: bounds the memory of the polar grids (about 1 MB a frame)."""
+CHUNK = 64  # frames rendered at once: bounds the memory of the polar grids (about 1 MB a frame)
 CACHED = {"cpu": 16}
 """Frames whose polar grids are worked on at once by device type, else the chunk: sixteen fit the
 caches of a CPU, two threads included. The coupling of a chunk is computed at once all the same,
 since a CPU may round it otherwise in what is left after the last full vector."""
-VECTORS = 32
-"""Rows that fill whole vectors of a CPU, whatever their columns."""
+VECTORS = 32  # rows that fill whole vectors of a CPU, whatever their columns
 
 
 class Phantom(World):
@@ -86,15 +84,10 @@ class Phantom(World):
 
     def render(self, pose: Pose, seeds: Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 images of poses on this device, unchecked."""
-        parts = [
-            part
-            for i in range(0, len(seeds), CHUNK)
-            for part in self._render_chunk(
-                Pose(*(x[i : i + CHUNK] for x in pose)), seeds[i : i + CHUNK]
-            )
-        ]
-        if not parts:
+        if not len(seeds):
             return torch.zeros((0, 128, 128), dtype=torch.uint8, device=self.device)
+        chunks = zip(*(x.split(CHUNK) for x in (*pose, seeds)), strict=True)
+        parts = [part for chunk in chunks for part in self._render_chunk(*chunk)]
         return parts[0] if len(parts) == 1 else torch.cat(parts)
 
     def envelope(self, pose: Pose, seeds: Tensor) -> Tensor:
@@ -111,28 +104,21 @@ class Phantom(World):
             field = acoustics.add_face(field, self._beams, probe, coupling, noise)
             yield acoustics.echo_power(field)
 
-    def _render_chunk(self, pose: Pose, seeds: Tensor) -> Iterator[Tensor]:
-        """Yield the images of at most `CHUNK` poses, some at a time."""
-        probe, size = self.config.probe, CACHED.get(self.device.type, CHUNK)
-        inputs = (*pose, seeds, self.coupling(pose))
-        for position, rotation, noise, coupling in zip(
-            *(x.split(size) for x in inputs), strict=True
-        ):
-            powers = self._looks(Pose(position, rotation), noise, coupling)
-            looks = [log_compress(power, probe) for power in powers]
+    def _render_chunk(self, *inputs: Tensor) -> Iterator[Tensor]:
+        """Yield the images of at most `CHUNK` positions, rotations and seeds, some at a time."""
+        size = CACHED.get(self.device.type, CHUNK)
+        inputs = (*inputs, self.coupling(Pose(*inputs[:2])))
+        for *pose, seeds, coupling in zip(*(x.split(size) for x in inputs), strict=True):
+            powers = self._looks(Pose(*pose), seeds, coupling)
+            looks = [log_compress(power, self.config.probe) for power in powers]
             yield self._converter.convert(sum(looks[1:], looks[0]) / len(looks))
 
     def coupling(self, pose: Pose) -> Tensor:
         """Return (B, beams) acoustic coupling in 0-1."""
-        return contact.coupling(
-            pose, self.surface_height, self.config.probe, self.config.probe.beams
-        )
+        return contact.coupling(pose, self.surface_height, self.config.probe)
 
     def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
-        """Return (B, 6) force, N, and torque, N·m, at the wrist sensor in the probe's axes.
-
-        `velocity` is (B, 6), m/s and rad/s in the base frame; at rest if absent.
-        """
+        """Return (B, 6) force, N, and torque, N·m, at the wrist sensor in the probe's axes."""
         return contact.wrench(pose, velocity, self.surface_height, self.config.contact)
 
     def truth(self, parameters: Tensor) -> Truth:
@@ -158,11 +144,7 @@ class Phantom(World):
         return Truth(*(each[:count] for each in truth))
 
     def target(self, view: str) -> Pose:
-        """Return the nominal pose of a view, a batch of one.
-
-        Raises:
-            RacinesError: the anatomy has no such view.
-        """
+        """Return the nominal pose of a view, a batch of one; `RacinesError` if there is none."""
         if view not in self.views:
             raise RacinesError(f"unknown view {view!r}: choose one of {', '.join(self.views)}")
         row = self.views.index(view)
@@ -170,24 +152,17 @@ class Phantom(World):
 
 
 def _workspace(config: WorkspaceConfig, block: BlockConfig, device: torch.device) -> Workspace:
-    low = [block.minimum[0] + config.margin, block.minimum[1] + config.margin, config.lowest]
-    high = [block.maximum[0] - config.margin, block.maximum[1] - config.margin, config.highest]
-    return Workspace(
-        torch.tensor(low, device=device),
-        torch.tensor(high, device=device),
-        config.tilt_max,
-        config.yaw_max,
-    )
+    low = [*(edge + config.margin for edge in block.minimum[:2]), config.lowest]
+    high = [*(edge - config.margin for edge in block.maximum[:2]), config.highest]
+    lowest, highest = torch.tensor([low, high], device=device)
+    return Workspace(lowest, highest, config.tilt_max, config.yaw_max)
 
 
 def shared_phantom(config: PhantomConfig | None = None, device: str = "cpu") -> Phantom:
-    """Return the one phantom of a configuration and device in this process.
-
-    Only the last few are kept, so that work on many hearts does not fill the memory.
-    """
+    """Return the one phantom of a configuration and device in this process."""
     return _baked(config or PhantomConfig(), device)
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=2)  # few, so that work on many hearts does not fill the memory
 def _baked(config: PhantomConfig, device: str) -> Phantom:
     return Phantom(config, device)

@@ -13,17 +13,11 @@ from racines_data.phantom.config import ProbeConfig
 class ScanConverter(NamedTuple):
     """Speckle reduction, then bilinear weights from the polar grid to the sector's pixels."""
 
-    smooth_beams: Tensor
-    """(L, L) from the left."""
-    smooth_samples: Tensor
-    """(S, S) from the right."""
-
-    pixels: Tensor
-    """(P,) int64 flat indices of the pixels inside the sector."""
-    taps: Tensor
-    """(4 * P,) int64 flat indices into the (beams, samples) grid."""
-    weights: Tensor
-    """(4, P) float32."""
+    smooth_beams: Tensor  # (L, L) from the left
+    smooth_samples: Tensor  # (S, S) from the right
+    pixels: Tensor  # (P,) int64 flat indices of the pixels inside the sector
+    taps: Tensor  # (4 * P,) int64 flat indices into the (beams, samples) grid
+    weights: Tensor  # (4, P) float32
 
     def convert(self, polar: Tensor) -> Tensor:
         """Turn (B, beams, samples) gray levels 0-255 into (B, 128, 128) uint8 images."""
@@ -53,36 +47,37 @@ def scan_converter(probe: ProbeConfig, device: torch.device) -> ScanConverter:
     flat = b0 * probe.samples + s0
     taps = torch.stack([flat, flat + 1, flat + probe.samples, flat + probe.samples + 1])
     weights = torch.stack([(1 - fb) * (1 - fs), (1 - fb) * fs, fb * (1 - fs), fb * fs])
-    pixels = inside.flatten().nonzero().squeeze(1)
     along, across = probe.smoothing
-    parts = (
-        _averaging(probe.beams, across),
-        _averaging(probe.samples, along).T.contiguous(),
-        pixels,
-        taps.flatten(),
-        weights,
+    converter = ScanConverter(
+        smooth_beams=averaging(probe.beams, across, 3),
+        smooth_samples=averaging(probe.samples, along, 3).T.contiguous(),
+        pixels=inside.flatten().nonzero().squeeze(1),
+        taps=taps.flatten(),
+        weights=weights,
     )
-    return ScanConverter(*(part.to(device) for part in parts))
+    return ScanConverter(*(part.to(device) for part in converter))
 
 
-def _averaging(size: int, sigma: float) -> Tensor:
+def averaging(size: int, sigma: float, reach: float | None = None) -> Tensor:
     """Return the matrix of a Gaussian average over neighbours; rows sum to one."""
-    if sigma <= 0:
-        return torch.eye(size)
+    matrix = gaussian_matrix(size, sigma, reach) if sigma > 0 else torch.eye(size)
+    return matrix / matrix.sum(1, keepdim=True)
+
+
+def gaussian_matrix(size: int, sigma: float, reach: float | None = None) -> Tensor:
+    """Return the (size, size) Gaussian of the rows' distances, 0 beyond `reach` sigmas."""
     offset = torch.arange(size).unsqueeze(0) - torch.arange(size).unsqueeze(1)
     matrix = torch.exp(-0.5 * (offset / sigma) ** 2)
-    matrix[offset.abs() > math.ceil(3 * sigma)] = 0.0
-    return matrix / matrix.sum(1, keepdim=True)
+    if reach is not None:
+        matrix[offset.abs() > math.ceil(reach * sigma)] = 0.0
+    return matrix
 
 
 def pixel_grid(probe: ProbeConfig) -> tuple[Tensor, Tensor]:
     """Return the lateral and axial coordinates, m, of the (128, 128) pixel centres (float64)."""
     pixel = 2.0 * probe.depth * math.sin(probe.half_angle) / IMAGE_SIZE
-    rows, columns = torch.meshgrid(
-        torch.arange(IMAGE_SIZE, dtype=torch.float64),
-        torch.arange(IMAGE_SIZE, dtype=torch.float64),
-        indexing="ij",
-    )
+    place = torch.arange(IMAGE_SIZE, dtype=torch.float64)
+    rows, columns = torch.meshgrid(place, place, indexing="ij")
     return (columns - (IMAGE_SIZE - 1) / 2) * pixel, (rows + 0.5) * pixel
 
 

@@ -18,7 +18,6 @@ MEMBERSHIP_WIDTH = 0.035
 """A view is attained (membership > 0.5) where completeness passes the centre."""
 ROLL_FREE, ROLL_LOST = 0.26, 0.70
 """In-plane rotation from the standard display, rad: free up to the first, lost at the second."""
-
 WINDOW_FREE, WINDOW_LOST = 0.015, 0.035
 """Distance along the surface from the view's acoustic window, m: free, and lost."""
 
@@ -26,14 +25,10 @@ WINDOW_FREE, WINDOW_LOST = 0.015, 0.035
 class Oracle(NamedTuple):
     """Landmarks and views of an anatomy in the base frame."""
 
-    centres: Tensor
-    """(S, 3) m."""
-    radii: Tensor
-    """(S,) m."""
-    weights: Tensor
-    """(V, S), rows sum to one."""
-    targets: Pose
-    """(V,) nominal poses."""
+    centres: Tensor  # (S, 3) m
+    radii: Tensor  # (S,) m
+    weights: Tensor  # (V, S), rows sum to one
+    targets: Pose  # (V,) nominal poses
 
     def judge(self, pose: Pose, probe: ProbeConfig, coupling: Tensor) -> Truth:
         """Judge (B,) poses whose (B, beams) coupling is known."""
@@ -106,9 +101,7 @@ def make_oracle(anatomy: Anatomy, surface: float, device: torch.device) -> Oracl
         for name, weight in view.structures:
             weights[row, names.index(name)] = weight
     poses = [nominal_pose(view, axes, origin, surface) for view in anatomy.views]
-    targets = Pose(
-        torch.stack([p.position for p in poses]), torch.stack([p.rotation for p in poses])
-    )
+    targets = Pose(*(torch.stack(parts) for parts in zip(*poses, strict=True)))
     return Oracle(centres, radii, weights / weights.sum(1, keepdim=True), targets)
 
 

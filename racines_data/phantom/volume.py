@@ -11,22 +11,13 @@ from racines_data.phantom.anatomy import Anatomy
 from racines_data.phantom.config import BlockConfig
 from racines_data.randomness import normal, sample_seeds
 
-ATTENUATION_STEP = 0.02
-"""dB/cm/MHz of one unit of the packed attenuation byte."""
-SCATTERER_STEP = 5e-4
-"""Amplitude of one unit of a packed scatterer; myocardium has 1, blood 0.02."""
-SCATTER_BLUR = 0.5
-"""Correlation of scatterers, voxels."""
-REFLECTOR_STEP = 0.002
-"""Impedance difference (MRayl a voxel) of one unit of a packed gradient byte."""
-
-
-SHEET = 5.0
-"""Length of a sheet's normal, in units of the packed gradient: too short to shine as a mirror."""
-ALONG_SHEETS = 0.5
-"""Amplitude of a sheet's echo along it against across (Mottley & Miller 1988: 5 to 6 dB)."""
-COVER = 0.006, 0.014
-"""Depth at which the cover lies, m."""
+ATTENUATION_STEP = 0.02  # dB/cm/MHz of one unit of the packed attenuation byte
+SCATTERER_STEP = 5e-4  # amplitude of one unit of a packed scatterer; myocardium has 1, blood 0.02
+SCATTER_BLUR = 0.5  # correlation of scatterers, voxels
+REFLECTOR_STEP = 0.002  # impedance difference (MRayl a voxel) of one unit of a packed gradient byte
+SHEET = 5.0  # length of a sheet's normal, packed gradient: too short to shine as a mirror
+ALONG_SHEETS = 0.5  # echo along a sheet against across (Mottley & Miller 1988: 5 to 6 dB)
+COVER = 0.006, 0.014  # depth at which the cover lies, m
 
 
 class Volume(NamedTuple):
@@ -36,11 +27,9 @@ class Volume(NamedTuple):
     gradient, three int8 in `REFLECTOR_STEP`. Byte 7: attenuation, uint8 in `ATTENUATION_STEP`.
     """
 
-    packed: Tensor
-    """(X * Y * Z,) int64, z fastest, since beams run mostly along z."""
+    packed: Tensor  # (X * Y * Z,) int64, z fastest, since beams run mostly along z
     shape: tuple[int, int, int]
-    origin: Tensor
-    """(3,) float32 centre of voxel (0, 0, 0), base frame, m."""
+    origin: Tensor  # (3,) float32 centre of voxel (0, 0, 0), base frame, m
     voxel: float
 
 
@@ -49,21 +38,19 @@ def bake(anatomy: Anatomy, block: BlockConfig) -> Volume:
     low, high = torch.tensor(block.minimum), torch.tensor(block.maximum)
     inner = ((high - low) / block.voxel).round().to(torch.int64).tolist()
     tissue = _tissue_grid(anatomy, low, inner, block.voxel)
-    attenuation = torch.tensor([t.attenuation for t in anatomy.tissues])[tissue]
-    impedance = torch.tensor([t.impedance for t in anatomy.tissues])[tissue]
-    echogenicity = torch.tensor([t.echogenicity for t in anatomy.tissues])[tissue]
 
-    gradient = _gradient(_blur(impedance, 0.8)) / REFLECTOR_STEP
-    sheets = torch.tensor([t.sheets for t in anatomy.tissues])[tissue]
+    def spread(name: str) -> Tensor:
+        return torch.tensor([getattr(each, name) for each in anatomy.tissues])[tissue]
+
+    gradient = torch.stack(torch.gradient(_blur(spread("impedance"), 0.8))) / REFLECTOR_STEP
+    sheets = spread("sheets")
     gradient += _sheet_normals(gradient, sheets)
     scatter = _scatterers(inner, block.seed)
-    texture = torch.tensor([t.texture for t in anatomy.tissues])[tissue]
-    echogenicity = echogenicity + texture * _slow_field(inner, block.seed)
-    grain = torch.tensor([t.grain for t in anatomy.tissues])[tissue]
-    echogenicity = echogenicity + grain * _slow_field(inner, block.seed + 1, 2.5)
+    echogenicity = spread("echogenicity") + spread("texture") * _slow_field(inner, block.seed)
+    echogenicity = echogenicity + spread("grain") * _slow_field(inner, block.seed + 1, 2.5)
     amplitude = 10.0 ** (_blur(echogenicity, 0.6) / 20.0)
     amplitude[~sheets] /= ALONG_SHEETS  # what has no direction is never seen along one
-    attenuation += _cover(attenuation.shape, block)
+    attenuation = spread("attenuation") + _cover(inner, block)
     shape = (inner[0] + 2, inner[1] + 2, inner[2] + 2)
     packed = torch.zeros((*shape, 8), dtype=torch.uint8)
     packed[..., 7] = 255  # outside: air, nothing passes
@@ -115,9 +102,7 @@ def _scatterers(shape: list[int], seed: int) -> Tensor:
     envelope in homogeneous gel stays Rayleigh.
     """
     seeds = sample_seeds(seed, 2 * shape[0])
-    noise = torch.stack(
-        [normal(seeds[i : i + 1], shape[1] * shape[2])[0] for i in range(len(seeds))]
-    )
+    noise = torch.cat([normal(seed, shape[1] * shape[2]) for seed in seeds.split(1)])
     field = _blur(noise.reshape(2, *shape), SCATTER_BLUR)
     return field / (field.std() * math.sqrt(2.0))
 
@@ -146,7 +131,7 @@ def _blur(grid: Tensor, sigma: float) -> Tensor:
     return grid
 
 
-def _cover(shape: torch.Size, block: BlockConfig) -> Tensor:
+def _cover(shape: list[int], block: BlockConfig) -> Tensor:
     """Return the (X, Y, Z) attenuation that an uneven cover adds, dB/cm/MHz."""
     extra = torch.zeros(shape)
     if block.cover > 0:
@@ -175,8 +160,3 @@ def _sheet_normals(gradient: Tensor, sheets: Tensor) -> Tensor:
     normals = torch.zeros_like(gradient)
     normals[:, sheets] = axis * torch.where((axis * gradient[:, sheets]).sum(0) < 0, -SHEET, SHEET)
     return normals
-
-
-def _gradient(grid: Tensor) -> Tensor:
-    """Return the (3, X, Y, Z) central difference a voxel."""
-    return torch.stack(list(torch.gradient(grid, dim=(0, 1, 2))))

@@ -24,9 +24,8 @@ from racines_data.phantom.acquisition import (
     record,
 )
 from racines_data.phantom.anatomy import anatomy_views
-from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
+from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig, heart_config
 from racines_data.phantom.model import shared_phantom
-from racines_data.phantom.population import heart_config
 from racines_data.randomness import derive, sample_seeds
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Finding, Unit

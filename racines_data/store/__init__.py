@@ -1,7 +1,7 @@
 """The training store: one memory-mapped Arrow file, served in whole batches of tensors.
 
-`frames` reads it, `writer` writes it, `loader` feeds PyTorch, `sweeps` walks it by trajectory,
-`restore` makes it again from the shards.
+`frames` reads it and feeds PyTorch, `writer` writes it and makes it again from the shards, `sweeps`
+walks the dataset by trajectory.
 """
 
 import lazy_loader

@@ -7,6 +7,8 @@ One record batch with the images as FixedSizeBinary(16384) is one contiguous run
 
 import json
 import mmap
+import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 import torch
 from torch import Tensor
+from torch.utils.data import IterableDataset, get_worker_info
 
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
@@ -33,7 +36,6 @@ from racines_data.manifest import (
 )
 from racines_data.records import PIXELS
 from racines_data.schema import CONTROLS, PARAMETERS
-from racines_data.store.memory import BatchMemory
 from racines_data.views import LABELS
 
 
@@ -50,6 +52,40 @@ class Batch(NamedTuple):
     """(B,) float32, NaN where unknown."""
     index: Tensor  # pyright: ignore[reportIncompatibleMethodOverride]
     """(B,) int64 rows of the store."""
+
+
+class BatchMemory:
+    """A few arrays that serve in turn.
+
+    The system hands out fresh memory page by page, which takes as long as the copy into it. A
+    tensor made from an array holds the array, and so does every view of the tensor, so that the
+    array's count of holders tells whether a batch or a part of it is still in use.
+    """
+
+    def __init__(self, most: int = 4) -> None:
+        """Keep `most` arrays; batches beyond them get memory of their own."""
+        self._most = most
+        self._arrays: list[np.ndarray] = []
+        self._lock = threading.Lock()
+
+    def get(self, rows: int, capacity: int) -> Tensor:
+        """Return (rows, 2048) int64 memory with anything in it, out of one for `capacity` rows."""
+        with self._lock:
+            for place in range(len(self._arrays)):
+                idle = _holders(self._arrays, place) == _IDLE
+                if idle and len(self._arrays[place]) == capacity:
+                    return torch.from_numpy(self._arrays[place][:rows])
+            array = np.empty((capacity, PIXELS // 8), np.int64)
+            self._arrays = [*self._arrays[-self._most + 1 :], array]
+            return torch.from_numpy(array[:rows])
+
+
+def _holders(arrays: list[np.ndarray], place: int) -> int:
+    return sys.getrefcount(arrays[place])
+
+
+_IDLE = _holders([np.empty(0)], 0)
+"""Holders of an array that only its list holds; the number differs between Pythons."""
 
 
 class FrameStore:
@@ -85,7 +121,6 @@ class FrameStore:
     """Target view of each trajectory."""
     sessions: list[str]
     """Session of each trajectory."""
-
     phantoms: list[int | None]
     """Seed of each trajectory's simulated anatomy; absent for recordings."""
 
@@ -153,28 +188,16 @@ class FrameStore:
         self._splits: dict[str, list[int]] = metadata["splits"]
 
     def split_indices(self, split: str) -> Tensor:
-        """Return the (n,) int64 rows of a split, in order; empty if the split has none.
-
-        Raises:
-            RacinesError: no such split.
-        """
+        """Return the (n,) int64 rows of a split, in order; empty if the split has none."""
         return torch.arange(*self.bounds(split))
 
     def bounds(self, split: str) -> tuple[int, int]:
-        """Return the first and the past-the-last row of a split.
-
-        Raises:
-            RacinesError: no such split.
-        """
+        """Return the first and the past-the-last row of a split."""
         start, stop = self._splits[check_split(split)]
         return start, stop
 
     def order(self, split: str, seed: int) -> Tensor:
-        """Return the (n,) int64 rows of a split, shuffled.
-
-        Raises:
-            RacinesError: no such split.
-        """
+        """Return the (n,) int64 rows of a split, shuffled."""
         rows = self.split_indices(split)
         return rows[torch.randperm(len(rows), generator=torch.Generator().manual_seed(seed))]
 
@@ -189,13 +212,8 @@ class FrameStore:
     ) -> Iterator[Batch]:
         """Yield one pass over a split in batches; the order depends on the seed alone.
 
-        Args:
-            split: `train`, `validation` or `test`.
-            batch_size: Frames of a batch.
-            seed: Decides the order.
-            shuffle: Draw the order; otherwise that of the store.
-            drop_last: Leave out a last batch that is not full.
-            device: Where the batch is wanted; in main memory if absent.
+        Without `shuffle` it is that of the store. `drop_last` leaves out a last batch that is not
+        full. A batch is in main memory unless a device is named.
 
         Raises:
             RacinesError: no such split, or a batch size below one.
@@ -221,6 +239,34 @@ class FrameStore:
 
     def __reduce__(self) -> tuple[type["FrameStore"], tuple[Path, str]]:
         return FrameStore, (self.root, self.config)
+
+
+class BatchDataset(IterableDataset[Batch]):
+    """One shuffled pass over a split in batches; every pass has an order of its own.
+
+    Give it to a loader that does not batch again: `DataLoader(dataset, batch_size=None)`. The store
+    alone serves batches faster than worker processes can hand them over; with workers, each takes
+    its share of the batches.
+    """
+
+    def __init__(self, store: FrameStore, split: str, batch_size: int, seed: int = 0) -> None:
+        """Serve `split` from `store`; `seed` and the number of the pass decide the order."""
+        self.store, self.split, self.batch_size, self.seed = store, split, batch_size, seed
+        self.epoch = 0
+        """Number of the next pass; with worker processes, set it before each."""
+
+    def __iter__(self) -> Iterator[Batch]:
+        order, self.epoch = self.seed + self.epoch, self.epoch + 1
+        worker = get_worker_info()
+        number, workers = (worker.id, worker.num_workers) if worker else (0, 1)
+        rows = self.store.order(self.split, order)
+        for place, start in enumerate(range(0, len(rows), self.batch_size)):
+            if place % workers == number:
+                yield self.store.take(rows[start : start + self.batch_size])
+
+    def __len__(self) -> int:
+        start, stop = self.store.bounds(self.split)
+        return -(-(stop - start) // self.batch_size)
 
 
 def open_store(root: Path | str | None = None, config: str = "frames") -> FrameStore:

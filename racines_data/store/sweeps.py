@@ -3,7 +3,7 @@
 import io
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -15,9 +15,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
-from racines_data.digest import check_files
+from racines_data.digest import checked_shards
 from racines_data.errors import RacinesError
-from racines_data.manifest import check_split, read_manifest, rebuild_hint
+from racines_data.manifest import read_manifest
 
 _BATCH = 1024
 
@@ -27,8 +27,7 @@ class Sweep:
     """One trajectory of T frames, and its split."""
 
     split: str
-    table: pa.Table
-    """T rows of the `frames` config, in order."""
+    table: pa.Table  # T rows of the `frames` config, in order
 
     def __len__(self) -> int:
         return len(self.table)
@@ -56,44 +55,32 @@ def read_sweeps(
 ) -> Iterator[Sweep]:
     """Yield the trajectories of a dataset in its order, their files' digests checked first.
 
-    Args:
-        root: The dataset.
-        split: One split only.
-        limit: Frames to read at most; the last trajectory may be cut short.
-        config: `frames` or `multi_phantom`.
+    At most `limit` frames are read: the last trajectory may be cut short.
 
     Raises:
         RacinesError: no such dataset, config or split, a damaged file, or a limit below one.
     """
     if limit is not None and limit < 1:
         raise RacinesError(f"limit {limit}: give one frame or more")
-    manifest = read_manifest(root)
-    if config not in manifest["configs"]:
-        raise RacinesError(f"{root}: unknown config {config!r}")
-    shards = manifest["configs"][config]
-    if split is not None and check_split(split) not in shards:
-        raise RacinesError(f"{root}: config {config!r} has no split {split!r}: too few rows")
-    wanted = {name: paths for name, paths in shards.items() if split in (None, name)}
-    files = {path: manifest["files"][path] for paths in wanted.values() for path in paths}
-    check_files(root, files, rebuild_hint(manifest))
-    left = limit
+    wanted = checked_shards(root, read_manifest(root), config, split)
     for name, paths in wanted.items():
-        for table in _trajectories(root, paths):
-            part = table if left is None else table.slice(0, left)
-            if len(part):
-                yield Sweep(name, part)
-            left = None if left is None else left - len(part)
-            if left == 0:
-                return
+        for table in trajectories(root, paths):
+            yield Sweep(name, table.slice(0, limit))
+            if limit is not None:
+                limit -= len(table)
+                if limit <= 0:
+                    return
 
 
-def _trajectories(root: Path, paths: list[str]) -> Iterator[pa.Table]:
+def trajectories(root: Path, paths: Sequence[str]) -> Iterator[pa.Table]:
     """Yield one table a trajectory; it may begin in one file and go on in the next."""
     held: list[pa.Table] = []
     for path in paths:
         with pq.ParquetFile(root / path) as file:
             for batch in file.iter_batches(_BATCH):
-                for part in _runs(pa.Table.from_batches([batch])):
+                table = pa.Table.from_batches([batch])
+                for start, stop in pairwise(run_edges(table["trajectory"].to_numpy())):
+                    part = table.slice(start, stop - start)
                     if held and not part["trajectory"][0].equals(held[0]["trajectory"][0]):
                         yield pa.concat_tables(held).combine_chunks()
                         held = []
@@ -102,21 +89,18 @@ def _trajectories(root: Path, paths: list[str]) -> Iterator[pa.Table]:
         yield pa.concat_tables(held).combine_chunks()
 
 
-def _runs(table: pa.Table) -> Iterator[pa.Table]:
-    names = table["trajectory"].to_numpy()
-    ends = np.flatnonzero(names[1:] != names[:-1]) + 1
-    for start, stop in pairwise([0, *ends.tolist(), len(table)]):
-        yield table.slice(start, stop - start)
+def run_edges(values: np.ndarray) -> list[int]:
+    """Return where runs of equal values begin, and the length; of nothing, nothing."""
+    if not len(values):
+        return []
+    return [0, *(np.flatnonzero(values[1:] != values[:-1]) + 1).tolist(), len(values)]
 
 
 @contextmanager
 def new_folder(out: Path) -> Iterator[Path]:
     """Give a folder beside `out` to write in; it becomes `out` when the block ends without error.
 
-    What a killed run has left there is written again.
-
-    Raises:
-        RacinesError: `out` exists.
+    What a killed run has left there is written again; an `out` that exists is refused.
     """
     if out.exists():
         raise RacinesError(f"{out}: exists; name a new folder or remove it")

@@ -1,4 +1,7 @@
-"""Writing the training store: one Arrow IPC file whose images are one contiguous run of bytes."""
+"""Writing the training store, and making it again from the shards.
+
+The store is one Arrow IPC file whose images are one contiguous run of bytes.
+"""
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -8,16 +11,18 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from racines_data.manifest import METADATA
-from racines_data.records import PIXELS
-from racines_data.schema import CONTROLS, PARAMETERS
+from racines_data.errors import RacinesError
+from racines_data.files import sha256_file, write_atomic, write_once
+from racines_data.manifest import MANIFEST, METADATA, STORES, read_manifest, store_name
+from racines_data.records import PIXELS, float_columns, pixels_array
+from racines_data.schema import CONTROLS, PARAMETERS, SPLITS
+from racines_data.store.sweeps import read_sweeps
+
+_IDENTITY = ("trajectory", "session", "target_view")
 
 
 def write_store(
-    path: Path,
-    tables: Callable[[], Iterable[pa.Table]],
-    trajectories: Sequence[Mapping[str, Any]],
-    splits: Mapping[str, tuple[int, int]],
+    path: Path, tables: Callable[[], Iterable[pa.Table]], trajectories: Sequence[Mapping[str, Any]]
 ) -> None:
     """Write the store from tables of one trajectory each, in row order.
 
@@ -27,15 +32,17 @@ def write_store(
     Args:
         path: The file to write.
         tables: Gives the rows of `frames` with a `pixels` column, one table a trajectory.
-        trajectories: `trajectory`, `session`, `target_view` and `phantom` of each.
-        splits: First and past-the-last row of each split.
+        trajectories: Identity, `split` and `frames` of each, in the order of the splits.
     """
+    splits, start = {}, 0
+    for split in SPLITS:
+        stop = start + sum(row["frames"] for row in trajectories if row["split"] == split)
+        splits[split], start = (start, stop), stop
     columns = [_store_columns(table, index) for index, table in enumerate(tables())]
     table = pa.concat_tables(columns).combine_chunks()
     zeros = pa.py_buffer(np.zeros(len(table) * PIXELS, np.uint8))
     images = pa.FixedSizeBinaryArray.from_buffers(pa.binary(PIXELS), len(table), [None, zeros])
-    keys = ("trajectory", "session", "target_view")
-    names = [[row[key] for row in trajectories] for key in keys]
+    names = [[row[key] for row in trajectories] for key in _IDENTITY]
     phantoms = [row["phantom"] for row in trajectories]
     metadata = {"trajectories": names, "phantoms": phantoms, "splits": splits}
     table = table.add_column(0, "image", images).replace_schema_metadata(
@@ -60,8 +67,8 @@ def _image_offset(path: Path) -> int:
 
 def _store_columns(table: pa.Table, index: int) -> pa.Table:
     def stacked(names: Sequence[str]) -> pa.Array:
-        flat = np.stack([table[name].fill_null(np.nan).to_numpy() for name in names], -1).ravel()
-        return pa.FixedSizeListArray.from_arrays(pa.array(flat, pa.float32()), len(names))
+        flat = pa.array(float_columns(table, names).ravel(), pa.float32())
+        return pa.FixedSizeListArray.from_arrays(flat, len(names))
 
     return pa.table(
         {
@@ -74,3 +81,40 @@ def _store_columns(table: pa.Table, index: int) -> pa.Table:
             "frame": table["frame"].cast(pa.int64()).combine_chunks(),
         }
     )
+
+
+def restore_stores(root: Path) -> list[str]:
+    """Make the training stores that a dataset names and lacks, from its shards; return their paths.
+
+    Equal pixels and numbers; should another pyarrow lay the file out otherwise, the manifest here
+    gets its sha256. A damaged shard, or a folder that cannot be written, is a `RacinesError`.
+    """
+    made = []
+    for config in STORES:
+        name = store_name(config)
+        if name in read_manifest(root)["files"] and not (root / name).exists():
+            try:
+                write_once(root / name, lambda path, of=config: _restore(root, of, path))
+            except OSError as error:
+                raise RacinesError(f"{root / name}: cannot be written ({error})") from error
+            made.append(name)
+    return made
+
+
+def _restore(root: Path, config: str, path: Path) -> None:
+    rows = [
+        {key: sweep.first(key) for key in (*_IDENTITY, "phantom")}
+        | {"split": sweep.split, "frames": len(sweep)}
+        for sweep in read_sweeps(root, config=config)
+    ]
+
+    def tables() -> Iterable[pa.Table]:
+        for sweep in read_sweeps(root, config=config):
+            yield sweep.table.append_column("pixels", pixels_array(sweep.images()))
+
+    write_store(path, tables, rows)
+    manifest = read_manifest(root)
+    record = {"sha256": sha256_file(path), "bytes": path.stat().st_size}
+    if manifest["files"][store_name(config)] != record:
+        manifest["files"][store_name(config)] = record
+        write_atomic(root / MANIFEST, json.dumps(manifest, indent=1) + "\n")

@@ -1,6 +1,7 @@
 """Checking a built dataset: every byte, every row, and what the rows say together.
 
-`run` goes through the configs; each other module is one kind of check.
+`run` goes through the configs; each other module is one kind of check. A check returns what it
+found, or raises `RacinesError` with what is wrong.
 """
 
 import lazy_loader

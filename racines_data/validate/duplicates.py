@@ -19,37 +19,27 @@ from racines_data.validate.survey import Survey
 NEAR_LIMIT = 0.5
 """Largest share of near-copies, as a part of what a random split of frames has. Sweeps over one
 block cross now and then, the more of them the more often: that is no fault of the split."""
-NEAR_FLOOR = 0.02
-"""A share of near-copies that is never too large."""
+NEAR_FLOOR = 0.02  # a share of near-copies that is never too large
 REST = (0.0005, 0.0087)
 """The probe is at rest if it moves less between two frames: m, rad (0.5 mm, 0.5 degrees)."""
-EMPTY = 0.5
-"""A frame darker than this share of the upper quartile of brightness shows no tissue."""
-COMPARED = 4096
-"""Held-out frames of the random frame split that is given for comparison."""
-QUERIES, KEYS = 1024, 32_768
-"""Frames compared at a time: bounds the distances at 134 MB."""
+EMPTY = 0.5  # a frame darker than this share of the upper quartile of brightness shows no tissue
+COMPARED = 4096  # held-out frames of the random frame split that is given for comparison
+QUERIES, KEYS = 1024, 32_768  # frames compared at a time: bounds the distances at 134 MB
 
 
 @dataclass(frozen=True)
 class Duplicates:
     """Copies of training frames among the held-out ones."""
 
-    held_out: int
-    """Frames of validation and test that show tissue."""
-    exact: int
-    """Those whose pixels are those of a training frame."""
-    near: float | None
-    """Share of those nearer to a training frame than `threshold`; None where there is no such
-    threshold, or nothing to compare."""
-    near_frame_split: float | None
-    """The same share if the frames had been split at random."""
-    threshold: float | None
-    """Median distance of two consecutive frames at rest, gray levels."""
-    median: float | None
-    """Median distance of a held-out frame to the nearest training frame, gray levels."""
-    empty: int
-    """Held-out frames that show no tissue, which are not compared: nothing looks like nothing."""
+    held_out: int  # frames of validation and test that show tissue
+    exact: int  # those whose pixels are those of a training frame
+    near: (
+        float | None
+    )  # share nearer to a training frame than `threshold`; None: nothing to compare
+    near_frame_split: float | None  # the same share if the frames had been split at random
+    threshold: float | None  # median distance of two consecutive frames at rest, gray levels
+    median: float | None  # median distance to the nearest training frame, gray levels
+    empty: int  # those that show no tissue are not compared: nothing looks like nothing
 
 
 def find_duplicates(survey: Survey) -> Duplicates:
@@ -63,18 +53,14 @@ def find_duplicates(survey: Survey) -> Duplicates:
     empty = int((~train & ~shows).sum())
     threshold = _at_rest(survey, signatures, shows)
     keys = signatures[train & shows]
-    if not len(keys) or not tested.any() or threshold is None:
-        return Duplicates(int(tested.sum()), int(exact.sum()), None, None, threshold, None, empty)
+    held_out, copies = int(tested.sum()), int(exact.sum())
+    if not len(keys) or not held_out or threshold is None:
+        return Duplicates(held_out, copies, None, None, threshold, None, empty)
     distance = nearest_distance(signatures[tested], keys)
-    return Duplicates(
-        held_out=int(tested.sum()),
-        exact=int(exact.sum()),
-        near=float((distance < threshold).float().mean()),
-        near_frame_split=_frame_split(signatures[shows], len(keys), threshold),
-        threshold=threshold,
-        median=float(distance.median()),
-        empty=empty,
-    )
+    near = float((distance < threshold).float().mean())
+    by_frame = _frame_split(signatures[shows], len(keys), threshold)
+    median = float(distance.median())
+    return Duplicates(held_out, copies, near, by_frame, threshold, median, empty)
 
 
 def _shows_tissue(signatures: Tensor) -> Tensor:
@@ -120,11 +106,7 @@ def nearest_distance(queries: Tensor, keys: Tensor) -> Tensor:
 
 
 def check_exact(found: Duplicates) -> str:
-    """Check that no held-out frame is a training frame.
-
-    Raises:
-        RacinesError: one is, to the byte.
-    """
+    """Check that no held-out frame is a training frame."""
     if found.exact:
         raise RacinesError(
             f"{found.exact} of {found.held_out} held-out frames are copies of training frames"
@@ -134,11 +116,7 @@ def check_exact(found: Duplicates) -> str:
 
 
 def check_near(found: Duplicates) -> str:
-    """Check the share of near-copies.
-
-    Raises:
-        RacinesError: it is above the limit.
-    """
+    """Check the share of near-copies."""
     if found.near is None:
         return "not told: no probe is at rest, or there is no frame to compare with"
     by_frame = found.near_frame_split or 0.0

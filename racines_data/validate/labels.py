@@ -1,21 +1,37 @@
-"""Checks of views, grades and what a grader made of the frames."""
+"""Checks of views and grades: among themselves, against a grader's, and against the oracle's.
 
+The oracle judges a sample of simulated frames again, from their measured poses.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
 
+from racines_data.config import fill
 from racines_data.errors import RacinesError
+from racines_data.phantom.config import (
+    PHANTOM_VERSION,
+    PhantomConfig,
+    heart_config,
+    phantom_settings,
+)
+from racines_data.phantom.model import Phantom
 from racines_data.validate.survey import Survey
 from racines_data.views import RANDOM
 
+SAMPLE = 2048  # frames judged again, at even distances over the whole config
+HEARTS = 3  # hearts of `multi_phantom` judged again: each has to be made first, which takes seconds
+VIEW_AGREEMENT = 0.97
+"""Least share of equal views. The recorded pose has the sensor's noise, the recorded label is of
+the true pose: frames at the edge of a view may fall to either side."""
+GRADE_ERROR = 0.3  # largest median difference of grades, of frames with the same view
+
 
 def check_labels(survey: Survey, labels: tuple[str, ...]) -> str:
-    """Check that views, grades and targets go together.
-
-    Raises:
-        RacinesError: a target that is no label; a `Random` frame with a grade above 0, a view's
-            grade outside 1-10, or a grade where the view is unknown.
-    """
+    """Check that targets are labels, and that only a known view is graded, by 1-10."""
     odd = sorted({sweep.target_view for sweep in survey.sweeps} - set(labels))
     if odd:
         raise RacinesError(f"target view {odd[0]!r} is none of {', '.join(labels)}")
@@ -48,24 +64,20 @@ def view_shares(survey: Survey, labels: tuple[str, ...]) -> dict[str, Any]:
     known = views >= 0
     if not known.any():
         return {"frames": {}, "on_target": {}}
-    counts = np.bincount(views[known], minlength=len(labels)) / known.sum()
-    on_target = {}
-    for index, label in enumerate(labels):
-        chosen = known & (target == label)
-        if chosen.any():
-            on_target[label] = float((views[chosen] == index).mean())
+    shares = np.bincount(views[known], minlength=len(labels)) / known.sum()
+    aimed = {label: views[known & (target == label)] for label in labels}
     return {
-        "frames": {label: float(share) for label, share in zip(labels, counts, strict=True)},
-        "on_target": on_target,
+        "frames": dict(zip(labels, shares.tolist(), strict=True)),
+        "on_target": {
+            label: float((aimed[label] == index).mean())
+            for index, label in enumerate(labels)
+            if len(aimed[label])
+        },
     }
 
 
 def check_views(shares: dict[str, Any]) -> str:
-    """Check that the sweeps to each view show it.
-
-    Raises:
-        RacinesError: the sweeps to a view never do.
-    """
+    """Check that sweeps to a view show it now and then."""
     if not shares["on_target"]:
         return "no frame of a targeted sweep has a view"
     lost = [view for view, share in shares["on_target"].items() if view != RANDOM and not share]
@@ -76,11 +88,7 @@ def check_views(shares: dict[str, Any]) -> str:
 
 
 def check_annotation(survey: Survey, manifest: dict[str, Any], labels: tuple[str, ...]) -> str:
-    """Check that all frames have a grader's view and grade, or none has.
-
-    Raises:
-        RacinesError: some do and some do not, against the manifest, or one is out of range.
-    """
+    """Check that all frames have a grader's view and grade, or none has."""
     view, grade = survey.column("predicted").T
     present = ~np.isnan(view)
     if not np.array_equal(present, ~np.isnan(grade)):
@@ -95,3 +103,60 @@ def check_annotation(survey: Survey, manifest: dict[str, Any], labels: tuple[str
     if ((view < 0) | (view >= len(labels)) | (grade < 0) | (grade > 10)).any():
         raise RacinesError("view_predicted is no label, or grade_predicted lies outside 0-10")
     return f"every frame, by grader {annotation['grader'][:16]}"
+
+
+@dataclass(frozen=True)
+class Rejudged:
+    """How the labels of a dataset agree with what the oracle says of its poses."""
+
+    n: int
+    view_agreement: float
+    grade_error: float | None  # median absolute difference over frames of the same view, if any
+
+
+def rejudge(survey: Survey, manifest: Mapping[str, Any]) -> Rejudged | str:
+    """Judge a sample of poses with the oracle that the recipe names; or say why there is none."""
+    settings = phantom_settings(manifest, survey.config)
+    if settings is None:
+        return "the source has no oracle"
+    if settings["version"] != PHANTOM_VERSION:
+        return f"labels of phantom {settings['version']}; the oracle here is {PHANTOM_VERSION}"
+    base = fill(PhantomConfig, settings["phantom"], "recipe: phantom")
+    rows, seeds = _sample(survey)
+    views, grades = survey.column("views")[rows], survey.column("grades")[rows]
+    parameters = torch.from_numpy(survey.column("parameters")[rows])
+    judged_view, judged_grade = np.empty(len(rows), np.int64), np.empty(len(rows), np.float32)
+    for seed in np.unique(seeds):
+        chosen = np.flatnonzero(seeds == seed)
+        config = base if seed == base.anatomy_seed else heart_config(base, int(seed))
+        truth = Phantom(config).truth(parameters[torch.from_numpy(chosen)])
+        judged_view[chosen], judged_grade[chosen] = truth.view.numpy(), truth.grade.numpy()
+    same = judged_view == views
+    of_view = same & (grades > 0)
+    error = float(np.median(np.abs(judged_grade - grades)[of_view])) if of_view.any() else None
+    return Rejudged(len(rows), float(same.mean()), error)
+
+
+def _sample(survey: Survey) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows, evenly spread over at most `HEARTS` seeds of the anatomy, and their seeds."""
+    seeds = survey.each("phantom").astype(np.int64)
+    known = np.unique(seeds)
+    kept = known[np.linspace(0, len(known) - 1, min(HEARTS, len(known))).round().astype(int)]
+    rows = np.flatnonzero(np.isin(seeds, kept))
+    if len(rows) > SAMPLE:
+        rows = rows[(np.arange(SAMPLE) * len(rows) + len(rows) // 2) // SAMPLE]
+    return rows, seeds[rows]
+
+
+def check_rejudged(found: Rejudged | str) -> str:
+    """Check the agreement of labels and oracle."""
+    if isinstance(found, str):
+        return f"not judged again: {found}"
+    said = f"{found.view_agreement:.1%} of {found.n} views judged the same again"
+    if found.grade_error is not None:
+        said += f", grades off by {found.grade_error:.2f} (median)"
+    if found.view_agreement < VIEW_AGREEMENT:
+        raise RacinesError(f"{said}; {VIEW_AGREEMENT:.0%} are expected")
+    if found.grade_error is not None and found.grade_error > GRADE_ERROR:
+        raise RacinesError(f"{said}; {GRADE_ERROR} at most is expected")
+    return said

@@ -12,35 +12,17 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
-from racines_data.build.canonical import same_version
 from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
-from racines_data.validate.duplicates import check_exact, check_near, find_duplicates
-from racines_data.validate.files import check_card, check_recipe, rehash_files
-from racines_data.validate.labels import check_annotation, check_labels, check_views, view_shares
-from racines_data.validate.oracle import check_rejudged, rejudge
-from racines_data.validate.splits import (
-    check_content,
-    check_counts,
-    check_rate,
-    check_splits,
-    check_times,
-)
-from racines_data.validate.statistics import (
-    Verdict,
-    check_modes,
-    check_paper,
-    has_paper,
-    must_meet_paper,
-    parameter_statistics,
-    statistics_of,
-    verdicts_of,
-)
+from racines_data.tables import console_table
+from racines_data.validate import duplicates, identity, labels, statistics
+from racines_data.validate.statistics import Verdict
 from racines_data.validate.survey import Survey, survey
 from racines_data.views import PAPER_STATISTICS, ParameterStatistics
-
-__all__ = ["Check", "Validation", "has_paper", "parameter_statistics", "to_json", "validate"]
 
 
 @dataclass(frozen=True)
@@ -50,8 +32,7 @@ class Check:
     name: str
     ok: bool
     detail: str
-    binding: bool = True
-    """Whether the dataset is invalid without it; else it is told and no more."""
+    binding: bool = True  # whether the dataset is invalid without it; else it is told and no more
 
 
 @dataclass(frozen=True)
@@ -60,10 +41,8 @@ class Validation:
 
     manifest: dict[str, Any]
     checks: list[Check] = field(default_factory=list)
-    statistics: dict[str, ParameterStatistics] = field(default_factory=dict)
-    """Of the parameters that were measured at all."""
-    verdicts: dict[str, Verdict] = field(default_factory=dict)
-    """Of the parameters beside the paper's table, where it is the measure."""
+    statistics: dict[str, ParameterStatistics] = field(default_factory=dict)  # what was measured
+    verdicts: dict[str, Verdict] = field(default_factory=dict)  # where the paper is the measure
     figures: dict[str, Any] = field(default_factory=dict)
     """Views, duplicates and agreement with the oracle, by config."""
 
@@ -85,27 +64,23 @@ class Validation:
 def validate(
     root: Path, against: Path | None = None, workers: int = 1, progress: bool = False
 ) -> Validation:
-    """Check a dataset, reading every byte of it.
+    """Check a dataset, reading every byte of it; `against` should be the same version.
 
-    Args:
-        root: Folder of the dataset.
-        against: Another build that should be the same version.
-        workers: Processes that decode the images of a large dataset.
-        progress: Show a progress bar on stderr.
+    A large dataset's images are decoded in `workers` processes.
 
     Raises:
         RacinesError: there is no dataset.
     """
     manifest = read_manifest(root)
     result = Validation(manifest)
-    result.add("files", lambda: rehash_files(root, manifest, workers))
-    result.add("card", lambda: check_card(root, manifest))
-    result.add("recipe", lambda: check_recipe(manifest))
+    result.add("files", lambda: identity.rehash_files(root, manifest, workers))
+    result.add("card", lambda: identity.check_card(root, manifest))
+    result.add("recipe", lambda: identity.check_recipe(manifest))
     for config in ("frames", MULTI_PHANTOM):
         if config in manifest["configs"]:
             _check_config(result, root, config, workers, progress)
     if against is not None:
-        result.add("same version", lambda: same_version(root, against))
+        result.add("same version", lambda: identity.same_version(root, against))
     return result
 
 
@@ -126,45 +101,47 @@ def _check_config(
     if not surveys or not surveys[0].sweeps:
         return  # without rows there is nothing more to say of them
     found = surveys[0]
-    _check_identity(result, prefix, found, root)
-    _check_meaning(result, prefix, found)
-    if config == "frames":
-        _check_paper(result, found)
-
-
-def _check_identity(result: Validation, prefix: str, found: Survey, root: Path) -> None:
-    manifest = result.manifest
 
     def store() -> str:
         found.raise_faults("store")
         return f"{len(found)} frames, equal to the shards"
 
-    result.add(f"{prefix}counts", lambda: check_counts(found, manifest))
-    result.add(f"{prefix}content", lambda: check_content(found, manifest))
-    result.add(f"{prefix}splits", lambda: check_splits(found, root, manifest))
+    result.add(f"{prefix}counts", lambda: identity.check_counts(found, manifest))
+    result.add(f"{prefix}content", lambda: identity.check_content(found, manifest))
+    result.add(f"{prefix}splits", lambda: identity.check_splits(found, root, manifest))
     result.add(f"{prefix}store", store)
+    _check_meaning(result, prefix, found)
+    if config != "frames":
+        return
+    parameters = found.column("parameters")
+    result.statistics.update(statistics.statistics_of(parameters))
+    if statistics.has_paper(manifest):
+        result.verdicts.update(statistics.verdicts_of(result.statistics))
+        binding = statistics.must_meet_paper(manifest)
+        result.add("paper's table", lambda: statistics.check_paper(result.verdicts), binding)
+        result.add("rotation_x", lambda: statistics.check_modes(parameters), binding)
 
 
 def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
-    manifest, labels = result.manifest, manifest_labels(result.manifest)
+    manifest, named = result.manifest, manifest_labels(result.manifest)
     simulated = manifest["source"] == "phantom"
     if manifest.get("poses", True):  # single images have neither poses nor times
-        result.add(f"{prefix}times", lambda: check_times(found))
-        result.add(f"{prefix}rate", lambda: check_rate(found), binding=simulated)
-    result.add(f"{prefix}labels", lambda: check_labels(found, labels))
-    shares = view_shares(found, labels)
-    result.add(f"{prefix}views", lambda: check_views(shares), binding=False)
-    result.add(f"{prefix}annotation", lambda: check_annotation(found, manifest, labels))
-    copies = find_duplicates(found)
-    result.add(f"{prefix}copies", lambda: check_exact(copies))
-    result.add(f"{prefix}near-copies", lambda: check_near(copies), binding=simulated)
+        result.add(f"{prefix}times", lambda: identity.check_times(found))
+        result.add(f"{prefix}rate", lambda: identity.check_rate(found), binding=simulated)
+    result.add(f"{prefix}labels", lambda: labels.check_labels(found, named))
+    shares = labels.view_shares(found, named)
+    result.add(f"{prefix}views", lambda: labels.check_views(shares), binding=False)
+    result.add(f"{prefix}annotation", lambda: labels.check_annotation(found, manifest, named))
+    copies = duplicates.find_duplicates(found)
+    result.add(f"{prefix}copies", lambda: duplicates.check_exact(copies))
+    result.add(f"{prefix}near-copies", lambda: duplicates.check_near(copies), binding=simulated)
     figures: dict[str, Any] = {"views": shares, "duplicates": vars(copies)}
     if simulated:
         judged: list[Any] = []
 
         def oracle() -> str:
-            judged.append(rejudge(found, manifest))
-            return check_rejudged(judged[0])
+            judged.append(labels.rejudge(found, manifest))
+            return labels.check_rejudged(judged[0])
 
         result.add(f"{prefix}oracle", oracle)
         if judged and not isinstance(judged[0], str):
@@ -172,32 +149,49 @@ def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
     result.figures[found.config] = figures
 
 
-def _check_paper(result: Validation, found: Survey) -> None:
-    parameters = found.column("parameters")
-    result.statistics.update(statistics_of(parameters))
-    if not has_paper(result.manifest):
-        return
-    result.verdicts.update(verdicts_of(result.statistics))
-    binding = must_meet_paper(result.manifest)
-    result.add("paper's table", lambda: check_paper(result.verdicts), binding)
-    result.add("rotation_x", lambda: check_modes(parameters), binding)
-
-
 def to_json(result: Validation) -> dict[str, Any]:
     """Return a validation as JSON, the paper's statistics and the verdict beside ours."""
-    statistics = {}
+    parameters = {}
     for name, value in result.statistics.items():
-        statistics[name] = {**vars(value), "paper": None, "verdict": None}
-        if name in result.verdicts:
-            verdict = result.verdicts[name]
-            statistics[name]["paper"] = vars(PAPER_STATISTICS[name])
-            statistics[name]["verdict"] = {**vars(verdict), "ok": not verdict.faults}
+        parameters[name] = {**vars(value), "paper": None, "verdict": None}
+        if verdict := result.verdicts.get(name):
+            parameters[name]["paper"] = vars(PAPER_STATISTICS[name])
+            parameters[name]["verdict"] = {**vars(verdict), "ok": not verdict.faults}
     keys = ("source", "version", "digest", "recipe_digest", "counts")
     return {
         "schema": "racines.validation/1",
         **{key: result.manifest[key] for key in keys},
         "ok": result.ok,
         "checks": [dataclasses.asdict(check) for check in result.checks],
-        "statistics": statistics,
+        "statistics": parameters,
         "figures": result.figures,
     }
+
+
+def print_validation(result: Validation) -> None:
+    """Print one line a check, and the parameters beside the paper's table, on stdout."""
+    console = Console()
+    for check in result.checks:
+        broken = ("BROKEN", "red") if check.binding else ("note", "yellow")
+        mark = ("ok", "green") if check.ok else broken
+        line = Text.assemble(mark, f"  {check.name}: {check.detail}")
+        console.print(line, soft_wrap=True, highlight=False)
+    if result.statistics:
+        console.print(_table(result))
+
+
+def _table(result: Validation) -> Table:
+    rows: list[list[str | Text]] = []
+    for name, values in result.statistics.items():
+        rows.append([name, *_numbers(values)])
+        if name in result.verdicts:
+            faults = result.verdicts[name].faults
+            rows[-1].append(Text("; ".join(faults), "red") if faults else Text("holds", "green"))
+            paper = ("  paper, real", *_numbers(PAPER_STATISTICS[name]))
+            rows.append([Text(cell, "dim") for cell in paper])
+    head = ["parameter", *(field.name for field in dataclasses.fields(ParameterStatistics))]
+    return console_table([*head, "verdict"] if result.verdicts else head, rows)
+
+
+def _numbers(values: ParameterStatistics) -> list[str]:
+    return [f"{value:.4f}" for value in dataclasses.astuple(values)]

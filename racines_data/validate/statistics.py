@@ -8,48 +8,34 @@ import numpy as np
 
 from racines_data.errors import RacinesError
 from racines_data.schema import PARAMETERS
-from racines_data.store.frames import FrameStore
 from racines_data.views import PAPER_STATISTICS, ParameterStatistics
 
-MEAN_LIMIT = 0.25
-"""Largest difference of means, in standard deviations of the paper."""
-STD_RATIO = (0.75, 1.33)
-"""Smallest and largest ratio of standard deviations."""
-RANGE_LIMIT = 0.10
-"""How far a value may lie beyond the paper's range, as a share of the range's width."""
-FULL_SIZE = 100_000
-"""Frames from which the table has to hold; a smaller acquisition is a rough sample of it."""
-MODE_WIDTH = math.pi / 4
-"""Distance from ±π, rad, within which a frame belongs to a mode of rotation_x."""
-MODE_SHARE = 0.20
-"""Least share of frames in each mode."""
-BETWEEN_SHARE = 0.01
-"""Largest share of frames with |rotation_x| < π/2, where the probe would look upwards."""
+MEAN_LIMIT = 0.25  # largest difference of means, in standard deviations of the paper
+STD_RATIO = (0.75, 1.33)  # smallest and largest ratio of standard deviations
+RANGE_LIMIT = 0.10  # how far a value may lie beyond the paper's range, as a share of its width
+FULL_SIZE = 100_000  # frames from which the table has to hold; fewer are a rough sample of it
+MODE_WIDTH = math.pi / 4  # distance from ±π, rad, within which a frame is of a mode of rotation_x
+MODE_SHARE = 0.20  # least share of frames in each mode
+BETWEEN_SHARE = 0.01  # largest share with |rotation_x| < π/2, where the probe would look up
 
 
 @dataclass(frozen=True)
 class Verdict:
     """One parameter beside the paper's row."""
 
-    mean: float
-    """|mean - paper's|, in standard deviations of the paper."""
-    std: float
-    """Ratio of the standard deviations."""
-    beyond: float
-    """How far the extreme values lie outside the paper's range, as a share of its width; 0 if
-    inside."""
+    mean: float  # |mean - paper's|, in standard deviations of the paper
+    std: float  # ratio of the standard deviations
+    beyond: float  # how far the extremes lie outside the paper's range, as a share of its width
 
     @property
     def faults(self) -> list[str]:
         """What does not hold."""
-        faults = []
-        if not self.mean <= MEAN_LIMIT:
-            faults.append(f"mean off by {self.mean:.2f} std")
-        if not STD_RATIO[0] <= self.std <= STD_RATIO[1]:
-            faults.append(f"std x {self.std:.2f}")
-        if not self.beyond <= RANGE_LIMIT:
-            faults.append(f"{100 * self.beyond:.0f} % beyond the range")
-        return faults
+        limits = (
+            (self.mean <= MEAN_LIMIT, f"mean off by {self.mean:.2f} std"),
+            (STD_RATIO[0] <= self.std <= STD_RATIO[1], f"std x {self.std:.2f}"),
+            (self.beyond <= RANGE_LIMIT, f"{100 * self.beyond:.0f} % beyond the range"),
+        )
+        return [fault for holds, fault in limits if not holds]
 
 
 def statistics_of(parameters: np.ndarray) -> dict[str, ParameterStatistics]:
@@ -64,20 +50,18 @@ def statistics_of(parameters: np.ndarray) -> dict[str, ParameterStatistics]:
     return statistics
 
 
-def parameter_statistics(store: FrameStore) -> dict[str, ParameterStatistics]:
-    """Return minimum, maximum, mean and standard deviation of each parameter that is there."""
-    return statistics_of(store.parameters.numpy())
-
-
 def verdicts_of(statistics: dict[str, ParameterStatistics]) -> dict[str, Verdict]:
     """Hold each parameter beside the paper's table."""
-    return {name: _verdict(ours, PAPER_STATISTICS[name]) for name, ours in statistics.items()}
-
-
-def _verdict(ours: ParameterStatistics, paper: ParameterStatistics) -> Verdict:
-    width = paper.maximum - paper.minimum
-    outside = max(paper.minimum - ours.minimum, ours.maximum - paper.maximum, 0.0)
-    return Verdict(abs(ours.mean - paper.mean) / paper.std, ours.std / paper.std, outside / width)
+    verdicts = {}
+    for name, ours in statistics.items():
+        paper = PAPER_STATISTICS[name]
+        outside = max(paper.minimum - ours.minimum, ours.maximum - paper.maximum, 0.0)
+        verdicts[name] = Verdict(
+            mean=abs(ours.mean - paper.mean) / paper.std,
+            std=ours.std / paper.std,
+            beyond=outside / (paper.maximum - paper.minimum),
+        )
+    return verdicts
 
 
 def has_paper(manifest: dict[str, Any]) -> bool:
@@ -104,11 +88,7 @@ def _simulates_heart(manifest: dict[str, Any]) -> bool:
 
 
 def check_paper(verdicts: dict[str, Verdict]) -> str:
-    """Check the table.
-
-    Raises:
-        RacinesError: a parameter is missing or does not hold, each by name.
-    """
+    """Check that every parameter was measured and holds."""
     faults = [f"{name} was not measured" for name in PARAMETERS if name not in verdicts]
     faults += [
         f"{name}: {', '.join(verdict.faults)}"
@@ -126,24 +106,15 @@ def check_paper(verdicts: dict[str, Verdict]) -> str:
     )
 
 
-def rotation_modes(parameters: np.ndarray) -> tuple[float, float, float]:
-    """Return the shares of (N, 12) parameters near rotation_x = +π, near -π, and looking up."""
-    angle = parameters[:, PARAMETERS.index("rotation_x")]
-    near = np.abs(np.abs(angle) - math.pi) <= MODE_WIDTH
-    shares = near & (angle > 0), near & (angle < 0), np.abs(angle) < math.pi / 2
-    up, down, between = (float(share.mean()) for share in shares)
-    return up, down, between
-
-
 def check_modes(parameters: np.ndarray) -> str:
     """Check that rotation_x has two modes, at ±π, and next to nothing between them.
 
     A probe that looks down has rotation_x = ±π, and hand and tremor carry it across the jump.
-
-    Raises:
-        RacinesError: a mode is missing, or probes look upwards.
     """
-    up, down, between = rotation_modes(parameters)
+    angle = parameters[:, PARAMETERS.index("rotation_x")]
+    near = np.abs(np.abs(angle) - math.pi) <= MODE_WIDTH
+    shares = near & (angle > 0), near & (angle < 0), np.abs(angle) < math.pi / 2
+    up, down, between = (float(share.mean()) for share in shares)
     said = f"{100 * up:.1f} % within 45° of +π, {100 * down:.1f} % of -π"
     if min(up, down) < MODE_SHARE:
         raise RacinesError(f"{said}; each mode needs {100 * MODE_SHARE:.0f} %")

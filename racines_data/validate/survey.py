@@ -5,31 +5,78 @@
 A trajectory may cross shards: it belongs to the shard in which it begins.
 """
 
-import multiprocessing
-import threading
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+import hashlib
+import math
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import groupby, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
-import torch
 
-from racines_data.build.staging import die_with_parent
+from racines_data.build.staging import in_workers
+from racines_data.digest import trajectory_digest
 from racines_data.errors import RacinesError
+from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import manifest_labels
 from racines_data.progress import progress_bar
-from racines_data.records import features_of
+from racines_data.records import check_trajectory, features_of, table_to_trajectory
+from racines_data.schema import PARAMETERS, Trajectory
+from racines_data.sources.base import Unit
 from racines_data.store.frames import FrameStore
-from racines_data.validate.rows import CheckedSweep, Piece, read_piece, run_edges
+from racines_data.store.sweeps import run_edges, trajectories
 
-WORTH_WORKERS = 8192
-"""Frames from which starting worker processes costs less than they save."""
-_state: tuple[Path, Sequence[str], FrameStore | None] | None = None  # a worker's own
+WORTH_WORKERS = 8192  # frames from which starting worker processes costs less than they save
+LIMITS = {"force": 200.0, "torque": 50.0, "position": 10.0, "rotation": math.pi + 1e-5}
+"""Largest absolute value of a parameter by its kind: N, N·m, m, rad."""
+POOL = 8  # edge, in pixels, of the blocks whose means are an image's signature
+
+_KEPT = ("id", "session", "target_view", "phantom", "parameters", "timestamps", "views", "grades")
+_STORED = ("images", "views", "parameters", "controls", "grades", "timestamps")
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A run of whole trajectories of one split that begin in one shard."""
+
+    split: str
+    names: Sequence[str]  # the shard, and those into which its last trajectory may go on
+    first: int  # row of the shard at which they begin; an earlier shard's end before it
+    stop: int  # past-the-last row, counted from the shard's beginning
+    start: int  # row of the store at which they begin
+    poses: bool = True  # whether the dataset has poses and times at all
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return self.stop - self.first
+
+
+@dataclass(frozen=True)
+class CheckedSweep:
+    """What the checks need of one trajectory of T frames."""
+
+    split: str
+    id: str
+    session: str
+    target_view: str
+    phantom: int | None
+    digest: str
+    parameters: np.ndarray  # (T, 12) float32, NaN where absent
+    timestamps: np.ndarray  # (T,) float64 seconds
+    views: np.ndarray  # (T,) int64, -1 where unknown
+    grades: np.ndarray  # (T,) float32, NaN where unknown
+    predicted: np.ndarray  # (T, 2) float32, the grader's view and grade, NaN where absent
+    hashes: np.ndarray  # (T,) uint64 of the pixels
+    signatures: np.ndarray  # (T, 256) float16, block means of the image, gray levels
+    faults: tuple[tuple[str, str], ...] = ()  # names of checks that do not hold here, and why
+
+    def __len__(self) -> int:
+        return len(self.timestamps)
 
 
 @dataclass
@@ -38,7 +85,7 @@ class Survey:
 
     config: str
     sweeps: list[CheckedSweep] = field(default_factory=list)
-    faults: dict[str, list[str]] = field(default_factory=dict)
+    faults: defaultdict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     """Reasons by check: `rows`, `store`."""
 
     def __len__(self) -> int:
@@ -54,23 +101,15 @@ class Survey:
         return np.repeat(values, [len(sweep) for sweep in self.sweeps])
 
     def raise_faults(self, check: str) -> None:
-        """Raise what was found for a check, if anything.
-
-        Raises:
-            RacinesError: the first reason, and how many more there are.
-        """
-        found = self.faults.get(check, [])
+        """Raise the first reason found for a check, if any, and say how many more there are."""
+        found = self.faults[check]
         if found:
             more = f" (and {len(found) - 1} more trajectories)" if len(found) > 1 else ""
             raise RacinesError(found[0] + more)
 
 
 def plan_pieces(root: Path, manifest: dict[str, Any], config: str) -> list[Piece]:
-    """Divide the rows of a config into pieces for the workers.
-
-    Raises:
-        RacinesError: a shard whose columns are not those of the schema.
-    """
+    """Divide the rows of a config, whose columns must be the schema's, into pieces for workers."""
     schema = features_of(manifest["source"], manifest_labels(manifest)).arrow_schema
     pieces: list[Piece] = []
     start = 0
@@ -78,111 +117,137 @@ def plan_pieces(root: Path, manifest: dict[str, Any], config: str) -> list[Piece
         for name in names:
             if not pq.read_schema(root / name).equals(schema):
                 raise RacinesError(f"{name}: columns differ from the schema of `frames`")
-        runs = list(_runs(root, names))
-        for _, group in groupby(runs, key=lambda run: run[0][0]):
-            parts = _join([part for run in group for part in run])
-            pieces.append(Piece(split, parts, start, manifest.get("poses", True)))
-            start += pieces[-1].frames
+        tables = [pq.read_table(root / name, columns=["trajectory"]) for name in names]
+        ends = np.cumsum([0, *map(len, tables)]).tolist()
+        edges = np.array(run_edges(pa.concat_tables(tables)["trajectory"].to_numpy()) or [0])
+        bounds = pairwise(edges[np.searchsorted(edges, ends)].tolist())
+        for index, (first, stop) in enumerate(bounds):
+            if first < stop:
+                place = first - ends[index], stop - ends[index], start + first
+                pieces.append(Piece(split, names[index:], *place, manifest.get("poses", True)))
+        start += ends[-1]
     return pieces
-
-
-def _runs(root: Path, names: Sequence[str]) -> Iterator[list[tuple[str, int, int]]]:
-    """Yield the parts of each trajectory: file, first row, past-the-last row."""
-    last, run = None, []
-    for name in names:
-        ids = pq.read_table(root / name, columns=["trajectory"])["trajectory"]
-        words = ids.to_numpy()
-        for first, stop in pairwise(run_edges(words)):
-            word = words[first]
-            if run and word != last:
-                yield run
-                run = []
-            run.append((name, first, stop))
-            last = word
-    if run:
-        yield run
-
-
-def _join(parts: Sequence[tuple[str, int, int]]) -> tuple[tuple[str, int, int], ...]:
-    joined = []
-    for name, group in groupby(parts, key=lambda part: part[0]):
-        rows = list(group)
-        joined.append((name, rows[0][1], rows[-1][2]))
-    return tuple(joined)
 
 
 def survey(
     root: Path, manifest: dict[str, Any], config: str, workers: int = 1, progress: bool = False
 ) -> Survey:
-    """Read all rows of a config.
-
-    Args:
-        root: Folder of the dataset.
-        manifest: Its manifest.
-        config: `frames` or `multi_phantom`.
-        workers: Processes that decode and check; small configs are read in this one.
-        progress: Show a progress bar on stderr.
-
-    Raises:
-        RacinesError: a shard cannot be read at all, or its columns are not those of the schema.
-    """
+    """Read all rows of a config in `workers` processes; small configs in this one."""
     pieces = plan_pieces(root, manifest, config)
     found = Survey(config)
     try:
-        store_frames = len(FrameStore(root, config))
+        store = FrameStore(root, config)
     except RacinesError as error:
-        store_frames = None
-        found.faults["store"] = [f"{error}"]
+        store = None
+        found.faults["store"].append(f"{error}")
     total = sum(piece.frames for piece in pieces)
+    dataset = root, manifest_labels(manifest), store
+    used = workers if total >= WORTH_WORKERS else 1
+    read = in_workers(read_piece, dataset, pieces, used, "with fewer --workers")
     with progress_bar(progress) as bar:
         task = bar.add_task(f"checking {config}", total=total)
-        given = root, config, manifest_labels(manifest), store_frames is not None
-        for piece, (sweeps, faults) in zip(pieces, _read(pieces, given, workers), strict=True):
+        for piece, (sweeps, faults) in zip(pieces, read, strict=True):
             found.sweeps += sweeps
-            if faults:
-                found.faults.setdefault("rows", []).extend(faults)
+            found.faults["rows"] += faults
             for check, reason in (fault for sweep in sweeps for fault in sweep.faults):
-                found.faults.setdefault(check, []).append(reason)
+                found.faults[check].append(reason)
             bar.advance(task, piece.frames)
-    if store_frames not in (None, total):
-        reason = f"the store has {store_frames} frames, the shards {total}"
-        found.faults.setdefault("store", []).append(reason)
+    if store is not None and len(store) != total:
+        found.faults["store"].append(f"the store has {len(store)} frames, the shards {total}")
     return found
 
 
-def _read(
-    pieces: Sequence[Piece], given: tuple[Path, str, Sequence[str], bool], workers: int
-) -> Iterator[tuple[list[CheckedSweep], list[str]]]:
-    if workers == 1 or sum(piece.frames for piece in pieces) < WORTH_WORKERS:
-        root, labels, store = _open(*given)
-        for piece in pieces:
-            yield read_piece(root, labels, store, piece)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _start_worker, given) as pool:
+def read_piece(
+    dataset: tuple[Path, Sequence[str], FrameStore | None], piece: Piece
+) -> tuple[list[CheckedSweep], list[str]]:
+    """Read and check a piece; return its trajectories, and why others could not be read.
+
+    The dataset is its folder, its labels, and its store if that is whole.
+    """
+    root, labels, store = dataset
+    sweeps, faults = [], []
+    stop = 0
+    for rows in trajectories(root, piece.names):
+        first, stop = stop, stop + len(rows)
+        if first >= piece.stop:
+            break
+        if first < piece.first:
+            continue
         try:
-            yield from pool.map(_work, pieces)
-        except BrokenProcessPool as error:
-            raise RacinesError(
-                "a worker process died (out of memory?): run again with fewer --workers"
-            ) from error
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+            trajectory = table_to_trajectory(rows)
+        except (OSError, ValueError, SyntaxError, TypeError, pa.ArrowException) as error:
+            name = rows["trajectory"][0].as_py()
+            faults.append(f"trajectory {name}: its rows cannot be read: {error}")
+            continue
+        begin = piece.start + first - piece.first
+        place = slice(begin, begin + len(rows))
+        sweeps.append(_sweep(piece, rows, trajectory, labels, store, place))
+    return sweeps, faults
 
 
-def _open(
-    root: Path, config: str, labels: Sequence[str], stored: bool
-) -> tuple[Path, Sequence[str], FrameStore | None]:
-    return root, labels, FrameStore(root, config) if stored else None
+def _sweep(
+    piece: Piece,
+    rows: pa.Table,
+    trajectory: Trajectory,
+    labels: Sequence[str],
+    store: FrameStore | None,
+    place: slice,
+) -> CheckedSweep:
+    faults = []
+    try:
+        _check_rows(rows, trajectory, labels, piece.poses)
+    except RacinesError as error:
+        faults.append(("rows", f"{error}"))
+    if store is not None and not _in_store(store, place, piece.split, trajectory):
+        faults.append(("store", f"trajectory {trajectory.id} differs between store and shards"))
+    predicted = [rows[name].cast(pa.float32()) for name in ("view_predicted", "grade_predicted")]
+    return CheckedSweep(
+        split=piece.split,
+        **{name: getattr(trajectory, name) for name in _KEPT},
+        digest=trajectory_digest(trajectory),
+        predicted=np.stack([c.fill_null(np.nan).to_numpy() for c in predicted], -1),
+        hashes=np.array([_hash(image) for image in trajectory.images], np.uint64),
+        signatures=signatures(trajectory.images),
+        faults=tuple(faults),
+    )
 
 
-def _start_worker(root: Path, config: str, labels: Sequence[str], stored: bool) -> None:
-    global _state
-    torch.set_num_threads(1)
-    threading.Thread(target=die_with_parent, daemon=True).start()
-    _state = _open(root, config, labels, stored)
+def _check_rows(rows: pa.Table, trajectory: Trajectory, labels: Sequence[str], poses: bool) -> None:
+    unit = Unit(trajectory.id, trajectory.session, trajectory.target_view, len(trajectory))
+    check_trajectory(trajectory, unit, labels, poses)
+    where = f"trajectory {trajectory.id}"
+    for index, name in enumerate(PARAMETERS):
+        limit = LIMITS[name.partition("_")[0]]
+        if (np.abs(trajectory.parameters[:, index]) > limit).any():
+            raise RacinesError(f"{where}: {name} exceeds ±{limit:.4g}")
+    for name in ("session", "target_view", "phantom", "source"):
+        if len(rows[name].unique()) > 1:
+            raise RacinesError(f"{where}: {name} changes within it")
+    if not np.array_equal(rows["frame"].to_numpy(), np.arange(len(rows))):
+        raise RacinesError(f"{where}: frame numbers are not 0 to {len(rows) - 1} in order")
 
 
-def _work(piece: Piece) -> tuple[list[CheckedSweep], list[str]]:
-    assert _state is not None
-    return read_piece(*_state, piece)
+def _in_store(store: FrameStore, place: slice, split: str, trajectory: Trajectory) -> bool:
+    start, stop = store.bounds(split)
+    if place.stop > len(store) or not start <= place.start < stop:
+        return False
+    index = store.trajectory_index[place]
+    pairs = ((getattr(store, name)[place].numpy(), getattr(trajectory, name)) for name in _STORED)
+    return (
+        store.trajectories[int(index[0])] == trajectory.id
+        and bool((index == index[0]).all())
+        and all(np.array_equal(stored, read, equal_nan=True) for stored, read in pairs)
+    )
+
+
+def _hash(image: np.ndarray) -> int:
+    return int.from_bytes(hashlib.blake2b(image.tobytes(), digest_size=8).digest(), "little")
+
+
+def signatures(images: np.ndarray) -> np.ndarray:
+    """Return (T, 256) float16 means of 8x8 blocks of (T, 128, 128) uint8 images."""
+    side = IMAGE_SIZE // POOL
+    if images.shape[1:] != (IMAGE_SIZE, IMAGE_SIZE):
+        return np.zeros((len(images), side * side), np.float16)
+    blocks = images.reshape(-1, side, POOL, side, POOL)
+    return blocks.mean((2, 4), dtype=np.float32).reshape(-1, side * side).astype(np.float16)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from racines_data.geometry import Pose, euler_to_matrix, geodesic, parameters_to_pose
 from racines_data.randomness import sample_seeds, uniform
-from racines_data.views import LABELS, RANDOM_LABEL, VIEWS, view_index
+from racines_data.views import LABELS, RANDOM_LABEL, VIEWS
 from racines_data.world import Truth, World
 from racines_models.protocol import Judge
 
@@ -46,7 +46,7 @@ class FakePhantom(World):
         self._targets = Pose(torch.cat([PLACES, heights], 1), euler_to_matrix(ANGLES))
 
     def target(self, view: str) -> Pose:
-        row = view_index(view)
+        row = VIEWS.index(view)
         return Pose(self._targets.position[row : row + 1], self._targets.rotation[row : row + 1])
 
     def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:

@@ -7,8 +7,7 @@ import torch
 from torch import Tensor
 
 from racines_data.geometry import parameters_to_pose
-from racines_data.store.frames import Batch, FrameStore
-from racines_data.store.memory import BatchMemory
+from racines_data.store.frames import Batch, BatchMemory, FrameStore
 
 TRAIN, VALIDATION, TEST = 240, 32, 16
 

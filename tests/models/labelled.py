@@ -3,8 +3,7 @@
 import torch
 from torch import Tensor
 
-from racines_data.store.frames import Batch, FrameStore
-from racines_data.store.memory import BatchMemory
+from racines_data.store.frames import Batch, BatchMemory, FrameStore
 from racines_data.views import RANDOM_LABEL
 from tests.models.conftest import random_parameters
 

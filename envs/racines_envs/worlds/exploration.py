@@ -28,8 +28,7 @@ from racines_data.imaging import IMAGE_SIZE
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.randomness import derive, normal, uniform
 from racines_data.schema import SPLITS
-from racines_data.store.frames import FrameStore
-from racines_data.store.memory import BatchMemory
+from racines_data.store.frames import BatchMemory, FrameStore
 from racines_data.views import HEART, labels_of
 from racines_data.world import World
 from racines_envs.task.starts import draw_starts

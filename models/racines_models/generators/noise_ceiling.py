@@ -7,9 +7,8 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
+from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig, recorded_phantom
 from racines_data.phantom.model import Phantom, shared_phantom
-from racines_data.phantom.recorded import recorded_phantom
 from racines_data.store.frames import FrameStore
 from racines_models.generators.base import BaseGenerator
 from racines_models.protocol import Run

@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
-from racines_data.phantom.recorded import recorded_phantom
+from racines_data.phantom.config import recorded_phantom
 from racines_data.store.frames import Batch, FrameStore
 from racines_models.sample import draw
 from racines_models.scores.features import kept

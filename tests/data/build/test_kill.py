@@ -23,7 +23,7 @@ MANY = {"frames": 72, "trajectories": 24, "sessions": 6, "seed": 5}
 PROGRAM = """
 import os, signal
 from pathlib import Path
-import racines_data.build.dataset, racines_data.build.shards, racines_data.build.writer
+import racines_data.build.dataset, racines_data.build.writer
 from racines_data.build import DataConfig, build
 from tests.data.fake_source import FakeConfig, FakeSource
 
@@ -38,14 +38,14 @@ build(
 """
 FAULTS = {
     "shards": """
-real, made = racines_data.build.shards.write_parquet, []
+real, made = racines_data.build.writer.write_parquet, []
 def write(path, table):
     made.append(path)
     if len(made) > 5:
         path.write_bytes(b"half")
         die()
     real(path, table)
-racines_data.build.shards.write_parquet = write
+racines_data.build.writer.write_parquet = write
 """,
     "store": """
 racines_data.build.writer.write_store = lambda path, *_: (path.write_bytes(b"half"), die())

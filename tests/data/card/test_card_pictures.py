@@ -12,7 +12,7 @@ from PIL import Image
 from racines_data.build.dataset import DataConfig, build
 from racines_data.card.frames import read_frames
 from racines_data.card.pictures import samples_figure, write_pictures
-from racines_data.manifest import STORE, read_manifest
+from racines_data.manifest import read_manifest, store_name
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Unit
 from racines_data.validate.run import validate
@@ -139,7 +139,7 @@ def test_a_heart_is_shown_by_its_best_frame(tmp_path: Path):
 
 
 def test_samples_go_down_the_grades(built: Path):
-    frames = read_frames(built / STORE, read_manifest(built))
+    frames = read_frames(built / store_name("frames"), read_manifest(built))
     rows = frames.views == 0
     grades = frames.grades.copy()
     grades[rows] = np.linspace(1, 10, rows.sum())

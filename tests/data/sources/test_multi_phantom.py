@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import racines_data
-from racines_data.build.canonical import same_version
 from racines_data.build.dataset import (
     DataConfig,
     build,
@@ -16,10 +15,10 @@ from racines_data.build.dataset import (
 )
 from racines_data.errors import RacinesError
 from racines_data.manifest import read_manifest
-from racines_data.phantom.config import PhantomConfig
-from racines_data.phantom.population import heart_config
+from racines_data.phantom.config import PhantomConfig, heart_config
 from racines_data.sources.phantom import MultiPhantomSource, PhantomSource
 from racines_data.store.frames import FrameStore
+from racines_data.validate.identity import same_version
 from racines_data.views import LABELS
 from tests.data.build.test_build import files
 from tests.data.fake_source import FakeConfig, FakeSource

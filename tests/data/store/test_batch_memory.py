@@ -1,6 +1,6 @@
 import torch
 
-from racines_data.store.memory import BatchMemory
+from racines_data.store.frames import BatchMemory
 
 
 def test_memory_serves_again_once_nobody_holds_it():

@@ -4,8 +4,7 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from racines_data.store.frames import FrameStore
-from racines_data.store.loader import BatchDataset
+from racines_data.store.frames import BatchDataset, FrameStore
 
 
 def test_a_loader_serves_the_batches_of_the_store(built: Path):

@@ -18,10 +18,8 @@ from racines_data.validate.duplicates import (
     find_duplicates,
     nearest_distance,
 )
-from racines_data.validate.labels import check_views, view_shares
-from racines_data.validate.oracle import check_rejudged, rejudge
-from racines_data.validate.rows import CheckedSweep, signatures
-from racines_data.validate.splits import check_splits
+from racines_data.validate.identity import check_splits
+from racines_data.validate.labels import check_rejudged, check_views, rejudge, view_shares
 from racines_data.validate.statistics import (
     check_modes,
     check_paper,
@@ -30,7 +28,7 @@ from racines_data.validate.statistics import (
     statistics_of,
     verdicts_of,
 )
-from racines_data.validate.survey import Survey
+from racines_data.validate.survey import CheckedSweep, Survey, signatures
 from racines_data.views import LABELS, PAPER_STATISTICS, ParameterStatistics
 
 

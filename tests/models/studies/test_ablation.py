@@ -12,9 +12,8 @@ from PIL import Image
 from racines_data.errors import RacinesError
 from racines_data.phantom import Phantom, PhantomConfig
 from racines_data.phantom.anatomy import load_anatomy
-from racines_data.phantom.config import BlockConfig
+from racines_data.phantom.config import BlockConfig, heart_config
 from racines_data.phantom.heart import CONNECTIVE, heart
-from racines_data.phantom.population import heart_config
 from racines_models.studies.ablation import run as ablation
 from racines_models.studies.ablation.run import (
     AblationConfig,

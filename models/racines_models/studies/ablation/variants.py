@@ -7,7 +7,7 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.phantom import PhantomConfig
-from racines_data.phantom.population import heart_config
+from racines_data.phantom.config import heart_config
 
 OFF = -200.0
 """dB of what is switched off."""

@@ -1,4 +1,4 @@
-"""The commands `racines data push` and `racines data pull`: to and from the Hugging Face Hub."""
+"""The commands `racines data export`, `push` and `pull`: a dataset to and from other places."""
 
 import json
 from pathlib import Path
@@ -12,6 +12,29 @@ if TYPE_CHECKING:
     from racines_data.hub.push import Push
 
 Repository = Annotated[str, typer.Argument(metavar="REPO_ID", help="OWNER/NAME on the Hub.")]
+
+
+def export(
+    root: Annotated[Path, typer.Argument(help="Folder of the dataset.")],
+    format: Annotated[str, typer.Option("--format", help="release, lerobot or minari.")],
+    out: opt.Out,
+    split: opt.OneSplit = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="Frames to write, the first.")] = None,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Write a dataset, or one split, in another format; images are never compressed with loss."""
+    from racines_data.export.registry import load_exporter
+
+    made = load_exporter(format)(root, out, split=split, limit=limit, progress=not as_json)
+    if as_json:
+        typer.echo(json.dumps(made))
+        return
+    typer.echo(
+        f"{made['out']}: {made['frames']} frames in {made['trajectories']} trajectories, "
+        f"format {made['format']}"
+    )
+    for note in made.get("notes", []):
+        typer.echo(f"note: {note}")
 
 
 def push(
@@ -33,12 +56,9 @@ def push(
 
     folder = default_root(root)
     plan = plan_push(folder, repo_id, tag, revision, with_store)
-    if dry_run:
-        made = {**plan.to_json(), "private": private, "dry_run": True}
-    else:
-        made = {**push_dataset(folder, plan, private), "private": private, "dry_run": False}
+    made = plan.to_json() if dry_run else push_dataset(folder, plan, private)
     if as_json:
-        typer.echo(json.dumps(made))
+        typer.echo(json.dumps({**made, "private": private, "dry_run": dry_run}))
     elif dry_run:
         _print_plan(plan, private)
     elif made["uploaded"]:
