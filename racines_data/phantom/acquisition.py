@@ -20,8 +20,8 @@ from torch import Tensor
 from racines_data.geometry import Pose, euler_to_matrix, matrix_to_euler
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PhantomConfig
-from racines_data.phantom.contact import deepest
 from racines_data.phantom.model import Phantom
+from racines_data.phantom.truth import deepest
 from racines_data.randomness import derive, normal, sample_seeds, uniform
 from racines_data.views import RANDOM
 
