@@ -22,7 +22,7 @@ MOVED = {
         "croissant_rai=croissant card.croissant_rai=croissant datasheet"
     ),
     "racines_data.cli": (
-        "cli_card=card cli_export=exchange cli_hub=exchange cli_import=build cli_phantom=card"
+        "cli_card=dataset cli_export=dataset cli_hub=dataset cli_import=build cli_phantom=dataset"
     ),
     "racines_data.export.lerobot": "export.lerobot_statistics=writer",
     "racines_data.hub": "push",
@@ -37,7 +37,7 @@ MOVED = {
     ),
     "racines_data.sources.tracked": "sources.mha=mha",
     "racines_data.store": (
-        "batch_memory=frames export.sweeps=sweeps loader=frames restore=writer store_writer=writer"
+        "batch_memory=frames export.sweeps=sweeps loader=frames restore=sweeps store_writer=sweeps"
     ),
     "racines_data.validate": (
         "validate_duplicates=duplicates validate_files=identity validate_labels=labels "

@@ -277,7 +277,7 @@ TOUCHED = [
     "racines_data.export.minari",
     "racines_data.hub.push",
     "racines_data.validate.survey",
-    "racines_data.cli.validate",
+    "racines_data.cli.dataset",
     "racines_models.weights",
     "racines_models.networks.pyramid",
     "racines_models.training.trainer",
