@@ -40,9 +40,9 @@ MOVED = {
         "batch_memory=frames export.sweeps=sweeps loader=frames restore=sweeps store_writer=sweeps"
     ),
     "racines_data.validate": (
-        "validate_duplicates=duplicates validate_files=identity validate_labels=labels "
-        "validate_oracle=labels validate_report=run validate_rows=survey "
-        "validate_splits=identity validate_statistics=statistics validate_survey=survey"
+        "validate_duplicates=identity validate_files=identity validate_labels=meaning "
+        "validate_oracle=meaning validate_report=run validate_rows=survey "
+        "validate_splits=identity validate_statistics=meaning validate_survey=survey"
     ),
     "racines_envs.agents": (
         "agents.encoders=networks agents.identity=training agents.registry=protocol "

@@ -77,8 +77,7 @@ def make_source(
     """
     kind = source_class(config.source)
     known = {field.name for field in dataclasses.fields(kind.Config)}
-    shared = {"frames": config.frames, "seed": config.seed}
-    given = {key: value for key, value in shared.items() if key in known}
+    given = {name: getattr(config, name) for name in ("frames", "seed") if name in known}
     return kind.from_config(given | (section or {}), inputs)
 
 
@@ -136,8 +135,7 @@ def build(
     out.parent.mkdir(parents=True, exist_ok=True)
     with staging_folder(out, source, recipe_digest(recipe)) as folder:
         shares = config.validation, config.test, config.seed
-        splits = assign_splits(units, *shares)
-        held = held_out_session(units)
+        splits, held = assign_splits(units, *shares), held_out_session(units)
         main = Part("frames", source, units, splits, folder / "frames", held)
         stage_units(source, units, main.folder, config.workers, progress)
         part = None
@@ -186,14 +184,13 @@ def _plan(source: Source, config: DataConfig) -> list[Unit]:
 
 
 def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str, Any]:
-    others = {} if many is None else {MULTI_PHANTOM: many.recipe()}
     return {
         "format": FORMAT,
         "source": source.name,
         "version": source.version,
         "splits": {"seed": config.seed, "validation": config.validation, "test": config.test},
         "settings": source.recipe(),
-        **others,
+        **({} if many is None else {MULTI_PHANTOM: many.recipe()}),
     }
 
 

@@ -30,24 +30,16 @@ from racines_data.views import RANDOM
 class AcquisitionConfig:
     """How the phantom is scanned."""
 
-    frames: int = 6000
-    """Frames in all; the paper has 144,668."""
+    frames: int = 6000  # in all; the paper has 144,668
     seed: int = 0
-    sessions: int = 3
-    """Recording sessions; each has its operator: speed, tremor and pressure differ."""
-    shortest: int = 90
+    sessions: int = 3  # each has its operator: speed, tremor and pressure differ
+    shortest: int = 90  # frames of a trajectory
     longest: int = 150
-    """Frames of a trajectory."""
-    rate: float = 25.0
-    """Frames a second."""
-    random_share: float = 0.16
-    """Share of trajectories that scan at random (CACTUS: 6,021 of 37,736 images)."""
-    tremor: float = 0.0004
-    """Tremor of the hand, m (and the same number of degrees a millimetre)."""
-    pose_noise: float = 0.00005
-    """Noise of the measured position, m, and a tenth of it a millimetre in rad."""
-    force_noise: float = 0.15
-    """Noise of the force sensor, N; a tenth of it in N·m for torque."""
+    rate: float = 25.0  # frames a second
+    random_share: float = 0.16  # of trajectories (CACTUS: 6,021 of 37,736 images)
+    tremor: float = 0.0004  # of the hand, m (and the same number of degrees a millimetre)
+    pose_noise: float = 0.00005  # of the measured position, m; a tenth of it a millimetre in rad
+    force_noise: float = 0.15  # of the force sensor, N; a tenth of it in N·m for torque
     phantom: PhantomConfig = field(default_factory=PhantomConfig)
 
 

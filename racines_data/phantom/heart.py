@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from racines_data.phantom.anatomy import Anatomy, Point, Structure, Tissue, ViewSpec, to_point
 from racines_data.phantom.shapes import capsule, ellipsoid, smooth_union, subtract, tube, union
@@ -176,7 +177,7 @@ def _paint(p: Tensor, form: _Form) -> Tensor:
     if form.layers:
         tissue[_layers(p, form) & (heart_outer > 3.0)] = CONNECTIVE
     tissue[heart_outer < 1.4] = PERICARDIUM
-    tissue[(heart_outer < 0.0)] = MYOCARDIUM
+    tissue[heart_outer < 0.0] = MYOCARDIUM
     tissue[torch.minimum(vessels, atria_outer) < 0.0] = WALL
     tissue[torch.minimum(lv_outer, rv - rv_wall) < 0.0] = MYOCARDIUM
     tissue[(aorta - 2.2 < 0.0) & (w < 2.0)] = WALL
@@ -190,7 +191,7 @@ def _paint(p: Tensor, form: _Form) -> Tensor:
 def _layers(p: Tensor, form: _Form) -> Tensor:
     """Return where (M, 3) points lie in a layer: the nodes of a few random plane waves."""
     draw = uniform(sample_seeds(form.layer_seed, 1), 6 * 4, 7)[0].view(6, 4)
-    way = torch.nn.functional.normalize(draw[:, :3] - 0.5, dim=1)
+    way = normalize(draw[:, :3] - 0.5, dim=1)
     wave = torch.sin(p @ (way * (0.10 + 0.10 * draw[:, 3:])).T + 2.0 * math.pi * draw[:, 3])
     return wave.mean(1).abs() < 0.3 * form.layers
 
@@ -253,18 +254,14 @@ _VIEWS = (  # focus: mm
 
 def _placement(turn: float) -> tuple[tuple[Point, ...], Point]:
     """Return the organ's axes (rows u, v, w in the base frame) and its origin."""
-    down = torch.tensor(DOWN, dtype=torch.float64)
-    down = down / down.norm()
+    down = normalize(torch.tensor(DOWN, dtype=torch.float64), dim=0)
     # Horizontal directions in the organ frame: the long axis projected, and its perpendicular.
     long_axis = torch.tensor(W, dtype=torch.float64)
-    forward = long_axis - (long_axis @ down) * down
-    forward = forward / forward.norm()
+    forward = normalize(long_axis - (long_axis @ down) * down, dim=0)
     side = torch.linalg.cross(-down, forward)
-    heading = HEADING + turn
-    cos, sin = math.cos(heading), math.sin(heading)
-    base_x = cos * forward - sin * side
-    base_y = sin * forward + cos * side
-    axes = torch.stack([base_x, base_y, -down], dim=-1)  # row i: organ axis i in base coordinates
+    cos, sin = math.cos(HEADING + turn), math.sin(HEADING + turn)
+    base = cos * forward - sin * side, sin * forward + cos * side, -down
+    axes = torch.stack(base, dim=-1)  # row i: organ axis i in base coordinates
     reference = torch.tensor(REFERENCE, dtype=torch.float64) * MM
     target = torch.tensor([*ORIGIN, 0.065 - REFERENCE_DEPTH], dtype=torch.float64)
     origin = target - axes.T @ reference

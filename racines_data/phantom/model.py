@@ -156,11 +156,9 @@ def _workspace(config: WorkspaceConfig, block: BlockConfig, device: torch.device
     return Workspace(lowest, highest, config.tilt_max, config.yaw_max)
 
 
+_baked = lru_cache(maxsize=2)(Phantom)  # few: work on many hearts does not fill the memory
+
+
 def shared_phantom(config: PhantomConfig | None = None, device: str = "cpu") -> Phantom:
     """Return the one phantom of a configuration and device in this process."""
     return _baked(config or PhantomConfig(), device)
-
-
-@lru_cache(maxsize=2)  # few, so that work on many hearts does not fill the memory
-def _baked(config: PhantomConfig, device: str) -> Phantom:
-    return Phantom(config, device)
