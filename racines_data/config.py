@@ -91,10 +91,8 @@ def section(params: Mapping[str, Any], path: str | tuple[str, ...]) -> Settings:
     for count, name in enumerate(names, start=1):
         node = node.get(name) or {}
         if not isinstance(node, Mapping):
-            where = ".".join(names[:count])
-            raise RacinesError(
-                f"{_prefix(file)}{where}: {node!r} is no mapping: give keys and values"
-            )
+            where = _prefix(file) + ".".join(names[:count])
+            raise RacinesError(f"{where}: {node!r} is no mapping: give keys and values")
     return Settings(node, file)
 
 

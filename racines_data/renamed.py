@@ -13,7 +13,7 @@ from types import ModuleType
 
 MOVED = {
     "racines_data": "card_style=plotting",
-    "racines_data.build": "canonical=writer shards=writer splits staging writer",
+    "racines_data.build": "canonical=writer shards=writer splits=writer staging writer",
     "racines_data.card": (
         "card_frames=frames card_paths=plots card.paths=plots card_pictures=pictures "
         "card_plots=plots card_realism=realism card_rewrite=rewrite card_samples=pictures "

@@ -272,7 +272,7 @@ TOUCHED = [
     "racines_data.phantom.truth",
     "racines_data.sources.phantom",
     "racines_data.store.frames",
-    "racines_data.build.splits",
+    "racines_data.build.writer",
     "racines_data.card.markdown",
     "racines_data.export.minari",
     "racines_data.hub.push",

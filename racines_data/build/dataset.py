@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from racines_data.build.splits import assign_group_splits, assign_splits, held_out_session
+from racines_data.build import writer
 from racines_data.build.staging import stage_units, staging_folder
-from racines_data.build.writer import Part, write_dataset
 from racines_data.config import Settings, fill, section
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
@@ -135,16 +134,16 @@ def build(
     out.parent.mkdir(parents=True, exist_ok=True)
     with staging_folder(out, source, recipe_digest(recipe)) as folder:
         shares = config.validation, config.test, config.seed
-        splits, held = assign_splits(units, *shares), held_out_session(units)
-        main = Part("frames", source, units, splits, folder / "frames", held)
+        splits, held = writer.assign_splits(units, *shares), writer.held_out_session(units)
+        main = writer.Part("frames", source, units, splits, folder / "frames", held)
         stage_units(source, units, main.folder, config.workers, progress)
         part = None
         if many is not None:
-            splits = assign_group_splits(many_units, *shares)
-            part = Part(MULTI_PHANTOM, many, many_units, splits, folder / MULTI_PHANTOM)
+            splits = writer.assign_group_splits(many_units, *shares)
+            part = writer.Part(MULTI_PHANTOM, many, many_units, splits, folder / MULTI_PHANTOM)
             stage_units(many, many_units, part.folder, config.workers, progress, by_session=True)
         final = folder / f"final-{config.shards}"  # what is whole there has the same bounds
-        manifest = write_dataset(final, main, part, recipe, config.shards, progress)
+        manifest = writer.write_dataset(final, main, part, recipe, config.shards, progress)
         swap_folder(final, out)
     return manifest
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import given, overrides, read_settings
+from racines_data.cli.options import given, overrides, read_settings
 from racines_data.errors import RacinesError
 
 if TYPE_CHECKING:

@@ -3,8 +3,7 @@
 The convolution model (Bamber & Dickinson 1980; Meunier & Bertrand 1995): complex scatterers fixed
 in the block are sampled along each beam, weighted by what reaches them and returns (attenuation,
 loss at interfaces, coupling), joined by specular echoes of interfaces hit head-on, and blurred by
-a separable point spread function whose width is an angle across the beam and a length along it. The
-envelope is then compressed and converted from beams to the square image.
+a separable point spread function whose width is an angle across the beam and a length along it.
 """
 
 import math
@@ -16,13 +15,7 @@ from torch import Tensor
 from racines_data.geometry import Pose
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.phantom.config import ProbeConfig
-from racines_data.phantom.volume import (
-    ALONG_SHEETS,
-    ATTENUATION_STEP,
-    SCATTERER_STEP,
-    SHEET,
-    Volume,
-)
+from racines_data.phantom.volume import ALONG_SHEET, ATTENUATION_STEP, SCATTERER_STEP, SHEET, Volume
 from racines_data.randomness import derive, normal, sample_seeds
 
 SPECKLE_GAIN = 0.68  # undoes the blur's gain on correlated scatterers: myocardium is 1
@@ -136,8 +129,8 @@ def sample_echoes(volume: Volume, beams: Beams, probe: ProbeConfig, pose: Pose) 
     # A gradient seen at an angle loses to its cosine; the packed incidence is |g| cos θ already,
     # and the square makes the echo directional, as from a surface rough on a wavelength's scale.
     specular = incidence.mul_(strength).mul_(SPECULAR_GAIN * SPECULAR_GAIN / SCATTERER_STEP)
-    across = strength.mul_((1.0 - ALONG_SHEETS) / SHEET).clamp_max_(1.0 - ALONG_SHEETS)
-    across += ALONG_SHEETS
+    across = strength.mul_((1.0 - ALONG_SHEET) / SHEET).clamp_max_(1.0 - ALONG_SHEET)
+    across += ALONG_SHEET
     echoes = torch.empty((len(index), 2, *index.shape[1:]), device=index.device)
     real, imaginary = echoes.unbind(1)
     specular.addcmul_(scatterers[..., 0].to(torch.float32), across)
@@ -206,9 +199,6 @@ def echo_power(field: Tensor) -> Tensor:
     """Return the (B, L, S) squared magnitude of (B, 2, L, S) complex echoes."""
     real, imaginary = field.unbind(1)
     return real.square().add_(imaginary.square())
-
-
-# --- from beams to picture ------------------------------------------------------------------------
 
 
 class ScanConverter(NamedTuple):

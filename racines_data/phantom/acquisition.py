@@ -74,9 +74,7 @@ def plan_targets(count: int, config: AcquisitionConfig) -> list[str]:
     """Return the target of each trajectory: views in turn, random scans evenly between them."""
     views = itertools.cycle(anatomy_views(config.phantom.anatomy))
     scans = [math.floor(i * config.random_share + 0.5) for i in range(count + 1)]
-    return [
-        RANDOM if after > before else next(views) for before, after in itertools.pairwise(scans)
-    ]
+    return [RANDOM if stop > start else next(views) for start, stop in itertools.pairwise(scans)]
 
 
 def make_sweep(

@@ -73,9 +73,15 @@ def heart(seed: int = 0) -> Anatomy:
     form = _form(seed)
     size = form.size
     axes, origin = _placement(form.turn)
+    gel, myocardium, blood, *rest = TISSUES
     return Anatomy(
         name="heart",
-        tissues=_tissues(form),
+        tissues=(
+            replace(gel, echogenicity=form.gel, texture=form.unevenness, grain=form.grain),
+            replace(myocardium, texture=form.patchiness),
+            replace(blood, echogenicity=form.blood),
+            *rest,
+        ),
         paint=lambda points: _paint(points / (MM * size), form),
         structures=tuple(
             Structure(name, _scaled(centre, size), radius * MM * size)
@@ -100,16 +106,6 @@ def _form(seed: int) -> _Form:
     )  # fmt: skip
     values = (a + (b - a) * x for x, (a, b) in zip(draw, low_high, strict=True))
     return _Form(*values, layer_seed=seed)
-
-
-def _tissues(form: _Form) -> tuple[Tissue, ...]:
-    gel, myocardium, blood, *rest = TISSUES
-    return (
-        replace(gel, echogenicity=form.gel, texture=form.unevenness, grain=form.grain),
-        replace(myocardium, texture=form.patchiness),
-        replace(blood, echogenicity=form.blood),
-        *rest,
-    )
 
 
 def _scaled(point: Point, size: float) -> Point:
@@ -140,9 +136,8 @@ def _paint(p: Tensor, form: _Form) -> Tensor:
     wide, right = 22.5 * form.ventricle, 36.0 * form.right
     u, v, w = p.unbind(-1)
     lv = torch.maximum(ellipsoid(p, (0, 0, 16.0), (wide, wide, 60.0)), -w)
-    lv_outer = torch.maximum(
-        ellipsoid(p, (0, 0, 16.0), (wide + lv_wall, wide + lv_wall, 60.0 + lv_wall)), -w - 4.0
-    )
+    thick = wide + lv_wall
+    lv_outer = torch.maximum(ellipsoid(p, (0, 0, 16.0), (thick, thick, 60.0 + lv_wall)), -w - 4.0)
     la = ellipsoid(p, _LA, tuple(form.atria * r for r in (21.0, 19.0, 22.0)))
     ra = ellipsoid(p, _RA, tuple(form.atria * r for r in (19.0, 22.0, 22.0)))
     aorta = tube(p, _AORTA, _AORTA_RADII)
@@ -262,7 +257,6 @@ def _placement(turn: float) -> tuple[tuple[Point, ...], Point]:
     cos, sin = math.cos(HEADING + turn), math.sin(HEADING + turn)
     base = cos * forward - sin * side, sin * forward + cos * side, -down
     axes = torch.stack(base, dim=-1)  # row i: organ axis i in base coordinates
-    reference = torch.tensor(REFERENCE, dtype=torch.float64) * MM
     target = torch.tensor([*ORIGIN, 0.065 - REFERENCE_DEPTH], dtype=torch.float64)
-    origin = target - axes.T @ reference
+    origin = target - axes.T @ (torch.tensor(REFERENCE, dtype=torch.float64) * MM)
     return tuple(to_point(row) for row in axes), to_point(origin)

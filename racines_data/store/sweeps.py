@@ -1,8 +1,4 @@
-"""A dataset by trajectory: read for an exporter, written into a training store and a new folder.
-
-The store is one Arrow IPC file whose images are one contiguous run of bytes. It is written in a
-build, and made again from the shards.
-"""
+"""A dataset by trajectory: read for an exporter, written into a training store and a new folder."""
 
 import io
 import json
@@ -71,8 +67,7 @@ def read_sweeps(
     """
     if limit is not None and limit < 1:
         raise RacinesError(f"limit {limit}: give one frame or more")
-    wanted = checked_shards(root, read_manifest(root), config, split)
-    for name, paths in wanted.items():
+    for name, paths in checked_shards(root, read_manifest(root), config, split).items():
         for table in trajectories(root, paths):
             yield Sweep(name, table.slice(0, limit))
             if limit is not None:

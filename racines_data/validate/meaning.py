@@ -15,13 +15,8 @@ import torch
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_data.phantom.config import (
-    PHANTOM_VERSION,
-    PhantomConfig,
-    heart_config,
-    phantom_settings,
-)
-from racines_data.phantom.model import Phantom
+from racines_data.phantom import PHANTOM_VERSION, Phantom, PhantomConfig
+from racines_data.phantom.config import heart_config, phantom_settings
 from racines_data.schema import PARAMETERS
 from racines_data.validate.survey import Survey
 from racines_data.views import PAPER_STATISTICS, RANDOM, ParameterStatistics
@@ -211,11 +206,9 @@ def verdicts_of(statistics: dict[str, ParameterStatistics]) -> dict[str, Verdict
     for name, ours in statistics.items():
         paper = PAPER_STATISTICS[name]
         outside = max(paper.minimum - ours.minimum, ours.maximum - paper.maximum, 0.0)
-        verdicts[name] = Verdict(
-            mean=abs(ours.mean - paper.mean) / paper.std,
-            std=ours.std / paper.std,
-            beyond=outside / (paper.maximum - paper.minimum),
-        )
+        beyond = outside / (paper.maximum - paper.minimum)
+        mean = abs(ours.mean - paper.mean) / paper.std
+        verdicts[name] = Verdict(mean, ours.std / paper.std, beyond)
     return verdicts
 
 
@@ -245,11 +238,7 @@ def _simulates_heart(manifest: dict[str, Any]) -> bool:
 def check_paper(verdicts: dict[str, Verdict]) -> str:
     """Check that every parameter was measured and holds."""
     faults = [f"{name} was not measured" for name in PARAMETERS if name not in verdicts]
-    faults += [
-        f"{name}: {', '.join(verdict.faults)}"
-        for name, verdict in verdicts.items()
-        if verdict.faults
-    ]
+    faults += [f"{name}: {', '.join(v.faults)}" for name, v in verdicts.items() if v.faults]
     if faults:
         held = len(PARAMETERS) - len(faults)
         raise RacinesError(f"{held} of 12 parameters hold; {'; '.join(faults)}")

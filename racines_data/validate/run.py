@@ -20,7 +20,6 @@ from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
 from racines_data.tables import console_table
 from racines_data.validate import identity, meaning
-from racines_data.validate.meaning import Verdict
 from racines_data.validate.survey import Survey, survey
 from racines_data.views import PAPER_STATISTICS, ParameterStatistics
 
@@ -42,9 +41,8 @@ class Validation:
     manifest: dict[str, Any]
     checks: list[Check] = field(default_factory=list)
     statistics: dict[str, ParameterStatistics] = field(default_factory=dict)  # what was measured
-    verdicts: dict[str, Verdict] = field(default_factory=dict)  # where the paper is the measure
-    figures: dict[str, Any] = field(default_factory=dict)
-    """Views, duplicates and agreement with the oracle, by config."""
+    verdicts: dict[str, meaning.Verdict] = field(default_factory=dict)  # against the paper, if any
+    figures: dict[str, Any] = field(default_factory=dict)  # views, copies, oracle, by config
 
     @property
     def ok(self) -> bool:
