@@ -7,6 +7,7 @@ for a tuple; nothing else is converted.
 import dataclasses
 import json
 from collections.abc import Mapping
+from dataclasses import MISSING
 from importlib import resources
 from pathlib import Path
 from typing import Any, Required, TypeVar, get_type_hints
@@ -90,10 +91,8 @@ def section(params: Mapping[str, Any], path: str | tuple[str, ...]) -> Settings:
     for count, name in enumerate(names, start=1):
         node = node.get(name) or {}
         if not isinstance(node, Mapping):
-            where = ".".join(names[:count])
-            raise RacinesError(
-                f"{_prefix(file)}{where}: {node!r} is no mapping: give keys and values"
-            )
+            where = _prefix(file) + ".".join(names[:count])
+            raise RacinesError(f"{where}: {node!r} is no mapping: give keys and values")
     return Settings(node, file)
 
 
@@ -127,7 +126,7 @@ def _shape(config: Any) -> Any:
     shapes = {}
     for name, default in _defaults(config).items():
         shapes[name] = _shape(default) if _is_config(default) else hints[name]
-        if default is dataclasses.MISSING:
+        if default is MISSING:
             shapes[name] = Required[hints[name]]
     shape = TypedDict("shape", shapes, total=False)  # pyright: ignore[reportArgumentType]
     settings = {"extra": "forbid", "arbitrary_types_allowed": True}
@@ -167,8 +166,6 @@ def _defaults(config: Any) -> dict[str, Any]:
     if not isinstance(config, type):
         return {field.name: getattr(config, field.name) for field in fields}
     return {
-        each.name: each.default
-        if each.default_factory is dataclasses.MISSING
-        else each.default_factory()
+        each.name: each.default if each.default_factory is MISSING else each.default_factory()
         for each in fields
     }

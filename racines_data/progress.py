@@ -3,29 +3,22 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from rich import progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    TextColumn,
-    TimeRemainingColumn,
-)
 
 
-def progress_bar(shown: bool, unit: str = "", *more: ProgressColumn) -> Progress:
+def progress_bar(shown: bool, unit: str = "", *more: progress.ProgressColumn) -> progress.Progress:
     """Return a progress bar with `more` columns behind it, hidden where stderr is no terminal.
 
     `unit` is what is counted, in the plural.
     """
     console = Console(stderr=True)
-    return Progress(
-        TextColumn("[bold]{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        *([TextColumn(unit)] if unit else []),
-        TimeRemainingColumn(),
+    return progress.Progress(
+        progress.TextColumn("[bold]{task.description}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        *([progress.TextColumn(unit)] if unit else []),
+        progress.TimeRemainingColumn(),
         *more,
         console=console,
         disable=not (shown and console.is_terminal),

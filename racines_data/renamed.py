@@ -13,7 +13,7 @@ from types import ModuleType
 
 MOVED = {
     "racines_data": "card_style=plotting",
-    "racines_data.build": "canonical=writer shards=writer splits staging writer",
+    "racines_data.build": "canonical=writer shards=writer splits=writer staging writer",
     "racines_data.card": (
         "card_frames=frames card_paths=plots card.paths=plots card_pictures=pictures "
         "card_plots=plots card_realism=realism card_rewrite=rewrite card_samples=pictures "
@@ -22,7 +22,7 @@ MOVED = {
         "croissant_rai=croissant card.croissant_rai=croissant datasheet"
     ),
     "racines_data.cli": (
-        "cli_card=card cli_export=exchange cli_hub=exchange cli_import=build cli_phantom=card"
+        "cli_card=dataset cli_export=dataset cli_hub=dataset cli_import=build cli_phantom=dataset"
     ),
     "racines_data.export.lerobot": "export.lerobot_statistics=writer",
     "racines_data.hub": "push",
@@ -37,12 +37,12 @@ MOVED = {
     ),
     "racines_data.sources.tracked": "sources.mha=mha",
     "racines_data.store": (
-        "batch_memory=frames export.sweeps=sweeps loader=frames restore=writer store_writer=writer"
+        "batch_memory=frames export.sweeps=sweeps loader=frames restore=sweeps store_writer=sweeps"
     ),
     "racines_data.validate": (
-        "validate_duplicates=duplicates validate_files=identity validate_labels=labels "
-        "validate_oracle=labels validate_report=run validate_rows=survey "
-        "validate_splits=identity validate_statistics=statistics validate_survey=survey"
+        "validate_duplicates=identity validate_files=identity validate_labels=meaning "
+        "validate_oracle=meaning validate_report=run validate_rows=survey "
+        "validate_splits=identity validate_statistics=meaning validate_survey=survey"
     ),
     "racines_envs.agents": (
         "agents.encoders=networks agents.identity=training agents.registry=protocol "

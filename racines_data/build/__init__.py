@@ -1,8 +1,8 @@
 """Building a dataset: one writer, whatever the source.
 
-A source's units are made in worker processes and staged (`staging`), divided into splits
-(`splits`), packed into shards and a store, and sealed with canonical frames, by which a rebuild on
-another processor is recognised (`writer`). `dataset` is the way in.
+A source's units are made in worker processes and staged (`staging`), divided into splits, packed
+into shards and a store, and sealed with canonical frames, by which a rebuild on another processor
+is recognised (`writer`). `dataset` is the way in.
 """
 
 import lazy_loader

@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from racines_data.build.splits import assign_group_splits, assign_splits, held_out_session
+from racines_data.build import writer
 from racines_data.build.staging import stage_units, staging_folder
-from racines_data.build.writer import Part, write_dataset
 from racines_data.config import Settings, fill, section
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
@@ -77,8 +76,7 @@ def make_source(
     """
     kind = source_class(config.source)
     known = {field.name for field in dataclasses.fields(kind.Config)}
-    shared = {"frames": config.frames, "seed": config.seed}
-    given = {key: value for key, value in shared.items() if key in known}
+    given = {name: getattr(config, name) for name in ("frames", "seed") if name in known}
     return kind.from_config(given | (section or {}), inputs)
 
 
@@ -136,17 +134,16 @@ def build(
     out.parent.mkdir(parents=True, exist_ok=True)
     with staging_folder(out, source, recipe_digest(recipe)) as folder:
         shares = config.validation, config.test, config.seed
-        splits = assign_splits(units, *shares)
-        held = held_out_session(units)
-        main = Part("frames", source, units, splits, folder / "frames", held)
+        splits, held = writer.assign_splits(units, *shares), writer.held_out_session(units)
+        main = writer.Part("frames", source, units, splits, folder / "frames", held)
         stage_units(source, units, main.folder, config.workers, progress)
         part = None
         if many is not None:
-            splits = assign_group_splits(many_units, *shares)
-            part = Part(MULTI_PHANTOM, many, many_units, splits, folder / MULTI_PHANTOM)
+            splits = writer.assign_group_splits(many_units, *shares)
+            part = writer.Part(MULTI_PHANTOM, many, many_units, splits, folder / MULTI_PHANTOM)
             stage_units(many, many_units, part.folder, config.workers, progress, by_session=True)
         final = folder / f"final-{config.shards}"  # what is whole there has the same bounds
-        manifest = write_dataset(final, main, part, recipe, config.shards, progress)
+        manifest = writer.write_dataset(final, main, part, recipe, config.shards, progress)
         swap_folder(final, out)
     return manifest
 
@@ -186,14 +183,13 @@ def _plan(source: Source, config: DataConfig) -> list[Unit]:
 
 
 def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str, Any]:
-    others = {} if many is None else {MULTI_PHANTOM: many.recipe()}
     return {
         "format": FORMAT,
         "source": source.name,
         "version": source.version,
         "splits": {"seed": config.seed, "validation": config.validation, "test": config.test},
         "settings": source.recipe(),
-        **others,
+        **({} if many is None else {MULTI_PHANTOM: many.recipe()}),
     }
 
 

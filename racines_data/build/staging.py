@@ -79,9 +79,10 @@ def stage_units(
     staged = 0
     for index, unit in enumerate(units):
         path = unit_path(folder, index)
-        if _is_staged(path):
+        try:
+            open_unit(path)
             staged += unit.frames
-        else:
+        except (OSError, KeyError, pa.ArrowInvalid):
             tasks.setdefault(unit.session if by_session else index, []).append((unit, path))
     with progress_bar(progress) as bar:
         total = sum(unit.frames for unit in units)
@@ -89,14 +90,6 @@ def stage_units(
         remedy = "to go on, with fewer workers"
         for frames in in_workers(_stage, source, list(tasks.values()), workers, remedy):
             bar.advance(shown, frames)
-
-
-def _is_staged(path: Path) -> bool:
-    try:
-        open_unit(path)
-    except (OSError, KeyError, pa.ArrowInvalid):
-        return False
-    return True
 
 
 def in_workers(

@@ -1,13 +1,15 @@
 """The commands `racines data build` and `racines data import`. Heavy imports stand inside."""
 
 import json
+import time
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import given, overrides, read_settings
+from racines_data.cli.options import given, overrides, read_settings
 from racines_data.errors import RacinesError
 
 if TYPE_CHECKING:
@@ -32,17 +34,19 @@ def build(
     as_json: opt.AsJson = False,
 ) -> None:
     """Acquire or import a dataset, and write it as shards, a training store and a card."""
-    import time
-
     from racines_data.build import dataset
     from racines_data.config import section
+    from racines_data.sources.base import source_class
 
     start = time.perf_counter()
     values = section(read_settings(params, profile), "data")
     values |= given(source=source, workers=workers, frames=frames, seed=seed, strict=strict or None)
     config, sections = dataset.read_data_section(values)
-    if frames is not None:
-        _check_frames_wanted(config.source)
+    known = {field.name for field in fields(source_class(config.source).Config)}
+    if frames is not None and "frames" not in known:
+        raise RacinesError(
+            f"--frames: source {config.source} has the frames of its inputs; leave it out"
+        )
     made = dataset.make_source(config, sections.get(config.source), inputs or [])
     many = dataset.make_multi_phantom(made, config, sections.get("multi_phantom"))
     manifest = dataset.build(made, out, config, progress=not as_json, many=many)
@@ -57,15 +61,6 @@ def build(
         _print_dataset(out, manifest)
         typer.echo(f"recipe  {manifest['recipe_digest']}")
         _print_findings(made.report)
-
-
-def _check_frames_wanted(source: str) -> None:
-    import dataclasses
-
-    from racines_data.sources.base import source_class
-
-    if "frames" not in {field.name for field in dataclasses.fields(source_class(source).Config)}:
-        raise RacinesError(f"--frames: source {source} has the frames of its inputs; leave it out")
 
 
 def import_(

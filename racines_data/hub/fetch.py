@@ -54,7 +54,7 @@ def download(
     wanted = {n: r for n, r in manifest["files"].items() if not n.startswith(STORE_FOLDER)}
     check_files(root, wanted, f"delete it and fetch {repo_id} again")
     if stores:
-        from racines_data.store.writer import restore_stores
+        from racines_data.store.sweeps import restore_stores
 
         restore_stores(root)
     return root

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from racines_data.phantom.anatomy import Anatomy, Point, Structure, Tissue, ViewSpec, to_point
 from racines_data.phantom.shapes import capsule, ellipsoid, smooth_union, subtract, tube, union
@@ -97,11 +98,9 @@ def _variation(seed: int) -> Variation:
 
 def _kidney_axes(tilt: float) -> Tensor:
     """Return the kidney's axes as rows: to the lower pole, to the hilum, to the front."""
-    long_axis = torch.tensor([1.0, -0.22, 0.16 + tilt])
+    long_axis = normalize(torch.tensor([1.0, -0.22, 0.16 + tilt]), dim=0)
     hilum = torch.tensor([0.2, 0.9, 0.35])
-    long_axis = long_axis / long_axis.norm()
-    hilum = hilum - (hilum @ long_axis) * long_axis
-    hilum = hilum / hilum.norm()
+    hilum = normalize(hilum - (hilum @ long_axis) * long_axis, dim=0)
     return torch.stack([long_axis, hilum, torch.linalg.cross(long_axis, hilum)])
 
 
@@ -208,8 +207,7 @@ def _structures(varied: Variation, kidney: Tensor) -> dict[str, tuple[Tensor, fl
     """Return centre, mm, and the distance from the plane at which each is lost, mm."""
     centre, size = torch.tensor(KIDNEY), varied.kidney
     along, hilum, front = kidney * size
-    beam = torch.tensor(SIDEWAYS)
-    beam = beam / beam.norm()
+    beam = normalize(torch.tensor(SIDEWAYS), dim=0)
     neck, fundus = torch.tensor(NECK), torch.tensor(FUNDUS)
     middle = torch.tensor(_between(0.5))
     return {

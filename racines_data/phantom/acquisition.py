@@ -20,8 +20,8 @@ from torch import Tensor
 from racines_data.geometry import Pose, euler_to_matrix, matrix_to_euler
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PhantomConfig
-from racines_data.phantom.contact import deepest
 from racines_data.phantom.model import Phantom
+from racines_data.phantom.truth import deepest
 from racines_data.randomness import derive, normal, sample_seeds, uniform
 from racines_data.views import RANDOM
 
@@ -30,24 +30,16 @@ from racines_data.views import RANDOM
 class AcquisitionConfig:
     """How the phantom is scanned."""
 
-    frames: int = 6000
-    """Frames in all; the paper has 144,668."""
+    frames: int = 6000  # in all; the paper has 144,668
     seed: int = 0
-    sessions: int = 3
-    """Recording sessions; each has its operator: speed, tremor and pressure differ."""
-    shortest: int = 90
+    sessions: int = 3  # each has its operator: speed, tremor and pressure differ
+    shortest: int = 90  # frames of a trajectory
     longest: int = 150
-    """Frames of a trajectory."""
-    rate: float = 25.0
-    """Frames a second."""
-    random_share: float = 0.16
-    """Share of trajectories that scan at random (CACTUS: 6,021 of 37,736 images)."""
-    tremor: float = 0.0004
-    """Tremor of the hand, m (and the same number of degrees a millimetre)."""
-    pose_noise: float = 0.00005
-    """Noise of the measured position, m, and a tenth of it a millimetre in rad."""
-    force_noise: float = 0.15
-    """Noise of the force sensor, N; a tenth of it in N·m for torque."""
+    rate: float = 25.0  # frames a second
+    random_share: float = 0.16  # of trajectories (CACTUS: 6,021 of 37,736 images)
+    tremor: float = 0.0004  # of the hand, m (and the same number of degrees a millimetre)
+    pose_noise: float = 0.00005  # of the measured position, m; a tenth of it a millimetre in rad
+    force_noise: float = 0.15  # of the force sensor, N; a tenth of it in N·m for torque
     phantom: PhantomConfig = field(default_factory=PhantomConfig)
 
 
@@ -82,9 +74,7 @@ def plan_targets(count: int, config: AcquisitionConfig) -> list[str]:
     """Return the target of each trajectory: views in turn, random scans evenly between them."""
     views = itertools.cycle(anatomy_views(config.phantom.anatomy))
     scans = [math.floor(i * config.random_share + 0.5) for i in range(count + 1)]
-    return [
-        RANDOM if after > before else next(views) for before, after in itertools.pairwise(scans)
-    ]
+    return [RANDOM if stop > start else next(views) for start, stop in itertools.pairwise(scans)]
 
 
 def make_sweep(

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from racines_data.phantom.anatomy import Anatomy, Point, Structure, Tissue, ViewSpec, to_point
 from racines_data.phantom.shapes import capsule, ellipsoid, smooth_union, subtract, tube, union
@@ -72,9 +73,15 @@ def heart(seed: int = 0) -> Anatomy:
     form = _form(seed)
     size = form.size
     axes, origin = _placement(form.turn)
+    gel, myocardium, blood, *rest = TISSUES
     return Anatomy(
         name="heart",
-        tissues=_tissues(form),
+        tissues=(
+            replace(gel, echogenicity=form.gel, texture=form.unevenness, grain=form.grain),
+            replace(myocardium, texture=form.patchiness),
+            replace(blood, echogenicity=form.blood),
+            *rest,
+        ),
         paint=lambda points: _paint(points / (MM * size), form),
         structures=tuple(
             Structure(name, _scaled(centre, size), radius * MM * size)
@@ -99,16 +106,6 @@ def _form(seed: int) -> _Form:
     )  # fmt: skip
     values = (a + (b - a) * x for x, (a, b) in zip(draw, low_high, strict=True))
     return _Form(*values, layer_seed=seed)
-
-
-def _tissues(form: _Form) -> tuple[Tissue, ...]:
-    gel, myocardium, blood, *rest = TISSUES
-    return (
-        replace(gel, echogenicity=form.gel, texture=form.unevenness, grain=form.grain),
-        replace(myocardium, texture=form.patchiness),
-        replace(blood, echogenicity=form.blood),
-        *rest,
-    )
 
 
 def _scaled(point: Point, size: float) -> Point:
@@ -139,9 +136,8 @@ def _paint(p: Tensor, form: _Form) -> Tensor:
     wide, right = 22.5 * form.ventricle, 36.0 * form.right
     u, v, w = p.unbind(-1)
     lv = torch.maximum(ellipsoid(p, (0, 0, 16.0), (wide, wide, 60.0)), -w)
-    lv_outer = torch.maximum(
-        ellipsoid(p, (0, 0, 16.0), (wide + lv_wall, wide + lv_wall, 60.0 + lv_wall)), -w - 4.0
-    )
+    thick = wide + lv_wall
+    lv_outer = torch.maximum(ellipsoid(p, (0, 0, 16.0), (thick, thick, 60.0 + lv_wall)), -w - 4.0)
     la = ellipsoid(p, _LA, tuple(form.atria * r for r in (21.0, 19.0, 22.0)))
     ra = ellipsoid(p, _RA, tuple(form.atria * r for r in (19.0, 22.0, 22.0)))
     aorta = tube(p, _AORTA, _AORTA_RADII)
@@ -176,7 +172,7 @@ def _paint(p: Tensor, form: _Form) -> Tensor:
     if form.layers:
         tissue[_layers(p, form) & (heart_outer > 3.0)] = CONNECTIVE
     tissue[heart_outer < 1.4] = PERICARDIUM
-    tissue[(heart_outer < 0.0)] = MYOCARDIUM
+    tissue[heart_outer < 0.0] = MYOCARDIUM
     tissue[torch.minimum(vessels, atria_outer) < 0.0] = WALL
     tissue[torch.minimum(lv_outer, rv - rv_wall) < 0.0] = MYOCARDIUM
     tissue[(aorta - 2.2 < 0.0) & (w < 2.0)] = WALL
@@ -190,7 +186,7 @@ def _paint(p: Tensor, form: _Form) -> Tensor:
 def _layers(p: Tensor, form: _Form) -> Tensor:
     """Return where (M, 3) points lie in a layer: the nodes of a few random plane waves."""
     draw = uniform(sample_seeds(form.layer_seed, 1), 6 * 4, 7)[0].view(6, 4)
-    way = torch.nn.functional.normalize(draw[:, :3] - 0.5, dim=1)
+    way = normalize(draw[:, :3] - 0.5, dim=1)
     wave = torch.sin(p @ (way * (0.10 + 0.10 * draw[:, 3:])).T + 2.0 * math.pi * draw[:, 3])
     return wave.mean(1).abs() < 0.3 * form.layers
 
@@ -253,19 +249,14 @@ _VIEWS = (  # focus: mm
 
 def _placement(turn: float) -> tuple[tuple[Point, ...], Point]:
     """Return the organ's axes (rows u, v, w in the base frame) and its origin."""
-    down = torch.tensor(DOWN, dtype=torch.float64)
-    down = down / down.norm()
+    down = normalize(torch.tensor(DOWN, dtype=torch.float64), dim=0)
     # Horizontal directions in the organ frame: the long axis projected, and its perpendicular.
     long_axis = torch.tensor(W, dtype=torch.float64)
-    forward = long_axis - (long_axis @ down) * down
-    forward = forward / forward.norm()
+    forward = normalize(long_axis - (long_axis @ down) * down, dim=0)
     side = torch.linalg.cross(-down, forward)
-    heading = HEADING + turn
-    cos, sin = math.cos(heading), math.sin(heading)
-    base_x = cos * forward - sin * side
-    base_y = sin * forward + cos * side
-    axes = torch.stack([base_x, base_y, -down], dim=-1)  # row i: organ axis i in base coordinates
-    reference = torch.tensor(REFERENCE, dtype=torch.float64) * MM
+    cos, sin = math.cos(HEADING + turn), math.sin(HEADING + turn)
+    base = cos * forward - sin * side, sin * forward + cos * side, -down
+    axes = torch.stack(base, dim=-1)  # row i: organ axis i in base coordinates
     target = torch.tensor([*ORIGIN, 0.065 - REFERENCE_DEPTH], dtype=torch.float64)
-    origin = target - axes.T @ reference
+    origin = target - axes.T @ (torch.tensor(REFERENCE, dtype=torch.float64) * MM)
     return tuple(to_point(row) for row in axes), to_point(origin)

@@ -11,11 +11,9 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.imaging import check_parameters
-from racines_data.phantom import acoustics, contact
+from racines_data.phantom import acoustics, truth
 from racines_data.phantom.anatomy import load_anatomy
 from racines_data.phantom.config import BlockConfig, PhantomConfig, ProbeConfig, WorkspaceConfig
-from racines_data.phantom.scan import log_compress, scan_converter
-from racines_data.phantom.truth import make_oracle
 from racines_data.phantom.volume import bake
 from racines_data.randomness import derive, sample_seeds
 from racines_data.views import labels_of
@@ -43,7 +41,7 @@ class Phantom(World):
         )
         self._gel_attenuation = anatomy.tissues[0].attenuation
         self._set_probe()
-        self._oracle = make_oracle(anatomy, self.surface_height, self.device)
+        self._oracle = truth.make_oracle(anatomy, self.surface_height, self.device)
         self.views = tuple(view.name for view in anatomy.views)
         self.labels = labels_of(self.views)
         self.titles = {view.name: view.title for view in anatomy.views}
@@ -64,7 +62,7 @@ class Phantom(World):
     def _set_probe(self) -> None:
         probe = self.config.probe
         self._beams = acoustics.make_beams(probe, self._gel_attenuation, self.device)
-        self._converter = scan_converter(probe, self.device)
+        self._converter = acoustics.scan_converter(probe, self.device)
 
     def with_probe(self, probe: ProbeConfig) -> "Phantom":
         """Return this phantom under another probe or other settings; the baked block is shared."""
@@ -110,16 +108,16 @@ class Phantom(World):
         inputs = (*inputs, self.coupling(Pose(*inputs[:2])))
         for *pose, seeds, coupling in zip(*(x.split(size) for x in inputs), strict=True):
             powers = self._looks(Pose(*pose), seeds, coupling)
-            looks = [log_compress(power, self.config.probe) for power in powers]
+            looks = [acoustics.log_compress(power, self.config.probe) for power in powers]
             yield self._converter.convert(sum(looks[1:], looks[0]) / len(looks))
 
     def coupling(self, pose: Pose) -> Tensor:
         """Return (B, beams) acoustic coupling in 0-1."""
-        return contact.coupling(pose, self.surface_height, self.config.probe)
+        return truth.coupling(pose, self.surface_height, self.config.probe)
 
     def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
         """Return (B, 6) force, N, and torque, N·m, at the wrist sensor in the probe's axes."""
-        return contact.wrench(pose, velocity, self.surface_height, self.config.contact)
+        return truth.wrench(pose, velocity, self.surface_height, self.config.contact)
 
     def truth(self, parameters: Tensor) -> Truth:
         """Judge (B, 12) parameters with the oracle."""
@@ -158,11 +156,9 @@ def _workspace(config: WorkspaceConfig, block: BlockConfig, device: torch.device
     return Workspace(lowest, highest, config.tilt_max, config.yaw_max)
 
 
+_baked = lru_cache(maxsize=2)(Phantom)  # few: work on many hearts does not fill the memory
+
+
 def shared_phantom(config: PhantomConfig | None = None, device: str = "cpu") -> Phantom:
     """Return the one phantom of a configuration and device in this process."""
     return _baked(config or PhantomConfig(), device)
-
-
-@lru_cache(maxsize=2)  # few, so that work on many hearts does not fill the memory
-def _baked(config: PhantomConfig, device: str) -> Phantom:
-    return Phantom(config, device)

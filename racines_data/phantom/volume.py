@@ -16,7 +16,7 @@ SCATTERER_STEP = 5e-4  # amplitude of one unit of a packed scatterer; myocardium
 SCATTER_BLUR = 0.5  # correlation of scatterers, voxels
 REFLECTOR_STEP = 0.002  # impedance difference (MRayl a voxel) of one unit of a packed gradient byte
 SHEET = 5.0  # length of a sheet's normal, packed gradient: too short to shine as a mirror
-ALONG_SHEETS = 0.5  # echo along a sheet against across (Mottley & Miller 1988: 5 to 6 dB)
+ALONG_SHEET = 0.5  # echo along a sheet against across (Mottley & Miller 1988: 5 to 6 dB)
 COVER = 0.006, 0.014  # depth at which the cover lies, m
 
 
@@ -49,7 +49,7 @@ def bake(anatomy: Anatomy, block: BlockConfig) -> Volume:
     echogenicity = spread("echogenicity") + spread("texture") * _slow_field(inner, block.seed)
     echogenicity = echogenicity + spread("grain") * _slow_field(inner, block.seed + 1, 2.5)
     amplitude = 10.0 ** (_blur(echogenicity, 0.6) / 20.0)
-    amplitude[~sheets] /= ALONG_SHEETS  # what has no direction is never seen along one
+    amplitude[~sheets] /= ALONG_SHEET  # what has no direction is never seen along one
     attenuation = spread("attenuation") + _cover(inner, block)
     shape = (inner[0] + 2, inner[1] + 2, inner[2] + 2)
     packed = torch.zeros((*shape, 8), dtype=torch.uint8)

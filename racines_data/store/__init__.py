@@ -1,7 +1,7 @@
 """The training store: one memory-mapped Arrow file, served in whole batches of tensors.
 
-`frames` reads it and feeds PyTorch, `writer` writes it and makes it again from the shards, `sweeps`
-walks the dataset by trajectory.
+`frames` reads it and feeds PyTorch; `sweeps` walks the dataset by trajectory, writes the store and
+makes it again from the shards.
 """
 
 import lazy_loader

@@ -19,21 +19,11 @@ import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
 
+from racines_data import manifest
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.manifest import (
-    METADATA,
-    MULTI_PHANTOM,
-    STORES,
-    check_split,
-    config_digest,
-    default_root,
-    manifest_labels,
-    read_manifest,
-    rebuild_hint,
-    store_name,
-)
+from racines_data.manifest import MULTI_PHANTOM, STORES
 from racines_data.records import PIXELS
 from racines_data.schema import CONTROLS, PARAMETERS
 from racines_data.views import LABELS
@@ -128,21 +118,21 @@ class FrameStore:
         if config not in STORES:
             raise RacinesError(f"config {config!r} has no store: choose one of {', '.join(STORES)}")
         self.config = config
-        self.root = default_root(root)
-        self.manifest = read_manifest(self.root)
-        self.labels = manifest_labels(self.manifest)
+        self.root = manifest.default_root(root)
+        self.manifest = manifest.read_manifest(self.root)
+        self.labels = manifest.manifest_labels(self.manifest)
         files = self.manifest["files"]
-        name = store_name(config)
+        name = manifest.store_name(config)
         if name not in files:
             raise RacinesError(
                 f"{self.root / 'manifest.json'}: names no {name}; rebuild"
                 + (f" with data.{MULTI_PHANTOM}.hearts set" if config == MULTI_PHANTOM else "")
             )
-        check_files(self.root, {name: files[name]}, rebuild_hint(self.manifest))
+        check_files(self.root, {name: files[name]}, manifest.rebuild_hint(self.manifest))
         try:
             self._read(self.root / name)
         except (pa.ArrowInvalid, KeyError, ValueError) as error:
-            hint = rebuild_hint(self.manifest)
+            hint = manifest.rebuild_hint(self.manifest)
             raise RacinesError(f"{self.root / name}: damaged ({error}); {hint}") from error
 
     def __len__(self) -> int:
@@ -151,7 +141,7 @@ class FrameStore:
     @property
     def digest(self) -> str:
         """The content digest of this config."""
-        return config_digest(self.manifest, self.config)
+        return manifest.config_digest(self.manifest, self.config)
 
     def _read(self, path: Path) -> None:
         # A private mapping is writable without touching the file, as torch wants its memory.
@@ -163,11 +153,9 @@ class FrameStore:
         def column(name: str, dtype: torch.dtype, *shape: int) -> Tensor:
             array = table[name].chunk(0)
             values = array.values if pa.types.is_fixed_size_list(array.type) else array
-            buffer = values.buffers()[1]
+            start = values.buffers()[1].address - whole.address
             count = len(array) * int(np.prod(shape, initial=1))
-            flat = torch.frombuffer(
-                mapped, dtype=dtype, count=count, offset=buffer.address - whole.address
-            )
+            flat = torch.frombuffer(mapped, dtype=dtype, count=count, offset=start)
             return flat.view(len(array), *shape)
 
         self.images = column("image", torch.uint8, IMAGE_SIZE, IMAGE_SIZE)
@@ -180,7 +168,7 @@ class FrameStore:
         self.timestamps = column("timestamp", torch.float64)
         self.trajectory_index = column("trajectory", torch.int64)
         self.frame = column("frame", torch.int64)
-        metadata = json.loads(table.schema.metadata[METADATA])
+        metadata = json.loads(table.schema.metadata[manifest.METADATA])
         self.trajectories, self.sessions, self.target_views = (
             list(names) for names in metadata["trajectories"]
         )
@@ -193,7 +181,7 @@ class FrameStore:
 
     def bounds(self, split: str) -> tuple[int, int]:
         """Return the first and the past-the-last row of a split."""
-        start, stop = self._splits[check_split(split)]
+        start, stop = self._splits[manifest.check_split(split)]
         return start, stop
 
     def order(self, split: str, seed: int) -> Tensor:

@@ -1,9 +1,10 @@
-"""Reading a dataset's trajectories for an exporter; writing a new folder whole or not at all."""
+"""A dataset by trajectory: read for an exporter, written into a training store and a new folder."""
 
 import io
+import json
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,9 +18,13 @@ from PIL import Image
 
 from racines_data.digest import checked_shards
 from racines_data.errors import RacinesError
-from racines_data.manifest import read_manifest
+from racines_data.files import sha256_file, write_atomic, write_once
+from racines_data.manifest import MANIFEST, METADATA, STORES, read_manifest, store_name
+from racines_data.records import PIXELS, float_columns, pixels_array
+from racines_data.schema import CONTROLS, PARAMETERS, SPLITS
 
 _BATCH = 1024
+_IDENTITY = ("trajectory", "session", "target_view")
 
 
 @dataclass(frozen=True)
@@ -62,8 +67,7 @@ def read_sweeps(
     """
     if limit is not None and limit < 1:
         raise RacinesError(f"limit {limit}: give one frame or more")
-    wanted = checked_shards(root, read_manifest(root), config, split)
-    for name, paths in wanted.items():
+    for name, paths in checked_shards(root, read_manifest(root), config, split).items():
         for table in trajectories(root, paths):
             yield Sweep(name, table.slice(0, limit))
             if limit is not None:
@@ -109,3 +113,102 @@ def new_folder(out: Path) -> Iterator[Path]:
     aside.mkdir(parents=True)
     yield aside
     os.replace(aside, out)
+
+
+def write_store(
+    path: Path, tables: Callable[[], Iterable[pa.Table]], trajectories: Sequence[Mapping[str, Any]]
+) -> None:
+    """Write the store from tables of one trajectory each, in row order.
+
+    The file is first written with images of zeros, which take no memory, and the pixels are then
+    put in their place one trajectory at a time: memory stays bounded however many frames.
+
+    Args:
+        path: The file to write.
+        tables: Gives the rows of `frames` with a `pixels` column, one table a trajectory.
+        trajectories: Identity, `split` and `frames` of each, in the order of the splits.
+    """
+    splits, start = {}, 0
+    for split in SPLITS:
+        stop = start + sum(row["frames"] for row in trajectories if row["split"] == split)
+        splits[split], start = (start, stop), stop
+    columns = [_store_columns(table, index) for index, table in enumerate(tables())]
+    table = pa.concat_tables(columns).combine_chunks()
+    zeros = pa.py_buffer(np.zeros(len(table) * PIXELS, np.uint8))
+    images = pa.FixedSizeBinaryArray.from_buffers(pa.binary(PIXELS), len(table), [None, zeros])
+    names = [[row[key] for row in trajectories] for key in _IDENTITY]
+    phantoms = [row["phantom"] for row in trajectories]
+    metadata = {"trajectories": names, "phantoms": phantoms, "splits": splits}
+    table = table.add_column(0, "image", images).replace_schema_metadata(
+        {METADATA: json.dumps(metadata, sort_keys=True).encode()}
+    )
+    with pa.OSFile(str(path), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
+        writer.write_batch(table.to_batches()[0])
+    with path.open("r+b") as file:
+        file.seek(_image_offset(path))
+        for made in tables():
+            for chunk in made["pixels"].chunks:
+                first = chunk.offset * PIXELS
+                file.write(chunk.buffers()[1][first : first + len(chunk) * PIXELS])
+
+
+def _image_offset(path: Path) -> int:
+    with pa.memory_map(str(path)) as mapped:
+        whole = mapped.read_buffer()
+        images = pa.ipc.open_file(pa.BufferReader(whole)).read_all()["image"].chunk(0)
+        return images.buffers()[1].address - whole.address
+
+
+def _store_columns(table: pa.Table, index: int) -> pa.Table:
+    def stacked(names: Sequence[str]) -> pa.Array:
+        flat = pa.array(float_columns(table, names).ravel(), pa.float32())
+        return pa.FixedSizeListArray.from_arrays(flat, len(names))
+
+    return pa.table(
+        {
+            "parameters": stacked(PARAMETERS),
+            "controls": stacked(CONTROLS),
+            "view": table["view"].fill_null(-1).combine_chunks(),
+            "grade": table["grade"].fill_null(np.nan).combine_chunks(),
+            "timestamp": table["timestamp"].fill_null(np.nan).combine_chunks(),
+            "trajectory": pa.array(np.full(len(table), index, np.int64)),
+            "frame": table["frame"].cast(pa.int64()).combine_chunks(),
+        }
+    )
+
+
+def restore_stores(root: Path) -> list[str]:
+    """Make the training stores that a dataset names and lacks, from its shards; return their paths.
+
+    Equal pixels and numbers; should another pyarrow lay the file out otherwise, the manifest here
+    gets its sha256. A damaged shard, or a folder that cannot be written, is a `RacinesError`.
+    """
+    made = []
+    for config in STORES:
+        name = store_name(config)
+        if name in read_manifest(root)["files"] and not (root / name).exists():
+            try:
+                write_once(root / name, lambda path, of=config: _restore(root, of, path))
+            except OSError as error:
+                raise RacinesError(f"{root / name}: cannot be written ({error})") from error
+            made.append(name)
+    return made
+
+
+def _restore(root: Path, config: str, path: Path) -> None:
+    rows = [
+        {key: sweep.first(key) for key in (*_IDENTITY, "phantom")}
+        | {"split": sweep.split, "frames": len(sweep)}
+        for sweep in read_sweeps(root, config=config)
+    ]
+
+    def tables() -> Iterable[pa.Table]:
+        for sweep in read_sweeps(root, config=config):
+            yield sweep.table.append_column("pixels", pixels_array(sweep.images()))
+
+    write_store(path, tables, rows)
+    manifest = read_manifest(root)
+    record = {"sha256": sha256_file(path), "bytes": path.stat().st_size}
+    if manifest["files"][store_name(config)] != record:
+        manifest["files"][store_name(config)] = record
+        write_atomic(root / MANIFEST, json.dumps(manifest, indent=1) + "\n")

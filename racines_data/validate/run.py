@@ -19,8 +19,7 @@ from rich.text import Text
 from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
 from racines_data.tables import console_table
-from racines_data.validate import duplicates, identity, labels, statistics
-from racines_data.validate.statistics import Verdict
+from racines_data.validate import identity, meaning
 from racines_data.validate.survey import Survey, survey
 from racines_data.views import PAPER_STATISTICS, ParameterStatistics
 
@@ -42,9 +41,8 @@ class Validation:
     manifest: dict[str, Any]
     checks: list[Check] = field(default_factory=list)
     statistics: dict[str, ParameterStatistics] = field(default_factory=dict)  # what was measured
-    verdicts: dict[str, Verdict] = field(default_factory=dict)  # where the paper is the measure
-    figures: dict[str, Any] = field(default_factory=dict)
-    """Views, duplicates and agreement with the oracle, by config."""
+    verdicts: dict[str, meaning.Verdict] = field(default_factory=dict)  # against the paper, if any
+    figures: dict[str, Any] = field(default_factory=dict)  # views, copies, oracle, by config
 
     @property
     def ok(self) -> bool:
@@ -94,32 +92,28 @@ def _check_config(
 
     def read() -> str:
         surveys.append(survey(root, manifest, config, workers, progress))
-        surveys[0].raise_faults("rows")
-        return f"{len(surveys[0])} frames with the columns, types and ranges of the schema"
+        said = f"{len(surveys[0])} frames with the columns, types and ranges of the schema"
+        return surveys[0].unless_faulty("rows", said)
 
     result.add(f"{prefix}rows", read)
     if not surveys or not surveys[0].sweeps:
         return  # without rows there is nothing more to say of them
     found = surveys[0]
-
-    def store() -> str:
-        found.raise_faults("store")
-        return f"{len(found)} frames, equal to the shards"
-
+    stored = f"{len(found)} frames, equal to the shards"
     result.add(f"{prefix}counts", lambda: identity.check_counts(found, manifest))
     result.add(f"{prefix}content", lambda: identity.check_content(found, manifest))
     result.add(f"{prefix}splits", lambda: identity.check_splits(found, root, manifest))
-    result.add(f"{prefix}store", store)
+    result.add(f"{prefix}store", lambda: found.unless_faulty("store", stored))
     _check_meaning(result, prefix, found)
     if config != "frames":
         return
     parameters = found.column("parameters")
-    result.statistics.update(statistics.statistics_of(parameters))
-    if statistics.has_paper(manifest):
-        result.verdicts.update(statistics.verdicts_of(result.statistics))
-        binding = statistics.must_meet_paper(manifest)
-        result.add("paper's table", lambda: statistics.check_paper(result.verdicts), binding)
-        result.add("rotation_x", lambda: statistics.check_modes(parameters), binding)
+    result.statistics.update(meaning.statistics_of(parameters))
+    if meaning.has_paper(manifest):
+        result.verdicts.update(meaning.verdicts_of(result.statistics))
+        binding = meaning.must_meet_paper(manifest)
+        result.add("paper's table", lambda: meaning.check_paper(result.verdicts), binding)
+        result.add("rotation_x", lambda: meaning.check_modes(parameters), binding)
 
 
 def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
@@ -128,20 +122,20 @@ def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
     if manifest.get("poses", True):  # single images have neither poses nor times
         result.add(f"{prefix}times", lambda: identity.check_times(found))
         result.add(f"{prefix}rate", lambda: identity.check_rate(found), binding=simulated)
-    result.add(f"{prefix}labels", lambda: labels.check_labels(found, named))
-    shares = labels.view_shares(found, named)
-    result.add(f"{prefix}views", lambda: labels.check_views(shares), binding=False)
-    result.add(f"{prefix}annotation", lambda: labels.check_annotation(found, manifest, named))
-    copies = duplicates.find_duplicates(found)
-    result.add(f"{prefix}copies", lambda: duplicates.check_exact(copies))
-    result.add(f"{prefix}near-copies", lambda: duplicates.check_near(copies), binding=simulated)
+    result.add(f"{prefix}labels", lambda: meaning.check_labels(found, named))
+    shares = meaning.view_shares(found, named)
+    result.add(f"{prefix}views", lambda: meaning.check_views(shares), binding=False)
+    result.add(f"{prefix}annotation", lambda: meaning.check_annotation(found, manifest, named))
+    copies = identity.find_duplicates(found)
+    result.add(f"{prefix}copies", lambda: identity.check_exact(copies))
+    result.add(f"{prefix}near-copies", lambda: identity.check_near(copies), binding=simulated)
     figures: dict[str, Any] = {"views": shares, "duplicates": vars(copies)}
     if simulated:
         judged: list[Any] = []
 
         def oracle() -> str:
-            judged.append(labels.rejudge(found, manifest))
-            return labels.check_rejudged(judged[0])
+            judged.append(meaning.rejudge(found, manifest))
+            return meaning.check_rejudged(judged[0])
 
         result.add(f"{prefix}oracle", oracle)
         if judged and not isinstance(judged[0], str):

@@ -5,11 +5,11 @@
 A trajectory may cross shards: it belongs to the shard in which it begins.
 """
 
-import hashlib
 import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from hashlib import blake2b
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -100,12 +100,12 @@ class Survey:
         values = np.array([getattr(sweep, name) for sweep in self.sweeps])
         return np.repeat(values, [len(sweep) for sweep in self.sweeps])
 
-    def raise_faults(self, check: str) -> None:
-        """Raise the first reason found for a check, if any, and say how many more there are."""
-        found = self.faults[check]
-        if found:
+    def unless_faulty(self, check: str, said: str) -> str:
+        """Return what is said, or raise the first fault found by a check, and how many more."""
+        if found := self.faults[check]:
             more = f" (and {len(found) - 1} more trajectories)" if len(found) > 1 else ""
             raise RacinesError(found[0] + more)
+        return said
 
 
 def plan_pieces(root: Path, manifest: dict[str, Any], config: str) -> list[Piece]:
@@ -200,13 +200,14 @@ def _sweep(
         faults.append(("rows", f"{error}"))
     if store is not None and not _in_store(store, place, piece.split, trajectory):
         faults.append(("store", f"trajectory {trajectory.id} differs between store and shards"))
+    hashes = (blake2b(image.tobytes(), digest_size=8).digest() for image in trajectory.images)
     predicted = [rows[name].cast(pa.float32()) for name in ("view_predicted", "grade_predicted")]
     return CheckedSweep(
         split=piece.split,
         **{name: getattr(trajectory, name) for name in _KEPT},
         digest=trajectory_digest(trajectory),
         predicted=np.stack([c.fill_null(np.nan).to_numpy() for c in predicted], -1),
-        hashes=np.array([_hash(image) for image in trajectory.images], np.uint64),
+        hashes=np.frombuffer(b"".join(hashes), "<u8"),
         signatures=signatures(trajectory.images),
         faults=tuple(faults),
     )
@@ -238,10 +239,6 @@ def _in_store(store: FrameStore, place: slice, split: str, trajectory: Trajector
         and bool((index == index[0]).all())
         and all(np.array_equal(stored, read, equal_nan=True) for stored, read in pairs)
     )
-
-
-def _hash(image: np.ndarray) -> int:
-    return int.from_bytes(hashlib.blake2b(image.tobytes(), digest_size=8).digest(), "little")
 
 
 def signatures(images: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import given, overrides, read_settings
+from racines_data.cli.options import given, overrides, read_settings
 from racines_envs.cli.settings import Agent, Name, phantom_config
 from racines_models.cli.device import OneDevice
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import check_ending, given, read_settings
+from racines_data.cli.options import check_ending, given, read_settings
 from racines_envs.cli.settings import phantom_config
 
 

@@ -155,7 +155,7 @@ def force_report(
     Beside them those of predicting the mean of the train split and, of a phantom's dataset, of its
     contact model at rest: it knows the pose exactly as the regressor does, and no velocity either.
     """
-    from racines_data.phantom import contact
+    from racines_data.phantom.truth import wrench as contact_wrench
     from racines_envs.worlds.replay import source_phantom
     from racines_models.provenance import code_version, dataset_card
 
@@ -169,7 +169,7 @@ def force_report(
     phantom = source_phantom(store)
     if phantom is not None:
         top = phantom.block.maximum[2]
-        predicted["contact"] = contact.wrench(pose, None, top, phantom.contact)
+        predicted["contact"] = contact_wrench(pose, None, top, phantom.contact)
     return {
         "schema": SCHEMA,
         "dataset": dataset_card(store),

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import check_ending, given, read_settings
+from racines_data.cli.options import check_ending, given, read_settings
 from racines_models.cli.device import Device
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@ from collections import Counter
 import pytest
 
 from racines_data import RacinesError
-from racines_data.build.splits import (
+from racines_data.build.writer import (
     assign_group_splits,
     assign_splits,
     divide_shards,

@@ -14,7 +14,7 @@ from racines_data.build.dataset import DataConfig, build
 from racines_data.errors import RacinesError
 from racines_data.hub.fetch import download
 from racines_data.hub.push import Push, plan_push, push
-from racines_data.store.writer import restore_stores
+from racines_data.store.sweeps import restore_stores
 from tests.conftest import command
 from tests.data.fake_hub import FakeHub, Repository
 from tests.data.fake_source import FakeConfig, FakeSource

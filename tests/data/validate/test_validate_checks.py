@@ -12,21 +12,24 @@ from racines_data.geometry import matrix_to_euler
 from racines_data.phantom.config import PHANTOM_VERSION, BlockConfig, PhantomConfig
 from racines_data.phantom.model import Phantom
 from racines_data.schema import PARAMETERS
-from racines_data.validate.duplicates import (
+from racines_data.validate.identity import (
     check_exact,
     check_near,
+    check_splits,
     find_duplicates,
     nearest_distance,
 )
-from racines_data.validate.identity import check_splits
-from racines_data.validate.labels import check_rejudged, check_views, rejudge, view_shares
-from racines_data.validate.statistics import (
+from racines_data.validate.meaning import (
     check_modes,
     check_paper,
+    check_rejudged,
+    check_views,
     has_paper,
     must_meet_paper,
+    rejudge,
     statistics_of,
     verdicts_of,
+    view_shares,
 )
 from racines_data.validate.survey import CheckedSweep, Survey, signatures
 from racines_data.views import LABELS, PAPER_STATISTICS, ParameterStatistics

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import given, read_settings, seed_of
+from racines_data.cli.options import given, read_settings, seed_of
 from racines_envs.cli.settings import Agent, Name, phantom_config
 from racines_models.cli.device import OneDevice
 

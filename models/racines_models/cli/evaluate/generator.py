@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import given, read_settings
+from racines_data.cli.options import given, read_settings
 from racines_data.errors import RacinesError
 from racines_models.cli.device import Device
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import read_settings, seed_of
+from racines_data.cli.options import read_settings, seed_of
 from racines_data.errors import RacinesError
 from racines_models.cli.device import Device
 from racines_models.cli.study.realism import Real, no_real, realism_settings

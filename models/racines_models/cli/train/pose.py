@@ -1,7 +1,7 @@
 """The command `racines train pose`. Heavy imports stand inside, so that --help is instant."""
 
 from racines_data.cli import options as opt
-from racines_data.cli.settings import read_settings, seed_of
+from racines_data.cli.options import read_settings, seed_of
 from racines_models.cli.device import Device
 
 

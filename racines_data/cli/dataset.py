@@ -1,4 +1,4 @@
-"""The commands `racines data export`, `push` and `pull`: a dataset to and from other places."""
+"""The commands `racines data validate`, `card`, `export`, `push`, `pull`, and `study sheet`."""
 
 import json
 from pathlib import Path
@@ -7,11 +7,64 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from racines_data.cli import options as opt
+from racines_data.errors import RacinesError
+from racines_data.manifest import CARD, default_root, read_manifest
 
 if TYPE_CHECKING:
     from racines_data.hub.push import Push
 
 Repository = Annotated[str, typer.Argument(metavar="REPO_ID", help="OWNER/NAME on the Hub.")]
+
+
+def validate(
+    root: opt.Root = None,
+    against: Annotated[
+        Path | None, typer.Option(help="Another build that should be the same version.")
+    ] = None,
+    workers: opt.Workers = 2,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Check files, digests, rows, splits, copies and statistics; exit 1 if anything is wrong."""
+    from racines_data.validate import run
+
+    folder = default_root(root)
+    result = run.validate(folder, against, workers or 1, progress=not as_json)
+    if as_json:
+        typer.echo(json.dumps(run.to_json(result)))
+    else:
+        run.print_validation(result)
+    if not result.ok:
+        broken = "; ".join(
+            f"{each.name}: {each.detail}" for each in result.checks if each.binding and not each.ok
+        )
+        raise RacinesError(f"{folder}: not valid: {broken}")
+
+
+def card(
+    root: opt.Root = None,
+    realism: Annotated[
+        list[Path] | None,
+        typer.Option(help="Report of racines study realism on it; repeat for several."),
+    ] = None,
+    picture: Annotated[
+        list[Path] | None, typer.Option(help="PNG shown with the report; repeat for several.")
+    ] = None,
+    draw: Annotated[bool, typer.Option("--draw", help="Draw the other pictures again.")] = False,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Write a dataset's card anew, with realism figures where given; the content stays."""
+    from racines_data.card.rewrite import rewrite_card
+
+    folder = default_root(root)
+    manifest = rewrite_card(folder, realism or (), picture or (), draw)
+    if as_json:
+        told = {"card": str(folder / CARD), **manifest["files"][CARD]}
+        told["pictures"] = [name for name in manifest["files"] if name.startswith("card/")]
+        typer.echo(json.dumps({**told, "digest": manifest["digest"]}))
+    else:
+        typer.echo(
+            f"{folder / CARD}: written, {len(manifest.get('realism', []))} realism report(s)"
+        )
 
 
 def export(
@@ -52,7 +105,6 @@ def push(
     """Upload a dataset to the Hub and tag it; the token is that of the environment (HF_TOKEN)."""
     from racines_data.hub.push import plan_push
     from racines_data.hub.push import push as push_dataset
-    from racines_data.manifest import default_root
 
     folder = default_root(root)
     plan = plan_push(folder, repo_id, tag, revision, with_store)
@@ -96,7 +148,6 @@ def pull(
 ) -> None:
     """Fetch a dataset into the Hub's cache or --out, check digests, and make its training store."""
     from racines_data.hub.fetch import download
-    from racines_data.manifest import read_manifest
 
     root = download(repo_id, version, out, stores=store)
     manifest = read_manifest(root)
@@ -105,3 +156,17 @@ def pull(
         typer.echo(json.dumps({"root": str(root), **{key: manifest[key] for key in keys}}))
     else:
         typer.echo(f"{root}: {manifest['source']} {manifest['version']}, digests hold")
+
+
+def sheet(
+    out: opt.OutFile = Path("docs/images/contact_sheet.png"),
+    anatomy: Annotated[str, typer.Option(help="Name of an anatomy.")] = "heart",
+    anatomy_seed: Annotated[int, typer.Option(help="0 is the canonical organ.")] = 0,
+    seed: opt.DrawSeed = 0,
+) -> None:
+    """Draw a contact sheet: every view at falling grades, and `Random` scans."""
+    from racines_data.phantom import Phantom, PhantomConfig
+    from racines_data.phantom.figures import contact_sheet
+
+    contact_sheet(Phantom(PhantomConfig(anatomy=anatomy, anatomy_seed=anatomy_seed)), out, seed)
+    typer.echo(f"wrote {out}")
