@@ -116,6 +116,7 @@ MOVED = {
         "onnx_session=file"
     ),
     "racines_models.exchange.predictions": "png=reader predictions=file predictions_reader=reader",
+    "racines_models.generators": "generators.gan=cgan",
     "racines_models.judges.grader": (
         "annotate grader=model grader_calibration=report grader_evaluation=evaluation "
         "grader_loss=training grader_plots=evaluation grader_report=report grader_training=training"
@@ -124,7 +125,7 @@ MOVED = {
     "racines_models.judges.student": (
         "student=model student_labels=training student_report=training student_training=training"
     ),
-    "racines_models.networks": "conditioning onnx_module",
+    "racines_models.networks": "conditioning=layers networks.conditioning=layers onnx_module",
     "racines_models.networks.scene_field": (
         "networks.scene_field_echo=echo networks.scene_field_loss=echo "
         "networks.scene_field_probe=probe"

@@ -6,7 +6,7 @@ from typing import ClassVar
 from torch import nn
 
 from racines_data.errors import RacinesError
-from racines_models.generators.gan import ConditionalGan, GanConfig
+from racines_models.generators.cgan import ConditionalGan, GanConfig
 from racines_models.networks.style import StyleSynthesis
 
 
