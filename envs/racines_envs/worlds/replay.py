@@ -45,7 +45,7 @@ class PoseIndex:
         self._search = NearestPose()
         keys = self._search.embed(parameters)
         self._tree = KDTree(keys.numpy()) if torch.device(device).type == "cpu" else None
-        self._search.keys = keys.to(device)
+        self._search.held["keys"] = keys.to(device)
 
     def nearest(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """Return the (B,) int64 index of the nearest of them and its (B,) distance, m."""

@@ -13,8 +13,8 @@ from torch.nn.functional import softplus
 
 from racines_data.errors import RacinesError
 from racines_data.randomness import derive, uniform
-from racines_models.networks.discriminator import JOININGS, NORMALISATIONS, Discriminator
 from racines_models.networks.layers import frozen
+from racines_models.networks.pyramid import JOININGS, NORMALISATIONS, Discriminator
 from racines_models.training.objective import Update
 
 LOSSES = ("non-saturating", "hinge")
