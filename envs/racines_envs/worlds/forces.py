@@ -15,6 +15,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.imaging import ImageSource
+from racines_data.phantom import contact
 from racines_data.tables import markdown_table
 from racines_data.world import World
 from racines_envs.task.sensing import ForceSource
@@ -155,7 +156,6 @@ def force_report(
     Beside them those of predicting the mean of the train split and, of a phantom's dataset, of its
     contact model at rest: it knows the pose exactly as the regressor does, and no velocity either.
     """
-    from racines_data.phantom import contact
     from racines_envs.worlds.replay import source_phantom
     from racines_models.provenance import code_version, dataset_card
 

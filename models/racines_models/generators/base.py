@@ -19,7 +19,7 @@ from racines_models.networks.onnx_module import OnnxModule
 from racines_models.protocol import Card, Run
 from racines_models.provenance import dataset_card
 from racines_models.training.checkpoint import discard_checkpoint
-from racines_models.training.course import Validation
+from racines_models.training.objective import Validation
 from racines_models.training.processes import is_main_process
 from racines_models.weights import load_weights, read_described, save_weights
 

@@ -48,7 +48,6 @@ class GanConfig:
     training: Training = Training()
 
     def __post_init__(self) -> None:
-        """Refuse sizes and weights that cannot train."""
         sizes = (self.width, self.discriminator_width, self.latent, self.embedding)
         if min(sizes) < 1:
             raise RacinesError(f"{self.name}: widths, latent and embedding are at least 1")
@@ -66,7 +65,6 @@ class PyramidGanConfig(GanConfig):
     """`norm`: at the input and in every normalisation; `concat`: at the input only."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot train."""
         super().__post_init__()
         check_injection(self.injection, self.name)
 
@@ -88,18 +86,16 @@ class ConditionalGan(AdversarialGenerator[C]):
 
     def updates(self, nets: Mapping[str, nn.Module], batch: TrainBatch) -> Iterator[Update]:
         """Yield the discriminator's step, then the generator's, on the same drawn images."""
-        real = to_range(batch.images)
+        config, real = self.config, to_range(batch.images)
         condition = self.net("conditioning")(batch.parameters)
         noise = normal(derive(batch.seeds, LATENT), self.net("generator").noise)
         drawn = nets["generator"](noise, condition)
-        critics = nets["discriminator"], self.net("discriminator")
-        adversarial = yield from self.config.adversary.contest(
-            *critics, real, drawn, condition, batch.seeds
-        )
+        judged = nets["discriminator"], self.net("discriminator"), real
+        adversarial = yield from config.adversary.contest(*judged, drawn, condition, batch.seeds)
         reconstruction = l1_loss(drawn.float(), real)
         loss = adversarial
-        if self.config.reconstruction_weight:
-            loss = loss + self.config.reconstruction_weight * reconstruction
+        if config.reconstruction_weight:
+            loss = loss + config.reconstruction_weight * reconstruction
         logged = {"adversarial": adversarial, "reconstruction": reconstruction}
         yield Update("generator", loss, logged)
 

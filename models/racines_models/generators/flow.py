@@ -52,7 +52,6 @@ class FlowConfig:
     training: Training = Training()
 
     def __post_init__(self) -> None:
-        """Refuse settings that cannot train or draw."""
         if self.width < 8 or self.width % 8:
             raise RacinesError("flow.width: a multiple of 8, for group norm")
         if not 1 <= self.octaves <= 10 or self.extent <= 0:
@@ -85,9 +84,8 @@ class Flow(NetworkGenerator[FlowConfig]):
     def untrained(self) -> dict[str, nn.Module]:
         """Return the U-Net, which has the conditioning in it."""
         config = self.config
-        conditioning = Conditioning(config.conditioning)
-        sizes = config.width, config.octaves, config.extent
-        return {"unet": PlacedUNet(*sizes, conditioning, config.preconditioned)}
+        sizes = config.width, config.octaves, config.extent, Conditioning(config.conditioning)
+        return {"unet": PlacedUNet(*sizes, config.preconditioned)}
 
     def prepare(self, store: FrameStore) -> None:
         """Fit the conditioning."""
@@ -141,8 +139,8 @@ class Journey(nn.Module):
 
     def forward(self, parameters: Tensor, noise: Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 of (B, 12) parameters and (B, 16384) noise."""
-        way = self.steps, self.solver, self.spacing
-        images = follow(self.unet, _folded(noise), parameters, *way)
+        x = _folded(noise)
+        images = follow(self.unet, x, parameters, self.steps, self.solver, self.spacing)
         return to_gray(pixel_shuffle(images, CELL))
 
 

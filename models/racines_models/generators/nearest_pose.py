@@ -29,7 +29,6 @@ class NearestPoseConfig:
     """Training frames kept, evenly spread over the split; 0 keeps all."""
 
     def __post_init__(self) -> None:
-        """Refuse a metric that is none."""
         if self.metres_per_radian < 0 or self.frames < 0:
             raise RacinesError("nearest-pose: metres_per_radian and frames are 0 or more")
 

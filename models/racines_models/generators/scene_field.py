@@ -59,7 +59,6 @@ class SceneFieldConfig:
     )
 
     def __post_init__(self) -> None:
-        """Refuse sizes and rates that cannot train."""
         if min(self.voxel, self.coarse_voxel) <= 0 or self.channels < 1:
             raise RacinesError("scene-field: voxel sizes and channels are above 0")
         if not 0.0 < self.coverage <= 1.0:

@@ -178,11 +178,10 @@ class SelfAttention(nn.Module):
 
 def attending(sides: Iterable[int], channels: Iterable[int]) -> nn.ModuleDict:
     """Return self-attention by level, where the level's maps have a side of 32."""
-    attention = nn.ModuleDict()
-    for level, (side, count) in enumerate(zip(sides, channels, strict=True)):
-        if side == ATTENTION_SIZE:
-            attention[str(level)] = SelfAttention(count)
-    return attention
+    levels = enumerate(zip(sides, channels, strict=True))
+    return nn.ModuleDict(
+        {str(level): SelfAttention(n) for level, (side, n) in levels if side == ATTENTION_SIZE}
+    )
 
 
 def through(

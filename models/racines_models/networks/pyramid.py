@@ -220,9 +220,8 @@ class Discriminator(nn.Module):
         matched = self.matched(features) * embedded
         return self.verdict(features).squeeze(-1) + matched.sum(-1) / math.sqrt(matched.shape[-1])
 
-    def forward(self, images: Tensor, condition: Tensor) -> Tensor:
-        """Return what `judge` does; a trainer may wrap this one in mixed precision."""
-        return self.judge(images, condition)
+    forward = judge
+    """The same; a trainer may wrap this one in mixed precision."""
 
 
 def _normalise(module: nn.Module) -> None:

@@ -106,7 +106,7 @@ class StyleSynthesis(nn.Module):
     """
 
     def __init__(
-        self, width: int, latent: int, condition: int, *, style: int, layers: int, rate: float
+        self, width: int, latent: int, condition: int, style: int, *, layers: int, rate: float
     ):
         super().__init__()
         channels = widths(width)[::-1]

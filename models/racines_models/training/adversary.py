@@ -45,7 +45,6 @@ class Adversary:
     """Of `brightness`, `contrast`, `translation`, `cutout`: what real and drawn images undergo."""
 
     def __post_init__(self) -> None:
-        """Refuse what does not exist."""
         choices = {"loss": LOSSES, "joining": JOININGS, "normalisation": NORMALISATIONS}
         for key, known in choices.items():
             value = getattr(self, key)

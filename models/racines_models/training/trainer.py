@@ -17,9 +17,8 @@ from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore
 from racines_models.protocol import Run
 from racines_models.training.checkpoint import Checkpoint
-from racines_models.training.course import Course, FrameCourse
 from racines_models.training.log import Guard, TrainingLog
-from racines_models.training.objective import Learner, Training
+from racines_models.training.objective import Course, FrameCourse, Learner, Training
 from racines_models.training.processes import Processes
 
 
