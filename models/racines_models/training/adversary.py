@@ -56,10 +56,6 @@ class Adversary:
         if self.r1 < 0 or self.r1_every < 1:
             raise RacinesError("adversary: r1 is 0 or more, r1_every at least 1")
 
-    def view(self, images: Tensor, seeds: Tensor) -> Tensor:
-        """Return (B, 1, H, W) images as the discriminator sees them: augmented by (B,) seeds."""
-        return augment(images, seeds, self.augment)
-
     def contest(
         self,
         judge: Callable[[Tensor, Tensor], Tensor],
@@ -76,8 +72,8 @@ class Adversary:
         (B, condition) and a (B,) seed each.
         """
         seeds = derive(seeds, AUGMENT)
-        seen = self.view(drawn, seeds)
-        of_real = judge(self.view(real, seeds), condition)
+        seen = augment(drawn, seeds, self.augment)
+        of_real = judge(augment(real, seeds, self.augment), condition)
         loss = self.critic_loss(of_real, judge(seen.detach(), condition))
         logged = {"discriminator": loss}
         penalty = self.penalty(critic, real, condition, seeds)
@@ -113,7 +109,8 @@ class Adversary:
             return None
         with torch.autocast(images.device.type, enabled=False):
             square = gradient_square(
-                lambda x: critic.judge(self.view(x, seeds), condition.float()), images.float()
+                lambda x: critic.judge(augment(x, seeds, self.augment), condition.float()),
+                images.float(),
             )
         return 0.5 * self.r1 * self.r1_every * square
 

@@ -52,7 +52,7 @@ def train(
     began = saved = time.perf_counter()
     began -= trainer.seconds
     tasks = (
-        (config.log_every, trainer.write_row),
+        (config.log_every, lambda: trainer.log.row(trainer.seen)),
         (config.sample_every, trainer.look),
         (config.checkpoint_every, trainer.write_checkpoint),
     )
@@ -130,16 +130,14 @@ class _Trainer:
             logged |= update.logged
             # One optimizer may step more than once.
             losses[update.optimizer] = losses.get(update.optimizer, 0.0) + update.loss.detach()
-        self.processes.average_buffers(self.modules.values())
+        # Running statistics: each process saw its own share of the batch.
+        self.processes.average(x for net in self.modules.values() for x in net.buffers())
         self.guard.add(self.processes.average_scalars(losses))
         self.log.add(self.processes.average_scalars(logged))
         self.average.update()
         for schedule in self.schedules:
             schedule.step()
         self.seen += self.config.batch_size
-
-    def write_row(self) -> None:
-        self.log.row(self.seen)
 
     def look(self) -> None:
         """Let the course look at the averaged networks."""
