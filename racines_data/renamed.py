@@ -124,7 +124,9 @@ MOVED = {
     "racines_models.judges.student": (
         "student=model student_labels=training student_report=training student_training=training"
     ),
-    "racines_models.networks": "conditioning=layers onnx_module",
+    "racines_models.networks": (
+        "conditioning=layers onnx_module=painting networks.onnx_module=painting"
+    ),
     "racines_models.networks.scene_field": (
         "networks.scene_field_echo=echo networks.scene_field_loss=echo "
         "networks.scene_field_probe=probe"

@@ -15,7 +15,7 @@ from racines_data.files import write_json
 from racines_data.imaging import check_parameters
 from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
-from racines_models.networks.onnx_module import OnnxModule
+from racines_models.networks.painting import OnnxModule
 from racines_models.protocol import Card, Run
 from racines_models.provenance import dataset_card
 from racines_models.training.checkpoint import discard_checkpoint

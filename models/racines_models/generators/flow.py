@@ -15,8 +15,7 @@ from racines_data.randomness import derive, normal, uniform
 from racines_data.store.frames import FrameStore
 from racines_models.generators.learned import NetworkGenerator
 from racines_models.networks.layers import Conditioning
-from racines_models.networks.onnx_module import NoiseInput, OnnxModule
-from racines_models.networks.painting import to_gray, to_range
+from racines_models.networks.painting import NoiseInput, OnnxModule, to_gray, to_range
 from racines_models.networks.unet import CELL, GRID, SPREAD, PlacedUNet, scales
 from racines_models.training.objective import TrainBatch, Training, Update
 

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from racines_data.store.frames import FrameStore
 from racines_models.generators.base import BaseGenerator
-from racines_models.networks.onnx_module import OnnxModule
+from racines_models.networks.painting import OnnxModule
 from racines_models.protocol import Run
 
 

@@ -13,7 +13,7 @@ from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.randomness import derive, uniform
 from racines_data.store.frames import FrameStore
 from racines_models.generators.learned import NetworkGenerator
-from racines_models.networks.onnx_module import OnnxModule
+from racines_models.networks.painting import OnnxModule
 from racines_models.networks.scene_field.echo import MID, EchoDecoder, Place, image_loss
 from racines_models.networks.scene_field.field import Layout, VoxelField, lay_out
 from racines_models.networks.scene_field.probe import Probe, ProbeGeometry

@@ -98,8 +98,9 @@ class Pyramid(nn.Module):
         self.image = nn.ConvTranspose2d(channels[-1], 1, 4, stride=2, padding=1)
         nn.init.normal_(self.dense.weight, 0.0, 0.02)
         for part in (self.norm, self.blocks, self.attention, self.last, self.image):
-            if part is not None:
-                part.apply(_initialise_layers)
+            for module in [] if part is None else part.modules():
+                if not isinstance(module, nn.Linear):  # dense layers keep PyTorch's weights
+                    initialise(module)
 
     def forward(self, latent: Tensor, condition: Tensor) -> Tensor:
         """Return (B, 1, 128, 128) in [-1, 1] of (B, latent) noise and (B, condition)."""
@@ -111,12 +112,6 @@ class Pyramid(nn.Module):
         if self.last is not None:
             maps = relu(self.last(maps, embedded))
         return torch.tanh(self.image(maps))
-
-
-def _initialise_layers(module: nn.Module) -> None:
-    """DCGAN's weights for convolutions and plain norms; dense layers keep their own."""
-    if not isinstance(module, nn.Linear):
-        initialise(module)
 
 
 class PlainDown(nn.Module):
@@ -202,7 +197,9 @@ class Discriminator(nn.Module):
             for part in (self.first, self.blocks, self.attention, self.verdict):
                 part.apply(initialise)
         elif normalisation == "spectral":
-            self.apply(_normalise)
+            for module in [*self.modules()]:
+                if isinstance(module, nn.Conv2d | nn.Linear):
+                    spectral_norm(module)
         else:
             self.apply(_keep_variance)
         self.register_buffer("judged", torch.zeros((), dtype=torch.int64))
@@ -222,11 +219,6 @@ class Discriminator(nn.Module):
 
     forward = judge
     """The same; a trainer may wrap this one in mixed precision."""
-
-
-def _normalise(module: nn.Module) -> None:
-    if isinstance(module, nn.Conv2d | nn.Linear):
-        spectral_norm(module)
 
 
 def _keep_variance(module: nn.Module) -> None:

@@ -17,7 +17,7 @@ from racines_models.exchange.onnx.generator import OnnxGenerator, export_generat
 from racines_models.generators.mean_image import MeanImage
 from racines_models.generators.nearest_pose import NearestPose
 from racines_models.generators.vae_gan import VaeGan, VaeGanConfig
-from racines_models.networks.onnx_module import OnnxModule
+from racines_models.networks.painting import OnnxModule
 from racines_models.protocol import Run
 from racines_models.registry import open_generator
 from racines_models.training.objective import Training

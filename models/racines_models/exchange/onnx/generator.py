@@ -7,13 +7,12 @@ interface and card in its metadata; what the file's metadata say is in `docs/out
 """
 
 import copy
-import dataclasses
 import json
 import logging
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +37,7 @@ from racines_models.exchange.onnx.file import (
     read_metadata,
     read_model,
 )
-from racines_models.networks.onnx_module import NoiseInput, OnnxModule
+from racines_models.networks.painting import NoiseInput, OnnxModule
 from racines_models.provenance import sha256_bytes
 
 SCHEMA = "racines.onnx-generator/1"
@@ -233,13 +232,13 @@ def export_generator(generator: Any, path: Path) -> dict[str, Any]:
     examples = {PARAMS: torch.zeros(EXAMPLES, len(PARAMETERS))}
     if module.noise is not None:
         examples[NOISE] = torch.zeros(EXAMPLES, module.noise.size)
-    card = dataclasses.asdict(generator.card)
+    card = asdict(generator.card)
     metadata = {
         "racines.schema": SCHEMA,
         "racines.name": card["name"],
         "racines.output": "gray",
         "racines.stochastic": json.dumps(card["stochastic"]),
-        "racines.noise": json.dumps(dataclasses.asdict(module.noise) if module.noise else None),
+        "racines.noise": json.dumps(asdict(module.noise) if module.noise else None),
         "racines.card": json.dumps(card),
     }
     written = write_onnx(module.network, examples, OUTPUT, metadata, path)
