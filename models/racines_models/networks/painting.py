@@ -1,7 +1,4 @@
-"""From frames to what networks see, and from noise and pose to the gray levels they draw.
-
-`OnnxModule` is what of that a generator hands over to be exported.
-"""
+"""From frames to what networks see, from noise and pose to gray levels, and what is exported."""
 
 from dataclasses import dataclass
 from typing import Any

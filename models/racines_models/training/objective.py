@@ -1,7 +1,4 @@
-"""What the trainer asks of a learner, and what it feeds it: networks, losses in order, batches.
-
-With it how fast a learner learns, and what is looked at on the way.
-"""
+"""What the trainer asks of a learner, what it feeds it, and what is looked at on the way."""
 
 import math
 from collections.abc import Iterator, Mapping
