@@ -112,10 +112,10 @@ MOVED = {
     ),
     "racines_models.exchange": "naming",
     "racines_models.exchange.onnx": (
-        "onnx_export=export onnx_file=file onnx_format=generator onnx_generator=generator "
-        "onnx_session=file"
+        "onnx_export=generator exchange.onnx.export=generator onnx_file=file "
+        "onnx_format=generator onnx_generator=generator onnx_session=file"
     ),
-    "racines_models.exchange.predictions": "png=reader predictions=file predictions_reader=reader",
+    "racines_models.exchange.predictions": "png=file predictions=file predictions_reader=file",
     "racines_models.judges.grader": (
         "annotate grader=model grader_calibration=report grader_evaluation=evaluation "
         "grader_loss=training grader_plots=evaluation grader_report=report grader_training=training"
@@ -124,7 +124,9 @@ MOVED = {
     "racines_models.judges.student": (
         "student=model student_labels=training student_report=training student_training=training"
     ),
-    "racines_models.networks": "conditioning onnx_module",
+    "racines_models.networks": (
+        "conditioning=layers onnx_module=painting networks.onnx_module=painting"
+    ),
     "racines_models.networks.scene_field": (
         "networks.scene_field_echo=echo networks.scene_field_loss=echo "
         "networks.scene_field_probe=probe"

@@ -281,7 +281,7 @@ TOUCHED = [
     "racines_models.weights",
     "racines_models.networks.pyramid",
     "racines_models.training.trainer",
-    "racines_models.exchange.onnx.export",
+    "racines_models.exchange.onnx.generator",
     "racines_models.generators.flow",
     "racines_models.judges.grader.report",
     "racines_models.judges.student.training",

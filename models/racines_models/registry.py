@@ -72,7 +72,7 @@ def open_generator(
             f"{spec}: a predictions file holds the images of some frames and draws no other pose: "
             "score it, or name a generator or an ONNX file"
         )
-    from racines_models.exchange.predictions.reader import Predictions
+    from racines_models.exchange.predictions.file import Predictions
 
     predictions: Any = Predictions(Path(spec), store, split)
     return predictions

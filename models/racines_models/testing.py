@@ -135,8 +135,7 @@ class GeneratorContract:
         """Where exportable: within 1 gray level, and in at most 1 pixel of 1,000, with no force."""
         if not self.exportable:
             return
-        from racines_models.exchange.onnx.export import export_generator
-        from racines_models.exchange.onnx.generator import OnnxGenerator
+        from racines_models.exchange.onnx.generator import OnnxGenerator, export_generator
 
         generator, poses = self.fitted(store, tmp_path), self.parameters(store).clone()
         poses[:2, :6] = float("nan")

@@ -27,8 +27,7 @@ from racines_models import statistics
 from racines_models.protocol import Run
 from racines_models.provenance import dataset_card
 from racines_models.training.checkpoint import discard_checkpoint
-from racines_models.training.course import Course
-from racines_models.training.objective import Training, Update
+from racines_models.training.objective import Course, Training, Update
 from racines_models.training.trainer import train
 
 READ = 256

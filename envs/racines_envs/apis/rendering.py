@@ -125,11 +125,6 @@ def _font(size: int) -> Any:
     return ImageFont.load_default(size)
 
 
-def view_names(core: ScanCore) -> tuple[str, ...]:
-    """Return the names of the labels of a core's anatomy; the last is `Random`."""
-    return core.phantom.labels
-
-
 def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
     info = {name: value[row].item() for name, value in core.info(view_error=False).items()}
     task, action = core.task, steps.actions[-1] if steps.actions else None
@@ -140,7 +135,7 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
     pressed = _WARN if force > 0.9 * task.force_limit else _TEXT
     rows = [
         (f"{task.id}    step {info['steps']:.0f} / {task.max_steps}    {moved}", _TEXT),
-        (f"true view {view_names(core)[int(info['view'])]}, grade {info['grade']:.1f}", found),
+        (f"true view {core.phantom.labels[int(info['view'])]}, grade {info['grade']:.1f}", found),
         (f"p {info['probability']:.2f}    grade as {task.view} {info['score']:.1f}", _TEXT),
         (
             f"force {force:.1f} N of {task.force_limit:.0f} N    refused steps {refused:.0f}",

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,9 +38,7 @@ def measure(episodes: Episodes, reference_steps: np.ndarray, resamples: int = 20
     violations = final["workspace_hits"] + final["force_hits"]
     farmed = (final["return"] >= RETURN_OF_A_HIT) & ~success
 
-    def mean(values: np.ndarray, unit: str | None = None) -> dict[str, Any]:
-        return statistics.mean(values, unit, resamples)
-
+    mean = partial(statistics.mean, resamples=resamples)
     figures = {
         "success_true": statistics.wilson(success),
         "success_graded": statistics.wilson(final["success_graded"]),

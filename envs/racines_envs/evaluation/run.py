@@ -30,6 +30,7 @@ from racines_envs.worlds.making import WorldLike, find_task, make_core, make_pha
 from racines_models import statistics
 from racines_models.devices import on_device
 from racines_models.protocol import Judge
+from racines_models.provenance import code_version, environment, weights_sha256
 
 SCHEMA = "racines.agent-scores/1"
 
@@ -229,8 +230,6 @@ def _shown(agent: Agent) -> str:
 def _document(
     run_dir: Path, config: EvaluationConfig, core: ScanCore, agent: Agent, figures: dict[str, Any]
 ) -> dict[str, Any]:
-    from racines_models.provenance import code_version, environment
-
     return {
         "schema": SCHEMA,
         "agent": agent.name,
@@ -255,8 +254,6 @@ def _document(
 
 def _weights(agent: Agent, run_dir: Path) -> dict[str, Any] | None:
     """Return the hashes of an agent's files and the one that stands for all, if one does."""
-    from racines_models.provenance import weights_sha256
-
     files = weights_sha256(run_dir) if hasattr(agent, "view") and run_dir.is_dir() else {}
     if isinstance(agent, (OnnxPolicyAgent, TraceAgent)):
         files = {agent.path.name: agent.sha256}

@@ -91,11 +91,6 @@ class Settled:
     seen: np.ndarray
     probability: np.ndarray
 
-    @property
-    def hovered(self) -> np.ndarray:
-        """Steps spent in the view, hits or not."""
-        return self.hits + self.seen
-
 
 Outcomes = dict[tuple[str, str, str], Settled]  # by agent, reward and rule
 
@@ -222,6 +217,7 @@ def _ends(hit: Tensor, needed: int) -> tuple[Tensor, Tensor]:
 
 
 def _figures(settled: Settled, config: RewardReportConfig) -> dict[str, Any]:
+    hovered = settled.hits + settled.seen  # steps spent in the view, hits or not
     hacked = (settled.total >= config.high) & ~settled.success
     return {
         "return": statistics.mean(settled.total, None, config.resamples),
@@ -229,7 +225,7 @@ def _figures(settled: Settled, config: RewardReportConfig) -> dict[str, Any]:
         "success_graded": statistics.wilson(settled.graded),
         "high_return_without_success": statistics.wilson(hacked),
         "episode_steps": statistics.mean(settled.steps, "steps", config.resamples),
-        "hovered": statistics.mean(settled.hovered, "steps in the view", config.resamples),
+        "hovered": statistics.mean(hovered, "steps in the view", config.resamples),
     }
 
 

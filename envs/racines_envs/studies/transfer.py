@@ -6,6 +6,7 @@ recordings of no phantom have only their own labels, and the document says so.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -105,9 +106,7 @@ def transfer(
 
 
 def _metrics(scores: dict[str, np.ndarray], resamples: int) -> dict[str, Any]:
-    def mean(values: np.ndarray, unit: str | None = None) -> dict[str, Any]:
-        return statistics.mean(values, unit, resamples)
-
+    mean = partial(statistics.mean, resamples=resamples)
     success, steps = scores["success_true"], scores["episode_steps"]
     return {
         "success_true": statistics.wilson(success),

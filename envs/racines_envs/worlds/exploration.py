@@ -103,8 +103,8 @@ def explore(config: ExplorationConfig, phantom: World, seed: int) -> ExploredFra
     if source is not None:
         recipe |= {"generator": source_weights(config.generator)}
     manifest = {"source": "exploration", "version": None, "digest": None, "recipe_digest": recipe}
-    labels = labels_of(views)
-    return ExploredFrames(torch.cat(parameters)[order], torch.cat(images)[order], labels, manifest)
+    columns = torch.cat(parameters)[order], torch.cat(images)[order]
+    return ExploredFrames(*columns, labels_of(views), manifest)
 
 
 def _between(task: Task, phantom: World, seeds: Tensor) -> Pose:

@@ -5,22 +5,20 @@ nobody has been, it may be far: `out_of_support` says so.
 """
 
 import math
-from typing import TYPE_CHECKING
 
 import pyarrow.parquet as pq
 import torch
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, geodesic, parameters_to_pose, pose_to_parameters
+from racines_data.phantom.config import PhantomConfig, phantom_settings
 from racines_data.randomness import uniform
 from racines_data.store.frames import FrameStore
 from racines_data.world import Truth, Workspace, World
 from racines_models.generators.nearest_pose import NearestPose
-
-if TYPE_CHECKING:
-    from racines_data.phantom.config import PhantomConfig
 
 QUANTILE = 0.99
 """Out of support is farther from every recorded frame than 99 % of frames are from the nearest of
@@ -45,7 +43,7 @@ class PoseIndex:
         self._search = NearestPose()
         keys = self._search.embed(parameters)
         self._tree = KDTree(keys.numpy()) if torch.device(device).type == "cpu" else None
-        self._search.keys = keys.to(device)
+        self._search.held["keys"] = keys.to(device)
 
     def nearest(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """Return the (B,) int64 index of the nearest of them and its (B,) distance, m."""
@@ -115,16 +113,12 @@ class Replay:
         return self.index.nearest(parameters)[1] > self.threshold
 
 
-def source_phantom(store: FrameStore) -> "PhantomConfig | None":
+def source_phantom(store: FrameStore) -> PhantomConfig | None:
     """Return the configuration of the phantom that a dataset was acquired from; None if of none."""
     if store.manifest["source"] != "phantom":
         return None
-    from racines_data.config import fill
-    from racines_data.phantom import PhantomConfig
-
-    settings = store.manifest.get("recipe", {}).get("settings", {})
-    values = settings.get("acquisition", {}).get("phantom", {})
-    return fill(PhantomConfig, values, f"{store.root}/manifest.json: phantom")
+    told = phantom_settings(store.manifest, "frames") or {"phantom": {}}
+    return fill(PhantomConfig, told["phantom"], f"{store.root}/manifest.json: phantom")
 
 
 class RecordedWorld(World):

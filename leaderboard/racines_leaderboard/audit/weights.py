@@ -12,7 +12,7 @@ from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, unknown
 from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.submissions.artefacts import files_of, rescored
-from racines_models.exchange.predictions.reader import Predictions
+from racines_models.exchange.predictions.file import Predictions
 
 
 def named(record: Record) -> dict[str, str]:

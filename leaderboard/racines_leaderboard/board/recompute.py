@@ -22,7 +22,7 @@ from racines_leaderboard.submissions.confined import session as confined
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_leaderboard.submissions.document import find_submission
 from racines_leaderboard.submissions.intake import check_content
-from racines_models.exchange.predictions.reader import Predictions
+from racines_models.exchange.predictions.file import Predictions
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.scores.scoring import ScoresConfig, score

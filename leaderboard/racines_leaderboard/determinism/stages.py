@@ -23,8 +23,7 @@ from racines_envs.agents.ppo import PPOAgent, PPOConfig
 from racines_envs.agents.rollout import rollout
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core
-from racines_models.exchange.onnx.export import export_generator
-from racines_models.exchange.onnx.generator import OnnxGenerator
+from racines_models.exchange.onnx.generator import OnnxGenerator, export_generator
 from racines_models.judges.grader.model import Grader, GraderConfig
 from racines_models.judges.grader.training import train_grader
 from racines_models.protocol import Run

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from racines_envs.apis.rendering import History, view_names
+from racines_envs.apis.rendering import History
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.task.tasks import TASKS
 from racines_envs.worlds.making import make_core
@@ -60,7 +60,7 @@ def core_and_grader(
         TASKS[task], observation=observation, reward="oracle", device=place.device,
         phantom=load_phantom(place, TASKS[task].anatomy), encoder=encoder,
     )  # fmt: skip
-    return core, load_grader(place, view_names(core))
+    return core, load_grader(place, core.phantom.labels)
 
 
 class Live:

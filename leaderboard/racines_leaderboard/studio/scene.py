@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from racines_envs.apis.rendering import block_views, view_names
+from racines_envs.apis.rendering import block_views
 from racines_envs.task.actions import ACTIONS
 from racines_leaderboard.studio.html import element, quick_png, text
 
@@ -121,7 +121,7 @@ def _why(core: Any, success: bool) -> str:
 
 
 def _truth(core: Any, info: dict[str, Any]) -> tuple[str, str]:
-    view = text(view_names(core)[int(info["view"])])
+    view = text(core.phantom.labels[int(info["view"])])
     millimetres, degrees = 1e3 * info["position_error"], math.degrees(info["rotation_error"])
     return (
         f"true view <b>{view}</b>, grade <b>{info['grade']:.1f}</b>",

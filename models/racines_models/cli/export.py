@@ -21,11 +21,11 @@ def export_generator(
 ) -> None:
     """Write a trained generator as one ONNX file, where its method allows."""
     from racines_models.cli.output import tell
-    from racines_models.exchange.onnx import export as onnx_export
+    from racines_models.exchange.onnx import generator as onnx
     from racines_models.registry import open_generator
 
     check_ending(out, ".onnx")
-    made = onnx_export.export_generator(open_generator(name, run), out)
+    made = onnx.export_generator(open_generator(name, run), out)
     tell(made, as_json, f"{out}: {made['bytes']:,} bytes, opset {made['opset']}")
 
 

@@ -15,11 +15,11 @@ from racines_data.files import write_json
 from racines_data.imaging import check_parameters
 from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
-from racines_models.networks.onnx_module import OnnxModule
+from racines_models.networks.painting import OnnxModule
 from racines_models.protocol import Card, Run
 from racines_models.provenance import dataset_card
 from racines_models.training.checkpoint import discard_checkpoint
-from racines_models.training.course import Validation
+from racines_models.training.objective import Validation
 from racines_models.training.processes import is_main_process
 from racines_models.weights import load_weights, read_described, save_weights
 
@@ -37,6 +37,8 @@ class BaseGenerator(ABC, Generic[C]):
     source: ClassVar[str]
     stochastic: ClassVar[bool] = False
     limits: ClassVar[tuple[str, ...]] = ()
+    holds: ClassVar[tuple[str, ...]] = ()
+    """Names of the tensors in `held`, where a method has no networks."""
 
     config: C
 
@@ -45,6 +47,7 @@ class BaseGenerator(ABC, Generic[C]):
         self.device = "cpu"
         self.seed = 0
         self.data: dict[str, Any] = {}
+        self.held: dict[str, Tensor] = {}
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -60,13 +63,13 @@ class BaseGenerator(ABC, Generic[C]):
     def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 images of checked (B, 12) parameters on `self.device`."""
 
-    @abstractmethod
     def tensors(self) -> dict[str, Tensor]:
         """Return what the model file holds; empty before the fit."""
+        return self.held
 
-    @abstractmethod
     def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Take back what `tensors` returned, onto `self.device`."""
+        """Take back what `tensors` returned, which lies on `self.device`."""
+        self.held = {name: tensors[name] for name in self.holds}
 
     def onnx_module(self) -> OnnxModule:
         """Return the fitted network, as it is exported; override to allow that."""

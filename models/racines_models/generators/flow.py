@@ -14,9 +14,8 @@ from racines_data.errors import RacinesError
 from racines_data.randomness import derive, normal, uniform
 from racines_data.store.frames import FrameStore
 from racines_models.generators.learned import NetworkGenerator
-from racines_models.networks.conditioning import Conditioning
-from racines_models.networks.onnx_module import NoiseInput, OnnxModule
-from racines_models.networks.painting import to_gray, to_range
+from racines_models.networks.layers import Conditioning
+from racines_models.networks.painting import NoiseInput, OnnxModule, to_gray, to_range
 from racines_models.networks.unet import CELL, GRID, SPREAD, PlacedUNet, scales
 from racines_models.training.objective import TrainBatch, Training, Update
 
@@ -52,7 +51,6 @@ class FlowConfig:
     training: Training = Training()
 
     def __post_init__(self) -> None:
-        """Refuse settings that cannot train or draw."""
         if self.width < 8 or self.width % 8:
             raise RacinesError("flow.width: a multiple of 8, for group norm")
         if not 1 <= self.octaves <= 10 or self.extent <= 0:
@@ -85,9 +83,8 @@ class Flow(NetworkGenerator[FlowConfig]):
     def untrained(self) -> dict[str, nn.Module]:
         """Return the U-Net, which has the conditioning in it."""
         config = self.config
-        conditioning = Conditioning(config.conditioning)
-        sizes = config.width, config.octaves, config.extent
-        return {"unet": PlacedUNet(*sizes, conditioning, config.preconditioned)}
+        sizes = config.width, config.octaves, config.extent, Conditioning(config.conditioning)
+        return {"unet": PlacedUNet(*sizes, config.preconditioned)}
 
     def prepare(self, store: FrameStore) -> None:
         """Fit the conditioning."""
@@ -141,8 +138,8 @@ class Journey(nn.Module):
 
     def forward(self, parameters: Tensor, noise: Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 of (B, 12) parameters and (B, 16384) noise."""
-        way = self.steps, self.solver, self.spacing
-        images = follow(self.unet, _folded(noise), parameters, *way)
+        x = _folded(noise)
+        images = follow(self.unet, x, parameters, self.steps, self.solver, self.spacing)
         return to_gray(pixel_shuffle(images, CELL))
 
 

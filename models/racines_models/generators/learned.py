@@ -12,10 +12,9 @@ from racines_data.randomness import sample_seeds
 from racines_data.store.frames import FrameStore
 from racines_models.generators.base import BaseGenerator
 from racines_models.networks.batching import in_fixed_batches
-from racines_models.networks.conditioning import Conditioning
-from racines_models.networks.discriminator import Discriminator
-from racines_models.networks.onnx_module import NoiseInput, OnnxModule
-from racines_models.networks.painting import Framed, Painter
+from racines_models.networks.layers import Conditioning
+from racines_models.networks.painting import Framed, NoiseInput, OnnxModule, Painter
+from racines_models.networks.pyramid import Discriminator
 from racines_models.protocol import Run
 from racines_models.training.trainer import train
 

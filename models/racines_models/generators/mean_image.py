@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from racines_data.store.frames import FrameStore
 from racines_models.generators.base import BaseGenerator
-from racines_models.networks.onnx_module import OnnxModule
+from racines_models.networks.painting import OnnxModule
 from racines_models.protocol import Run
 
 
@@ -26,8 +26,7 @@ class MeanImage(BaseGenerator[MeanImageConfig]):
     summary = "The mean of the training images, the same for every pose."
     source = "a floor of this benchmark"
     limits = ("ignores the pose",)
-
-    image: Tensor | None = None
+    holds = ("image",)
 
     def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
         """Average the train split in one pass, exactly (integer sums)."""
@@ -36,26 +35,16 @@ class MeanImage(BaseGenerator[MeanImageConfig]):
         for chunk in frames.split(1024):
             total += store.take(chunk).images.sum(0, dtype=torch.int64)
         mean = total.double() / len(frames)
-        self.image = mean.round().to(device=self.device, dtype=torch.uint8)
+        self.held = {"image": mean.round().to(device=self.device, dtype=torch.uint8)}
         return {"images": len(frames)}
 
     def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
         """Return (B, 128, 128) copies of the mean."""
-        assert self.image is not None
-        return self.image.repeat(len(parameters), 1, 1)
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return the mean image."""
-        return {} if self.image is None else {"image": self.image}
-
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Take the mean image."""
-        self.image = tensors["image"]
+        return self.held["image"].repeat(len(parameters), 1, 1)
 
     def onnx_module(self) -> OnnxModule:
         """Return a network that repeats the mean."""
-        assert self.image is not None
-        return OnnxModule(_Repeat(self.image))
+        return OnnxModule(_Repeat(self.held["image"]))
 
 
 class _Repeat(nn.Module):

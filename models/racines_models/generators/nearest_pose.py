@@ -29,7 +29,6 @@ class NearestPoseConfig:
     """Training frames kept, evenly spread over the split; 0 keeps all."""
 
     def __post_init__(self) -> None:
-        """Refuse a metric that is none."""
         if self.metres_per_radian < 0 or self.frames < 0:
             raise RacinesError("nearest-pose: metres_per_radian and frames are 0 or more")
 
@@ -48,9 +47,7 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
     summary = "The training image whose probe pose is nearest."
     source = "a floor of this benchmark (under a split by frames it would win)"
     limits = ("draws nothing new", "jumps between neighbouring training frames")
-
-    keys: Tensor | None = None
-    images: Tensor | None = None
+    holds = ("keys", "images")
 
     def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
         """Remember poses and images of the train split, in order of the store."""
@@ -58,8 +55,8 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
         if 0 < self.config.frames < len(frames):
             frames = frames[evenly(len(frames), self.config.frames)]
         kept = store.take(frames)
-        self.keys = self.embed(kept.parameters).to(self.device)
-        self.images = kept.images.to(self.device)
+        memory = {"keys": self.embed(kept.parameters), "images": kept.images}
+        self.held = {name: tensor.to(self.device) for name, tensor in memory.items()}
         return {"images": len(frames)}
 
     def embed(self, parameters: Tensor) -> Tensor:
@@ -70,12 +67,11 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
 
     def nearest(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """Return the (B,) index of the nearest training frame and the (B,) distance, m."""
-        assert self.keys is not None
-        found = []
+        found, keys = [], self.held["keys"]
         for queries in self.embed(parameters).split(QUERIES):
             # The exact form, not the matrix product: equal poses have distance 0, and a row's
             # result ignores its batch. argmin returns the first of equal minima.
-            distance = torch.cdist(queries, self.keys, compute_mode="donot_use_mm_for_euclid_dist")
+            distance = torch.cdist(queries, keys, compute_mode="donot_use_mm_for_euclid_dist")
             index = distance.argmin(1)
             found.append((index, distance.gather(1, index[:, None]).squeeze(1)))
         index, distance = (torch.cat(column) for column in zip(*found, strict=True))
@@ -83,15 +79,4 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
 
     def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
         """Return (B, 128, 128) images of the nearest poses."""
-        assert self.images is not None
-        return self.images[self.nearest(parameters)[0]]
-
-    def tensors(self) -> dict[str, Tensor]:
-        """Return the remembered poses and images."""
-        if self.keys is None or self.images is None:
-            return {}
-        return {"keys": self.keys, "images": self.images}
-
-    def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Take the remembered poses and images."""
-        self.keys, self.images = tensors["keys"], tensors["images"]
+        return self.held["images"][self.nearest(parameters)[0]]

@@ -36,6 +36,7 @@ class NoiseCeiling(BaseGenerator[NoiseCeilingConfig]):
     source = "a ceiling of this benchmark"
     stochastic = True
     limits = ("exists for simulated data only", "has seen no frame: it holds the scene itself")
+    holds = ("phantom_version",)
 
     phantom: Phantom | None = None
 
@@ -43,6 +44,8 @@ class NoiseCeiling(BaseGenerator[NoiseCeilingConfig]):
         """Take the phantom that the dataset was acquired from; no image is looked at."""
         self.config = NoiseCeilingConfig(recorded_phantom(store.manifest))
         self.phantom = shared_phantom(self.config.phantom, self.device)
+        # The rest stands in the config.
+        self.held = {"phantom_version": torch.tensor([int(x) for x in PHANTOM_VERSION.split(".")])}
         return {"images": 0}
 
     def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
@@ -50,15 +53,10 @@ class NoiseCeiling(BaseGenerator[NoiseCeilingConfig]):
         assert self.phantom is not None
         return self.phantom.generate(parameters, seed)
 
-    def tensors(self) -> dict[str, Tensor]:
-        """Return the version of the simulator: the rest stands in the config."""
-        if self.phantom is None:
-            return {}
-        return {"phantom_version": torch.tensor([int(x) for x in PHANTOM_VERSION.split(".")])}
-
     def restore(self, tensors: dict[str, Tensor]) -> None:
         """Bake the phantom of the config again; refuse that of another version."""
         saved = ".".join(str(int(x)) for x in tensors["phantom_version"])
         if saved != PHANTOM_VERSION:
             raise RacinesError(f"it was made of phantom {saved}, this is phantom {PHANTOM_VERSION}")
+        super().restore(tensors)
         self.phantom = shared_phantom(self.config.phantom, self.device)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from racines_models.generators.gan import PyramidGan, PyramidGanConfig
+from racines_models.generators.cgan import PyramidGan, PyramidGanConfig
 
 
 @dataclass(frozen=True)

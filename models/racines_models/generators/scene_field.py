@@ -13,7 +13,7 @@ from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.randomness import derive, uniform
 from racines_data.store.frames import FrameStore
 from racines_models.generators.learned import NetworkGenerator
-from racines_models.networks.onnx_module import OnnxModule
+from racines_models.networks.painting import OnnxModule
 from racines_models.networks.scene_field.echo import MID, EchoDecoder, Place, image_loss
 from racines_models.networks.scene_field.field import Layout, VoxelField, lay_out
 from racines_models.networks.scene_field.probe import Probe, ProbeGeometry
@@ -59,7 +59,6 @@ class SceneFieldConfig:
     )
 
     def __post_init__(self) -> None:
-        """Refuse sizes and rates that cannot train."""
         if min(self.voxel, self.coarse_voxel) <= 0 or self.channels < 1:
             raise RacinesError("scene-field: voxel sizes and channels are above 0")
         if not 0.0 < self.coverage <= 1.0:

@@ -6,7 +6,7 @@ from typing import ClassVar
 from torch import nn
 
 from racines_data.errors import RacinesError
-from racines_models.generators.gan import ConditionalGan, GanConfig
+from racines_models.generators.cgan import ConditionalGan, GanConfig
 from racines_models.networks.style import StyleSynthesis
 
 
@@ -27,7 +27,6 @@ class StyleGanConfig(GanConfig):
     beta1: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot train."""
         super().__post_init__()
         if min(self.style, self.mapping_layers) < 1 or self.mapping_rate <= 0:
             raise RacinesError(f"{self.name}: style, mapping_layers and mapping_rate are above 0")
@@ -52,13 +51,7 @@ class StyleGan(ConditionalGan[StyleGanConfig]):
     def networks(self, condition: int) -> dict[str, nn.Module]:
         """Return StyleGAN2's generator and a residual discriminator."""
         config = self.config
-        generator = StyleSynthesis(
-            config.width,
-            config.latent,
-            condition,
-            style=config.style,
-            layers=config.mapping_layers,
-            rate=config.mapping_rate,
-        )
+        sizes = config.width, config.latent, condition, config.style
+        generator = StyleSynthesis(*sizes, layers=config.mapping_layers, rate=config.mapping_rate)
         discriminator = self.discriminator(condition, residual=True)
         return {"generator": generator, "discriminator": discriminator}

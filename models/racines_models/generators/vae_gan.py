@@ -57,7 +57,6 @@ class VaeGanConfig:
     training: Training = Training()
 
     def __post_init__(self) -> None:
-        """Refuse sizes and weights that cannot train."""
         if min(self.width, self.encoder_width, self.discriminator_width) < 1:
             raise RacinesError("vae-gan: the three widths are at least 1")
         if min(self.latent, self.embedding) < 1:
@@ -114,17 +113,12 @@ class VaeGan(AdversarialGenerator[VaeGanConfig]):
         # Both in one pass: the decoder's batch norm then fits the prior, from which it will draw.
         latents, conditions = torch.cat([posterior, prior]), torch.cat([condition, condition])
         rebuilt, drawn = nets["decoder"](latents, conditions).chunk(2)
-        critics = nets["discriminator"], self.net("discriminator")
-        adversarial = yield from self.config.adversary.contest(
-            *critics, real, drawn, condition, batch.seeds
-        )
+        judged = nets["discriminator"], self.net("discriminator"), real
+        adversarial = yield from config.adversary.contest(*judged, drawn, condition, batch.seeds)
         reconstruction = mse_loss(rebuilt.float(), real)
         kl = 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).float().mean()
-        loss = (
-            config.reconstruction_weight * reconstruction
-            + config.kl_weight * kl
-            + config.adversarial_weight * adversarial
-        )
+        vae = config.reconstruction_weight * reconstruction + config.kl_weight * kl
+        loss = vae + config.adversarial_weight * adversarial
         logged = {"reconstruction": reconstruction, "kl": kl, "adversarial": adversarial}
         yield Update("vae", loss, logged)
 
@@ -136,11 +130,8 @@ class Encoder(nn.Module):
         super().__init__()
         layers: list[nn.Module] = []
         for before, after in pairwise([1, *widths(width)]):
-            layers += [
-                nn.Conv2d(before, after, 4, stride=2, padding=1, bias=False),
-                nn.BatchNorm2d(after),
-                nn.LeakyReLU(0.2, inplace=True),
-            ]
+            conv = nn.Conv2d(before, after, 4, stride=2, padding=1, bias=False)
+            layers += [conv, nn.BatchNorm2d(after), nn.LeakyReLU(0.2, inplace=True)]
         self.features = nn.Sequential(*layers, nn.Flatten())
         self.posterior = nn.Linear(bottom_features(width), 2 * latent)
         self.apply(initialise)

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from torch.nn.functional import max_pool2d
 
 from racines_data.errors import RacinesError
+from racines_data.geometry import parameters_to_pose, rotation_6d
 from racines_data.imaging import IMAGE_SIZE
 
 LEVELS = 5
@@ -18,6 +19,8 @@ INJECTIONS = ("concat", "norm")
 ATTENTION_SIZE = 32
 """Side of the maps that attend: the finest that a CPU affords, with 1,024 places."""
 POOL = 4
+MODES = {"continuous": 15, "euler": 12}
+"""Width of the condition vector in each mode of `Conditioning`."""
 
 
 def widths(width: int) -> list[int]:
@@ -59,6 +62,50 @@ def check_injection(injection: str, name: str) -> None:
     """Refuse an injection that is none, in the config of a name."""
     if injection not in INJECTIONS:
         raise RacinesError(f"{name}.injection: {injection!r}: use {' or '.join(INJECTIONS)}")
+
+
+class Conditioning(nn.Module):
+    """Normalises (B, 12) parameters to a condition vector.
+
+    `continuous`: position (3), 6-D rotation (6), force and torque (6). `euler`: the twelve columns
+    as they are, which jump where rotation_x passes ±π (the paper's conditioning, kept as an
+    ablation). Each entry is standardised with the mean and deviation of the training frames; an
+    absent force (NaN) becomes 0, the training mean.
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, mode: str = "continuous"):
+        super().__init__()
+        if mode not in MODES:
+            raise RacinesError(f"conditioning {mode!r} is unknown: choose {' or '.join(MODES)}")
+        self.mode = mode
+        self.width = MODES[mode]
+        self.register_buffer("mean", torch.zeros(self.width))
+        self.register_buffer("std", torch.ones(self.width))
+
+    def encode(self, parameters: Tensor) -> Tensor:
+        """Return the (B, width) condition before standardisation, NaN where a force is absent."""
+        if self.mode == "euler":
+            return parameters
+        pose = parameters_to_pose(parameters)
+        return torch.cat([pose.position, rotation_6d(pose.rotation), parameters[..., :6]], -1)
+
+    def fit(self, parameters: Tensor) -> "Conditioning":
+        """Take mean and deviation from (N, 12) training parameters; without spread, 1."""
+        raw = self.encode(parameters.double())
+        known = torch.isfinite(raw)
+        count = known.sum(0).clamp_min(1)
+        mean = raw.where(known, 0.0).sum(0) / count
+        std = ((raw - mean).where(known, 0.0).square().sum(0) / count).sqrt()
+        self.mean.copy_(mean)
+        self.std.copy_(std.where(std > 1e-6, 1.0))
+        return self
+
+    def forward(self, parameters: Tensor) -> Tensor:
+        """Return the (B, width) float32 standardised condition of (B, 12) parameters."""
+        return torch.nan_to_num((self.encode(parameters) - self.mean) / self.std, nan=0.0)
 
 
 class ConditionalBatchNorm(nn.Module):
@@ -131,11 +178,10 @@ class SelfAttention(nn.Module):
 
 def attending(sides: Iterable[int], channels: Iterable[int]) -> nn.ModuleDict:
     """Return self-attention by level, where the level's maps have a side of 32."""
-    attention = nn.ModuleDict()
-    for level, (side, count) in enumerate(zip(sides, channels, strict=True)):
-        if side == ATTENTION_SIZE:
-            attention[str(level)] = SelfAttention(count)
-    return attention
+    levels = enumerate(zip(sides, channels, strict=True))
+    return nn.ModuleDict(
+        {str(level): SelfAttention(n) for level, (side, n) in levels if side == ATTENTION_SIZE}
+    )
 
 
 def through(

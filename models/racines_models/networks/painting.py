@@ -1,11 +1,13 @@
-"""From frames to what networks see, and from noise and pose to the gray levels they draw."""
+"""From frames to what networks see, from noise and pose to gray levels, and what is exported."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from racines_data.imaging import IMAGE_SIZE
+from racines_data.randomness import derive, normal
 from racines_data.store.frames import FrameStore
 
 CHUNK = 1024
@@ -60,3 +62,31 @@ class Painter(nn.Module):
     def forward(self, parameters: Tensor, noise: Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 of (B, 12) parameters and (B, latent) noise."""
         return to_gray(self.network(noise, self.conditioning(parameters)))
+
+
+@dataclass(frozen=True)
+class NoiseInput:
+    """Standard normal noise of a sample: `normal(derive(seed, *keys), size)`."""
+
+    size: int
+    """Numbers a sample."""
+    keys: tuple[int, ...] = ()
+    """Keys that the generator derives its own random stream with, from the sample's seed."""
+
+    def draw(self, seeds: Tensor) -> Tensor:
+        """Return (B, size) float32 noise of (B,) int64 seeds."""
+        return normal(derive(seeds, *self.keys), self.size)
+
+
+@dataclass(frozen=True)
+class OnnxModule:
+    """A network that draws, without Python around it.
+
+    `network(parameters)` or, with noise, `network(parameters, noise)` takes (B, 12) float32
+    parameters, whose forces may be NaN, and (B, size) float32 noise; it returns (B, 128, 128) uint8
+    gray levels. It must be traceable by `torch.export` with any B.
+    """
+
+    network: nn.Module
+    noise: NoiseInput | None = None
+    """None: the image follows from the pose alone."""

@@ -106,7 +106,7 @@ class StyleSynthesis(nn.Module):
     """
 
     def __init__(
-        self, width: int, latent: int, condition: int, *, style: int, layers: int, rate: float
+        self, width: int, latent: int, condition: int, style: int, *, layers: int, rate: float
     ):
         super().__init__()
         channels = widths(width)[::-1]
@@ -122,10 +122,8 @@ class StyleSynthesis(nn.Module):
             self.layers.append(StyledLayer(before, after, style, up=True))
             self.layers.append(StyledLayer(after, after, style, up=False))
         shades = [1] * (len(pairs) - 1) + [4]
-        gray = [
-            ModulatedConv(after, count, style, 1, demodulate=False)
-            for after, count in zip(channels[1:], shades, strict=True)
-        ]
+        ends = zip(channels[1:], shades, strict=True)
+        gray = [ModulatedConv(*end, style, 1, demodulate=False) for end in ends]
         # Four alike interleave to no checkerboard (Aitken et al., Checkerboard artifact free
         # sub-pixel convolution, 2017).
         last = gray[-1].weight.data

@@ -8,7 +8,7 @@ from torch.nn.functional import relu, silu
 
 from racines_data.geometry import POSITION, parameters_to_pose
 from racines_data.imaging import IMAGE_SIZE
-from racines_models.networks.conditioning import Conditioning
+from racines_models.networks.layers import Conditioning
 
 CELL = 4
 """Pixels along a cell's side: the image is folded into 32×32 cells of 16 pixels each."""

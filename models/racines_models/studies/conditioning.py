@@ -13,8 +13,7 @@ from racines_data.files import write_json
 from racines_data.store.frames import FrameStore
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.judges.pose.training import pose_errors
-from racines_models.networks.conditioning import MODES
-from racines_models.networks.layers import INJECTIONS
+from racines_models.networks.layers import INJECTIONS, MODES
 from racines_models.protocol import Generator, Run
 from racines_models.sample import Sample, draw, take_sample
 from racines_models.scores import metrics

@@ -118,7 +118,7 @@ def _retrieve(
     store: FrameStore, sample: Sample, train: Tensor, progress: Progress | None
 ) -> Retrieval:
     retrieval = NearestPose()
-    retrieval.keys = retrieval.embed(store.parameters[train])
+    retrieval.held["keys"] = retrieval.embed(store.parameters[train])
     parts = []
     for queries in sample.frames.parameters.split(CHUNK):
         parts.append(train[retrieval.nearest(queries)[0]])

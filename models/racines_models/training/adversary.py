@@ -13,8 +13,8 @@ from torch.nn.functional import softplus
 
 from racines_data.errors import RacinesError
 from racines_data.randomness import derive, uniform
-from racines_models.networks.discriminator import JOININGS, NORMALISATIONS, Discriminator
 from racines_models.networks.layers import frozen
+from racines_models.networks.pyramid import JOININGS, NORMALISATIONS, Discriminator
 from racines_models.training.objective import Update
 
 LOSSES = ("non-saturating", "hinge")
@@ -45,7 +45,6 @@ class Adversary:
     """Of `brightness`, `contrast`, `translation`, `cutout`: what real and drawn images undergo."""
 
     def __post_init__(self) -> None:
-        """Refuse what does not exist."""
         choices = {"loss": LOSSES, "joining": JOININGS, "normalisation": NORMALISATIONS}
         for key, known in choices.items():
             value = getattr(self, key)
@@ -56,10 +55,6 @@ class Adversary:
             raise RacinesError(f"adversary.augment: {unknown[0]!r}: use of {', '.join(CHANGES)}")
         if self.r1 < 0 or self.r1_every < 1:
             raise RacinesError("adversary: r1 is 0 or more, r1_every at least 1")
-
-    def view(self, images: Tensor, seeds: Tensor) -> Tensor:
-        """Return (B, 1, H, W) images as the discriminator sees them: augmented by (B,) seeds."""
-        return augment(images, seeds, self.augment)
 
     def contest(
         self,
@@ -77,8 +72,8 @@ class Adversary:
         (B, condition) and a (B,) seed each.
         """
         seeds = derive(seeds, AUGMENT)
-        seen = self.view(drawn, seeds)
-        of_real = judge(self.view(real, seeds), condition)
+        seen = augment(drawn, seeds, self.augment)
+        of_real = judge(augment(real, seeds, self.augment), condition)
         loss = self.critic_loss(of_real, judge(seen.detach(), condition))
         logged = {"discriminator": loss}
         penalty = self.penalty(critic, real, condition, seeds)
@@ -114,7 +109,8 @@ class Adversary:
             return None
         with torch.autocast(images.device.type, enabled=False):
             square = gradient_square(
-                lambda x: critic.judge(self.view(x, seeds), condition.float()), images.float()
+                lambda x: critic.judge(augment(x, seeds, self.augment), condition.float()),
+                images.float(),
             )
         return 0.5 * self.r1 * self.r1_every * square
 

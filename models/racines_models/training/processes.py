@@ -1,7 +1,5 @@
 """Several processes that train as one: equal shares of each batch, averaged gradients.
 
-`in_processes` starts them on this machine.
-
 Gradients are averaged here after each backward pass, not by DistributedDataParallel: that wrapper
 expects one forward and one backward pass of every weight a step, while an adversarial generator
 calls a network several times, freezes another for one loss, and steps two optimizers in turn.
@@ -83,11 +81,6 @@ class Processes:
             parts = flat.split([tensor.numel() for tensor in group])
             for tensor, part in zip(group, parts, strict=True):
                 tensor.detach().copy_(part.view(tensor.shape))
-
-    def average_buffers(self, nets: Iterable[nn.Module]) -> None:
-        """Average running statistics, each of which saw its own share of the batch."""
-        if self.count > 1:
-            self.average(buffer for net in nets for buffer in net.buffers())
 
     def average_scalars(self, scalars: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return the mean over processes of named scalars."""

@@ -17,9 +17,8 @@ from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore
 from racines_models.protocol import Run
 from racines_models.training.checkpoint import Checkpoint
-from racines_models.training.course import Course, FrameCourse
 from racines_models.training.log import Guard, TrainingLog
-from racines_models.training.objective import Learner, Training
+from racines_models.training.objective import Course, FrameCourse, Learner, Training
 from racines_models.training.processes import Processes
 
 
@@ -53,7 +52,7 @@ def train(
     began = saved = time.perf_counter()
     began -= trainer.seconds
     tasks = (
-        (config.log_every, trainer.write_row),
+        (config.log_every, lambda: trainer.log.row(trainer.seen)),
         (config.sample_every, trainer.look),
         (config.checkpoint_every, trainer.write_checkpoint),
     )
@@ -131,16 +130,14 @@ class _Trainer:
             logged |= update.logged
             # One optimizer may step more than once.
             losses[update.optimizer] = losses.get(update.optimizer, 0.0) + update.loss.detach()
-        self.processes.average_buffers(self.modules.values())
+        # Running statistics: each process saw its own share of the batch.
+        self.processes.average(x for net in self.modules.values() for x in net.buffers())
         self.guard.add(self.processes.average_scalars(losses))
         self.log.add(self.processes.average_scalars(logged))
         self.average.update()
         for schedule in self.schedules:
             schedule.step()
         self.seen += self.config.batch_size
-
-    def write_row(self) -> None:
-        self.log.row(self.seen)
 
     def look(self) -> None:
         """Let the course look at the averaged networks."""

@@ -13,7 +13,7 @@ from racines_data.store.frames import open_store
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
 from racines_envs.worlds.backends import open_source
 from racines_envs.worlds.making import check_datasets, make_core, trained_on
-from racines_models.exchange.onnx.export import export_generator
+from racines_models.exchange.onnx.generator import export_generator
 from racines_models.generators.mean_image import MeanImage
 from racines_models.generators.vae_gan import VaeGan, VaeGanConfig
 from racines_models.protocol import Run

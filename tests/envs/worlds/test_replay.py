@@ -46,7 +46,7 @@ def test_the_nearest_frame_is_the_generators_nearest_pose(store):
     frames = store.take(store.split_indices("test"))
     index, distance = replay.index.nearest(frames.parameters)
     generator = NearestPose()
-    generator.keys = generator.embed(replay.parameters)
+    generator.held["keys"] = generator.embed(replay.parameters)
     expected = generator.nearest(frames.parameters)
     assert torch.equal(index, expected[0])
     assert torch.allclose(distance, expected[1], atol=1e-7)

@@ -12,13 +12,12 @@ from onnx import TensorProto, helper, numpy_helper
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
 from racines_data.randomness import derive, normal, sample_seeds
-from racines_models.exchange.onnx.export import export_generator
 from racines_models.exchange.onnx.file import open_session
-from racines_models.exchange.onnx.generator import OnnxGenerator
+from racines_models.exchange.onnx.generator import OnnxGenerator, export_generator
 from racines_models.generators.mean_image import MeanImage
 from racines_models.generators.nearest_pose import NearestPose
 from racines_models.generators.vae_gan import VaeGan, VaeGanConfig
-from racines_models.networks.onnx_module import OnnxModule
+from racines_models.networks.painting import OnnxModule
 from racines_models.protocol import Run
 from racines_models.registry import open_generator
 from racines_models.training.objective import Training

@@ -15,9 +15,14 @@ from PIL import Image
 from racines_data.errors import RacinesError
 from racines_data.records import encode_png
 from racines_data.schema import PARAMETERS
-from racines_models.exchange.predictions import reader as predictions_reader
-from racines_models.exchange.predictions.file import Task, write_poses, write_predictions
-from racines_models.exchange.predictions.reader import Predictions, decode_gray
+from racines_models.exchange.predictions import file as predictions_file
+from racines_models.exchange.predictions.file import (
+    Predictions,
+    Task,
+    decode_gray,
+    write_poses,
+    write_predictions,
+)
 from racines_models.registry import open_generator
 from racines_models.sample import draw, take_sample
 from tests.models.labelled import LabelledStore
@@ -172,7 +177,7 @@ def test_what_is_no_predictions_file_is_refused(task, written, edited, tmp_path,
     damaged[2000:60000] = bytes(58000)
     path.write_bytes(damaged)
     assert "damaged behind row 0" in refusal(path, task) or "row 0" in refusal(path, task)
-    monkeypatch.setattr("racines_models.exchange.predictions.reader.MAX_BYTES", 1000)
+    monkeypatch.setattr("racines_models.exchange.predictions.file.MAX_BYTES", 1000)
     assert "at most 1,000 are read" in refusal(written, task)
 
 
@@ -303,7 +308,7 @@ def test_a_file_that_unpacks_to_too_much_is_refused(task, edited, monkeypatch):
     values = [bytes([i]) + bytes(10**5) for i in range(2 * COUNT)]
     path = edited(_column("image", lambda t: pa.array(values, pa.binary())))
     assert path.stat().st_size < 10**6
-    monkeypatch.setattr("racines_models.exchange.predictions.reader.MAX_BYTES", 10**6)
+    monkeypatch.setattr("racines_models.exchange.predictions.file.MAX_BYTES", 10**6)
     assert "bytes unpacked: at most" in refusal(path, task)
 
 
@@ -331,8 +336,8 @@ def test_memory_is_bounded_by_one_seed(task, tmp_path, monkeypatch):
     predictions = Predictions(path, task.store)
     sizes = []
     monkeypatch.setattr(
-        "racines_models.exchange.predictions.reader._png_of",
-        lambda column, made=predictions_reader._png_of: sizes.append(len(column)) or made(column),
+        "racines_models.exchange.predictions.file._png_of",
+        lambda column, made=predictions_file._png_of: sizes.append(len(column)) or made(column),
     )
     predictions.draw_frames(task.sample.frames, 3)
     assert max(sizes) <= 64 and sum(sizes) == 9 * COUNT

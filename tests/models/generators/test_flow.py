@@ -8,7 +8,7 @@ from torch import nn
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
-from racines_models.exchange.onnx.export import export_generator
+from racines_models.exchange.onnx.generator import export_generator
 from racines_models.generators.flow import Flow, FlowConfig, follow
 from racines_models.networks.unet import GRID, SPREAD, Place, scales
 from racines_models.protocol import Run

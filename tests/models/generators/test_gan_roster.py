@@ -5,8 +5,7 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_models.generators.attention_cgan import AttentionCgan, AttentionCganConfig
-from racines_models.generators.cgan import Cgan, CganConfig
-from racines_models.generators.gan import GanConfig
+from racines_models.generators.cgan import Cgan, CganConfig, GanConfig
 from racines_models.generators.residual_cgan import ResidualCgan, ResidualCganConfig
 from racines_models.generators.stylegan import StyleGan, StyleGanConfig
 from racines_models.generators.vae_gan import VaeGan, VaeGanConfig

@@ -7,7 +7,7 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
-from racines_models.exchange.onnx.export import export_generator
+from racines_models.exchange.onnx.generator import export_generator
 from racines_models.generators.scene_field import SceneField, SceneFieldConfig
 from racines_models.networks.scene_field.echo import similarity
 from racines_models.networks.scene_field.field import VoxelField, lay_out

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from racines_data.errors import RacinesError
-from racines_models.networks.conditioning import Conditioning
+from racines_models.networks.layers import Conditioning
 from tests.models.conftest import random_parameters
 
 

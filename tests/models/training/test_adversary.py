@@ -14,7 +14,7 @@ from racines_data.errors import RacinesError
 from racines_models.generators.cgan import Cgan, CganConfig
 from racines_models.generators.residual_cgan import ResidualCganConfig
 from racines_models.generators.stylegan import StyleGanConfig
-from racines_models.networks.discriminator import JOININGS, Discriminator
+from racines_models.networks.pyramid import JOININGS, Discriminator
 from racines_models.protocol import Run
 from racines_models.training.adversary import CHANGES, Adversary, augment, gradient_square
 from racines_models.training.objective import Training

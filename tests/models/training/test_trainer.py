@@ -14,9 +14,8 @@ from racines_data.errors import RacinesError
 from racines_models.generators.base import BaseGenerator
 from racines_models.protocol import Run
 from racines_models.training.checkpoint import Checkpoint
-from racines_models.training.course import Feed, rate_factor
 from racines_models.training.log import Guard
-from racines_models.training.objective import Training, Update
+from racines_models.training.objective import Feed, Training, Update, rate_factor
 from racines_models.training.trainer import Average, resolve_precision, train
 
 

@@ -18,8 +18,7 @@ from racines_models.generators.flow import Flow, FlowConfig
 from racines_models.generators.vae_gan import VaeGan
 from racines_models.networks.layers import frozen
 from racines_models.protocol import Run
-from racines_models.training.course import Feed
-from racines_models.training.objective import Training, Update
+from racines_models.training.objective import Feed, Training, Update
 from racines_models.training.processes import in_processes
 from tests.conftest import ROOT
 from tests.models.conftest import FakeStore

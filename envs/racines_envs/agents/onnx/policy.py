@@ -24,9 +24,8 @@ from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import PARAMS_SIZE
 from racines_models.exchange.naming import check_name
 from racines_models.exchange.onnx import file
-from racines_models.exchange.onnx.export import EXAMPLES, write_onnx
 from racines_models.exchange.onnx.file import open_session
-from racines_models.exchange.onnx.generator import Opener
+from racines_models.exchange.onnx.generator import EXAMPLES, Opener, write_onnx
 from racines_models.provenance import code_version, sha256_bytes
 from racines_models.weights import read_described
 

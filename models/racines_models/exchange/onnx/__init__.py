@@ -1,4 +1,4 @@
-"""Generators as ONNX files: `export` writes one, `generator` draws with one, `file` checks any."""
+"""Generators as ONNX files: `generator` writes one and draws with one, `file` checks any."""
 
 import lazy_loader
 

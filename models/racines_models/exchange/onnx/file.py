@@ -18,7 +18,6 @@ OLDEST = 11
 """Oldest operator set that is run."""
 DOMAINS = ("", "ai.onnx", "ai.onnx.ml")
 """Operators of the standard; others would need code that the file does not hold."""
-
 MAX_TEXT = 100_000
 """Most characters of one metadata value."""
 TENSORS = ("TensorProto", "SparseTensorProto")

@@ -1,1 +1,1 @@
-"""Images drawn elsewhere, in a Parquet file: `file` serves them, `reader` checks every row."""
+"""Images drawn elsewhere, in a Parquet file: `file` checks every row and serves them."""

@@ -26,8 +26,7 @@ from racines_models.protocol import Run
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.training.augmentation import augment
 from racines_models.training.checkpoint import discard_checkpoint
-from racines_models.training.course import Course
-from racines_models.training.objective import Training, Update
+from racines_models.training.objective import Course, Training, Update
 from racines_models.training.trainer import train
 
 ORDER, NOISE = 21, 22

@@ -33,7 +33,6 @@ class ProbeGeometry:
     """Rotation of the image in that frame (rotation vector), rad."""
 
     def __post_init__(self) -> None:
-        """Refuse grids that show nothing."""
         if self.kind not in ("sector", "plane"):
             raise RacinesError(f"scene-field.probe.kind: {self.kind!r}: use sector or plane")
         if min(self.beams, self.samples) < 8 or self.beams % 2 or self.samples % 2:
