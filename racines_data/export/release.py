@@ -29,8 +29,16 @@ from racines_data.manifest import check_split, read_manifest, rebuild_hint
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS
-from racines_data.sources.release.log import CONTROL, POSE, TIME, WIDTH, WRENCH, format_log
-from racines_data.sources.release.tree import FULL, natural
+from racines_data.sources.release.layout import (
+    CONTROL,
+    FULL,
+    POSE,
+    TIME,
+    WIDTH,
+    WRENCH,
+    format_log,
+    natural,
+)
 from racines_data.store.sweeps import Sweep, read_sweeps
 from racines_data.views import RANDOM
 

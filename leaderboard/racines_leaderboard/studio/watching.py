@@ -22,8 +22,7 @@ from racines_envs.explain.scores import blur
 from racines_envs.task.tasks import TASKS
 from racines_leaderboard.studio import inputs
 from racines_leaderboard.studio.driving import FIXED, FIXED_STARTS, core_and_grader, reset_seed
-from racines_leaderboard.studio.parts import Shared, trained_runs
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place, Shared, trained_runs
 from racines_leaderboard.studio.scene import Curve, Scene, Snapshot, judged, snapshot, take_scene
 
 UNTRAINED = ("planner", "random", "hill-climber")
