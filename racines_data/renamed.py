@@ -89,7 +89,9 @@ MOVED = {
         "commands=board expert.cli=expert"
     ),
     "racines_leaderboard.expert": "expert.figures=agreement expert.instructions=kit",
-    "racines_leaderboard.records": "expert.board=experts expert.names=experts schema seal tracks",
+    "racines_leaderboard.records": (
+        "expert.board=experts expert.names=experts records.seal=schema schema seal=schema tracks"
+    ),
     "racines_leaderboard.studio": (
         "studio.boards_html=boards studio.browsing_html=browsing "
         "studio.compare=side_by_side studio.escape=html studio.compare_page=side_by_side "

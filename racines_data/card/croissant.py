@@ -318,8 +318,7 @@ def datasheet(manifest: Mapping[str, Any]) -> str:
         name.removeprefix("rai:"): text if isinstance(text, str) else " ".join(text)
         for name, text in rai_fields(manifest).items()
     }
-    told |= {**manifest["report"], "instances": instances}
-    told |= {"rights": manifest_card(manifest).rights}
+    told |= {**manifest["report"], "instances": instances, "rights": manifest_card(manifest).rights}
     told |= {"tag": manifest.get("tag", manifest["version"])}
     return "\n\n".join(
         f"### {title}\n\n"

@@ -95,21 +95,17 @@ def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:
     configs, infos = [], []
     for name, paths in manifest["configs"].items():
         files = [{"split": split, "path": list(paths[split])} for split in paths]
-        config: dict[str, Any] = {"config_name": name, "data_files": files}
-        if name == "frames":
-            config["default"] = True
-        configs.append(
-            {**config, "version": manifest["version"], "description": describe(manifest, name)}
-        )
+        config = {"config_name": name, "data_files": files}
+        default = {"default": True} if name == "frames" else {}
+        about = {"version": manifest["version"], "description": describe(manifest, name)}
+        configs.append({**config, **default, **about})
         features = config_features(manifest, name)._to_yaml_list()
         infos.append({"config_name": name, "features": features})
     source, card, frames = manifest["source"], manifest_card(manifest), manifest["counts"]["frames"]
     heart, poses = manifest_labels(manifest) == LABELS, manifest.get("poses", True)
     organ = ["echocardiography"] * (card.labelled and heart)
-    tasks = ["image-classification"] * card.labelled + [
-        "reinforcement-learning",
-        "robotics",
-    ] * poses
+    tasks = ["image-classification"] * card.labelled
+    tasks += ["reinforcement-learning", "robotics"] * poses
     return {
         "pretty_name": f"RACINES ({source} {manifest['version']})",
         "license": card.license,

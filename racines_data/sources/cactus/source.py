@@ -8,7 +8,7 @@ trajectories: neighbours stay in one split but for those on both sides of a cut.
 import hashlib
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import count
@@ -150,13 +150,12 @@ class _Table:
             detail = f"{self.name} has no row of it; its grade is that of its name"
             report.flag(Kind.MISSING_ROW, path, detail)
         grade, told = next(iter(said.values()), None), ", ".join(said)
-        lowest, highest = (0, 0) if self.view == RANDOM else (1, 10)
+        lowest, highest, right = (0, 0, "0") if self.view == RANDOM else (1, 10, "1-10")
         if len(set(said.values())) > 1:
             grade = None
             report.flag(Kind.GRADE_CONFLICT, path, f"{told}; it is kept without a grade", "Grade")
         elif said and (grade is None or not lowest <= grade <= highest):
             grade = None
-            right = "0" if self.view == RANDOM else "1-10"
             detail = f"{told}, where {self.view} has {right}; it is kept without a grade"
             report.flag(Kind.WRONG_GRADE, path, detail, "Grade")
         return Picture(report.place(path), self.view, subfolder, grade)
@@ -278,7 +277,7 @@ class CactusSource(FolderSource):
                 detail = f"{resolution(size)}, most are {resolution(usual)}; cropped by itself"
                 report.flag(Kind.MIXED_SIZES, of[0].file, detail, frames=len(of))
         boxes = tuple((size, self._box(size, of)) for size, of in sorted(sizes.items()))
-        return self._units(kept, boxes)
+        return list(self._units(kept, boxes))
 
     def produce(self, unit: Unit) -> Trajectory:
         """Read a run: cropped 128×128 gray images, views and grades; no poses, no times."""
@@ -321,18 +320,15 @@ class CactusSource(FolderSource):
 
     def _units(
         self, kept: Sequence[Picture], boxes: tuple[tuple[Size, Box], ...]
-    ) -> list[CactusUnit]:
+    ) -> Iterator[CactusUnit]:
         folders: dict[tuple[str, str], list[Picture]] = defaultdict(list)
         for picture in kept:
             folders[picture.view, picture.subfolder].append(picture)
-        units, numbers = [], defaultdict(count)
+        numbers = defaultdict(count)
         for (view, _), pictures in folders.items():
             for run in runs(pictures, self.config.run):
                 name = f"{view.lower()}-{next(numbers[view]):03d}"
-                units.append(
-                    CactusUnit(name, "cactus", view, len(run), self.root, tuple(run), boxes)
-                )
-        return units
+                yield CactusUnit(name, "cactus", view, len(run), self.root, tuple(run), boxes)
 
 
 def _fixed_box(text: str) -> Box:

@@ -25,19 +25,8 @@ from racines_data.schema import Trajectory
 from racines_data.sources.base import SourceCard, Unit
 from racines_data.sources.folder import UNITS, FolderSource, Report, parameters_of, recorded
 from racines_data.sources.images import Fault, Kind, check_png, read_gray, resolution, square
-from racines_data.sources.release.layout import (
-    CONTROL,
-    FIELDS,
-    POSE,
-    TIME,
-    WIDTH,
-    WRENCH,
-    Pair,
-    SweepFolder,
-    find_recordings,
-    pair_files,
-    parse_log,
-)
+from racines_data.sources.release import layout
+from racines_data.sources.release.layout import FIELDS, Pair, SweepFolder
 from racines_data.views import RANDOM, VIEWS
 
 _CHUNK = 64
@@ -102,7 +91,7 @@ def _read(frames: list[_Frame]) -> list[_Frame]:
             image = frame.image.read_bytes()
             frame.size = check_png(image)
             log = frame.log.read_bytes()
-            frame.numbers = parse_log(log.decode("utf-8", "replace"))
+            frame.numbers = layout.parse_log(log.decode("utf-8", "replace"))
         except Fault as error:
             frame.fault = error
         except OSError as error:
@@ -122,7 +111,7 @@ class Surveyor:
 
     def survey(self, folder: SweepFolder) -> FolderSurvey:
         """Read every file of a recording once."""
-        pairs = pair_files(folder, self.report)
+        pairs = layout.pair_files(folder, self.report)
         frames = [_Frame(p, folder.images / p.image, folder.logs / p.log) for p in pairs]
         digest = hashlib.sha256(self.report.place(folder.images).encode())
         chunks = [frames[start : start + _CHUNK] for start in range(0, len(frames), _CHUNK)]
@@ -162,7 +151,7 @@ class Surveyor:
 
     def _in_time(self, folder: SweepFolder, frames: Sequence[_Frame]) -> list[_Frame]:
         """Keep the frames in whose order the clock runs on; flag where it may stand still."""
-        times = _rows(frames)[:, TIME]
+        times = _rows(frames)[:, layout.TIME]
         lost = backward(times.tolist(), self.config.allow_repeats)
         for index in lost:
             detail = f"{times[index]:.6f} s does not go on from its neighbours' times"
@@ -177,7 +166,7 @@ class Surveyor:
 
 def _rows(frames: Sequence[_Frame]) -> np.ndarray:
     """Return (T, 29) float64."""
-    return np.array([frame.numbers for frame in frames], float).reshape(-1, WIDTH)
+    return np.array([frame.numbers for frame in frames], float).reshape(-1, layout.WIDTH)
 
 
 def check_numbers(rows: np.ndarray, config: ReleaseConfig) -> list[Fault | None]:
@@ -186,7 +175,7 @@ def check_numbers(rows: np.ndarray, config: ReleaseConfig) -> list[Fault | None]
     for index in np.flatnonzero(~np.isfinite(rows).all(1)):
         faults[index] = _not_finite(rows[index], config.allow_absent)
     good = np.flatnonzero([fault is None for fault in faults])
-    matrices = rows[good, POSE].reshape(-1, 4, 4)
+    matrices = rows[good, layout.POSE].reshape(-1, 4, 4)
     rotation = matrices[:, :3, :3]
     error = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max((1, 2), initial=0)
     reflected = np.linalg.det(rotation) < 0
@@ -205,10 +194,11 @@ def check_numbers(rows: np.ndarray, config: ReleaseConfig) -> list[Fault | None]
 
 
 def _not_finite(row: np.ndarray, allow_absent: bool) -> Fault | None:
-    for name, part in zip(FIELDS, (slice(TIME, 1), WRENCH, POSE, CONTROL), strict=True):
+    parts = slice(layout.TIME, 1), layout.WRENCH, layout.POSE, layout.CONTROL
+    for name, part in zip(FIELDS, parts, strict=True):
         values = row[part]
         nan, wrong = np.isnan(values), int((~np.isfinite(values)).sum())
-        absent = allow_absent and part in (WRENCH, CONTROL) and nan.all()
+        absent = allow_absent and part in (layout.WRENCH, layout.CONTROL) and nan.all()
         if wrong and not absent:
             kind = Kind.NAN if nan.any() else Kind.INFINITE
             return Fault(kind, f"{wrong} of {len(values)} numbers are not finite", name)
@@ -304,7 +294,7 @@ class ReleaseSource(FolderSource):
             RacinesError: the folder is not a release, or its positions have another unit.
         """
         self.report = report = Report(self.root)
-        folders = find_recordings(self.config.views, report)
+        folders = layout.find_recordings(self.config.views, report)
         with ThreadPoolExecutor(_THREADS) as pool, progress_bar(self.progress) as bar:
             surveyor = Surveyor(self.config, report, pool)
             steps = bar.track(folders, description="checking folders")
@@ -313,13 +303,12 @@ class ReleaseSource(FolderSource):
         found = [survey for survey in surveys if survey.pairs]
         if not found:
             self._check_units()
+        units = []
         for folder, pairs, size, _ in found:
             first, usual = found[0].folder.images, found[0].size
             if size != usual:
                 detail = f"{resolution(size)} here, {resolution(usual)} in {report.place(first)}"
                 report.flag(Kind.MIXED_SIZES, folder.images, detail, frames=len(pairs))
-        units = []
-        for folder, pairs, _, _ in found:
             names = folder.id, folder.session, folder.target_view
             units.append(ReleaseUnit(*names, len(pairs), folder, tuple(pairs)))
         return units
@@ -327,15 +316,16 @@ class ReleaseSource(FolderSource):
     def produce(self, unit: Unit) -> Trajectory:
         """Read a trajectory: 128×128 gray images, poses in metres and radians, N and N·m."""
         assert isinstance(unit, ReleaseUnit)
-        rows = np.array([parse_log(_read_text(unit.folder.logs / pair.log)) for pair in unit.pairs])
+        logs = (_read_text(unit.folder.logs / pair.log) for pair in unit.pairs)
+        rows = np.array([layout.parse_log(log) for log in logs])
         label = self.labels.index(unit.target_view) if self.config.label_views else -1
-        poses, metres = rows[:, POSE].reshape(-1, 4, 4), UNITS[self.config.unit]
+        poses, metres = rows[:, layout.POSE].reshape(-1, 4, 4), UNITS[self.config.unit]
         return recorded(
             unit,
             [square(read_gray(unit.folder.images / pair.image)) for pair in unit.pairs],
-            parameters=parameters_of(poses, rows[:, WRENCH], metres),
-            timestamps=rows[:, TIME].copy(),
-            controls=rows[:, CONTROL].astype(np.float32),
+            parameters=parameters_of(poses, rows[:, layout.WRENCH], metres),
+            timestamps=rows[:, layout.TIME].copy(),
+            controls=rows[:, layout.CONTROL].astype(np.float32),
             views=np.full(len(rows), label, np.int64),
         )
 

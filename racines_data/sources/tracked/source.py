@@ -70,8 +70,7 @@ def read_header(path: Path) -> Recording:
     by_frame: dict[int, dict[str, str]] = {}
     with path.open("rb") as file:
         for line in iter(file.readline, b""):
-            key, equals, value = line.decode("latin-1").partition("=")
-            key, value = key.strip(), value.strip()
+            key, equals, value = map(str.strip, line.decode("latin-1").partition("="))
             if not equals or (not fields and key != "ObjectType"):
                 break
             match = _FRAME.fullmatch(key)
@@ -255,13 +254,12 @@ class TrackedSource:
                 frames = len(recording.frames)
                 kept = self._check(recording)
             except RacinesError as error:
-                self._refuse(path, "", str(error), frames)
+                self.report.append(Finding(path.name, "", True, str(error), frames))
                 continue
             segments = np.array_split(np.array(kept, int), min(self.config.segments, len(kept)))
             for number, indices in enumerate(segments):
-                name, members = f"{_stem(path)}-{number:02d}", tuple(indices.tolist())
-                unit = TrackedUnit(name, _stem(path), RANDOM, len(members), path, members)
-                units.append(unit)
+                names = f"{_stem(path)}-{number:02d}", _stem(path), RANDOM
+                units.append(TrackedUnit(*names, len(indices), path, tuple(indices.tolist())))
         return units
 
     def produce(self, unit: Unit) -> Trajectory:
@@ -280,9 +278,6 @@ class TrackedSource:
         times = np.array([float(each["Timestamp"]) for each in fields])
         return recorded(unit, images, parameters=parameters_of(matrices), timestamps=times)
 
-    def _refuse(self, path: Path, item: str, reason: str, frames: int = 1) -> None:
-        self.report.append(Finding(path.name, item, True, reason, frames))
-
     def _check(self, recording: Recording) -> list[int]:
         """Return the frames to keep and report the others; refuse a file that is unusable."""
         upright(np.zeros((1, 1), np.uint8), self.config.orientation or recording.orientation)
@@ -295,12 +290,11 @@ class TrackedSource:
         kept: list[int] = []
         previous = -np.inf
         for index, fields in enumerate(recording.frames):
-            reason = self._wrong(fields, previous)
-            if reason:
-                self._refuse(recording.path, f"frame {index}", reason)
-                continue
-            previous = float(fields["Timestamp"])
-            kept.append(index)
+            if reason := self._wrong(fields, previous):
+                self.report.append(Finding(recording.path.name, f"frame {index}", True, reason))
+            else:
+                previous = float(fields["Timestamp"])
+                kept.append(index)
         if kept:
             self._check_unit(np.stack([self._matrix(recording.frames[i]) for i in kept]))
         self._flag_tools(recording)
