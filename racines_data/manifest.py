@@ -76,7 +76,7 @@ def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:
     the content of the files: without it a rebuilt dataset would be served stale. So it does the
     grader's hash, where one has annotated the frames.
     """
-    from racines_data.sources.card import manifest_card
+    from racines_data.sources.base import manifest_card
 
     origin = manifest_card(manifest).origin
     annotation = manifest.get("annotation") if config in ("frames", "sessions") else None

@@ -18,8 +18,8 @@ MOVED = {
         "card_frames=frames card_paths=plots card.paths=plots card_pictures=pictures "
         "card_plots=plots card_realism=realism card_rewrite=rewrite card_samples=pictures "
         "card.samples=pictures card_sections=markdown card.sections=markdown "
-        "card_statistics=frames card.statistics=frames card_tables=tables croissant "
-        "croissant_rai=croissant card.croissant_rai=croissant datasheet"
+        "card_statistics=frames card.statistics=frames card_tables=frames croissant "
+        "croissant_rai=croissant card.croissant_rai=croissant datasheet=croissant"
     ),
     "racines_data.cli": (
         "cli_card=dataset cli_export=dataset cli_hub=dataset cli_import=build cli_phantom=dataset"
@@ -28,14 +28,14 @@ MOVED = {
     "racines_data.hub": "push",
     "racines_data.sources": (
         "sources.multi_phantom=phantom sources.crop=cactus.source "
-        "sources.release.kinds=folder sources.release_kinds=folder"
+        "sources.release.kinds=folder sources.release_kinds=folder sources.card=base"
     ),
-    "racines_data.sources.cactus": "sources.cactus_files=files",
+    "racines_data.sources.cactus": "sources.cactus_files=source",
     "racines_data.sources.release": (
-        "sources.release_checks=survey sources.release.checks=survey sources.release_log=log "
-        "sources.release_survey=survey sources.release_tree=tree"
+        "sources.release_checks=source sources.release.checks=source sources.release_log=layout "
+        "sources.release_survey=source sources.release_tree=layout"
     ),
-    "racines_data.sources.tracked": "sources.mha=mha",
+    "racines_data.sources.tracked": "sources.mha=source",
     "racines_data.store": (
         "batch_memory=frames export.sweeps=sweeps loader=frames restore=sweeps store_writer=sweeps"
     ),
@@ -89,11 +89,13 @@ MOVED = {
         "commands=board expert.cli=expert"
     ),
     "racines_leaderboard.expert": "expert.figures=agreement expert.instructions=kit",
-    "racines_leaderboard.records": "expert.board=experts expert.names=experts schema seal tracks",
+    "racines_leaderboard.records": (
+        "expert.board=experts expert.names=experts records.seal=schema schema seal=schema tracks"
+    ),
     "racines_leaderboard.studio": (
         "studio.boards_html=boards studio.browsing_html=browsing "
         "studio.compare=side_by_side studio.escape=html studio.compare_page=side_by_side "
-        "studio.labelling_html=labelling studio.scene_page=scene "
+        "studio.labelling_html=labelling studio.place=parts studio.scene_page=scene "
         "studio.sweep_figures=browsing studio.watch_page=watching"
     ),
     "racines_leaderboard.submissions": (

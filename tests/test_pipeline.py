@@ -299,7 +299,7 @@ TOUCHED = [
     "racines_envs.recordings.rerun",
     "racines_envs.studies.curves",
     "racines_leaderboard.board.rank",
-    "racines_leaderboard.records.seal",
+    "racines_leaderboard.records.schema",
     "racines_leaderboard.submissions.intake",
     "racines_leaderboard.expert.agreement",
     "racines_leaderboard.audit.claims",

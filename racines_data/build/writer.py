@@ -29,8 +29,7 @@ from racines_data.files import sha256_file, write_once
 from racines_data.manifest import CARD, MANIFEST, MULTI_PHANTOM, store_name
 from racines_data.progress import progress_bar
 from racines_data.schema import PARAMETERS, SPLITS, trajectory_features
-from racines_data.sources.base import Finding, Source, Unit, has_poses, labels_of_source
-from racines_data.sources.card import own_card
+from racines_data.sources.base import Finding, Source, Unit, has_poses, labels_of_source, own_card
 from racines_data.store.sweeps import write_store
 
 REPORT = "import_report.parquet"

@@ -5,13 +5,11 @@ from typing import Any
 
 import yaml
 
-from racines_data.card import tables
-from racines_data.card.croissant import config_features, rai_fields
-from racines_data.card.datasheet import datasheet
-from racines_data.card.frames import has_paper
+from racines_data.card import frames
+from racines_data.card.croissant import config_features, datasheet, rai_fields
 from racines_data.card.realism import realism_section
 from racines_data.manifest import MULTI_PHANTOM, describe, manifest_labels
-from racines_data.sources.card import manifest_card
+from racines_data.sources.base import manifest_card
 from racines_data.tables import Markdown, code, markdown_table
 from racines_data.views import LABELS
 
@@ -66,10 +64,10 @@ def write_card(manifest: Mapping[str, Any]) -> str:
         _picture(manifest, "samples"),
         "## What a row is",
         f"One frame. Robot base frame, SI units; views are {views}, and `Random` for none of them.",
-        tables.columns_table(),
+        frames.columns_table(),
         "## Configs and splits",
         "\n".join(_configs(manifest)),
-        tables.splits_table(manifest),
+        frames.splits_table(manifest),
         _picture(manifest, "hearts"),
         "## Load",
         _LOADING.format(tag=manifest.get("tag", version), version=version, hearts=hearts),
@@ -97,21 +95,17 @@ def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:
     configs, infos = [], []
     for name, paths in manifest["configs"].items():
         files = [{"split": split, "path": list(paths[split])} for split in paths]
-        config: dict[str, Any] = {"config_name": name, "data_files": files}
-        if name == "frames":
-            config["default"] = True
-        configs.append(
-            {**config, "version": manifest["version"], "description": describe(manifest, name)}
-        )
+        config = {"config_name": name, "data_files": files}
+        default = {"default": True} if name == "frames" else {}
+        about = {"version": manifest["version"], "description": describe(manifest, name)}
+        configs.append({**config, **default, **about})
         features = config_features(manifest, name)._to_yaml_list()
         infos.append({"config_name": name, "features": features})
     source, card, frames = manifest["source"], manifest_card(manifest), manifest["counts"]["frames"]
     heart, poses = manifest_labels(manifest) == LABELS, manifest.get("poses", True)
     organ = ["echocardiography"] * (card.labelled and heart)
-    tasks = ["image-classification"] * card.labelled + [
-        "reinforcement-learning",
-        "robotics",
-    ] * poses
+    tasks = ["image-classification"] * card.labelled
+    tasks += ["reinforcement-learning", "robotics"] * poses
     return {
         "pretty_name": f"RACINES ({source} {manifest['version']})",
         "license": card.license,
@@ -165,10 +159,10 @@ def _statistics(manifest: Mapping[str, Any]) -> Iterator[str]:
     yield (
         "Each cell: this dataset / the paper (144,668 real frames). The paper's figures are as "
         "reported, on other data. rotation_x jumps between −π and +π, so its mean says little."
-        if has_paper(manifest)
+        if frames.has_paper(manifest)
         else "Of the frames in which the parameter was measured."
     )
-    yield tables.statistics_table(manifest)
+    yield frames.statistics_table(manifest)
     yield _picture(manifest, "parameters")
 
 
@@ -178,14 +172,14 @@ def _shares(manifest: Mapping[str, Any]) -> Iterator[str]:
     if not found or not any(sum(c.values()) - c["unknown"] for c in found["views"].values()):
         return
     note = "A frame that shows no standard view is `Random`, also on the way to one."
-    if has_paper(manifest):
+    if frames.has_paper(manifest):
         note += " CACTUS: shares of its 37,736 images of such a block, chosen by its authors."
     yield "## Classes and grades"
     yield note
-    yield tables.classes_table(manifest)
+    yield frames.classes_table(manifest)
     if _graded(manifest):
         yield "Rounded grades of the frames that show a view:"
-        yield tables.grades_table(manifest)
+        yield frames.grades_table(manifest)
     yield _picture(manifest, "shares")
 
 

@@ -160,15 +160,7 @@ def trajectories_figure(frames: Frames, manifest: dict[str, Any]) -> Figure:
 
 
 def _paths(figure: Figure, place: _Rectangle, frames: Frames, manifest: dict[str, Any]) -> None:
-    top = block_top(manifest)
-    axis = figure.add_axes(place, projection="3d")
-    assert isinstance(axis, Axes3D)
-    axis.set_proj_type("persp", focal_length=0.6)
-    axis.view_init(elev=28, azim=-58)
-    if top is not None:
-        corners = rectangle(*top)
-        face = Poly3DCollection([corners], facecolor="#d9c7a8", edgecolor="#8c7a5b", alpha=0.35)
-        axis.add_collection3d(face)
+    axis = block_axes(figure, place, manifest, 0.35)
     colours, used = view_colours(frames.labels), {}
     for index in evenly(len(frames.target_views), PATHS):
         rows = frames.rows_of(int(index))
@@ -190,19 +182,21 @@ def _paths(figure: Figure, place: _Rectangle, frames: Frames, manifest: dict[str
     axis.set_box_aspect((1.2, 1.0, 0.62), zoom=1.1)  # pyright: ignore[reportArgumentType]
 
 
-def rectangle(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return (4, 3) corners of a box's top face, mm."""
-    x, y, z = (low[0], high[0]), (low[1], high[1]), high[2]
-    return 1e3 * np.array([[x[i], y[j], z] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))])
-
-
-def block_top(manifest: dict[str, Any]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the block's corners, m, if the recipe is one of the phantom."""
+def block_axes(figure: Figure, place: _Rectangle, manifest: dict[str, Any], alpha: float) -> Axes3D:
+    """Return axes in mm, with the block's top face where the recipe is one of the phantom."""
+    axis = figure.add_axes(place, projection="3d")
+    assert isinstance(axis, Axes3D)
+    axis.set_proj_type("persp", focal_length=0.6)
+    axis.view_init(elev=28, azim=-58)
     settings = manifest.get("recipe", {}).get("settings", {})
     block = settings.get("acquisition", {}).get("phantom", {}).get("block")
-    if not block:
-        return None
-    return np.array(block["minimum"]), np.array(block["maximum"])
+    if block:
+        (left, near, _), (right, far, top) = block["minimum"], block["maximum"]
+        corners = ((left, near), (right, near), (right, far), (left, far))
+        face = 1e3 * np.array([[x, y, top] for x, y in corners])
+        look: dict[str, Any] = {"facecolor": "#d9c7a8", "edgecolor": "#8c7a5b", "alpha": alpha}
+        axis.add_collection3d(Poly3DCollection([face], **look))
+    return axis
 
 
 def _best_sweeps(frames: Frames) -> dict[str, int]:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from racines_data.card.tables import number
+from racines_data.card.frames import number
 from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM
 from racines_data.tables import markdown_table

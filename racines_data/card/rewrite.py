@@ -104,10 +104,7 @@ def _seal(beside: Path, manifest: dict[str, Any]) -> None:
     for path in beside.rglob("*"):
         name = path.relative_to(beside).as_posix()
         if path.is_file() and name != MANIFEST:
-            linked = name in known and name != CARD and not name.startswith(f"{FOLDER}/")
-            if linked:
-                files[name] = known[name]
-            else:
-                files[name] = {"sha256": sha256_file(path), "bytes": path.stat().st_size}
+            record = None if name == CARD or name.startswith(f"{FOLDER}/") else known.get(name)
+            files[name] = record or {"sha256": sha256_file(path), "bytes": path.stat().st_size}
     manifest["files"] = dict(sorted(files.items()))
     write_atomic(beside / MANIFEST, json.dumps(manifest, indent=1) + "\n")

@@ -143,9 +143,8 @@ def _write_metadata(
     data: Path, name: str, manifest: Mapping[str, Any], counts: Mapping[str, int]
 ) -> None:
     image = _box((1, IMAGE_SIZE, IMAGE_SIZE), 0, 255, "uint8")
-    params, action = (
-        _box((len(names),), -np.inf, np.inf, "float32") for names in (PARAMETERS, CONTROLS)
-    )
+    params = _box((len(PARAMETERS),), -np.inf, np.inf, "float32")
+    action = _box((len(CONTROLS),), -np.inf, np.inf, "float32")
     spaces = {"type": "Dict", "subspaces": {"image": image, "params": params}}
     size = sum(path.stat().st_size for path in data.rglob("*") if path.is_file())
     metadata = {

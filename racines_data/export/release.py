@@ -12,8 +12,8 @@ import hashlib
 import os
 import shutil
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,16 +22,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 
-from racines_data.digest import check_files
+from racines_data.digest import checked_shards
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
-from racines_data.manifest import check_split, read_manifest, rebuild_hint
+from racines_data.manifest import read_manifest
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS
-from racines_data.sources.release.log import CONTROL, POSE, TIME, WIDTH, WRENCH, format_log
-from racines_data.sources.release.tree import FULL, natural
-from racines_data.store.sweeps import Sweep, read_sweeps
+from racines_data.sources.release import layout
+from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 from racines_data.views import RANDOM
 
 _KNOWN_FOLDERS = 3
@@ -62,7 +61,8 @@ def export(
     if out.exists():
         raise RacinesError(f"{out}: exists; name a new folder or remove it")
     manifest = read_manifest(root)
-    places, sessions = _plan(_shards(root, manifest, split), limit)
+    shards = chain.from_iterable(checked_shards(root, manifest, "frames", split).values())
+    places, sessions = _plan([root / name for name in shards], limit)
     key = hashlib.sha256(f"{manifest['digest']}/{split}/{limit}".encode()).hexdigest()[:16]
     staging = out.parent / f".{out.name}.{key}.part"
     staging.mkdir(parents=True, exist_ok=True)
@@ -84,16 +84,6 @@ def export(
     }
 
 
-def _shards(root: Path, manifest: Mapping[str, Any], split: str | None) -> list[Path]:
-    """Return the shards to read, in order, their digests checked."""
-    paths = manifest["configs"]["frames"]
-    if split is not None and check_split(split) not in paths:
-        raise RacinesError(f"{root}: split {split!r} is empty: too few trajectories")
-    names = [name for part in paths if split in (None, part) for name in paths[part]]
-    check_files(root, {name: manifest["files"][name] for name in names}, rebuild_hint(manifest))
-    return [root / name for name in names]
-
-
 def _plan(shards: Sequence[Path], limit: int | None) -> tuple[dict[str, _Place], dict[str, str]]:
     """Say what goes where: the place of each trajectory id, and the folder of each session."""
     columns = ["session", "target_view", "trajectory"]
@@ -102,14 +92,14 @@ def _plan(shards: Sequence[Path], limit: int | None) -> tuple[dict[str, _Place],
     counts = Counter(zip(*(rows[name] for name in columns), strict=True))
     if not counts:
         raise RacinesError(f"limit {limit}: nothing to export; give one frame or more")
-    sessions = sorted({session for session, _, _ in counts}, key=natural)
+    sessions = sorted({session for session, _, _ in counts}, key=layout.natural)
     folders = {name: f"Folder {number}" for number, name in enumerate(sessions, start=1)}
     members: dict[tuple[str, str], list[str]] = defaultdict(list)
-    for session, view, trajectory in sorted(counts, key=lambda row: natural(row[2])):
+    for session, view, trajectory in sorted(counts, key=lambda row: layout.natural(row[2])):
         members[session, view].append(trajectory)
     places = {}
     for (session, view, trajectory), frames in counts.items():
-        folder = f"{folders[session]}/{FULL if view == RANDOM else view}"
+        folder = f"{folders[session]}/{layout.FULL if view == RANDOM else view}"
         others = members[session, view]
         suffix = f"_{others.index(trajectory) + 1}" if len(others) > 1 else ""
         places[trajectory] = _Place(frames, folder, suffix)
@@ -123,23 +113,13 @@ def _write_sweep(staging: Path, place: _Place, sweep: Sweep) -> None:
         return
     numbers, rows = sweep.table["frame"].to_pylist(), _log_rows(sweep.table)
     # The images come last: where they are, the trajectory is whole.
-    with _folder(logs) as aside:
+    shutil.rmtree(logs, ignore_errors=True)
+    with new_folder(logs) as aside:
         for number, row in zip(numbers, rows, strict=True):
-            (aside / f"PA_{number}.txt").write_text(format_log(row))
-    with _folder(images) as aside:
+            (aside / f"PA_{number}.txt").write_text(layout.format_log(row))
+    with new_folder(images) as aside:
         for number, png in zip(numbers, sweep.pngs(), strict=True):
             (aside / f"img{number}.png").write_bytes(png)
-
-
-@contextmanager
-def _folder(path: Path) -> Iterator[Path]:
-    """Fill a folder under another name, then give it its own."""
-    aside = path.with_name(f".{path.name}")
-    for left in (aside, path):
-        shutil.rmtree(left, ignore_errors=True)
-    aside.mkdir(parents=True)
-    yield aside
-    os.replace(aside, path)
 
 
 def _log_rows(table: pa.Table) -> np.ndarray:
@@ -151,9 +131,9 @@ def _log_rows(table: pa.Table) -> np.ndarray:
     pose = parameters_to_pose(torch.from_numpy(parameters))
     matrices = np.tile(np.eye(4), (len(table), 1, 1))
     matrices[:, :3, :3], matrices[:, :3, 3] = pose.rotation.numpy(), pose.position.numpy()
-    rows = np.empty((len(table), WIDTH))
-    rows[:, TIME] = table["timestamp"].to_numpy()
-    rows[:, WRENCH] = parameters[:, :6]
-    rows[:, POSE] = matrices.reshape(len(table), 16)
-    rows[:, CONTROL] = float_columns(table, CONTROLS)
+    rows = np.empty((len(table), layout.WIDTH))
+    rows[:, layout.TIME] = table["timestamp"].to_numpy()
+    rows[:, layout.WRENCH] = parameters[:, :6]
+    rows[:, layout.POSE] = matrices.reshape(len(table), 16)
+    rows[:, layout.CONTROL] = float_columns(table, CONTROLS)
     return rows

@@ -64,7 +64,7 @@ def _find_tag(client: "HfApi", repo_id: str, version: str | None) -> str:
     names = [ref.name for ref in client.list_repo_refs(repo_id, repo_type=KIND).tags]
     versions = {name: match["version"] for name in names if (match := _TAG.match(name))}
     if version is None:
-        version = max(versions.values(), key=_numbers, default=None)
+        version = max(versions.values(), key=lambda v: [*map(int, v.split("."))], default=None)
     found = [name for name in versions if versions[name] == version]
     if len(found) == 1:
         return found[0]
@@ -74,10 +74,6 @@ def _find_tag(client: "HfApi", repo_id: str, version: str | None) -> str:
     raise RacinesError(
         f"{repo_id}: version {version} of several sources; name one of the tags {known}"
     )
-
-
-def _numbers(version: str) -> list[int]:
-    return [int(part) for part in version.split(".")]
 
 
 @contextmanager

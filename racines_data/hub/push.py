@@ -75,12 +75,9 @@ def plan_push(
         raise RacinesError(f"{repo_id}: not a repository's name ({error})") from error
     manifest = read_manifest(root)
     check_files(root, manifest["files"], rebuild_hint(manifest))
-    sent, left = {}, {}
-    for name, record in manifest["files"].items():
-        if with_store or not name.startswith(STORE_FOLDER):
-            sent[name] = dict(record)
-        else:
-            left[name] = record["bytes"]
+    files, kept = manifest["files"], () if with_store else (STORE_FOLDER,)
+    left = {name: record["bytes"] for name, record in files.items() if name.startswith(kept)}
+    sent = {name: dict(record) for name, record in files.items() if name not in left}
     sent[MANIFEST] = {"bytes": (root / MANIFEST).stat().st_size}
     default = f"{manifest['source']}-v{manifest['version']}"  # of a dataset built before tags
     chosen = tag or manifest.get("tag", default)
@@ -161,7 +158,7 @@ def _check_room(client: "HfApi", plan: Push) -> None:
 
 
 def _upload(client: "HfApi", root: Path, plan: Push) -> str:
-    done = client.upload_folder(
+    return client.upload_folder(
         repo_id=plan.repo_id,
         repo_type=KIND,
         folder_path=root,
@@ -170,8 +167,7 @@ def _upload(client: "HfApi", root: Path, plan: Push) -> str:
         delete_patterns=["*"],  # shards of an older version; what is sent stays
         commit_message=f"RACINES {plan.tag}",
         commit_description=f"content sha256 {plan.digest}",
-    )
-    return done.oid
+    ).oid
 
 
 def _check_uploaded(client: "HfApi", plan: Push, commit: str) -> None:

@@ -1,8 +1,7 @@
 """Where trajectories come from; a source is one module and one entry point.
 
-`base` has the protocol and the registry, `card` what a source says of its data; `phantom`
-simulates, `release`, `cactus` and `tracked` read recordings; `folder` and `images` are what these
-share.
+`base` has the protocol, the registry and the card of a source; `phantom` simulates, `release`,
+`cactus` and `tracked` read recordings; `folder` and `images` are what these share.
 """
 
 import lazy_loader

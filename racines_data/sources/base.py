@@ -1,16 +1,21 @@
-"""Where trajectories come from: the protocol of a source, and the registry of their names.
+"""Where trajectories come from: the protocol of a source, its card, the registry of their names.
 
 A source is one file with one class, and one entry point of the group `racines.sources`. The builder
 makes it with `from_config`, asks for its `plan` and its `recipe`, and lets processes `produce` the
 units: anywhere, in any order, always the same bytes. The source is pickled to each process once:
 keep it small and build what is heavy (a baked volume, an opened file) on the first `produce`.
+
+What a source says of its data is its class attribute `card`, for the dataset's card, Croissant and
+the datasheet. The manifest of a dataset of another package's source holds it too, so that the
+dataset is described where that package is not installed.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkable
 
+from racines_data.errors import RacinesError
 from racines_data.plugins import Plugins
 from racines_data.views import LABELS
 
@@ -22,6 +27,7 @@ SOURCES = Plugins(
     "racines.sources",
     ("name", "version", "Config", "from_config", "recipe", "plan", "produce"),
 )
+_OTHER = "A source of another package; see its documentation."
 
 
 @dataclass(frozen=True)
@@ -57,7 +63,7 @@ class Source(Protocol):
 
     A source of other views than the five also has `labels: tuple[str, ...]`, `Random` last. One of
     single images, without poses and times, has `poses = False`; both are then NaN. What there is to
-    say of its data is its `card`, a `racines_data.sources.card.SourceCard`.
+    say of its data is its `card`, a `SourceCard`.
     """
 
     name: str
@@ -116,3 +122,58 @@ def source_class(name: str) -> type[Source]:
         RacinesError: no such source, or it cannot be imported.
     """
     return SOURCES.load(name)
+
+
+@dataclass(frozen=True)
+class SourceCard:
+    """What there is to know of a source's data; each text is one or more whole sentences."""
+
+    origin: str = "a source of another package"
+    """Where the frames come from, in half a sentence: it stands first on the card."""
+    license: str = "other"
+    """Identifier on a hub, e.g. `cc-by-4.0`."""
+    rights: str = "As its source says."
+    """The licence in a sentence."""
+    tags: tuple[str, ...] = ()
+    """Tags on a hub, beside those that every dataset has."""
+    simulated: bool = False
+    """Whether a machine made frames and labels."""
+    labelled: bool = True
+    """Whether there are views."""
+    like_paper: bool = False
+    """Whether the paper's statistics are the measure of a heart's frames."""
+    collection: str = _OTHER
+    """How the frames were acquired."""
+    collection_type: str = "Others"
+    """A term of Croissant's vocabulary."""
+    annotation: str = _OTHER
+    """How views and grades came about."""
+    biases: str = _OTHER
+    limitations: str = _OTHER
+    """What limits the use, in the datasheet."""
+    personal: str = _OTHER
+    """Whether there is personal information."""
+    limits: str = "See the source."
+    """What limits the use, on the card."""
+
+
+def manifest_card(manifest: Mapping[str, Any]) -> SourceCard:
+    """Return the card of a dataset's source: the manifest's, the source's, or a neutral one.
+
+    Of the manifest, `source` is enough.
+    """
+    if held := manifest.get("card"):
+        known = {field.name for field in fields(SourceCard)}
+        given = {key: value for key, value in held.items() if key in known}
+        return SourceCard(**{**given, "tags": tuple(given.get("tags", ()))})
+    try:
+        return getattr(SOURCES.load(manifest["source"]), "card", None) or SourceCard()
+    except RacinesError:  # not installed, or broken: the data are there all the same
+        return SourceCard()
+
+
+def own_card(source: Any) -> SourceCard | None:
+    """Return the card that a dataset has to hold itself; None for our sources, which are there."""
+    from racines_data.schema import SOURCES as OURS
+
+    return None if source.name in OURS else getattr(source, "card", None)

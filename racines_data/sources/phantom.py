@@ -28,8 +28,7 @@ from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig, heart_co
 from racines_data.phantom.model import shared_phantom
 from racines_data.randomness import derive, sample_seeds
 from racines_data.schema import Trajectory
-from racines_data.sources.base import Finding, Unit
-from racines_data.sources.card import SourceCard
+from racines_data.sources.base import Finding, SourceCard, Unit
 from racines_data.views import labels_of
 
 _STREAM = 0x4EA7

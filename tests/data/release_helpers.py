@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from racines_data.sources.base import Finding
-from racines_data.sources.release.log import parse_log
+from racines_data.sources.release.layout import parse_log
 from racines_data.sources.release.source import ReleaseSource
 from tests.data.release_tree import FRAMES, log_text
 

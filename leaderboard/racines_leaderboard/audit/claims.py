@@ -18,7 +18,7 @@ from racines_leaderboard.audit.bench import JUDGES, KINDS, Bench
 from racines_leaderboard.audit.verdicts import UNKNOWN, Verdict, equal, fails, holds, tell, unknown
 from racines_leaderboard.audit.weights import data_of
 from racines_leaderboard.board.collect import Record
-from racines_leaderboard.records.seal import KEY, seal_of
+from racines_leaderboard.records.schema import KEY, seal_of
 from racines_leaderboard.submissions.document import find_submission
 from racines_models.provenance import environment
 from racines_models.scores.scoring import take_turns

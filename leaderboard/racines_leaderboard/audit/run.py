@@ -25,8 +25,7 @@ from racines_leaderboard.audit.verdicts import (
     unknown,
 )
 from racines_leaderboard.board.collect import Record, read_record
-from racines_leaderboard.records.schema import write_record
-from racines_leaderboard.records.seal import sealed
+from racines_leaderboard.records.schema import sealed, write_record
 from racines_leaderboard.records.tracks import TRACK
 
 

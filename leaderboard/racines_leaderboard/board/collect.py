@@ -10,8 +10,7 @@ from typing import Any
 from racines_data.errors import RacinesError
 from racines_leaderboard.records.experts import FOLDER as EXPERTS
 from racines_leaderboard.records.experts import with_experts
-from racines_leaderboard.records.schema import check, read_json, write_record
-from racines_leaderboard.records.seal import sealed
+from racines_leaderboard.records.schema import check, read_json, sealed, write_record
 from racines_leaderboard.records.tracks import TRACK, TRACKS, Track
 from racines_leaderboard.submissions.document import find_submission
 

@@ -27,10 +27,6 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...]
 
-    def bare(self) -> "Table":
-        """Return the table without its notes, to follow one that has them."""
-        return dataclasses.replace(self, notes=())
-
 
 def board_tables(
     board: str, content: dict[str, list[Record]], details: bool = False
@@ -43,11 +39,7 @@ def board_tables(
     for track in board_tracks():
         for task, records in by_task(content[track.name]).items():
             title = " · ".join(part for part in (board, track.name, task) if part)
-            ranking = rank(track, records)
-            tables.append(ranked_table(title, track, ranking))
-            if details and shown_columns(track.details, ranking):
-                further = dataclasses.replace(track, columns=track.details)
-                tables.append(ranked_table(f"{title} · in detail", further, ranking).bare())
+            tables += ranked_tables(title, track, rank(track, records), details)
         if content[track.name]:
             tables.append(reported_table(track))
     return tables
@@ -112,6 +104,17 @@ def _cell(record: Record, column: Column, usual_n: int) -> str:
     )
     text = str(value) if low is None or high is None else f"{value} ({low} – {high})"
     return text if metric["n"] == usual_n else f"{text}, n = {metric['n']:,}"
+
+
+def ranked_tables(
+    title: str, track: Track, ranking: list[Ranked], details: bool
+) -> Iterator[Table]:
+    """Yield one ranking as a table, and with `details` one of the further metrics, if any."""
+    yield ranked_table(title, track, ranking)
+    if details and shown_columns(track.details, ranking):
+        further = dataclasses.replace(track, columns=track.details)
+        table = ranked_table(f"{title} · in detail", further, ranking)
+        yield dataclasses.replace(table, notes=())  # it follows one that has them
 
 
 def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:

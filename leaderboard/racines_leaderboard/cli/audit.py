@@ -97,8 +97,7 @@ def _document(reports: list["Report"]) -> dict[str, Any]:
 
 def _seal(path: Path) -> None:
     """Seal a record that has no seal."""
-    from racines_leaderboard.records.schema import write_record
-    from racines_leaderboard.records.seal import KEY, sealed
+    from racines_leaderboard.records.schema import KEY, sealed, write_record
 
     record = json.loads(path.read_text())
     if KEY not in record:

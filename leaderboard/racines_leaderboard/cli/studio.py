@@ -34,7 +34,7 @@ def studio(
     ] = 200,
 ) -> None:
     """Show the boards, the study and the data in a browser, on this machine alone by default."""
-    from racines_leaderboard.studio.place import Place
+    from racines_leaderboard.studio.parts import Place
 
     if find_spec("gradio") is None:
         raise RacinesError('the Studio needs Gradio: pip install "racines[studio]"')

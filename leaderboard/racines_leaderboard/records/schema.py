@@ -1,6 +1,12 @@
-"""JSON Schemas of the leaderboard's files, and reading a file against one."""
+"""What the leaderboard's files are checked against: their JSON Schemas, and a record's seal.
+
+The seal is the sha256 of what a record says, written when the record is. It notices that a record
+was edited, or damaged, afterwards. Whoever edits a record can seal it again; that is noticed by
+recomputing the numbers alone (`racines audit`).
+"""
 
 import functools
+import hashlib
 import json
 import math
 from importlib import resources
@@ -11,8 +17,11 @@ from jsonschema import Draft202012Validator
 from jsonschema.exceptions import best_match
 from referencing import Registry, Resource
 
+from racines_data.digest import canonical_json
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
+
+KEY = "seal"
 
 
 def check(document: Any, kind: str, where: str) -> None:
@@ -67,3 +76,14 @@ def validator(kind: str) -> Draft202012Validator:
         (schema["$id"], Resource.from_contents(schema)) for schema in contents.values()
     )
     return Draft202012Validator(contents[f"{kind}.json"], registry=registry)
+
+
+def seal_of(record: dict[str, Any]) -> str:
+    """Return the sha256 of a record but for its seal; neither order nor spaces count."""
+    told = {key: value for key, value in record.items() if key != KEY}
+    return hashlib.sha256(canonical_json(told).encode()).hexdigest()
+
+
+def sealed(record: dict[str, Any]) -> dict[str, Any]:
+    """Return a record with the seal of what it says."""
+    return {key: value for key, value in record.items() if key != KEY} | {KEY: seal_of(record)}

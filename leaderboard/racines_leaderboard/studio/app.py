@@ -11,7 +11,7 @@ from gradio.themes.utils import colors, sizes
 from starlette.responses import PlainTextResponse
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 
 TABS = {
     "leaderboards": "Leaderboards",

@@ -3,7 +3,6 @@
 What was not offered raises a `RacinesError`.
 """
 
-import dataclasses
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.pages import panel
 from racines_leaderboard.board.rank import SHOWN, Ranked, Record, by_task, rank
-from racines_leaderboard.board.table import Table, ranked_table, reported_table, shown_columns
+from racines_leaderboard.board.table import Table, ranked_tables, reported_table, shown_columns
 from racines_leaderboard.records.tracks import TIERS, TRACK, Column, Track, board_tracks
 from racines_leaderboard.studio import html
 from racines_leaderboard.studio.html import cut, drawn, element, link, note, text
@@ -122,10 +121,7 @@ def tables_html(results: Path, wanted: Selection) -> str:
     """Return the tables of a selection, the paper's figures below them."""
     track, tables = track_of(wanted), []
     for title, ranking in ranked_groups(results, wanted).items():
-        tables.append(_table(ranked_table(title, track, ranking)))
-        if wanted.details and shown_columns(track.details, ranking):
-            further = dataclasses.replace(track, columns=track.details)
-            tables.append(_table(ranked_table(f"{title} · in detail", further, ranking).bare()))
+        tables += map(_table, ranked_tables(title, track, ranking, wanted.details))
     if not tables:
         return note("No result fits: choose other filters.")
     return "\n".join([*tables, _table(reported_table(track), named=False)])

@@ -15,11 +15,10 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 from PIL import Image
 
-from racines_data.card.plots import block_top, rectangle
+from racines_data.card.plots import block_axes
 from racines_data.errors import RacinesError
 from racines_data.files import image_bytes
 from racines_data.geometry import parameters_to_pose
@@ -167,13 +166,8 @@ def path_figure(trajectory: Trajectory) -> Marked | None:
     x, y, z = tip.T
 
     def draw(figure: Figure) -> None:
-        axis: Any = figure.add_axes((0.0, 0.02, 0.93, 0.90), projection="3d")
-        axis.set_proj_type("persp", focal_length=0.6)
-        axis.view_init(elev=28, azim=-58)
-        top = block_top(trajectory.store.manifest)
-        if top is not None:
-            face: dict[str, Any] = {"facecolor": "#d9c7a8", "edgecolor": "#8c7a5b", "alpha": 0.3}
-            axis.add_collection3d(Poly3DCollection([rectangle(*top)], **face))
+        place = (0.0, 0.02, 0.93, 0.90)
+        axis: Any = block_axes(figure, place, trajectory.store.manifest, 0.3)
         axis.plot(*tip.T, color=trajectory.colour, lw=1.8)
         for i in evenly(len(tip), BEAMS):
             axis.plot(*np.stack([tip[i], tip[i] + BEAM * beam[i]]).T, color=MUTED, lw=0.9)

@@ -17,8 +17,7 @@ from racines_envs.task.starts import evaluation_seeds
 from racines_envs.task.tasks import TASKS
 from racines_envs.worlds.making import make_core
 from racines_leaderboard.studio import inputs
-from racines_leaderboard.studio.parts import Shared, load_grader, load_phantom
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place, Shared, load_grader, load_phantom
 from racines_leaderboard.studio.scene import Curve, Scene, judged, snapshot, take_scene
 
 FIXED, SEEDED = "evaluation", "seed"

@@ -6,7 +6,6 @@ so no file is written that another visitor could fetch.
 
 import base64
 import html
-import io
 import re
 import threading
 from collections.abc import Callable, Iterable, Sequence
@@ -16,6 +15,7 @@ from unicodedata import category
 from matplotlib.figure import Figure
 from PIL import Image
 
+from racines_data.files import image_bytes
 from racines_data.plotting import card_style, encode
 
 LONGEST = 400
@@ -98,9 +98,7 @@ def drawn(size: tuple[float, float], draw: Callable[[Figure], None]) -> tuple[by
 
 def quick_png(image: Image.Image) -> bytes:
     """Return a picture as PNG, packed lightly: a step must not wait for its smallest file."""
-    buffer = io.BytesIO()
-    image.save(buffer, "PNG", compress_level=1)
-    return buffer.getvalue()
+    return image_bytes(image, compress_level=1)
 
 
 def element(png: bytes, alt: str, css: str = "rc-chart") -> str:

@@ -8,11 +8,37 @@ import json
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from racines_data.manifest import MANIFEST
-from racines_leaderboard.studio.place import Place
+
+
+@dataclass(frozen=True)
+class Place:
+    """Folders and settings of one Studio; a folder that is missing empties its tab alone."""
+
+    data: Path | None = Path("data/racines")
+    """The dataset."""
+    results: Path = Path("leaderboard/results")
+    """The boards."""
+    submissions: Path = Path("leaderboard/submissions")
+    weights: Path = Path("models/weights")
+    """Published weights."""
+    runs: Path = Path("models/runs")
+    """Trained generators and graders."""
+    agents: Path = Path("envs/runs")
+    """Trained agents."""
+    kits: Path | None = Path("study")
+    """A folder of expert kits; ratings of `KIT` go to `KIT-ratings` beside it."""
+    seed: int = 0
+    device: str = "cpu"
+    max_sessions: int = 200
+    """Visitors whose state is kept; the one who was idle longest is forgotten first."""
+    policies: Path = Path("envs/weights")
+    """Published agents."""
+
 
 Kept = TypeVar("Kept")
 LARGEST = 256 * 2**20

@@ -21,8 +21,7 @@ from racines_data.views import HEART, PAPER_STATISTICS
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.studio import inputs, parts
 from racines_leaderboard.studio.html import element, quick_png, text
-from racines_leaderboard.studio.parts import load_phantom, load_store
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place, load_phantom, load_store
 from racines_models.scores.metrics import psnr, ssim
 
 MOST = 12

@@ -22,8 +22,7 @@ from racines_envs.explain.scores import blur
 from racines_envs.task.tasks import TASKS
 from racines_leaderboard.studio import inputs
 from racines_leaderboard.studio.driving import FIXED, FIXED_STARTS, core_and_grader, reset_seed
-from racines_leaderboard.studio.parts import Shared, trained_runs
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place, Shared, trained_runs
 from racines_leaderboard.studio.scene import Curve, Scene, Snapshot, judged, snapshot, take_scene
 
 UNTRAINED = ("planner", "random", "hill-climber")
@@ -173,13 +172,11 @@ def _run(place: Place, chosen: Watchable, key: tuple[Any, ...]) -> Episode:
         action = agent.act(shown, core.decision_seeds())
         seen = core.step(action).observation
     steps = history[0]
-    curves = [Curve("truth", steps.probabilities, steps.grades)]
+    curves: tuple[Curve, ...] = (Curve("truth", steps.probabilities, steps.grades),)
     if grader is not None:
         images = [moment.image for moment in moments]
-        curves.insert(0, Curve("grader", *judged(grader, images, core.task.target)))
-    return Episode(
-        key, agent, core, grader, tuple(moments), torch.cat(params), steps, tuple(curves)
-    )  # fmt: skip
+        curves = Curve("grader", *judged(grader, images, core.task.target)), *curves
+    return Episode(key, agent, core, grader, tuple(moments), torch.cat(params), steps, curves)
 
 
 ENLARGED = 3

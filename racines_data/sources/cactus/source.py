@@ -8,25 +8,28 @@ trajectories: neighbours stay in one split but for those on both sides of a cut.
 import hashlib
 import re
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 from scipy import ndimage
 
 from racines_data.errors import RacinesError
 from racines_data.progress import progress_bar
 from racines_data.schema import Trajectory
-from racines_data.sources.base import Unit
-from racines_data.sources.cactus.files import Picture, find_pictures, runs
-from racines_data.sources.card import SourceCard
+from racines_data.sources.base import SourceCard, Unit
 from racines_data.sources.folder import FolderSource, Report, recorded
 from racines_data.sources.images import Fault, Kind, check_jpeg, read_gray, resolution, square
-from racines_data.views import LABELS
+from racines_data.sources.release.layout import entries, natural
+from racines_data.views import LABELS, RANDOM
 
+IMAGES, GRADES = "Images Dataset", "Grades"
+_COLUMNS = ("Image Name", "Subfolder Name", "Grade")
+_GRADE = re.compile(r"(\d+(?:\.\d+)?)(?![\d.]*\d)")
 _THREADS = 4
 _SAMPLE = 96
 _MOVES = 4.0
@@ -37,6 +40,158 @@ _SMALLEST = 0.02
 Size = tuple[int, int]
 Box = tuple[int, int, int, int]
 """Left, top, right, bottom: pixels, the last two past the end."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One image and what is known of it."""
+
+    file: str
+    """Relative to the folder of the data set."""
+    view: str
+    subfolder: str
+    """Folder inside the view's, or nothing."""
+    grade: float | None
+
+    @property
+    def order(self) -> tuple[list[tuple[int, str]], list[tuple[int, str]], str]:
+        """Sort by folder and by the name without its grade: neighbours in time come together."""
+        name = self.file.rpartition("/")[2]
+        rest = _GRADE.sub("", name, count=1) if _GRADE.match(name) else name
+        return natural(self.subfolder), natural(rest), name
+
+
+def find_pictures(report: Report) -> list[Picture]:
+    """Return all images of the report's folder with their grades; add what is odd to the report.
+
+    Raises:
+        RacinesError: the folder does not hold the data set, or a table cannot be read.
+    """
+    root = report.root
+    images, grades = _child(root, IMAGES), _child(root, GRADES)
+    if images is None:
+        raise RacinesError(f"{root}: holds no folder `{IMAGES}`; give the folder that does")
+    views = {view.lower(): view for view in LABELS}
+    pictures: list[Picture] = []
+    for folder in entries(images):
+        view = views.get(folder.name.lower())
+        if view is None or not folder.is_dir():
+            report.flag(Kind.UNKNOWN, folder, "not a view of CACTUS, left out", frames=0)
+            continue
+        files = _images(folder, report)
+        table = _Table.read(grades, view, report)
+        pictures += [table.join(folder, file, report) for file in files]
+        lost = [row for rows in table.rows.values() for row in rows if row not in table.used]
+        for name, _, _ in lost:
+            detail = f"there is no such image in {report.place(folder)}"
+            report.refuse(Kind.MISSING_IMAGE, table.name, detail, name)
+    if not pictures:
+        raise RacinesError(f"{images}: holds no image of a view ({', '.join(LABELS)})")
+    return pictures
+
+
+def _child(folder: Path, name: str) -> Path | None:
+    found = (path for path in entries(folder) if path.name.lower() == name.lower())
+    return next((path for path in found if path.is_dir()), None)
+
+
+def _images(folder: Path, report: Report) -> list[Path]:
+    """Return the images of a view's folder and of the folders in it."""
+    found: list[Path] = []
+    for path in entries(folder):
+        if path.is_dir():
+            found += _images(path, report)
+        elif path.suffix.lower() in (".jpg", ".jpeg"):
+            found.append(path)
+        else:
+            report.flag(Kind.UNKNOWN, path, "not a JPEG by its name, left out", frames=0)
+    if not found:
+        report.refuse(Kind.EMPTY_FOLDER, folder, "it holds no image", frames=0)
+    return found
+
+
+@dataclass
+class _Table:
+    """The grades of one view by the image's name without its ending, lower case."""
+
+    name: str
+    view: str
+    rows: dict[str, list[tuple[str, str, str]]] = field(default_factory=lambda: defaultdict(list))
+    """Image name, subfolder and grade as they stand."""
+    used: set[tuple[str, str, str]] = field(default_factory=set)
+
+    @classmethod
+    def read(cls, folder: Path | None, view: str, report: Report) -> "_Table":
+        wanted = f"{view}_grades.csv"
+        files = entries(folder) if folder else []
+        path = next((file for file in files if file.name.lower() == wanted.lower()), None)
+        if path is None:
+            detail = "no such table; grades are those of the file names"
+            report.flag(Kind.MISSING_TABLE, f"{GRADES}/{wanted}", detail, frames=0)
+            return cls("", view)
+        table = cls(f"{GRADES}/{path.name}", view)
+        for row in _read_csv(path).iter_rows():
+            name, subfolder, grade = ((cell or "").strip() for cell in row)
+            table.rows[_key(name)].append((name, subfolder, grade))
+        return table
+
+    def join(self, folder: Path, path: Path, report: Report) -> Picture:
+        """Return an image with the grade that its name and its row agree on."""
+        inside = path.parent.relative_to(folder).as_posix()
+        subfolder = "" if inside == "." else inside
+        rows = self.rows.get(_key(path.name), [])
+        if len(rows) > 1 and subfolder:
+            rows = [row for row in rows if row[1].lower() == subfolder.lower()] or rows
+        self.used.update(rows)
+        match = _GRADE.match(path.name)
+        said = {f"file name {match[1]}": _number(match[1])} if match else {}
+        said |= {f"{self.name} {row[2]}": _number(row[2]) for row in rows}
+        if self.name and not rows:
+            detail = f"{self.name} has no row of it; its grade is that of its name"
+            report.flag(Kind.MISSING_ROW, path, detail)
+        grade, told = next(iter(said.values()), None), ", ".join(said)
+        lowest, highest, right = (0, 0, "0") if self.view == RANDOM else (1, 10, "1-10")
+        if len(set(said.values())) > 1:
+            grade = None
+            report.flag(Kind.GRADE_CONFLICT, path, f"{told}; it is kept without a grade", "Grade")
+        elif said and (grade is None or not lowest <= grade <= highest):
+            grade = None
+            detail = f"{told}, where {self.view} has {right}; it is kept without a grade"
+            report.flag(Kind.WRONG_GRADE, path, detail, "Grade")
+        return Picture(report.place(path), self.view, subfolder, grade)
+
+
+def _read_csv(path: Path) -> pl.DataFrame:
+    """Return the three columns as text."""
+    try:
+        table = pl.read_csv(path, infer_schema=False, encoding="utf8-lossy")
+    except (pl.exceptions.PolarsError, OSError) as error:
+        raise RacinesError(f"{path}: not a CSV table: {error}") from error
+    names = {name.strip().lower(): name for name in table.columns}
+    missing = [name for name in _COLUMNS if name.lower() not in names]
+    if missing:
+        raise RacinesError(f"{path}: has no column {missing[0]!r}; it has {table.columns}")
+    return table.select([names[name.lower()] for name in _COLUMNS])
+
+
+def _key(name: str) -> str:
+    return re.sub(r"\.jpe?g$", "", name.replace("\\", "/").rpartition("/")[2].lower())
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def runs(pictures: Sequence[Picture], longest: int) -> list[list[Picture]]:
+    """Return contiguous runs of the images of one folder, in order, of nearly equal lengths."""
+    ordered = sorted(pictures, key=lambda picture: picture.order)
+    count = -(-len(ordered) // longest)
+    edges = [len(ordered) * i // count for i in range(count + 1)]
+    return [ordered[start:stop] for start, stop in zip(edges, edges[1:], strict=False)]
+
 
 CARD = SourceCard(
     origin="the published CACTUS images, imported; labels and grades without poses",
@@ -122,7 +277,7 @@ class CactusSource(FolderSource):
                 detail = f"{resolution(size)}, most are {resolution(usual)}; cropped by itself"
                 report.flag(Kind.MIXED_SIZES, of[0].file, detail, frames=len(of))
         boxes = tuple((size, self._box(size, of)) for size, of in sorted(sizes.items()))
-        return self._units(kept, boxes)
+        return list(self._units(kept, boxes))
 
     def produce(self, unit: Unit) -> Trajectory:
         """Read a run: cropped 128×128 gray images, views and grades; no poses, no times."""
@@ -165,18 +320,15 @@ class CactusSource(FolderSource):
 
     def _units(
         self, kept: Sequence[Picture], boxes: tuple[tuple[Size, Box], ...]
-    ) -> list[CactusUnit]:
+    ) -> Iterator[CactusUnit]:
         folders: dict[tuple[str, str], list[Picture]] = defaultdict(list)
         for picture in kept:
             folders[picture.view, picture.subfolder].append(picture)
-        units, numbers = [], defaultdict(count)
+        numbers = defaultdict(count)
         for (view, _), pictures in folders.items():
             for run in runs(pictures, self.config.run):
                 name = f"{view.lower()}-{next(numbers[view]):03d}"
-                units.append(
-                    CactusUnit(name, "cactus", view, len(run), self.root, tuple(run), boxes)
-                )
-        return units
+                yield CactusUnit(name, "cactus", view, len(run), self.root, tuple(run), boxes)
 
 
 def _fixed_box(text: str) -> Box:

@@ -1,6 +1,6 @@
 """The published RACINES recordings, as people download them.
 
-`tree` knows the folders, `log` the log files, `survey` what is wrong with them.
+`layout` knows the folders and the log files, `source` what is wrong with them.
 """
 
 import lazy_loader

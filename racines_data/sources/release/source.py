@@ -1,4 +1,4 @@
-"""The published RACINES recordings, as people download them; see `tree` for the layout.
+"""The published RACINES recordings, as people download them; see `layout`.
 
 A folder is a session and an image folder a trajectory. Its view is the sweep's target: what each
 frame shows is not in the files, nor is a grade, so `view` and `grade` stay null.
@@ -8,25 +8,237 @@ each file that cannot be used. `produce` decodes the images of one trajectory.
 """
 
 import hashlib
+from bisect import bisect_left, bisect_right
+from collections import Counter
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from racines_data.errors import RacinesError
 from racines_data.progress import progress_bar
 from racines_data.schema import Trajectory
-from racines_data.sources.base import Unit
-from racines_data.sources.card import SourceCard
+from racines_data.sources.base import SourceCard, Unit
 from racines_data.sources.folder import UNITS, FolderSource, Report, parameters_of, recorded
-from racines_data.sources.images import Kind, read_gray, resolution, square
-from racines_data.sources.release.log import CONTROL, POSE, TIME, WRENCH, parse_log
-from racines_data.sources.release.survey import UNIT_KINDS, ReleaseConfig, Surveyor
-from racines_data.sources.release.tree import Pair, SweepFolder, find_recordings
-from racines_data.views import RANDOM
+from racines_data.sources.images import Fault, Kind, check_png, read_gray, resolution, square
+from racines_data.sources.release import layout
+from racines_data.sources.release.layout import FIELDS, Pair, SweepFolder
+from racines_data.views import RANDOM, VIEWS
 
+_CHUNK = 64
 _THREADS = 4
+UNIT_KINDS = {"m": Kind.METRES, "mm": Kind.MILLIMETRES}
+_NEAREST = 0.01
+"""No recording has the probe nearer to the middle of the robot's base, m."""
+
+
+@dataclass(frozen=True)
+class ReleaseConfig:
+    """How the published recordings are read."""
+
+    unit: str = "m"
+    """Unit of the positions in the logs: `m` or `mm`."""
+    reach: float = 2.0
+    """Farthest that the probe can be from the robot's base, m."""
+    tolerance: float = 1e-3
+    """Largest error of a rotation's orthonormality, per element of R Rᵀ - 1."""
+    allow_absent: bool = False
+    """Read a force or control effort that is all NaN as not measured, instead of refusing it."""
+    allow_repeats: bool = False
+    """Keep a frame whose time is that of the frame before: a coarse clock, or a stale log."""
+    label_views: bool = False
+    """Take the folder as the view of each of its frames. Frames on the way to a view are then
+    labelled as that view, which they are not."""
+    views: tuple[str, ...] = VIEWS
+    """Names of the view folders, beside `Full`."""
+
+
+class FolderSurvey(NamedTuple):
+    """What one image folder holds."""
+
+    folder: SweepFolder
+    pairs: list[Pair]
+    """Frames to keep, in order."""
+    size: tuple[int, int]
+    """Width and height of their images."""
+    digest: bytes
+    """Of the names and bytes of all pairs of files."""
+
+
+@dataclass
+class _Frame:
+    """One frame's files, and what they hold."""
+
+    pair: Pair
+    image: Path
+    log: Path
+    numbers: list[float] | None = None
+    size: tuple[int, int] = (0, 0)
+    fault: Fault | None = None
+    """Why there are no numbers."""
+    digest: bytes = b""
+
+
+def _read(frames: list[_Frame]) -> list[_Frame]:
+    """Read the files of some frames; return the frames."""
+    for frame in frames:
+        image = log = b""
+        try:
+            image = frame.image.read_bytes()
+            frame.size = check_png(image)
+            log = frame.log.read_bytes()
+            frame.numbers = layout.parse_log(log.decode("utf-8", "replace"))
+        except Fault as error:
+            frame.fault = error
+        except OSError as error:
+            kind = Kind.UNREADABLE_LOG if image else Kind.UNREADABLE_IMAGE
+            frame.fault = Fault(kind, f"{error.strerror}")
+        frame.digest = hashlib.sha256(image).digest() + hashlib.sha256(log).digest()
+    return frames
+
+
+@dataclass
+class Surveyor:
+    """Checks the image folders of one release, and reports what cannot be used."""
+
+    config: ReleaseConfig
+    report: Report
+    pool: ThreadPoolExecutor
+
+    def survey(self, folder: SweepFolder) -> FolderSurvey:
+        """Read every file of a recording once."""
+        pairs = layout.pair_files(folder, self.report)
+        frames = [_Frame(p, folder.images / p.image, folder.logs / p.log) for p in pairs]
+        digest = hashlib.sha256(self.report.place(folder.images).encode())
+        chunks = [frames[start : start + _CHUNK] for start in range(0, len(frames), _CHUNK)]
+        for frame in chain.from_iterable(self.pool.map(_read, chunks)):
+            digest.update(f"{frame.pair.image}\0{frame.pair.log}\0".encode() + frame.digest)
+            if frame.fault:
+                file = frame.log if frame.size != (0, 0) else frame.image
+                self.report.refuse(frame.fault.kind, file, frame.fault.detail, frame.fault.item)
+        frames, size = self._one_size([frame for frame in frames if frame.numbers is not None])
+        frames = self._in_time(folder, self._sound(folder, frames))
+        return FolderSurvey(folder, [frame.pair for frame in frames], size, digest.digest())
+
+    def _one_size(self, frames: Sequence[_Frame]) -> tuple[list[_Frame], tuple[int, int]]:
+        """Keep the images of the commonest size: another size is another crop of the screen."""
+        sizes = Counter(frame.size for frame in frames)
+        usual = max(sizes, key=lambda size: (sizes[size], size), default=(0, 0))
+        for frame in frames:
+            if frame.size != usual:
+                detail = f"{resolution(frame.size)}, {sizes[usual]} others are {resolution(usual)}"
+                self.report.refuse(Kind.MIXED_SIZES, frame.image, detail)
+        return [frame for frame in frames if frame.size == usual], usual
+
+    def _sound(self, folder: SweepFolder, frames: Sequence[_Frame]) -> list[_Frame]:
+        """Keep the frames whose numbers are sound."""
+        faults = check_numbers(_rows(frames), self.config)
+        kinds = {fault.kind if fault else None for fault in faults}
+        first = next(iter(faults), None)
+        if first and len(faults) > 1 and len(kinds) == 1 and first.kind in UNIT_KINDS.values():
+            # All are in one other unit: a line for the folder, not for each of thousands of frames.
+            detail = f"all {len(faults)} frames: {first.detail}"
+            self.report.refuse(first.kind, folder.images, detail, first.item, len(faults))
+            return []
+        for frame, fault in zip(frames, faults, strict=True):
+            if fault:
+                self.report.refuse(fault.kind, frame.log, fault.detail, fault.item)
+        return [frame for frame, fault in zip(frames, faults, strict=True) if not fault]
+
+    def _in_time(self, folder: SweepFolder, frames: Sequence[_Frame]) -> list[_Frame]:
+        """Keep the frames in whose order the clock runs on; flag where it may stand still."""
+        times = _rows(frames)[:, layout.TIME]
+        lost = backward(times.tolist(), self.config.allow_repeats)
+        for index in lost:
+            detail = f"{times[index]:.6f} s does not go on from its neighbours' times"
+            self.report.refuse(Kind.CLOCK, frames[index].log, detail, "Time")
+        stopped = int((np.diff(np.delete(times, lost)) == 0).sum())
+        if stopped:
+            detail = f"{stopped} frames have the time of the frame before; they are kept"
+            self.report.flag(Kind.CLOCK, folder.images, detail, "Time", stopped)
+        gone = set(lost)
+        return [frame for index, frame in enumerate(frames) if index not in gone]
+
+
+def _rows(frames: Sequence[_Frame]) -> np.ndarray:
+    """Return (T, 29) float64."""
+    return np.array([frame.numbers for frame in frames], float).reshape(-1, layout.WIDTH)
+
+
+def check_numbers(rows: np.ndarray, config: ReleaseConfig) -> list[Fault | None]:
+    """Return what is wrong with each of (T, 29) logs, or None."""
+    faults: list[Fault | None] = [None] * len(rows)
+    for index in np.flatnonzero(~np.isfinite(rows).all(1)):
+        faults[index] = _not_finite(rows[index], config.allow_absent)
+    good = np.flatnonzero([fault is None for fault in faults])
+    matrices = rows[good, layout.POSE].reshape(-1, 4, 4)
+    rotation = matrices[:, :3, :3]
+    error = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max((1, 2), initial=0)
+    reflected = np.linalg.det(rotation) < 0
+    for place, index in enumerate(good):
+        if (matrices[place, 3] != [0, 0, 0, 1]).any():
+            fault = Fault(Kind.NOT_RIGID, f"its last row is {matrices[place, 3]}", FIELDS[2])
+        elif error[place] > config.tolerance:
+            detail = f"R Rᵀ differs from 1 by {error[place]:.2g}, more than {config.tolerance:g}"
+            fault = Fault(Kind.NOT_ORTHONORMAL, detail, FIELDS[2])
+        elif reflected[place]:
+            fault = Fault(Kind.REFLECTED, "its determinant is -1: left-handed", FIELDS[2])
+        else:
+            fault = _wrong_unit(matrices[place, :3, 3], config.unit, config.reach)
+        faults[index] = fault
+    return faults
+
+
+def _not_finite(row: np.ndarray, allow_absent: bool) -> Fault | None:
+    parts = slice(layout.TIME, 1), layout.WRENCH, layout.POSE, layout.CONTROL
+    for name, part in zip(FIELDS, parts, strict=True):
+        values = row[part]
+        nan, wrong = np.isnan(values), int((~np.isfinite(values)).sum())
+        absent = allow_absent and part in (layout.WRENCH, layout.CONTROL) and nan.all()
+        if wrong and not absent:
+            kind = Kind.NAN if nan.any() else Kind.INFINITE
+            return Fault(kind, f"{wrong} of {len(values)} numbers are not finite", name)
+    return None
+
+
+def _wrong_unit(position: np.ndarray, unit: str, reach: float) -> Fault | None:
+    distance = float(np.linalg.norm(position))
+    if distance * UNITS[unit] <= reach and (unit == "m" or distance * UNITS[unit] >= _NEAREST):
+        return None
+    read = f"the probe is {distance * UNITS[unit]:.4g} m from the robot when read in {unit}"
+    for other, metres in UNITS.items():
+        if other != unit and _NEAREST <= distance * metres <= reach:
+            return Fault(UNIT_KINDS[other], f"{read}; the position is likely in {other}", FIELDS[2])
+    return Fault(Kind.OUT_OF_REACH, f"{read}; its reach is {reach:g} m", FIELDS[2])
+
+
+def backward(times: Sequence[float], allow_repeats: bool) -> list[int]:
+    """Return the fewest frames without which the clock only runs forwards.
+
+    All but a longest increasing run: one wrong time costs one frame, wherever it lies. With
+    `allow_repeats` the clock may stand still.
+    Patience sorting: Aldous and Diaconis, Longest increasing subsequences, 1999.
+    """
+    find = bisect_right if allow_repeats else bisect_left
+    tails: list[float] = []
+    places: list[int] = []
+    before: list[int] = []
+    for index, time in enumerate(times):
+        pile = find(tails, time)
+        before.append(places[pile - 1] if pile else -1)
+        tails[pile : pile + 1] = [time]
+        places[pile : pile + 1] = [index]
+    lost = set(range(len(times)))
+    index = places[-1] if places else -1
+    while index >= 0:
+        lost.remove(index)
+        index = before[index]
+    return sorted(lost)
+
 
 CARD = SourceCard(
     origin="the published RACINES recordings, imported",
@@ -82,7 +294,7 @@ class ReleaseSource(FolderSource):
             RacinesError: the folder is not a release, or its positions have another unit.
         """
         self.report = report = Report(self.root)
-        folders = find_recordings(self.config.views, report)
+        folders = layout.find_recordings(self.config.views, report)
         with ThreadPoolExecutor(_THREADS) as pool, progress_bar(self.progress) as bar:
             surveyor = Surveyor(self.config, report, pool)
             steps = bar.track(folders, description="checking folders")
@@ -91,13 +303,12 @@ class ReleaseSource(FolderSource):
         found = [survey for survey in surveys if survey.pairs]
         if not found:
             self._check_units()
+        units = []
         for folder, pairs, size, _ in found:
             first, usual = found[0].folder.images, found[0].size
             if size != usual:
                 detail = f"{resolution(size)} here, {resolution(usual)} in {report.place(first)}"
                 report.flag(Kind.MIXED_SIZES, folder.images, detail, frames=len(pairs))
-        units = []
-        for folder, pairs, _, _ in found:
             names = folder.id, folder.session, folder.target_view
             units.append(ReleaseUnit(*names, len(pairs), folder, tuple(pairs)))
         return units
@@ -105,15 +316,16 @@ class ReleaseSource(FolderSource):
     def produce(self, unit: Unit) -> Trajectory:
         """Read a trajectory: 128×128 gray images, poses in metres and radians, N and N·m."""
         assert isinstance(unit, ReleaseUnit)
-        rows = np.array([parse_log(_read_text(unit.folder.logs / pair.log)) for pair in unit.pairs])
+        logs = (_read_text(unit.folder.logs / pair.log) for pair in unit.pairs)
+        rows = np.array([layout.parse_log(log) for log in logs])
         label = self.labels.index(unit.target_view) if self.config.label_views else -1
-        poses, metres = rows[:, POSE].reshape(-1, 4, 4), UNITS[self.config.unit]
+        poses, metres = rows[:, layout.POSE].reshape(-1, 4, 4), UNITS[self.config.unit]
         return recorded(
             unit,
             [square(read_gray(unit.folder.images / pair.image)) for pair in unit.pairs],
-            parameters=parameters_of(poses, rows[:, WRENCH], metres),
-            timestamps=rows[:, TIME].copy(),
-            controls=rows[:, CONTROL].astype(np.float32),
+            parameters=parameters_of(poses, rows[:, layout.WRENCH], metres),
+            timestamps=rows[:, layout.TIME].copy(),
+            controls=rows[:, layout.CONTROL].astype(np.float32),
             views=np.full(len(rows), label, np.int64),
         )
 

@@ -1,4 +1,4 @@
-"""Tracked freehand sweeps: PLUS sequences (`mha`), any organ, any tracker."""
+"""Tracked freehand sweeps: PLUS sequences, any organ, any tracker."""
 
 import lazy_loader
 

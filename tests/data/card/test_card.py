@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from racines_data.build.dataset import DataConfig, build
+from racines_data.card.frames import statistics_table
 from racines_data.card.markdown import write_card
-from racines_data.card.tables import statistics_table
 from racines_data.manifest import read_manifest
 from racines_data.schema import PARAMETERS, frame_features
 from racines_data.store.frames import open_store

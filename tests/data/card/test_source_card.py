@@ -6,8 +6,7 @@ import json
 from racines_data.card.croissant import rai_fields
 from racines_data.card.markdown import write_card
 from racines_data.manifest import read_manifest
-from racines_data.sources.base import SOURCES
-from racines_data.sources.card import SourceCard, manifest_card, own_card
+from racines_data.sources.base import SOURCES, SourceCard, manifest_card, own_card
 
 THEIRS = SourceCard(
     origin="somebody's recordings",

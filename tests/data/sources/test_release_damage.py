@@ -9,7 +9,7 @@ from PIL import Image
 
 from racines_data import RacinesError
 from racines_data.build.dataset import DataConfig, build
-from racines_data.sources.release.log import parse_log
+from racines_data.sources.release.layout import parse_log
 from racines_data.validate.run import validate
 from tests.data.release_helpers import IMAGES, LOGS, TOTAL, change, planned, pose_of, source
 from tests.data.release_tree import (

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from racines_data.sources.images import Fault as DamagedLog
-from racines_data.sources.release.log import (
+from racines_data.sources.release.layout import (
     CONTROL,
     FIELDS,
     POSE,
@@ -11,7 +11,7 @@ from racines_data.sources.release.log import (
     format_log,
     parse_log,
 )
-from racines_data.sources.release.survey import backward
+from racines_data.sources.release.source import backward
 from tests.data.release_tree import log_text, matrix
 
 

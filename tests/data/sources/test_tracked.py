@@ -11,8 +11,13 @@ import torch
 from racines_data import RacinesError, open_store
 from racines_data.build.dataset import DataConfig, build
 from racines_data.geometry import parameters_to_pose
-from racines_data.sources.tracked.mha import read_frames, read_header, upright
-from racines_data.sources.tracked.source import TrackedSource, square
+from racines_data.sources.tracked.source import (
+    TrackedSource,
+    read_frames,
+    read_header,
+    square,
+    upright,
+)
 from racines_data.validate.run import validate
 
 pytestmark = pytest.mark.usefixtures("blank_pictures")

@@ -23,8 +23,7 @@ from racines_leaderboard.audit.verdicts import FAILS, HOLDS, UNKNOWN, Report
 from racines_leaderboard.board.collect import collect
 from racines_leaderboard.board.recompute import recompute
 from racines_leaderboard.cli.command import app
-from racines_leaderboard.records.schema import check
-from racines_leaderboard.records.seal import sealed
+from racines_leaderboard.records.schema import check, sealed
 from racines_models.exchange.onnx.generator import OnnxGenerator
 from racines_models.exchange.predictions.file import Task, write_predictions
 from racines_models.generators.mean_image import MeanImage

@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 from racines_data.errors import RacinesError
 from racines_leaderboard.board.collect import boards, collect, made_elsewhere, read_board
 from racines_leaderboard.cli.command import app
-from racines_leaderboard.records.seal import sealed
+from racines_leaderboard.records.schema import sealed
 from racines_leaderboard.submissions.document import find_submission
 from tests.leaderboard.conftest import agent_scores, generator_scores, write_submission
 

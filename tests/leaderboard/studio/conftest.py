@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from racines_leaderboard.board.collect import collect
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 from tests.leaderboard.conftest import agent_scores, generator_scores, write_submission
 from tests.leaderboard.expert_kit import kit_of
 from tests.waiting import PATIENCE

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 from tests.conftest import ROOT, command
 from tests.documents import blocks
 

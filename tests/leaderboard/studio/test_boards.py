@@ -16,7 +16,7 @@ from racines_leaderboard.studio.boards import (
     selected,
     tables_html,
 )
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 
 GENERATORS = Selection("tiny", "generators")
 AGENTS = Selection("tiny", "agents")

@@ -13,7 +13,7 @@ from racines_envs.worlds.making import make_core
 from racines_leaderboard.studio import driving
 from racines_leaderboard.studio import scene as scenes
 from racines_leaderboard.studio.driving import FIXED, SEEDED, Lives, begin
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 from tests.envs.fakes import FakeGrader, FakePhantom
 
 ACTIONS = (0, 0, 3, 5, 6, 9, 12, 4)

@@ -10,7 +10,7 @@ import pytest
 
 from racines_data.store.frames import open_store
 from racines_envs.task.actions import ACTIONS
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 from racines_models.generators.nearest_pose import NearestPose
 from racines_models.protocol import Run
 from tests.leaderboard.studio.conftest import BROWSER_PATIENCE, free_port, open_tab

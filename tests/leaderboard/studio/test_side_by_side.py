@@ -12,7 +12,7 @@ from racines_data.schema import PARAMETERS
 from racines_data.store.frames import open_store
 from racines_leaderboard.board.collect import collect
 from racines_leaderboard.studio import parts, side_by_side
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 from racines_leaderboard.studio.side_by_side import cards_page
 from racines_models.generators.mean_image import MeanImage
 from racines_models.protocol import Run

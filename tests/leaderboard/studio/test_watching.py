@@ -16,7 +16,7 @@ from racines_envs.explain.maps import integrated_gradients, policy_logits
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core
 from racines_leaderboard.studio import driving, watching
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 from racines_leaderboard.studio.watching import overlay
 from tests.envs.fakes import FakeGrader, FakePhantom
 

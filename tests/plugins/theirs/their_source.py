@@ -6,8 +6,7 @@ import numpy as np
 
 from racines_data.config import fill
 from racines_data.schema import Trajectory
-from racines_data.sources.base import Finding, Unit
-from racines_data.sources.card import SourceCard
+from racines_data.sources.base import Finding, SourceCard, Unit
 from racines_data.views import LABELS
 
 

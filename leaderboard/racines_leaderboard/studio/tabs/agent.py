@@ -8,7 +8,7 @@ import gradio as gr
 from racines_leaderboard.studio import watching
 from racines_leaderboard.studio.driving import FIXED_STARTS
 from racines_leaderboard.studio.html import missing, note
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 from racines_leaderboard.studio.scene import image_panel, panels, side_panel
 from racines_leaderboard.studio.tabs import wiring
 

@@ -9,7 +9,7 @@ from gradio.context import Context
 from racines_data.schema import SPLITS
 from racines_leaderboard.studio import browsing
 from racines_leaderboard.studio.html import missing, note
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 from racines_leaderboard.studio.tabs import wiring
 
 

@@ -11,8 +11,7 @@ from racines_data.errors import RacinesError
 from racines_leaderboard.studio import side_by_side
 from racines_leaderboard.studio.html import missing, note, text
 from racines_leaderboard.studio.inputs import whole
-from racines_leaderboard.studio.parts import load_store, trained_generators
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place, load_store, trained_generators
 from racines_leaderboard.studio.side_by_side import Slider, cards_page, draw_cards
 from racines_leaderboard.studio.tabs import wiring
 

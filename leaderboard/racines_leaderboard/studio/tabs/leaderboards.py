@@ -9,7 +9,7 @@ from racines_leaderboard.board.collect import boards
 from racines_leaderboard.records.tracks import TIERS
 from racines_leaderboard.studio import boards as shown
 from racines_leaderboard.studio.html import missing
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 from racines_leaderboard.studio.tabs import wiring
 
 ROW_CLICKED = """

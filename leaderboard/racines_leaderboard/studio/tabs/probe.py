@@ -14,7 +14,7 @@ from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.task.tasks import TASKS
 from racines_leaderboard.studio import driving
 from racines_leaderboard.studio.html import note
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 from racines_leaderboard.studio.scene import panels
 from racines_leaderboard.studio.tabs import wiring
 

@@ -10,7 +10,7 @@ from racines_leaderboard.expert.session import ABOUT
 from racines_leaderboard.studio import labelling
 from racines_leaderboard.studio.html import missing
 from racines_leaderboard.studio.labelling import CODE, KINDS, NAME, Sitting
-from racines_leaderboard.studio.place import Place
+from racines_leaderboard.studio.parts import Place
 from racines_leaderboard.studio.tabs import wiring
 
 KEYS = """
