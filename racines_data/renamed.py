@@ -55,8 +55,8 @@ MOVED = {
     ),
     "racines_envs.apis": "apis.gym_vector=gym_env gym_env gym_vector=gym_env rendering torchrl_env",
     "racines_envs.cli": (
-        "cli_drive=episodes cli_encoder=train.encoder cli_eval=study cli_explain=episodes "
-        "cli_export=export cli_forces=study cli_speed=study settings"
+        "cli_drive=episodes cli_encoder=train cli_eval=study cli_explain=episodes "
+        "cli_export=episodes cli_forces=study cli_speed=study settings"
     ),
     "racines_envs.driving": "keyboard terminal",
     "racines_envs.evaluation": (
