@@ -65,7 +65,7 @@ MOVED = {
         "trace_recording=run"
     ),
     "racines_envs.explain": (
-        "explain_figure=explanation explain_maps=maps explain_scores=scores explain_truth=scores"
+        "explain_figure=run explain_maps=maps explain_scores=scores explain_truth=scores"
     ),
     "racines_envs.recordings": "recorder=episode_writer replay=rerun",
     "racines_envs.studies": (
@@ -97,8 +97,8 @@ MOVED = {
         "studio.sweep_figures=browsing studio.watch_page=watching"
     ),
     "racines_leaderboard.submissions": (
-        "artefacts content_checks=intake fetch=intake file_checks intake submission=document "
-        "submission_text=document template"
+        "artefacts content_checks=intake fetch=intake file_checks=artefacts intake "
+        "submission=document submission_text=document template"
     ),
     "racines_leaderboard.submissions.confined": (
         "confined=session confined_child=child confined_roads=session confined_wire=child"

@@ -95,8 +95,7 @@ def explain(
     """
     from racines_data.config import fill, section
     from racines_envs.evaluation.agent_specs import RUNS, find_entry
-    from racines_envs.explain.explanation import write_explanation
-    from racines_envs.explain.run import ExplainConfig
+    from racines_envs.explain.run import ExplainConfig, write_explanation
     from racines_envs.explain.run import explain as explain_agent
     from racines_models.cli.output import show_metrics
 

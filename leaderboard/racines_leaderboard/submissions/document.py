@@ -9,8 +9,14 @@ import yaml
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.records.schema import check
-from racines_leaderboard.submissions.artefacts import YAML, check_artefacts, files_of
-from racines_leaderboard.submissions.file_checks import measure, opened, read_bounded
+from racines_leaderboard.submissions.artefacts import (
+    YAML,
+    check_artefacts,
+    files_of,
+    measure,
+    opened,
+    read_bounded,
+)
 
 MAX_BYTES = 64 * 2**10
 MAX_DEPTH = 12

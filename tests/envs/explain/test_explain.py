@@ -11,9 +11,8 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
 from racines_envs.agents.policy import make_actor
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
-from racines_envs.explain.explanation import write_explanation
 from racines_envs.explain.maps import grader_probabilities, integrated_gradients, policy_logits
-from racines_envs.explain.run import ExplainConfig, explain
+from racines_envs.explain.run import ExplainConfig, explain, write_explanation
 from racines_envs.explain.scores import (
     areas,
     blur,
