@@ -34,8 +34,7 @@ def drive(
     as_json: opt.AsJson = False,
 ) -> None:
     """Drive the probe from the keyboard; the keys stand under the picture."""
-    from racines_envs.driving.keyboard import Drive, run
-    from racines_envs.driving.terminal import Terminal
+    from racines_envs.driving.keyboard import Drive, Terminal, run
     from racines_envs.worlds.making import make_core
 
     terminal = Terminal() if keys is None else None  # refused before anything is made
@@ -62,7 +61,7 @@ def replay(
     as_json: opt.AsJson = False,
 ) -> None:
     """Run a recorded episode again; exit 1 if its poses do not repeat."""
-    from racines_envs.recordings.rerun import rerun
+    from racines_envs.recordings.episodes import rerun
 
     done = rerun(recording)
     text = f"{recording}: {done.steps} steps repeat within {done.position_error:.1e} m and "

@@ -19,8 +19,7 @@ from racines_leaderboard.audit.bench import JUDGES, KINDS, Bench
 from racines_leaderboard.audit.verdicts import UNKNOWN, Verdict, equal, fails, holds, tell, unknown
 from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.records.seal import KEY, seal_of
-from racines_leaderboard.submissions.artefacts import files_of, rescored
-from racines_leaderboard.submissions.document import find_submission
+from racines_leaderboard.submissions.document import files_of, find_submission, rescored
 from racines_models.exchange.predictions.reader import Predictions
 from racines_models.provenance import environment
 from racines_models.scores.scoring import take_turns
