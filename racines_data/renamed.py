@@ -65,7 +65,8 @@ MOVED = {
         "trace_recording=run"
     ),
     "racines_envs.explain": (
-        "explain_figure=run explain_maps=maps explain_scores=scores explain_truth=scores"
+        "explain.scores=maps explain_figure=run explain_maps=maps explain_scores=maps "
+        "explain_truth=maps"
     ),
     "racines_envs.recordings": (
         "recorder=episodes recordings.episode_writer=episodes recordings.rerun=episodes "

@@ -14,14 +14,7 @@ from racines_data.files import write_atomic, write_json
 from racines_data.geometry import Pose
 from racines_envs.agents import agent_class, load_agent
 from racines_envs.evaluation.run import check_view
-from racines_envs.explain import scores as scoring
-from racines_envs.explain.maps import (
-    Explained,
-    grader_probabilities,
-    integrated_gradients,
-    outputs,
-    policy_logits,
-)
+from racines_envs.explain import maps as attribution
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
@@ -122,7 +115,7 @@ def explain(
     task = find_task(config.view, phantom)
     agent = load_agent(name, run_dir, config.device)
     check_view(agent, config.view, name, run_dir)
-    judge = policy_logits(agent)
+    judge = attribution.policy_logits(agent)
     if grader is None and config.grader:
         grader = make_grader(config.grader, config.device)
     core = make_core(
@@ -132,15 +125,15 @@ def explain(
         grader=grader if get_reward(config.reward).needs_judge else None,
     )  # fmt: skip
     frames = collect(core, agent, evaluation_seeds(config.starts, config.seed), config)
-    sector, regions = scoring.sector_of(core.phantom), {}
+    sector, regions = attribution.sector_of(core.phantom), {}
     # A recorded frame is of another pose, near by: what lies under its pixels is not known.
     if config.backend != "replay":
-        truth = scoring.true_regions(core.phantom, frames.pose, config.view)
+        truth = attribution.true_regions(core.phantom, frames.pose, config.view)
         regions = {region: inside & sector for region, inside in truth.items()}
     questions = {"policy": _Question(config, frames, sector, judge, frames.actions, True)}
     if grader is not None:
         target = torch.full_like(frames.actions, task.target)
-        judge = grader_probabilities(grader)
+        judge = attribution.grader_probabilities(grader)
         questions["grader"] = _Question(config, frames, sector, judge, target, False)
     maps, probabilities, metrics = {}, {}, {}
     for what, question in questions.items():
@@ -192,16 +185,19 @@ class _Question:
     config: ExplainConfig
     frames: Shown
     sector: Tensor  # (128, 128) bool
-    judge: Explained
+    judge: attribution.Explained
     targets: Tensor  # (n,) int64, which output
     logits: bool  # whether outputs are logits, to be turned into probabilities
 
     def attribute(self) -> tuple[Tensor, Tensor, dict[str, Any]]:
         """Return attributions, the probability of each target, and the completeness error."""
         images, params, judge = self.frames.images, self.frames.params, self.judge
-        maps, error = integrated_gradients(judge, images, params, self.targets, self.config.steps)
-        full = outputs(judge, images, params)
-        change = self._wanted(full - outputs(judge, torch.zeros_like(images), params)).abs()
+        maps, error = attribution.integrated_gradients(
+            judge, images, params, self.targets, self.config.steps
+        )
+        full = attribution.outputs(judge, images, params)
+        black = attribution.outputs(judge, torch.zeros_like(images), params)
+        change = self._wanted(full - black).abs()
         relative = (error.abs() / change.clamp_min(1e-6)).cpu().numpy()
         unit = "|sum of the attributions - change of the output| / change"
         figure = statistics.median(relative, unit, self.config.resamples)
@@ -217,9 +213,9 @@ class _Question:
         for name, insert in (("deletion", False), ("insertion", True)):
             own = self._area(maps, insert)
             figures[name] = self._mean(own)
-            for kind, sigma in (("random", 0.0), ("smooth_random", scoring.SMOOTH)):
+            for kind, sigma in (("random", 0.0), ("smooth_random", attribution.SMOOTH)):
                 seeds = range(self.config.random_maps)
-                drawn = (scoring.random_maps(maps.shape, seed, sigma) for seed in seeds)
+                drawn = (attribution.random_maps(maps.shape, seed, sigma) for seed in seeds)
                 noise = np.mean([self._area(each.to(maps.device), insert) for each in drawn], 0)
                 figures[f"{name}_{kind}"] = self._mean(noise)
                 better = (noise - own) * (-1 if insert else 1)
@@ -230,7 +226,7 @@ class _Question:
         """Return where the top tenth of the pixels by magnitude lies, and by chance would."""
         figures: dict[str, Any] = {}
         for name, region in regions.items():
-            hit, chance = scoring.overlap(maps.abs().cpu(), region, self.sector)
+            hit, chance = attribution.overlap(maps.abs().cpu(), region, self.sector)
             figures[f"overlap_{name}"] = self._mean(hit)
             figures[f"overlap_{name}_by_chance"] = self._mean(chance)
             figures[f"overlap_{name}_gain"] = self._mean(hit - chance)
@@ -238,7 +234,7 @@ class _Question:
 
     def _area(self, maps: Tensor, insert: bool) -> np.ndarray:
         shown, sector = self.frames, self.sector.to(maps.device)
-        return scoring.areas(
+        return attribution.areas(
             self.judge, shown.images, shown.params, self.targets, maps, sector, insert, self.logits
         )
 
@@ -252,12 +248,8 @@ class _Question:
 def write_explanation(explanation: Explanation, folder: Path, pictures: int = 4) -> None:
     """Write `explanation.json`, `attributions.npz`, and a picture of each of the first episodes."""
     frames, buffer = explanation.frames, io.BytesIO()
-    arrays = explanation.maps | {
-        "images": frames.images,
-        "episode": frames.row,
-        "step": frames.step,
-        "action": frames.actions,
-    }
+    arrays = explanation.maps | {"images": frames.images, "episode": frames.row}
+    arrays |= {"step": frames.step, "action": frames.actions}
     whole: Any = {name: values.cpu().numpy() for name, values in arrays.items()}
     np.savez_compressed(buffer, **whole)
     write_atomic(folder / "attributions.npz", buffer.getvalue())
@@ -307,7 +299,7 @@ def draw_episode(explanation: Explanation, row: int, path: Path) -> None:
 
 def _overlay(axis: Any, image: np.ndarray, drawn: Tensor) -> None:
     """Lay a softened attribution over an image; the strongest hundredth is opaque."""
-    soft = scoring.blur(drawn.unsqueeze(0).cpu(), _SOFT)[0].numpy()
+    soft = attribution.blur(drawn.unsqueeze(0).cpu(), _SOFT)[0].numpy()
     scale = max(float(np.quantile(np.abs(soft), 0.99)), 1e-12)
     strength = np.clip(np.abs(soft) / scale, 0.0, 1.0)
     axis.imshow(image * 0.7, cmap="gray", vmin=0, vmax=255)

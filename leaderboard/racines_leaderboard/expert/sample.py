@@ -1,6 +1,5 @@
 """Making a kit: balanced poses, images of each system, blind names, the sealed key."""
 
-import io
 import os
 import shutil
 import tempfile
@@ -15,7 +14,7 @@ from PIL import Image
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.files import write_atomic, write_json
+from racines_data.files import image_bytes, write_atomic, write_json
 from racines_data.imaging import ImageSource
 from racines_data.store.frames import Batch, FrameStore
 from racines_leaderboard.expert.kit import IMAGES, KEY, KIT, Kit, sealed_document
@@ -215,9 +214,7 @@ def _write_images(folder: Path, names: Sequence[str], images: np.ndarray) -> lis
     """
     paths = [folder / f"{name}.png" for name in names]
     for path, image in sorted(zip(paths, images, strict=True), key=lambda pair: pair[0]):
-        buffer = io.BytesIO()
-        Image.fromarray(image).save(buffer, "PNG", compress_level=0)
-        write_atomic(path, buffer.getvalue())
+        write_atomic(path, image_bytes(Image.fromarray(image), compress_level=0))
         os.utime(path, (DATE, DATE))
     return paths
 
