@@ -55,19 +55,23 @@ MOVED = {
     ),
     "racines_envs.apis": "apis.gym_vector=gym_env gym_env gym_vector=gym_env rendering torchrl_env",
     "racines_envs.cli": (
-        "cli_drive=episodes cli_encoder=train.encoder cli_eval=study cli_explain=episodes "
-        "cli_export=export cli_forces=study cli_speed=study settings"
+        "cli_drive=episodes cli_encoder=encoder cli_eval=study cli_explain=episodes "
+        "cli_export=episodes cli_forces=study cli_speed=study settings"
     ),
-    "racines_envs.driving": "keyboard terminal",
+    "racines_envs.driving": "keyboard terminal=keyboard",
     "racines_envs.evaluation": (
         "entries=agent_specs evaluation.entries=agent_specs evaluation.latency=measures "
         "evaluation.trace_recording=run latency=measures measures pictures runs=agent_specs "
         "trace_recording=run"
     ),
     "racines_envs.explain": (
-        "explain_figure=explanation explain_maps=maps explain_scores=scores explain_truth=scores"
+        "explain.scores=maps explain_figure=run explain_maps=maps explain_scores=maps "
+        "explain_truth=maps"
     ),
-    "racines_envs.recordings": "recorder=episode_writer replay=rerun",
+    "racines_envs.recordings": (
+        "recorder=episodes recordings.episode_writer=episodes recordings.rerun=episodes "
+        "replay=episodes"
+    ),
     "racines_envs.studies": (
         "curves rank_correlation=transfer reward_pages=rewards reward_report=rewards "
         "reward_trace=rewards step_profile task_table transfer transfer_pages=transfer"
@@ -88,7 +92,9 @@ MOVED = {
         "cli_audit=audit cli_determinism=audit cli_studio=studio cli_submit=submit "
         "commands=board expert.cli=expert"
     ),
-    "racines_leaderboard.expert": "expert.figures=agreement expert.instructions=kit",
+    "racines_leaderboard.expert": (
+        "expert.figures=agreement expert.instructions=kit expert.session=ratings"
+    ),
     "racines_leaderboard.records": (
         "expert.board=experts expert.names=experts records.seal=schema schema seal=schema tracks"
     ),
@@ -99,8 +105,8 @@ MOVED = {
         "studio.sweep_figures=browsing studio.watch_page=watching"
     ),
     "racines_leaderboard.submissions": (
-        "artefacts content_checks=intake fetch=intake file_checks intake submission=document "
-        "submission_text=document template"
+        "artefacts=document content_checks=intake fetch=intake file_checks=document intake "
+        "submission=document submission_text=document template"
     ),
     "racines_leaderboard.submissions.confined": (
         "confined=session confined_child=child confined_roads=session confined_wire=child"

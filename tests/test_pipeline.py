@@ -296,7 +296,7 @@ TOUCHED = [
     "racines_envs.driving.keyboard",
     "racines_envs.evaluation.measures",
     "racines_envs.explain.maps",
-    "racines_envs.recordings.rerun",
+    "racines_envs.recordings.episodes",
     "racines_envs.studies.curves",
     "racines_leaderboard.board.rank",
     "racines_leaderboard.records.schema",

@@ -1,26 +1,33 @@
 """Behaviour cloning (Pomerleau, ALVINN, 1989): imitate what the dataset's trajectories teach.
 
-The labels are unit steps by hindsight (see `demonstrations`). No environment is touched: neither
-reward, grader nor oracle; only the recorded images, poses, views and grades.
+    frame i ──── unit step? ────> goal j, same trajectory, |j - i| <= horizon, view and grade good
+
+The recorded hand moves a fraction of a unit step a frame, so that its motion from one frame to the
+next says little. Hindsight says more: a frame that the hand came to later is a goal that it was on
+its way to (relabelling as in Andrychowicz et al., Hindsight Experience Replay, 2017; as supervision
+in Ghosh et al., Learning to Reach Goals via Iterated Supervised Learning, 2021). No environment is
+touched: neither reward, grader nor oracle; only the recorded images, poses, views and grades.
 """
 
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import torch
 from torch import Tensor, nn
 from torch.optim import AdamW, Optimizer
 
 from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, parameters_to_pose, rotation_6d
 from racines_data.store.frames import FrameStore, open_store
-from racines_envs.agents.demonstrations import Demonstrations, demonstrations, encode_params
 from racines_envs.agents.networks import open_encoder
+from racines_envs.agents.planner import cost_to_go
 from racines_envs.agents.policy import make_actor
 from racines_envs.agents.training import LearningAgent, seeded, settings_identity
-from racines_envs.task.actions import ACTIONS, IDLE
+from racines_envs.task.actions import ACTIONS, IDLE, ActionTable
+from racines_envs.task.tasks import Task
 from racines_envs.worlds.backends import JudgeLike
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom
 from racines_models import statistics
@@ -32,6 +39,8 @@ from racines_models.training.trainer import train
 
 READ = 256
 """Images encoded at once."""
+CHUNK = 8192
+"""Poses whose costs are found at once."""
 LABELLED_BY = ("horizon", "both_ways", "least_grade", "still_grade")
 """Settings of the demonstrations."""
 KEPT = ("best", "best_state", "history")
@@ -77,6 +86,99 @@ class BehaviourCloningConfig:
     threads: int = 0
     """CPU threads; 0 leaves torch as it is."""
     device: str = "cpu"
+
+
+class Demonstrations(NamedTuple):
+    """M frames and what to do there."""
+
+    rows: Tensor
+    """(M,) int64 rows of the store."""
+    trajectory: Tensor
+    """(M,) int64, the trajectory of each."""
+    cost: Tensor
+    """(M, 13) squared distance to the goal after each action, in unit steps."""
+    action: Tensor
+    """(M,) int64, the action of least cost; idle where the view is well in sight."""
+
+    @property
+    def trajectories(self) -> int:
+        """How many trajectories they come from."""
+        return len(self.trajectory.unique())
+
+
+def demonstrations(
+    store: FrameStore, split: str, task: Task, *, horizon: int = 150, both_ways: bool = True,
+    least_grade: float = 5.0, still_grade: float = 6.5,
+) -> Demonstrations:  # fmt: skip
+    """Label the frames of a split that have a goal.
+
+    The goal is the best-graded frame of the target view, of `least_grade` or more, at most
+    `horizon` frames after it on the same trajectory. With `both_ways` it may lie before it as well:
+    nothing moves in the block but the probe, so a hand that leaves, played backwards, arrives. From
+    a `still_grade` of the target view on, the label is to idle.
+
+    Raises:
+        RacinesError: the dataset does not know the view, or no frame has a goal.
+    """
+    if task.view not in store.labels:
+        raise RacinesError(f"{store.root}: has no view {task.view}: {', '.join(store.labels)}")
+    start, stop = store.bounds(split)
+    seen = store.views[start:stop] == store.labels.index(task.view)
+    worth = torch.where(seen, store.grades[start:stop], torch.nan)
+    worth = torch.where(worth >= least_grade, worth, 0.0)
+    pose = parameters_to_pose(store.parameters[start:stop])
+    if not bool((worth > 0).any()):
+        raise RacinesError(
+            f"{store.root}: no frame of split {split!r} shows {task.view} with a grade of "
+            f"{least_grade:g} or more: there is nothing to imitate; lower least_grade, or build "
+            "more frames"
+        )
+    trajectory = store.trajectory_index[start:stop]
+    goal = _within(worth, trajectory, horizon, both_ways)
+    rows = (goal >= 0).nonzero().squeeze(1)
+    cost = costs(_rows(pose, rows), _rows(pose, goal[rows]), task)
+    still = worth[rows] >= still_grade
+    action = torch.where(still, IDLE, cost.argmin(1))
+    return Demonstrations(rows + start, trajectory[rows], cost, action)
+
+
+def costs(pose: Pose, goal: Pose, task: Task) -> Tensor:
+    """Return the planner's (M, 13) costs to go to M goals after each action."""
+    table = ActionTable.make(task.step_translation, task.step_rotation, pose.position.device)
+    count, parts = len(ACTIONS), []
+    for rows in torch.arange(len(pose.position)).split(CHUNK):
+        each = rows.repeat_interleave(count)
+        moved = table.move(_rows(pose, each), torch.arange(count).repeat(len(rows)))
+        parts.append(cost_to_go(moved, _rows(goal, each), task).view(-1, count))
+    return torch.cat(parts)
+
+
+def encode_params(parameters: Tensor, workspace: Any) -> Tensor:
+    """Return the (M, 9) observation `params` of (M, 12) recorded parameters (see `ScanCore`)."""
+    pose = parameters_to_pose(parameters)
+    centre = (workspace.position_max + workspace.position_min) / 2
+    half = (workspace.position_max - workspace.position_min) / 2
+    encoded = torch.cat([(pose.position - centre) / half, rotation_6d(pose.rotation)], -1)
+    return encoded.clamp(-1.0, 1.0)
+
+
+def _within(worth: Tensor, trajectory: Tensor, horizon: int, both_ways: bool) -> Tensor:
+    """Return the (n,) best goals in the window of each frame's own trajectory, -1 for none."""
+    counts = torch.unique_consecutive(trajectory, return_counts=True)[1].tolist()
+    goals, first = [], 0
+    for best in worth.split(counts):
+        rows = torch.arange(len(best))
+        ahead = rows[None] - rows[:, None]
+        near = (ahead.abs() if both_ways else ahead) <= horizon
+        near &= both_ways | (ahead >= 0)
+        value, index = torch.where(near, best[None], 0.0).max(1)
+        goals.append(torch.where(value > 0, index + first, -1))
+        first += len(best)
+    return torch.cat(goals)
+
+
+def _rows(pose: Pose, rows: Tensor) -> Pose:
+    return Pose(*(each[rows] for each in pose))
 
 
 class _Examples:

@@ -62,19 +62,14 @@ class _Training(TrainingRun):
             critic_coeff=1.0, loss_critic_type="smooth_l1", normalize_advantage=True,
             functional=False,
         )  # fmt: skip
-        self.optimiser = torch.optim.Adam(
-            [
-                {"params": list(self.actor.parameters()), "lr": config.actor_lr},
-                {"params": list(self.critic.parameters()), "lr": config.critic_lr},
-            ],
-            eps=1e-5,
-        )
+        networks = (self.actor, config.actor_lr), (self.critic, config.critic_lr)
+        groups = [{"params": [*network.parameters()], "lr": rate} for network, rate in networks]
+        self.optimiser = torch.optim.Adam(groups, eps=1e-5)
 
     def _update(self, batch: TensorDictBase) -> dict[str, float]:
         """Improve actor and critic by several passes over one batch."""
         config = self.config
-        reward = batch["next", "reward"]
-        batch["next", "reward"] = reward * config.reward_scale
+        batch["next", "reward"] = batch["next", "reward"] * config.reward_scale
         with torch.no_grad():
             self.advantage(batch)
         flat = batch.reshape(-1).exclude("next", "collector", "info")

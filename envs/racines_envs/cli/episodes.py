@@ -1,4 +1,4 @@
-"""The commands on episodes: `racines drive`, `replay` and `explain`. Heavy imports stand inside."""
+"""The commands `racines drive`, `replay`, `explain` and `export …`. Heavy imports stand inside."""
 
 import json
 from dataclasses import asdict
@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.options import given, overrides, read_settings
+from racines_data.cli.options import check_ending, given, overrides, read_settings
 from racines_envs.cli.settings import Agent, phantom_config
 from racines_models.cli.device import OneDevice
 
@@ -34,8 +34,7 @@ def drive(
     as_json: opt.AsJson = False,
 ) -> None:
     """Drive the probe from the keyboard; the keys stand under the picture."""
-    from racines_envs.driving.keyboard import Drive, run
-    from racines_envs.driving.terminal import Terminal
+    from racines_envs.driving.keyboard import Drive, Terminal, run
     from racines_envs.worlds.making import make_core
 
     terminal = Terminal() if keys is None else None  # refused before anything is made
@@ -62,7 +61,7 @@ def replay(
     as_json: opt.AsJson = False,
 ) -> None:
     """Run a recorded episode again; exit 1 if its poses do not repeat."""
-    from racines_envs.recordings.rerun import rerun
+    from racines_envs.recordings.episodes import rerun
 
     done = rerun(recording)
     text = f"{recording}: {done.steps} steps repeat within {done.position_error:.1e} m and "
@@ -95,8 +94,7 @@ def explain(
     """
     from racines_data.config import fill, section
     from racines_envs.evaluation.agent_specs import RUNS, find_entry
-    from racines_envs.explain.explanation import write_explanation
-    from racines_envs.explain.run import ExplainConfig
+    from racines_envs.explain.run import ExplainConfig, write_explanation
     from racines_envs.explain.run import explain as explain_agent
     from racines_models.cli.output import show_metrics
 
@@ -117,3 +115,46 @@ def explain(
         for what, metrics in result.scores["metrics"].items():
             show_metrics(f"{name}, {what}: {images} images", metrics)
         typer.echo(f"written: {folder}")
+
+
+def export_agent(
+    run: Annotated[Path, typer.Argument(help="Folder that a training left, envs/runs/NAME.")],
+    out: opt.OutFile,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Write a trained policy as one ONNX file, its frozen encoder inside."""
+    from racines_envs.agents.onnx.policy import export_run
+
+    check_ending(out, ".onnx")
+    made = export_run(run, out)
+    line = f"{out}: {made['bytes']:,} bytes, opset {made['opset']}, sees {made['observation']}"
+    typer.echo(json.dumps(made) if as_json else line)
+
+
+def export_trace(
+    agent: Annotated[str, typer.Argument(help="Registered agent, module:Class or FILE.onnx.")],
+    out: opt.OutFile,
+    view: opt.View = None,
+    starts: opt.Starts = None,
+    reward: opt.Reward = None,
+    grader: opt.Grader = None,
+    seed: opt.StartSeed = None,
+    run: opt.Trained = None,
+    params: opt.Params = None,
+    profile: opt.Profile = None,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Write the actions that an agent takes from the fixed starts, for others to take again."""
+    from racines_data.config import fill, section
+    from racines_envs.agents import agent_class
+    from racines_envs.evaluation.agent_specs import RUNS
+    from racines_envs.evaluation.run import EvaluationConfig, record_trace
+
+    check_ending(out, ".json")
+    settings = read_settings(params, profile)
+    chosen = given(view=view, starts=starts, reward=reward, grader=grader, seed=seed)
+    config = fill(EvaluationConfig, section(settings, "evaluation") | chosen, "evaluation")
+    folder = run or RUNS / agent_class(agent).name
+    made = record_trace(agent, folder, config, out, phantom_config(settings))
+    line = f"{out}: {made['episodes']:,} episodes, {made['steps']:,} steps"
+    typer.echo(json.dumps(made) if as_json else line)

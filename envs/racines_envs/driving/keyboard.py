@@ -1,16 +1,22 @@
-"""Driving the probe by hand: keys to actions, and the loop. The terminal itself is `terminal`."""
+"""Driving the probe by hand: keys to actions, the loop, and the terminal, also over SSH."""
 
-from collections.abc import Callable, Iterable
+import os
+import re
+import termios
+import tty
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain, groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from PIL import Image
 
+from racines_data.errors import RacinesError
 from racines_data.files import image_bytes, write_atomic
 from racines_envs.apis.rendering import IMAGE, History, compose, describe
-from racines_envs.recordings.episode_writer import CoreRecorder
+from racines_envs.recordings.episodes import CoreRecorder
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 
@@ -27,6 +33,10 @@ HELP = (
     "i/k  +rx/-rx   l/j  +ry/-ry   o/u  +rz/-rz   space  idle   n  new start   q  quit",
 )
 """What is shown under the picture."""
+WIDE = 100
+"""Columns from which the views of the block have room beside the image."""
+_KEY = re.compile(r"\x1b\[[0-9;]*[A-Za-z~]|.", re.DOTALL)
+_ENTER, _LEAVE = "\x1b[?1049h\x1b[?25l\x1b[2J", "\x1b[0m\x1b[?25h\x1b[?1049l"
 
 
 class Drive:
@@ -100,10 +110,6 @@ def run(drive: Drive, keys: Iterable[str], show: Callable[[Drive], None] | None 
         drive.close()
 
 
-WIDE = 100
-"""Columns from which the views of the block have room beside the image."""
-
-
 def screen(drive: Drive, columns: int, rows: int, true_colour: bool = True) -> str:
     """Return what a terminal of a size shows: the picture in half blocks, then words.
 
@@ -147,3 +153,53 @@ def _palette(pixels: np.ndarray) -> np.ndarray:
     r, g, b = np.moveaxis((pixels * 5 + 127) // 255, -1, 0)
     cube = 16 + 36 * r + 6 * g + b
     return np.where(np.ptp(pixels, -1) < 12, gray, cube)
+
+
+class Terminal:
+    """Keys without Enter, on the other screen; as it was before on leaving.
+
+    with Terminal() as terminal:
+        run(drive, terminal.keys(), terminal.show)
+    """
+
+    def __init__(self, keys: int = 0, out: int = 1) -> None:
+        """Use file descriptors, by default standard input and output, which are a terminal's."""
+        if not (os.isatty(keys) and os.isatty(out)):
+            raise RacinesError("racines drive needs a terminal: run it in one, or give --keys")
+        self._in, self._out = keys, out
+        self._before: list[Any] = []
+        self._true_colour = os.environ.get("COLORTERM", "") in ("truecolor", "24bit")
+
+    def __enter__(self) -> "Terminal":
+        """Take the terminal."""
+        self._before = termios.tcgetattr(self._in)
+        tty.setraw(self._in)
+        self._write(_ENTER)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        """Give it back as it was."""
+        self._write(_LEAVE)
+        termios.tcsetattr(self._in, termios.TCSADRAIN, self._before)
+
+    def keys(self) -> Iterator[str]:
+        """Yield keys as they are pressed; an arrow is one key. Ends where the input does."""
+        while True:
+            try:
+                data = os.read(self._in, 256)
+            except OSError:  # the terminal has gone
+                return
+            if not data:
+                return
+            yield from _KEY.findall(data.decode(errors="ignore"))
+
+    def show(self, drive: Drive) -> None:
+        """Draw over what was there."""
+        size = os.get_terminal_size(self._out)
+        columns, rows = size.columns or 80, size.lines or 24
+        self._write("\x1b[H" + screen(drive, columns, rows, self._true_colour) + "\x1b[J")
+
+    def _write(self, text: str) -> None:
+        data = text.encode()
+        while data:
+            data = data[os.write(self._out, data) :]

@@ -1,5 +1,6 @@
 """Why an agent moved as it did: attributions along episodes, scored, and beside the truth."""
 
+import io
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -9,18 +10,12 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.files import write_atomic, write_json
 from racines_data.geometry import Pose
 from racines_envs.agents import agent_class, load_agent
 from racines_envs.evaluation.run import check_view
-from racines_envs.explain import scores as scoring
-from racines_envs.explain.explanation import Explanation, Shown
-from racines_envs.explain.maps import (
-    Explained,
-    grader_probabilities,
-    integrated_gradients,
-    outputs,
-    policy_logits,
-)
+from racines_envs.explain import maps as attribution
+from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
@@ -32,6 +27,11 @@ from racines_models.protocol import Judge
 from racines_models.provenance import code_version, environment, weights_sha256
 
 SCHEMA = "racines.explanation/1"
+COLUMNS = 6
+"""Images in a figure at most; evenly taken from the episode's."""
+TITLES = {"policy": "chosen action", "grader": "target view,\nby the grader"}
+_SOFT = 1.2
+"""Blur of the drawn attributions, pixels; the scores are taken without."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,37 @@ class ExplainConfig:
     device: str = "cpu"
 
 
+@dataclass(frozen=True)
+class Shown:
+    """The images of an agent's episodes that are explained, n in all."""
+
+    images: Tensor
+    """(n, 128, 128) uint8."""
+    params: Tensor
+    """(n, 9); zeros where the agent does not look at them."""
+    pose: Pose
+    actions: Tensor
+    """(n,) int64, what the agent did there."""
+    row: Tensor
+    """(n,) int64, the episode."""
+    step: Tensor
+    """(n,) int64, steps before it."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Attributions and their scores."""
+
+    scores: dict[str, Any]
+    frames: Shown
+    maps: dict[str, Tensor]
+    """(n, 128, 128) attributions of the chosen action (`policy`) and the target view (`grader`)."""
+    regions: dict[str, Tensor]
+    """(n, 128, 128) bool, inside the sector; see `true_regions`."""
+    probabilities: dict[str, Tensor]
+    """(n,) probability of what is attributed."""
+
+
 def explain(
     name: str, run_dir: Path, config: ExplainConfig, phantom: WorldLike = None,
     grader: Judge | None = None,
@@ -84,7 +115,7 @@ def explain(
     task = find_task(config.view, phantom)
     agent = load_agent(name, run_dir, config.device)
     check_view(agent, config.view, name, run_dir)
-    judge = policy_logits(agent)
+    judge = attribution.policy_logits(agent)
     if grader is None and config.grader:
         grader = make_grader(config.grader, config.device)
     core = make_core(
@@ -94,17 +125,15 @@ def explain(
         grader=grader if get_reward(config.reward).needs_judge else None,
     )  # fmt: skip
     frames = collect(core, agent, evaluation_seeds(config.starts, config.seed), config)
-    sector, regions = scoring.sector_of(core.phantom), {}
+    sector, regions = attribution.sector_of(core.phantom), {}
     # A recorded frame is of another pose, near by: what lies under its pixels is not known.
     if config.backend != "replay":
-        truth = scoring.true_regions(core.phantom, frames.pose, config.view)
+        truth = attribution.true_regions(core.phantom, frames.pose, config.view)
         regions = {region: inside & sector for region, inside in truth.items()}
     questions = {"policy": _Question(config, frames, sector, judge, frames.actions, True)}
     if grader is not None:
-        judge, target = (
-            grader_probabilities(grader),
-            torch.full_like(frames.actions, task.target),
-        )
+        target = torch.full_like(frames.actions, task.target)
+        judge = attribution.grader_probabilities(grader)
         questions["grader"] = _Question(config, frames, sector, judge, target, False)
     maps, probabilities, metrics = {}, {}, {}
     for what, question in questions.items():
@@ -156,16 +185,19 @@ class _Question:
     config: ExplainConfig
     frames: Shown
     sector: Tensor  # (128, 128) bool
-    judge: Explained
+    judge: attribution.Explained
     targets: Tensor  # (n,) int64, which output
     logits: bool  # whether outputs are logits, to be turned into probabilities
 
     def attribute(self) -> tuple[Tensor, Tensor, dict[str, Any]]:
         """Return attributions, the probability of each target, and the completeness error."""
         images, params, judge = self.frames.images, self.frames.params, self.judge
-        maps, error = integrated_gradients(judge, images, params, self.targets, self.config.steps)
-        full = outputs(judge, images, params)
-        change = self._wanted(full - outputs(judge, torch.zeros_like(images), params)).abs()
+        maps, error = attribution.integrated_gradients(
+            judge, images, params, self.targets, self.config.steps
+        )
+        full = attribution.outputs(judge, images, params)
+        black = attribution.outputs(judge, torch.zeros_like(images), params)
+        change = self._wanted(full - black).abs()
         relative = (error.abs() / change.clamp_min(1e-6)).cpu().numpy()
         unit = "|sum of the attributions - change of the output| / change"
         figure = statistics.median(relative, unit, self.config.resamples)
@@ -181,9 +213,9 @@ class _Question:
         for name, insert in (("deletion", False), ("insertion", True)):
             own = self._area(maps, insert)
             figures[name] = self._mean(own)
-            for kind, sigma in (("random", 0.0), ("smooth_random", scoring.SMOOTH)):
+            for kind, sigma in (("random", 0.0), ("smooth_random", attribution.SMOOTH)):
                 seeds = range(self.config.random_maps)
-                drawn = (scoring.random_maps(maps.shape, seed, sigma) for seed in seeds)
+                drawn = (attribution.random_maps(maps.shape, seed, sigma) for seed in seeds)
                 noise = np.mean([self._area(each.to(maps.device), insert) for each in drawn], 0)
                 figures[f"{name}_{kind}"] = self._mean(noise)
                 better = (noise - own) * (-1 if insert else 1)
@@ -194,7 +226,7 @@ class _Question:
         """Return where the top tenth of the pixels by magnitude lies, and by chance would."""
         figures: dict[str, Any] = {}
         for name, region in regions.items():
-            hit, chance = scoring.overlap(maps.abs().cpu(), region, self.sector)
+            hit, chance = attribution.overlap(maps.abs().cpu(), region, self.sector)
             figures[f"overlap_{name}"] = self._mean(hit)
             figures[f"overlap_{name}_by_chance"] = self._mean(chance)
             figures[f"overlap_{name}_gain"] = self._mean(hit - chance)
@@ -202,7 +234,7 @@ class _Question:
 
     def _area(self, maps: Tensor, insert: bool) -> np.ndarray:
         shown, sector = self.frames, self.sector.to(maps.device)
-        return scoring.areas(
+        return attribution.areas(
             self.judge, shown.images, shown.params, self.targets, maps, sector, insert, self.logits
         )
 
@@ -211,3 +243,64 @@ class _Question:
         row = self.frames.row.cpu().numpy()
         episodes = np.array([values[row == r].mean() for r in np.unique(row)])
         return statistics.mean(episodes, None, self.config.resamples) | {"images": len(values)}
+
+
+def write_explanation(explanation: Explanation, folder: Path, pictures: int = 4) -> None:
+    """Write `explanation.json`, `attributions.npz`, and a picture of each of the first episodes."""
+    frames, buffer = explanation.frames, io.BytesIO()
+    arrays = explanation.maps | {"images": frames.images, "episode": frames.row}
+    arrays |= {"step": frames.step, "action": frames.actions}
+    whole: Any = {name: values.cpu().numpy() for name, values in arrays.items()}
+    np.savez_compressed(buffer, **whole)
+    write_atomic(folder / "attributions.npz", buffer.getvalue())
+    for row in frames.row.unique().tolist()[:pictures]:
+        draw_episode(explanation, row, folder / f"episode_{row:02d}.png")
+    write_json(folder / "explanation.json", explanation.scores)
+
+
+def draw_episode(explanation: Explanation, row: int, path: Path) -> None:
+    """Draw the images of an episode over their attributions, as PNG.
+
+    Red speaks for the chosen action (or the target view), blue against; green lines are true
+    borders of tissues.
+    """
+    from matplotlib.figure import Figure
+
+    frames, kinds = explanation.frames, list(explanation.maps)
+    chosen = (frames.row == row).nonzero().squeeze(1)
+    if len(chosen) > COLUMNS:
+        chosen = chosen[torch.linspace(0, len(chosen) - 1, COLUMNS).round().long()]
+    lines = 1 + len(kinds)
+    size = (1.9 * len(chosen) + 0.6, 2.15 * lines + 0.35)
+    figure = Figure(figsize=size, layout="constrained")
+    axes: Any = figure.subplots(lines, len(chosen), squeeze=False)
+    for index, column in zip(chosen.tolist(), axes.T, strict=True):
+        action = ACTIONS[int(frames.actions[index])]
+        image = frames.images[index].cpu().numpy()
+        column[0].set_title(f"step {int(frames.step[index])}: {action}", fontsize=9)
+        column[0].imshow(image, cmap="gray", vmin=0, vmax=255)
+        for kind, axis in zip(kinds, column[1:], strict=True):
+            _overlay(axis, image, explanation.maps[kind][index])
+            if "borders" in explanation.regions:
+                borders = explanation.regions["borders"][index].cpu().numpy()
+                axis.contour(borders, [0.5], colors="lime", linewidths=0.25)
+            found = float(explanation.probabilities[kind][index])
+            axis.set_title(f"p {found:.2f}", fontsize=8, pad=2)
+    for axis, label in zip(axes[:, 0], ["image", *(TITLES[kind] for kind in kinds)], strict=True):
+        axis.set_ylabel(label, fontsize=9)
+    for axis in axes.flat:
+        axis.set(xticks=[], yticks=[])
+    view = explanation.scores["settings"]["view"]
+    figure.suptitle(f"{explanation.scores['agent']} on {view}, start {row}", fontsize=10)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, dpi=130, metadata={"Software": None})
+    write_atomic(path, buffer.getvalue())
+
+
+def _overlay(axis: Any, image: np.ndarray, drawn: Tensor) -> None:
+    """Lay a softened attribution over an image; the strongest hundredth is opaque."""
+    soft = attribution.blur(drawn.unsqueeze(0).cpu(), _SOFT)[0].numpy()
+    scale = max(float(np.quantile(np.abs(soft), 0.99)), 1e-12)
+    strength = np.clip(np.abs(soft) / scale, 0.0, 1.0)
+    axis.imshow(image * 0.7, cmap="gray", vmin=0, vmax=255)
+    axis.imshow(soft, cmap="seismic", vmin=-scale, vmax=scale, alpha=strength**0.8)

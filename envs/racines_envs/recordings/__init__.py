@@ -1,4 +1,4 @@
-"""Episodes on disk: `episode_writer` writes them, `rerun` runs them again and checks the poses."""
+"""Episodes on disk, written, and run again to check the poses."""
 
 import lazy_loader
 

@@ -1,10 +1,10 @@
-from .episode_writer import CoreRecorder as CoreRecorder
-from .episode_writer import EpisodeRecorder as EpisodeRecorder
-from .episode_writer import record_rollout as record_rollout
-from .rerun import RecordedEpisode as RecordedEpisode
-from .rerun import Rerun as Rerun
-from .rerun import read_recording as read_recording
-from .rerun import rerun as rerun
+from .episodes import CoreRecorder as CoreRecorder
+from .episodes import EpisodeRecorder as EpisodeRecorder
+from .episodes import RecordedEpisode as RecordedEpisode
+from .episodes import Rerun as Rerun
+from .episodes import read_recording as read_recording
+from .episodes import record_rollout as record_rollout
+from .episodes import rerun as rerun
 
 __all__ = [
     "CoreRecorder",

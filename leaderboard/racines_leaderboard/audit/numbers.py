@@ -20,7 +20,6 @@ import numpy as np
 
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.claims import differing
-from racines_leaderboard.audit.roads import HALF
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, unknown
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.tracks import TRACK
@@ -35,7 +34,7 @@ TIMED = re.compile(r"images_per_second_(?P<batch>\d+)|latency")
 """Metrics of the machine."""
 CLOSE = 1e-9
 """What the last bits of a sum may differ by, relative."""
-BITWISE, TOLERANCE = "bitwise", "tolerance"
+BITWISE, TOLERANCE, HALF = "bitwise", "tolerance", "half precision"
 PRIMARY = 4e-4
 """Of the metrics that rank, in their own unit: below half of 0.001."""
 OTHERS, ITEMS = 1e-3, 2.0

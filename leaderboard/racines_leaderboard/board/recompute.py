@@ -17,10 +17,9 @@ from racines_envs.worlds.making import find_task, make_phantom, phantom_recipe
 from racines_leaderboard.board.collect import Record, one_dataset, record_of
 from racines_leaderboard.records.schema import check, write_record
 from racines_leaderboard.records.tracks import GENERATORS, TRACK, TRACKS
-from racines_leaderboard.submissions.artefacts import YAML, files_of, rescored
 from racines_leaderboard.submissions.confined import session as confined
 from racines_leaderboard.submissions.confined.session import Limits
-from racines_leaderboard.submissions.document import find_submission
+from racines_leaderboard.submissions.document import YAML, files_of, find_submission, rescored
 from racines_leaderboard.submissions.intake import check_content
 from racines_models.exchange.predictions.file import Predictions
 from racines_models.judges.grader.model import Grader

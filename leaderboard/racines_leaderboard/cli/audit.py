@@ -90,8 +90,7 @@ def _document(reports: list["Report"]) -> dict[str, Any]:
         "code": code_version(),
         "reports": [report.to_json() for report in reports],
     }
-    document = json.loads(json.dumps(document))
-    check(document, "audit", "the report")
+    check(document := json.loads(json.dumps(document)), "audit", "the report")
     return document
 
 

@@ -114,7 +114,6 @@ def score(
     from racines_leaderboard.expert import score as scoring
     from racines_leaderboard.expert.kit import Kit
     from racines_leaderboard.expert.ratings import read_all
-    from racines_leaderboard.expert.report import show, write_picture
     from racines_leaderboard.records.experts import publish
     from racines_leaderboard.records.schema import check
 
@@ -127,13 +126,13 @@ def score(
     if out is not None:
         written = [out / "report.json", out / "report.png"]
         write_json(written[0], report)
-        write_picture(written[1], report)
+        scoring.write_picture(written[1], report)
     if board is not None:
         written += publish(report, results, board)
     if as_json:
         typer.echo(json.dumps(report, ensure_ascii=False))
         return
-    show(report, Console())
+    scoring.show(report, Console())
     for path in written:
         typer.echo(str(path))
 

@@ -33,7 +33,7 @@ def submit(
         return
     if check and (force or fetch):
         raise typer.BadParameter("--check copies nothing: leave out --force and --fetch")
-    from racines_leaderboard.submissions.artefacts import KINDS, rescored
+    from racines_leaderboard.submissions.document import KINDS, rescored
     from racines_leaderboard.submissions.intake import look_at, take_in
 
     taken = look_at(source) if check else take_in(source, out, replace=force, fetching=fetch)

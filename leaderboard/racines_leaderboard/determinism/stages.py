@@ -43,6 +43,7 @@ SCORED = 16
 SETTINGS: dict[str, Any] = {
     "data": {"frames": FRAMES, "workers": 1, "phantom": {"shortest": 10, "longest": 20}},
     "grader": {"input_size": 32, "view_stage": {"epochs": 1}, "grade_stage": {"epochs": 1}},
+    "ppo": {"frames": 4096, "validate_every": 4096, "validation_starts": 4},
 }
 TRAINING: dict[str, Any] = {"images": 24, "batch_size": 8, "ema": 0.0, "warmup_images": 0}
 """Of each generator that trains: three steps."""
@@ -246,14 +247,8 @@ def rollouts(work: Work, setup: Setup) -> Arrays:
 
 def ppo(work: Work, setup: Setup) -> Arrays:
     """Train PPO on the pose for two updates."""
-    config = PPOConfig(
-        frames=4096,
-        validate_every=4096,
-        validation_starts=4,
-        threads=setup.threads,
-        device=setup.device,
-    )
-    out = work.new()
+    here, out = {"threads": setup.threads, "device": setup.device}, work.new()
+    config: Any = fill(PPOConfig, SETTINGS["ppo"] | here, "ppo")
     PPOAgent.train(config, out, progress=False)
     return _on_cpu(load_weights(out / "policy.safetensors"))
 

@@ -13,7 +13,7 @@ import numpy as np
 from racines_data.errors import RacinesError
 from racines_leaderboard.expert.agreement import round_half_up
 from racines_leaderboard.expert.kit import Kit
-from racines_leaderboard.expert.session import Session
+from racines_leaderboard.expert.ratings import Session
 
 
 @dataclass(frozen=True)

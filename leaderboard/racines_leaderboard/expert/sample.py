@@ -1,6 +1,5 @@
-"""Making a kit: poses of the test split, images of each system, blind names, the sealed key."""
+"""Making a kit: balanced poses, images of each system, blind names, the sealed key."""
 
-import io
 import os
 import shutil
 import tempfile
@@ -15,10 +14,9 @@ from PIL import Image
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.files import write_atomic, write_json
+from racines_data.files import image_bytes, write_atomic, write_json
 from racines_data.imaging import ImageSource
 from racines_data.store.frames import Batch, FrameStore
-from racines_leaderboard.expert.design import Plan, blind, stratify
 from racines_leaderboard.expert.kit import IMAGES, KEY, KIT, Kit, sealed_document
 from racines_leaderboard.records.experts import TRUE_FRAMES
 from racines_leaderboard.records.schema import check
@@ -29,6 +27,8 @@ from racines_models.sample import Progress, draw
 
 DATE = 315_532_800
 """Time of every image: 1 January 1980, the earliest that archives can hold."""
+GRADE_EDGES = (4.0, 7.0)
+"""Thirds of the scale of a view, 1-10: poor below 4, fair below 7, good from there on."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,27 @@ class System:
     """None: the frames of the dataset themselves."""
     weights: dict[str, str] | None = None
     """SHA-256 of its weights, by file."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The names of M = images + repeats entries, and the blocks in which they are shown."""
+
+    entries: np.ndarray
+    """(M,) which image each entry shows; the repeats come last."""
+    names: list[str]
+    """(M,) the blind name of each entry."""
+    blocks: list[list[str]]
+    """Three blocks of sorted names. The two of a repeated image lie in the first and the last, so
+    that at least the middle block lies between them, however each block is shuffled."""
+
+    def named(self, answers: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+        """Return the answer to each name, in order, with the name that it repeats."""
+        named = {}
+        for place, (entry, name) in enumerate(zip(self.entries, self.names, strict=True)):
+            first = self.names[entry] if place >= len(answers) else None
+            named[name] = answers[entry] | {"repeat_of": first}
+        return dict(sorted(named.items()))
 
 
 def make_kit(
@@ -193,8 +214,83 @@ def _write_images(folder: Path, names: Sequence[str], images: np.ndarray) -> lis
     """
     paths = [folder / f"{name}.png" for name in names]
     for path, image in sorted(zip(paths, images, strict=True), key=lambda pair: pair[0]):
-        buffer = io.BytesIO()
-        Image.fromarray(image).save(buffer, "PNG", compress_level=0)
-        write_atomic(path, buffer.getvalue())
+        write_atomic(path, image_bytes(Image.fromarray(image), compress_level=0))
         os.utime(path, (DATE, DATE))
     return paths
+
+
+def allocate(total: int, capacities: np.ndarray) -> np.ndarray:
+    """Share `total` out over (G,) groups as evenly as their capacities allow; (G,) int64.
+
+    What does not divide goes to the first groups that have room; RacinesError if all are too few.
+    """
+    capacities = np.asarray(capacities, np.int64)
+    if total > capacities.sum():
+        raise RacinesError(f"{total} wanted of {capacities.sum()}: ask for fewer images")
+    shares = np.zeros_like(capacities)
+    while left := total - int(shares.sum()):
+        free = np.flatnonzero(shares < capacities)
+        step = max(left // len(free), 1)
+        for group in free[:left]:
+            shares[group] += min(step, capacities[group] - shares[group])
+    return shares
+
+
+def stratify(
+    views: np.ndarray,
+    grades: np.ndarray,
+    trajectories: np.ndarray,
+    total: int,
+    random: int,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Choose `total` of N frames, balanced over views, then grades, then trajectories.
+
+    Views are (N,) labels, -1 where unknown, which counts as one more; `random` is the label of
+    `Random`, whose frames have one grade. Grades are (N,), 0-10, NaN where unknown, trajectories
+    (N,) integers. Returns (total,) int64 places in random order; RacinesError if they are fewer.
+    """
+    bins = np.digitize(np.nan_to_num(grades), GRADE_EDGES)
+    bins[(views < 0) | (views == random)] = 0
+    present, counts = np.unique(views, return_counts=True)
+    chosen = []
+    for view, count in zip(present, allocate(total, counts), strict=True):
+        groups = [np.flatnonzero((views == view) & (bins == b)) for b in np.unique(bins)]
+        shares = allocate(int(count), np.array([len(group) for group in groups]))
+        for group, share in zip(groups, shares, strict=True):
+            chosen.append(_spread(group, trajectories[group], int(share), rng))
+    return rng.permutation(np.concatenate(chosen))
+
+
+def _spread(
+    places: np.ndarray, trajectories: np.ndarray, count: int, rng: np.random.Generator
+) -> np.ndarray:
+    """Take `count` of (n,) places, from each trajectory one before any gives a second."""
+    order = rng.permutation(len(places))
+    turn = np.empty(len(places), np.int64)
+    for trajectory in np.unique(trajectories):
+        own = order[trajectories[order] == trajectory]
+        turn[own] = np.arange(len(own))
+    return places[order[np.argsort(turn[order], kind="stable")][:count]]
+
+
+def blind(systems: Sequence[str], repeats: int, rng: np.random.Generator) -> Plan:
+    """Choose at most half of N images to repeat, as many of each system; name all by chance."""
+    names = np.array(systems)
+    present, counts = np.unique(names, return_counts=True)
+    shares = zip(present, allocate(repeats, counts), strict=True)
+    chosen = [rng.permutation(np.flatnonzero(names == name))[:share] for name, share in shares]
+    again = np.concatenate(chosen)
+    total = len(names) + repeats
+    width = max(4, len(str(total)))
+    blind_names = [f"{number:0{width}d}" for number in rng.permutation(total) + 1]
+    twins = np.arange(len(names), total)
+    # Which of the two comes in the first block is chance: the first is the one that is scored.
+    swap = rng.random(repeats) < 0.5
+    first, last = np.where(swap, twins, again), np.where(swap, again, twins)
+    others = rng.permutation(np.setdiff1d(np.arange(len(names)), again))
+    cut = np.array([total // 3 - repeats, total - 2 * (total // 3)]).cumsum()
+    a, b, c = np.split(others, cut)
+    blocks = [np.concatenate([first, a]), b, np.concatenate([last, c])]
+    shown = [sorted(blind_names[entry] for entry in block) for block in blocks]
+    return Plan(np.concatenate([np.arange(len(names)), again]), blind_names, shown)

@@ -20,8 +20,7 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.expert.kit import KIT, Kit
-from racines_leaderboard.expert.ratings import check_rater, read_ratings
-from racines_leaderboard.expert.session import ABOUT, Session
+from racines_leaderboard.expert.ratings import ABOUT, Session, check_rater, read_ratings
 from racines_leaderboard.records.experts import EXPERT
 from racines_leaderboard.studio.html import text, ultrasound
 from racines_leaderboard.studio.inputs import choice, whole, words

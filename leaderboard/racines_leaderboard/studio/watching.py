@@ -18,7 +18,6 @@ from racines_data.errors import RacinesError
 from racines_envs.agents import agent_names, load_agent
 from racines_envs.apis.rendering import History, Steps
 from racines_envs.explain import maps
-from racines_envs.explain.scores import blur
 from racines_envs.task.tasks import TASKS
 from racines_leaderboard.studio import inputs
 from racines_leaderboard.studio.driving import FIXED, FIXED_STARTS, core_and_grader, reset_seed
@@ -191,7 +190,7 @@ def overlay(image: np.ndarray, attributions: np.ndarray) -> np.ndarray:
 
     Red speaks for what is explained, blue against; the strongest hundredth is opaque.
     """
-    soft = blur(torch.from_numpy(attributions).float().unsqueeze(0), SOFT)[0].numpy()
+    soft = maps.blur(torch.from_numpy(attributions).float().unsqueeze(0), SOFT)[0].numpy()
     scale = max(float(np.quantile(np.abs(soft), 0.99)), 1e-12)
     share = _enlarge(soft / scale).clip(-1.0, 1.0)
     gray = _enlarge(image).clip(0.0, 255.0)

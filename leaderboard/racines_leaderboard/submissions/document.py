@@ -1,21 +1,242 @@
-"""A submission's YAML, read as what a stranger wrote: plain data, bounded, one meaning only."""
+"""A submission: its YAML, read as what a stranger wrote, and the artefacts that it names.
 
+The YAML is plain data, bounded, of one meaning only. Artefacts have plain names and are plain
+files, bounded, no pickle under any name. A file is opened once, without following links, and all
+that is said of it is said of that open file: what lies under its name a moment later is of no
+matter.
+"""
+
+import contextlib
+import errno
+import hashlib
+import importlib.util
 import math
+import os
+import re
+import stat
 import unicodedata
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import yaml
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.records.schema import check
-from racines_leaderboard.submissions.artefacts import YAML, check_artefacts, files_of
-from racines_leaderboard.submissions.file_checks import measure, opened, read_bounded
 
-MAX_BYTES = 64 * 2**10
+if TYPE_CHECKING:
+    from _typeshed import SupportsRead
+
+MAX_BYTES = 200 * 2**20
+"""Largest artefact."""
+MAX_YAML = 64 * 2**10
 MAX_DEPTH = 12
 CONTROLS = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 """Unicode categories that cannot be seen, or that turn the text around them."""
+CHUNK = 2**20
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
+"""Devices under Windows, whatever the ending."""
+CONTAINERS = {bytes([0x80, protocol]): "a pickle" for protocol in range(1, 6)} | {
+    b"PK\x03\x04": "a zip archive (torch.save writes pickles in one)",
+    b"PK\x05\x06": "a zip archive",
+    b"PK\x07\x08": "a zip archive",
+    b"\x1f\x8b": "a gzip archive",
+    b"BZh": "a bzip2 archive",
+    b"\xfd7zXZ\x00": "an xz archive",
+    b"7z\xbc\xaf\x27\x1c": "a 7z archive",
+    b"Rar!": "a RAR archive",
+    b"\x28\xb5\x2f\xfd": "a zstd archive",
+    b"\x93NUMPY": "a NumPy file, which may hold pickles",
+    b"\x89HDF": "an HDF5 file, which may hold pickles",
+    b"\x7fELF": "a program",
+    b"MZ": "a program",
+    b"#!": "a script",
+}
+OLD_PICKLE = re.compile(rb"[(\]}]|c[\w.]+\n[\w.]+\n")
+"""How pickles of protocol 0 and 1, which have no mark of their own, begin."""
+SAFETENSORS = b"\x00\x00\x00\x00{"
+"""Bytes 4 to 8 of a safetensors file. Those before are its header's length, which may be any."""
+REMEDY = (
+    "a pickle can run code when it is loaded and an archive can unpack to anything: give "
+    "safetensors, ONNX, Parquet or JSON"
+)
+
+GENERATORS, AGENTS = "generators", "agents"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a kind of artefact is."""
+
+    suffix: str
+    tracks: tuple[str, ...]
+    told: str
+    rescored: bool = False
+    """Whether scores can be made of it without code of its maker."""
+
+
+KINDS = {
+    "predictions": Kind(".parquet", (GENERATORS,), "images of the test poses", True),
+    "generator": Kind(".onnx", (GENERATORS,), "a network that draws", True),
+    "policy": Kind(".onnx", (AGENTS,), "a network that steers", True),
+    "trace": Kind(".json", (AGENTS,), "the actions of every episode", True),
+    "weights": Kind(".safetensors", (GENERATORS, AGENTS), "weights of merged code"),
+    "scores": Kind(".json", (GENERATORS, AGENTS), "the submitter's own scores"),
+    "adapter": Kind("", (GENERATORS, AGENTS), "merged code"),
+}
+YAML = "submission.yaml"
+PACKAGES = ("racines_data", "racines_models", "racines_envs", "racines_leaderboard")
+GROUPS = ("racines.generators", "racines.agents")
+
+
+def files_of(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the artefacts that are files."""
+    return [each for each in document["artefacts"] if each["kind"] != "adapter"]
+
+
+def rescored(document: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the artefacts that scores are made of again; all of one kind."""
+    return [each for each in document["artefacts"] if KINDS[each["kind"]].rescored]
+
+
+def check_artefacts(document: dict[str, Any], where: str) -> None:
+    """Check kinds, names and adapters of a document that fits the schema; nothing is opened.
+
+    Raises:
+        RacinesError: a kind of the other track, a name that is no bare file name or stands twice,
+            another ending than the kind's, an adapter that is not merged, no plain choice of what
+            is scored, or a tier that cannot be reached.
+    """
+    seen = {YAML}
+    for i, artefact in enumerate(document["artefacts"]):
+        field, kind = f"{where}: artefacts.{i}", KINDS[artefact["kind"]]
+        if document["track"] not in kind.tracks:
+            raise RacinesError(f"{field}.kind: {artefact['kind']} is none of {document['track']}")
+        if "adapter" in artefact:
+            _check_adapter(artefact["adapter"], f"{field}.adapter")
+            continue
+        name = check_name(artefact["path"], f"{field}.path")
+        if Path(name).suffix != kind.suffix:
+            raise RacinesError(
+                f"{field}.path: {name!r} refused: {artefact['kind']} is a {kind.suffix} file"
+            )
+        if name.lower() in seen:
+            raise RacinesError(f"{field}.path: {name!r} stands twice: one entry a file")
+        seen.add(name.lower())
+    if files_of(document) and "digest" not in document["dataset"]:
+        raise RacinesError(
+            f"{where}: dataset.digest: missing: the content or recipe digest of the data"
+        )
+    kinds = [each["kind"] for each in rescored(document)]
+    if len(set(kinds)) > 1 or (len(kinds) > 1 and kinds[0] != "generator"):
+        raise RacinesError(
+            f"{where}: artefacts: {', '.join(kinds)}: give one that is scored again; only "
+            "generators may be several, the seeds of one method"
+        )
+    merged, tier = any("adapter" in each for each in document["artefacts"]), document["tier"]
+    if tier == "recomputed" and not kinds:
+        needs = "predictions, a generator, a policy or a trace"
+        raise RacinesError(f"{where}: tier: {tier} needs {needs}")
+    if tier == "reproduced" and not merged:
+        raise RacinesError(f"{where}: tier: {tier} needs merged code, an adapter")
+
+
+def _check_adapter(target: str, where: str) -> None:
+    """Check that `module:Class` is code of this repository; nothing of it is imported."""
+    with contextlib.suppress(PackageNotFoundError):
+        points = distribution("racines").entry_points
+        if target in {point.value for point in points if point.group in GROUPS}:
+            return
+    module = target.partition(":")[0].split(".")
+    if module[0] not in PACKAGES:
+        raise RacinesError(
+            f"{where}: {target!r} refused: only merged code is run; give a class of "
+            f"{', '.join(PACKAGES)}, or predictions, an ONNX file or a trace"
+        )
+    spec = importlib.util.find_spec(module[0])
+    root = Path(spec.origin).parent if spec and spec.origin else Path()
+    file = root.joinpath(*module[1:])
+    if not (file.with_suffix(".py").is_file() or (file / "__init__.py").is_file()):
+        raise RacinesError(f"{where}: {target!r}: no such module in {module[0]}")
+
+
+def check_name(name: object, where: str) -> str:
+    """Return the name of a file; refuse one that is a path, hidden, overlong or reserved."""
+    if not isinstance(name, str) or not NAME.fullmatch(name) or RESERVED.fullmatch(name):
+        raise RacinesError(
+            f"{where}: {str(name)[:120]!r} refused: give the bare name of a file in the "
+            "submission's folder, 1 to 100 of A-Z a-z 0-9 . _ -, the first a letter or digit"
+        )
+    return name
+
+
+@contextlib.contextmanager
+def opened(folder: Path, name: str, where: str, limit: int = MAX_BYTES) -> Iterator[BinaryIO]:
+    """Open a regular file of a folder, no link, device or folder, of 1 to `limit` bytes."""
+    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        handle = os.open(folder / name, flags)
+    except FileNotFoundError as error:
+        raise RacinesError(f"{where}: {name}: no such file beside the submission") from error
+    except OSError as error:
+        link = error.errno == errno.ELOOP
+        reason = "a symbolic link: put the file itself there" if link else error.strerror
+        raise RacinesError(f"{where}: {name}: {reason}") from error
+    status = os.fstat(handle)
+    if not stat.S_ISREG(status.st_mode):
+        os.close(handle)
+        raise RacinesError(f"{where}: {name}: no regular file: put the file itself there")
+    with os.fdopen(handle, "rb") as stream:
+        if not 1 <= status.st_size <= limit:
+            raise RacinesError(
+                f"{where}: {name}: {status.st_size:,} bytes: give a file of 1 to {limit:,}"
+            )
+        yield stream
+
+
+def read_bounded(folder: Path, name: str, where: str, limit: int) -> bytes:
+    """Return the bytes of a file `opened`, at most `limit` even if it grows meanwhile."""
+    with opened(folder, name, where, limit) as stream:
+        content = stream.read(limit + 1)
+    if len(content) > limit:
+        raise RacinesError(f"{where}: {name}: more than {limit:,} bytes")
+    return content
+
+
+def measure(
+    stream: "SupportsRead[bytes]", where: str, out: BinaryIO | None = None
+) -> tuple[str, int]:
+    """Return the sha256 and the size of a stream, copied into `out` on the way.
+
+    One longer than MAX_BYTES is refused, and one that begins as a pickle or an archive does.
+    """
+    digest, size = hashlib.sha256(), 0
+    while chunk := stream.read(CHUNK):
+        if not size:
+            _check_head(chunk[:512], where)
+        size += len(chunk)
+        if size > MAX_BYTES:
+            raise RacinesError(f"{where}: more than {MAX_BYTES:,} bytes: give a smaller file")
+        digest.update(chunk)
+        if out is not None:
+            out.write(chunk)
+    return digest.hexdigest(), size
+
+
+def _check_head(head: bytes, where: str) -> None:
+    """Refuse what runs code or unpacks, by its first bytes and whatever its name."""
+    if head[4:9] == SAFETENSORS:
+        return
+    found = [what for mark, what in CONTAINERS.items() if head.startswith(mark)]
+    if head[257:262] == b"ustar":
+        found.append("a tar archive")
+    if OLD_PICKLE.match(head):
+        found.append("a pickle")
+    if found:
+        raise RacinesError(f"{where} holds {found[0]}: refused; {REMEDY}")
 
 
 class _PlainLoader(yaml.SafeLoader):
@@ -65,7 +286,7 @@ def read_document(path: Path) -> dict[str, Any]:
 
     Refused: more than 64 KiB or than plain data, a faulty field, an artefact that may not be.
     """
-    content = read_bounded(path.parent, path.name, str(path.parent), MAX_BYTES)
+    content = read_bounded(path.parent, path.name, str(path.parent), MAX_YAML)
     try:
         document = yaml.load(content.decode(), _PlainLoader)
     except (UnicodeDecodeError, ValueError, yaml.YAMLError, RecursionError) as error:

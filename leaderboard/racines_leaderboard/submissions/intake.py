@@ -28,10 +28,17 @@ from racines_data.files import swap_folder
 from racines_envs.agents.onnx.policy import read_policy
 from racines_envs.agents.trace import read_trace
 from racines_leaderboard.records.schema import read_json
-from racines_leaderboard.submissions.artefacts import YAML, files_of
 from racines_leaderboard.submissions.confined.session import Limits, rehearse
-from racines_leaderboard.submissions.document import check_measured, read_document
-from racines_leaderboard.submissions.file_checks import MAX_BYTES, measure, opened, read_bounded
+from racines_leaderboard.submissions.document import (
+    MAX_BYTES,
+    YAML,
+    check_measured,
+    files_of,
+    measure,
+    opened,
+    read_bounded,
+    read_document,
+)
 from racines_models.exchange.onnx.generator import read_onnx
 
 SECONDS = 60

@@ -5,8 +5,7 @@ from pathlib import Path
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
-from racines_leaderboard.submissions.artefacts import KINDS, YAML
-from racines_leaderboard.submissions.file_checks import NAME, measure, opened
+from racines_leaderboard.submissions.document import KINDS, NAME, YAML, measure, opened
 
 TEXT = """\
 # Every line but url, paper and hours is needed. What the fields mean: docs/submit.md

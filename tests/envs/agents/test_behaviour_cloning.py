@@ -12,8 +12,12 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, pose_to_parameters
 from racines_data.views import LABELS
 from racines_envs.agents import load_agent
-from racines_envs.agents.behaviour_cloning import BehaviourCloningAgent, BehaviourCloningConfig
-from racines_envs.agents.demonstrations import demonstrations, encode_params
+from racines_envs.agents.behaviour_cloning import (
+    BehaviourCloningAgent,
+    BehaviourCloningConfig,
+    demonstrations,
+    encode_params,
+)
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.policy import choose
 from racines_envs.agents.random import RandomAgent

@@ -12,9 +12,8 @@ import pytest
 from PIL import Image
 
 from racines_data.errors import RacinesError
-from racines_envs.driving.keyboard import HELP, KEYS, Drive, half_blocks, run, screen
-from racines_envs.driving.terminal import Terminal
-from racines_envs.recordings.rerun import read_recording
+from racines_envs.driving.keyboard import HELP, KEYS, Drive, Terminal, half_blocks, run, screen
+from racines_envs.recordings.episodes import read_recording
 from racines_envs.task.actions import ACTIONS
 from racines_envs.worlds.making import make_core
 from tests.conftest import command

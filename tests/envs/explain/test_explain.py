@@ -11,19 +11,20 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
 from racines_envs.agents.policy import make_actor
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
-from racines_envs.explain.explanation import write_explanation
-from racines_envs.explain.maps import grader_probabilities, integrated_gradients, policy_logits
-from racines_envs.explain.run import ExplainConfig, explain
-from racines_envs.explain.scores import (
+from racines_envs.explain.maps import (
     areas,
     blur,
+    grader_probabilities,
+    integrated_gradients,
     overlap,
     plane_points,
+    policy_logits,
     random_maps,
     ranks,
     sector_of,
     true_regions,
 )
+from racines_envs.explain.run import ExplainConfig, explain, write_explanation
 from tests.conftest import command
 from tests.envs.fakes import FakePhantom
 

@@ -10,8 +10,13 @@ from PIL import Image
 
 from racines_data.errors import RacinesError
 from racines_envs.agents.planner import PlannerAgent
-from racines_envs.recordings.episode_writer import SCHEMA, EpisodeRecorder, record_rollout
-from racines_envs.recordings.rerun import read_recording, replay
+from racines_envs.recordings.episodes import (
+    SCHEMA,
+    EpisodeRecorder,
+    read_recording,
+    record_rollout,
+    replay,
+)
 from racines_envs.task.rewards import RewardConfig
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core

@@ -16,8 +16,7 @@ from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
 from racines_envs.worlds.making import make_phantom, phantom_recipe
 from racines_leaderboard.audit.bench import Bench, Places
-from racines_leaderboard.audit.numbers import compare_numbers
-from racines_leaderboard.audit.roads import HALF
+from racines_leaderboard.audit.numbers import HALF, compare_numbers
 from racines_leaderboard.audit.run import audit, retrain
 from racines_leaderboard.audit.verdicts import FAILS, HOLDS, UNKNOWN, Report
 from racines_leaderboard.board.collect import collect

@@ -9,9 +9,8 @@ from racines_leaderboard.board.collect import boards, collect, read_board
 from racines_leaderboard.board.table import board_tables, plain, titled_markdown
 from racines_leaderboard.cli.command import app
 from racines_leaderboard.expert import raters
-from racines_leaderboard.expert.ratings import read_all
+from racines_leaderboard.expert.ratings import Session, read_all
 from racines_leaderboard.expert.score import score
-from racines_leaderboard.expert.session import Session
 from racines_leaderboard.records.experts import publish
 from tests.leaderboard.conftest import generator_scores
 from tests.leaderboard.expert_kit import kit_of

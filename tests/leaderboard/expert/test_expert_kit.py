@@ -7,9 +7,8 @@ from PIL import Image
 
 from racines_data.errors import RacinesError
 from racines_data.views import LABELS
-from racines_leaderboard.expert.design import allocate, blind, stratify
 from racines_leaderboard.expert.kit import Kit
-from racines_leaderboard.expert.sample import Study, System, make_kit
+from racines_leaderboard.expert.sample import Study, System, allocate, blind, make_kit, stratify
 from tests.leaderboard.expert_kit import Inverse, Judge, frames, kit_of
 
 

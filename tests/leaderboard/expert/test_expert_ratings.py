@@ -3,8 +3,7 @@ import json
 import pytest
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.expert.ratings import read_all, read_ratings
-from racines_leaderboard.expert.session import Session, order_of
+from racines_leaderboard.expert.ratings import Session, order_of, read_all, read_ratings
 from tests.leaderboard.expert_kit import kit_of
 
 

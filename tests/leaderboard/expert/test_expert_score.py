@@ -20,8 +20,7 @@ from racines_leaderboard.expert.agreement import (
     quadratic,
 )
 from racines_leaderboard.expert.ratings import read_all
-from racines_leaderboard.expert.report import draw, write_picture
-from racines_leaderboard.expert.score import REMARKS, score
+from racines_leaderboard.expert.score import REMARKS, draw, score, write_picture
 from racines_leaderboard.records.schema import check
 from tests.leaderboard.expert_kit import Judge, kit_of
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.submissions.artefacts import KINDS
-from racines_leaderboard.submissions.document import find_submission, read_submission
+from racines_leaderboard.submissions.document import KINDS, find_submission, read_submission
 from tests.conftest import ROOT
 from tests.leaderboard.conftest import ADAPTER, artefact, write_submission
 

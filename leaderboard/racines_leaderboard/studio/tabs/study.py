@@ -6,7 +6,7 @@ from typing import Any
 import gradio as gr
 
 from racines_data.views import RANDOM
-from racines_leaderboard.expert.session import ABOUT
+from racines_leaderboard.expert.ratings import ABOUT
 from racines_leaderboard.studio import labelling
 from racines_leaderboard.studio.html import missing
 from racines_leaderboard.studio.labelling import CODE, KINDS, NAME, Sitting

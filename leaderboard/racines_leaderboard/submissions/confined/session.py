@@ -27,7 +27,7 @@ import racines_models
 from racines_data.errors import RacinesError
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_leaderboard.submissions.confined import child as wire
-from racines_leaderboard.submissions.file_checks import MAX_BYTES, read_bounded
+from racines_leaderboard.submissions.document import MAX_BYTES, read_bounded
 from racines_models.exchange.onnx.generator import OnnxGenerator
 
 START = (

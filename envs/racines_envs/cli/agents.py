@@ -1,15 +1,57 @@
-"""The command `racines eval agent`. Heavy imports stand inside, so that --help is instant."""
+"""The commands `racines train agent` and `racines eval agent`. Heavy imports stand inside."""
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.options import given, overrides, read_settings
+from racines_data.cli.options import given, overrides, read_settings, seed_of
 from racines_envs.cli.settings import Agent, Name, phantom_config
 from racines_models.cli.device import OneDevice
+
+
+def train_agent(
+    agent: Agent = "ppo",
+    view: opt.View = None,
+    observation: opt.Observation = None,
+    reward: opt.Reward = None,
+    backend: opt.Backend = None,
+    generator: opt.Generator = None,
+    grader: opt.Grader = None,
+    encoder: Annotated[
+        str | None, typer.Option(help="What looks at images: a folder, or pose.")
+    ] = None,
+    data: opt.OtherData = None,
+    frames: Annotated[int | None, typer.Option(help="Environment steps.")] = None,
+    device: OneDevice = None,
+    seed: opt.Seed = None,
+    name: Name = None,
+    out: opt.OwnOut = None,
+    resume: opt.Resume = None,
+    params: opt.Params = None,
+    profile: opt.Profile = None,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Train an agent into envs/runs/<run>, or --out; options override the settings."""
+    from racines_data.config import fill
+    from racines_envs.agents import agent_class
+    from racines_envs.evaluation.agent_specs import find_entry
+
+    settings = read_settings(params, profile)
+    entry = find_entry(settings, agent, name)
+    chosen = given(
+        view=view, observation=observation, reward=reward, backend=backend, generator=generator,
+        grader=grader, encoder=encoder, frames=frames, device=device,
+    )  # fmt: skip
+    cls = agent_class(entry.agent)
+    config: Any = fill(cls.Config, entry.settings | chosen, entry.where)
+    folder = out or entry.folder
+    where = {"phantom": phantom_config(settings), "data": data, "progress": not as_json}
+    cls.train(config, folder, seed=seed_of(settings, seed), resume=resume, **where)
+    metrics = (folder / "metrics.json").read_text()
+    typer.echo(metrics if as_json else f"settings, metrics and policy, if any, are in {folder}")
 
 
 def evaluate_agent(
