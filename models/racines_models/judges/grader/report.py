@@ -49,22 +49,16 @@ def compare(
     known = views >= 0
     target = known & (views != random)
     error = (grade - grades).abs().double()
-    close = torch.where(error.isfinite(), (error <= CLOSE).double(), torch.nan)
+    of_view = torch.where(target, error, torch.nan)
+    close = torch.where(of_view.isfinite(), (of_view <= CLOSE).double(), torch.nan)
+    right = torch.where(known, (label == views).double(), torch.nan)
+    same, near = "the grader's label is the true one", f"grades differ by at most {CLOSE:g}"
+    apart = "mean absolute difference"
     compared = {
-        "view_agreement": Comparison(
-            torch.where(known, (label == views).double(), torch.nan),
-            "the grader's label is the true one",
-        ),
-        "grade_agreement": Comparison(
-            torch.where(target, close, torch.nan),
-            f"grades differ by at most {CLOSE:g}, frames of a view",
-        ),
-        "grade_error": Comparison(
-            torch.where(target, error, torch.nan),
-            "mean absolute difference, frames of a view",
-            UNIT,
-        ),
-        "grade_error_all": Comparison(error, "mean absolute difference, all frames", UNIT),
+        "view_agreement": Comparison(right, same),
+        "grade_agreement": Comparison(close, f"{near}, frames of a view"),
+        "grade_error": Comparison(of_view, f"{apart}, frames of a view", UNIT),
+        "grade_error_all": Comparison(error, f"{apart}, all frames", UNIT),
     }
     return {k: each for k, each in compared.items() if bool(each.values.isfinite().any())}
 
