@@ -135,9 +135,9 @@ MOVED = {
     ),
     "racines_models.studies": "conditioning_ablation=conditioning floor leakage",
     "racines_models.studies.ablation": (
-        "ablation=run ablation_hearts=hearts ablation_picture=run ablation_variants=variants"
+        "ablation=run ablation_hearts=hearts ablation_picture=run ablation_variants=run"
     ),
-    "racines_models.studies.realism": "realism=report realism_figures=figures",
+    "racines_models.studies.realism": "realism=report realism_figures=report",
     "racines_models.training": (
         "adversary differentiable_augmentation=adversary grader_augment=augmentation trainer"
     ),

@@ -13,7 +13,7 @@ from racines_models.judges.grader.training import class_weights, train_grader
 from racines_models.pictures import pick_columns
 from racines_models.sample import take_sample
 from racines_models.scores.scoring import Scorer, ScoresConfig
-from racines_models.studies.realism.report import RealismConfig, take_phantom
+from racines_models.studies.realism.report import RealismConfig, choose_rows
 from tests.models.judges.test_grader import SHORT, run
 from tests.models.labelled import LabelledStore
 
@@ -78,8 +78,8 @@ def test_a_grader_refuses_a_dataset_of_other_views(organ, folder):
 
 def test_realism_refuses_the_frames_of_another_organ(organ):
     with pytest.raises(RacinesError, match="A4C: the dataset's views are KLX"):
-        take_phantom(organ, RealismConfig())
-    assert len(take_phantom(organ, RealismConfig(view="GB", frames=4))) == 4
+        choose_rows(organ, RealismConfig())
+    assert len(choose_rows(organ, RealismConfig(view="GB", frames=4))) == 4
 
 
 def test_the_strip_of_pictures_shows_each_view_of_the_organ(organ):

@@ -40,13 +40,12 @@ def ablation(
     from racines_models.cli.output import ranged, tell
     from racines_models.scores.features import InceptionFeatures
     from racines_models.studies.ablation import run as study
-    from racines_models.studies.ablation.variants import pick_variants
     from racines_models.studies.realism.report import read_real
 
     config, path = realism_settings(real, None, params, profile)
     if path is None:
         raise RacinesError(no_real(path))
-    frames, variants = read_real(path), pick_variants(variant)
+    frames, variants = read_real(path), study.pick_variants(variant)
     setting = study.Setting(PhantomConfig(), study.AblationConfig(hearts, poses), config)
     total = 2 * len(variants) * hearts * poses + min(len(set(frames.patient)), 2 * config.frames)
     with image_counter("ablation", total, as_json) as advance:

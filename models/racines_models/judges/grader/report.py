@@ -104,7 +104,7 @@ def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examinati
     content = {
         "split": split,
         "metrics": {names.get(k, k): each.mean(trajectory) for k, each in compared.items()},
-        **_by_view(compared, reading.grades, frames, store.labels, trajectory),
+        **_by_view(compared, reading.grades, frames, store),
         "calibration": calibration,
         "confusion": {"labels": list(store.labels), "counts": counts},
     }
@@ -112,22 +112,19 @@ def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examinati
 
 
 def _by_view(
-    compared: dict[str, Comparison],
-    grades: Tensor,
-    frames: Batch,
-    labels: tuple[str, ...],
-    trajectory: np.ndarray,
+    compared: dict[str, Comparison], grades: Tensor, frames: Batch, store: FrameStore
 ) -> dict[str, Any]:
     """Return `views`, the accuracy by label, and `grades`, the errors by view."""
     views, errors = {}, {}
+    trajectory = store.trajectory_index[frames.index].numpy()
     difference, graded = (grades - frames.grades).double().numpy(), frames.grades.isfinite()
-    for index, name in enumerate(labels):
+    for index, name in enumerate(store.labels):
         shown = frames.views == index
         if bool(shown.any()):
             right = compared["view_agreement"].values[shown].numpy()
             views[name] = bootstrap_mean(right, trajectory[shown.numpy()]).to_json()
         chosen = (shown & graded).numpy()
-        if chosen.any() and name != labels[-1]:
+        if chosen.any() and name != store.labels[-1]:
             signed, clusters = difference[chosen], trajectory[chosen]
             errors[name] = {
                 "mae": bootstrap_mean(np.abs(signed), clusters).to_json(UNIT),

@@ -10,8 +10,9 @@ it epochs later, sees what the teacher saw. Order and rates are functions of (se
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -105,10 +106,37 @@ class StudentLearner(JudgeLearner):
             checkpoint.write({"seen": 0, "seconds": 0.0})
         total = len(self.rows) * self.config.variants
         with image_counter("teacher", total, hidden=not run.progress) as advance:
-            folder = run.folder / FOLDER / "teacher"
-            answers = (self.config, self.config.variants, self.seed, folder, advance)
-            self.taught = ask_teacher(self.teacher, self.store, *answers)
+            self.taught = self.answers(run.folder / FOLDER / "teacher", advance)
         self.asked = time.perf_counter() - began
+
+    def answers(self, folder: Path, progress: Progress) -> tuple[Tensor, Tensor]:
+        """Return the teacher's (V, N, L) logits and (V, N) grades of N frames in V variants.
+
+        What `folder` has already is not asked again: it must belong to this very run.
+        """
+        parts, count = [], self.config.variants
+        for variant, (number, chunk) in product(range(count), enumerate(self.rows.split(CHUNK))):
+            path = folder / f"{variant:02d}-{number:04d}.safetensors"
+            try:
+                answers = load_file(path)
+            except (SafetensorError, OSError):  # not asked yet, or damaged
+                answers = self.ask_of(chunk, variant)
+                save_weights(path, answers)
+            parts.append(answers)
+            progress(len(chunk))
+        logits, grades = (torch.cat([part[key] for part in parts]) for key in ("logits", "grades"))
+        return logits.view(count, len(self.rows), -1), grades.view(count, -1)
+
+    @torch.inference_mode()
+    def ask_of(self, rows: Tensor, variant: int) -> dict[str, Tensor]:
+        """Return the teacher's `logits` and `grades` of one variant of some frames."""
+        parts, teacher = [], self.teacher
+        for batch in rows.split(ASKED):
+            x = teacher.network.normalise(self.store.take(batch).images.to(teacher.device))
+            x = variants(x, batch, torch.full_like(batch, variant), self.seed, self.config)
+            parts.append(teacher.answer(x))
+        logits, grades = (torch.cat([part[i] for part in parts]).cpu() for i in (0, 1))
+        return {"logits": logits, "grades": grades}
 
     def beside(self, judge: Grader, training: dict[str, Any]) -> dict[str, Any]:
         """Return how the student agrees with its teacher, and how quick both are."""
@@ -166,61 +194,6 @@ def variants(
     seeds = derive(derive(torch.tensor(seed), VARIANT, rows), which).to(x.device)
     varied = augment(x, seeds, augmentation)
     return torch.where(which.to(x.device).view(-1, 1, 1, 1) == 0, x, varied)
-
-
-class SoftLabels(NamedTuple):
-    """The teacher's (V, N, L) float32 `logits` and (V, N) `grades` of N frames in V variants."""
-
-    logits: Tensor
-    grades: Tensor
-
-
-def ask_teacher(
-    teacher: Grader,
-    store: FrameStore,
-    augmentation: Augmentation,
-    count: int,
-    seed: int,
-    folder: Path,
-    progress: Progress,
-) -> SoftLabels:
-    """Ask of the whole train split; what `folder` has already is not asked again.
-
-    `folder` must belong to this teacher, dataset, augmentation and seed.
-    """
-    rows = store.split_indices("train")
-    parts = []
-    for variant in range(count):
-        for number, chunk in enumerate(rows.split(CHUNK)):
-            path = folder / f"{variant:02d}-{number:04d}.safetensors"
-            try:
-                answers = load_file(path)
-            except (SafetensorError, OSError):  # not asked yet, or damaged
-                answers = _ask(teacher, store, augmentation, chunk, variant, seed)
-                save_weights(path, answers)
-            parts.append(answers)
-            progress(len(chunk))
-    logits, grades = (torch.cat([part[key] for part in parts]) for key in ("logits", "grades"))
-    shape = (count, len(rows))
-    return SoftLabels(logits.view(*shape, -1), grades.view(shape))
-
-
-@torch.inference_mode()
-def _ask(
-    teacher: Grader,
-    store: FrameStore,
-    augmentation: Augmentation,
-    rows: Tensor,
-    variant: int,
-    seed: int,
-) -> dict[str, Tensor]:
-    parts = []
-    for batch in rows.split(ASKED):
-        x = teacher.network.normalise(store.take(batch).images.to(teacher.device))
-        x = variants(x, batch, torch.full_like(batch, variant), seed, augmentation)
-        parts.append(teacher.answer(x))
-    logits, grades = (torch.cat([part[i] for part in parts]).cpu() for i in (0, 1))
-    return {"logits": logits, "grades": grades}
 
 
 def agreement(
