@@ -36,9 +36,8 @@ def metrics_table(title: str, metrics: dict[str, Any]) -> Table:
     for name, metric in metrics.items():
         unit = f" {metric['unit']}" if metric.get("unit") else ""
         value = "-" if metric["value"] is None else f"{metric['value']:.4g}{unit}"
-        interval = "-"
-        if metric["low"] is not None:
-            interval = f"{metric['low']:.4g} to {metric['high']:.4g}"
+        low, high = metric["low"], metric["high"]
+        interval = "-" if low is None else f"{low:.4g} to {high:.4g}"
         rows.append((name, value, interval, str(metric.get("n", ""))))
     return console_table(("figure", "value", "95 % interval", "n"), rows, title)
 

@@ -64,7 +64,7 @@ def compare(
 
 
 class Examination(NamedTuple):
-    """A grader, its answers on the frames of a split, and what they come to: see `report`."""
+    """A grader, its answers on the frames of a split, and what they come to: see `examine`."""
 
     grader: Grader
     frames: Batch
@@ -72,30 +72,25 @@ class Examination(NamedTuple):
     content: dict[str, Any]
 
 
-def report(grader: Grader, store: FrameStore, split: str = "test") -> dict[str, Any]:
+def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examination:
     """Judge a split and compare with its labels, which the grader must have been trained for.
 
     Returns:
-        `split`; `metrics`: `view_accuracy`, `grade_mae` (frames of a view), `grade_mae_all`,
-        `grade_agreement`, each with value, low, high, n; `views`: the accuracy on each label's
-        frames; `grades`: `mae` and `bias` on each view's frames; `calibration`: the temperature and
-        the expected calibration error `before` and `after` it; `confusion`: counts, rows the truth.
+        As `content`, `split`; `metrics`: `view_accuracy`, `grade_mae` (frames of a view),
+        `grade_mae_all`, `grade_agreement`, each with value, low, high, n; `views`: the accuracy on
+        each label's frames; `grades`: `mae` and `bias` on each view's frames; `calibration`: the
+        temperature and the expected calibration error `before` and `after` it; `confusion`: counts,
+        rows the truth.
     """
-    return examine(grader, store, split).content
-
-
-def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examination:
-    """Judge a split, as `report`, and keep the answers for the plots."""
     grader.check_labels(store.labels, "the dataset")
     rows = store.split_indices(split)
     frames = store.take(rows)
     reading = grader.read(frames.images)
     label, trajectory = reading.logits.argmax(-1), store.trajectory_index[rows].numpy()
-    random = len(store.labels) - 1
-    compared = compare(label, reading.grades, frames.views, frames.grades, random)
-    names = {"view_agreement": "view_accuracy", "grade_error": "grade_mae"}
-    names |= {"grade_error_all": "grade_mae_all"}
-    counts = confusion_counts(label, frames.views, len(store.labels))
+    labels, names = len(store.labels), {"view_agreement": "view_accuracy"}
+    names |= {"grade_error": "grade_mae", "grade_error_all": "grade_mae_all"}
+    compared = compare(label, reading.grades, frames.views, frames.grades, labels - 1)
+    counts = confusion_counts(label, frames.views, labels)
     calibration: dict[str, Any] = {"temperature": grader.temperature}
     if bool((frames.views >= 0).any()):
         for when, temperature in (("before", 1.0), ("after", grader.temperature)):
