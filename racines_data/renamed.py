@@ -105,7 +105,7 @@ MOVED = {
     ),
     "racines_models": "bootstrap=statistics publish=weights racines_envs.intervals=statistics",
     "racines_models.cli": (
-        "cli_conditioning=study.ablations cli_data=study.dataset cli_floor=study.dataset "
+        "cli_conditioning=study.comparisons cli_data=study.comparisons cli_floor=study.comparisons "
         "cli_export=export cli_gallery=study.gallery cli_generators=train.generator "
         "cli_grader=evaluate.grader cli_output=output cli_pose=train.pose "
         "cli_publish=export cli_realism=study.realism cli_scores=evaluate.generator"

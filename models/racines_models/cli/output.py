@@ -57,9 +57,8 @@ def show_training(title: str, out: Path, metrics: dict[str, Any], as_json: bool)
 
 def judge_figures(metrics: dict[str, Any]) -> dict[str, Any]:
     """Return what is shown of a grader's report: views, grades and calibration."""
-    shown = metrics["metrics"] | {
-        f"view_accuracy, {name}": figure for name, figure in metrics["views"].items()
-    }
+    views = {f"view_accuracy, {name}": each for name, each in metrics["views"].items()}
+    shown = metrics["metrics"] | views
     for name, figures in metrics["grades"].items():
         shown |= {f"grade_{kind}, {name}": figure for kind, figure in figures.items()}
     for when in ("before", "after"):

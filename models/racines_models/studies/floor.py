@@ -131,8 +131,7 @@ def draw_floor(content: dict[str, Any]) -> bytes:
                 axes.set_xscale("log", base=2)
                 axes.set_xticks(n, [str(each) for each in n])
                 axes.minorticks_off()
-                axes.set_title(f"{key.upper()}, {name} features")
-                axes.set_ylim(bottom=min(0.0, *low))
+                axes.set(title=f"{key.upper()}, {name} features", ylim=(min(0.0, *low), None))
         for axes in grid[-1]:
             axes.set_xlabel("frames of each half, n")
         return encode(figure)

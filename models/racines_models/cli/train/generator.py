@@ -69,8 +69,7 @@ def _fit(name: str, settings: dict[str, Any], data: Path, run: "Run") -> dict[st
 
 
 def _words(metrics: dict[str, Any]) -> str:
-    shown = {key: value for key, value in metrics.items() if not isinstance(value, dict | str)}
-    parts = [f"{key} {value:,}" for key, value in shown.items()]
+    parts = [f"{k} {v:,}" for k, v in metrics.items() if not isinstance(v, dict | str)]
     if validation := metrics.get("validation"):
         parts.append("PSNR {psnr:.2f} dB on {n} {split} frames".format(**validation))
     return ", ".join(parts)

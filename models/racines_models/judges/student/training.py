@@ -28,11 +28,11 @@ from racines_data.randomness import derive, uniform
 from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
 from racines_models.judges.grader.model import Grader
+from racines_models.judges.grader.report import compare
 from racines_models.judges.grader.training import JudgeLearner, learning_rate
 from racines_models.judges.student.model import Student, StudentConfig
 from racines_models.protocol import Run
 from racines_models.sample import Progress
-from racines_models.statistics import bootstrap_mean
 from racines_models.training.augmentation import Augmentation, augment
 from racines_models.training.checkpoint import FOLDER, Checkpoint, discard_checkpoint
 from racines_models.training.objective import Update
@@ -207,16 +207,14 @@ def agreement(
     """
     rows = store.split_indices(split)
     images, trajectory = store.take(rows).images, store.trajectory_index[rows].numpy()
-    (ours, our_grades, _), (theirs, grades, _) = student.judge(images), teacher.judge(images)
-    shown = theirs != len(teacher.labels) - 1
-    error = torch.where(shown, (our_grades - grades).abs().double(), torch.nan).numpy()
-    rule = "the student's label is the teacher's"
-    same = bootstrap_mean((ours == theirs).double().numpy(), trajectory).to_json(rule=rule)
-    compared: dict[str, Any] = {"split": split, "view": same}
-    if bool(shown.any()):
+    ours, theirs = student.judge(images)[:2], teacher.judge(images)[:2]
+    compared = compare(*ours, *theirs, len(teacher.labels) - 1)
+    view = compared["view_agreement"]._replace(rule="the student's label is the teacher's")
+    told: dict[str, Any] = {"split": split, "view": view.mean(trajectory)}
+    if grade := compared.get("grade_error"):
         rule = "mean absolute difference, frames that the teacher calls a view"
-        compared["grade_mae"] = bootstrap_mean(error, trajectory).to_json("grades of 10", rule=rule)
-    return compared
+        told["grade_mae"] = grade._replace(rule=rule).mean(trajectory)
+    return told
 
 
 def speed(student: Grader, teacher: Grader) -> dict[str, Any]:
