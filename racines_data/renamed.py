@@ -113,7 +113,7 @@ MOVED = {
     ),
     "racines_models": "bootstrap=statistics publish=weights racines_envs.intervals=statistics",
     "racines_models.cli": (
-        "cli_conditioning=study.ablations cli_data=study.dataset cli_floor=study.dataset "
+        "cli_conditioning=study.comparisons cli_data=study.comparisons cli_floor=study.comparisons "
         "cli_export=export cli_gallery=study.gallery cli_generators=train.generator "
         "cli_grader=evaluate.grader cli_output=output cli_pose=train.pose "
         "cli_publish=export cli_realism=study.realism cli_scores=evaluate.generator"
@@ -145,9 +145,9 @@ MOVED = {
     ),
     "racines_models.studies": "conditioning_ablation=conditioning floor leakage",
     "racines_models.studies.ablation": (
-        "ablation=run ablation_hearts=hearts ablation_picture=run ablation_variants=variants"
+        "ablation=run ablation_hearts=hearts ablation_picture=run ablation_variants=run"
     ),
-    "racines_models.studies.realism": "realism=report realism_figures=figures",
+    "racines_models.studies.realism": "realism=report realism_figures=report",
     "racines_models.training": (
         "adversary differentiable_augmentation=adversary grader_augment=augmentation trainer"
     ),

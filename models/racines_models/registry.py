@@ -81,9 +81,7 @@ def open_generator(
 def open_runs(spec: str, folder: Path | str | None = None, **opened: Any) -> list[ImageSource]:
     """Return the generator that a spec names (see `open_generator`), then its further seeds."""
     first = open_generator(spec, folder, **opened)
-    if is_file(spec):
-        return [first]
-    further = repeat_folders(run_folder(spec, folder))
+    further = () if is_file(spec) else repeat_folders(run_folder(spec, folder))
     return [first, *(open_generator(spec, each, **opened) for each in further)]
 
 

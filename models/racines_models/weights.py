@@ -107,15 +107,18 @@ def load_network(path: Path, network: nn.Module, remedy: str) -> None:
         raise RacinesError(f"{path}: does not fit {named}: {error}; {remedy}") from error
 
 
-def read_described(folder: Path, absent: str) -> dict[str, Any]:
-    """Return what the `config.json` beside the weights says; refuse none, with `absent`."""
+def read_described(folder: Path, absent: str, schema: str | None = None) -> dict[str, Any]:
+    """Return what the `config.json` beside the weights says; refuse none, and another schema."""
     path = Path(folder) / "config.json"
     if not path.is_file():
         raise RacinesError(f"{folder}: {absent}")
     try:
-        return json.loads(path.read_text())
+        described = json.loads(path.read_text())
     except json.JSONDecodeError as error:
         raise RacinesError(f"{path}: not valid JSON: {error}; get it again") from error
+    if schema is not None and (found := described.get("schema")) != schema:
+        raise RacinesError(f"{path}: schema {found!r}, expected {schema!r}")
+    return described
 
 
 def _halved(tensors: dict[str, Tensor], file: Path) -> dict[str, Tensor]:

@@ -23,7 +23,7 @@ from racines_leaderboard.audit.claims import differing
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, unknown
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.tracks import TRACK
-from racines_models.scores.diversity import places_again
+from racines_models.scores import diversity
 from racines_models.scores.scoring import PRDC_FRAMES
 from racines_models.statistics import wilson
 
@@ -114,7 +114,7 @@ def _counts(
         elif PRDC.fullmatch(key):
             n = min(frames, PRDC_FRAMES)
         elif key == "diversity_truth" or (key == "diversity" and not several):
-            n, reason = len(places_again(frames)), "poses drawn again"
+            n, reason = min(frames, diversity.FRAMES), "poses drawn again"
         counts[key] = (n, reason)
     return counts
 

@@ -36,9 +36,8 @@ def metrics_table(title: str, metrics: dict[str, Any]) -> Table:
     for name, metric in metrics.items():
         unit = f" {metric['unit']}" if metric.get("unit") else ""
         value = "-" if metric["value"] is None else f"{metric['value']:.4g}{unit}"
-        interval = "-"
-        if metric["low"] is not None:
-            interval = f"{metric['low']:.4g} to {metric['high']:.4g}"
+        low, high = metric["low"], metric["high"]
+        interval = "-" if low is None else f"{low:.4g} to {high:.4g}"
         rows.append((name, value, interval, str(metric.get("n", ""))))
     return console_table(("figure", "value", "95 % interval", "n"), rows, title)
 
@@ -58,9 +57,8 @@ def show_training(title: str, out: Path, metrics: dict[str, Any], as_json: bool)
 
 def judge_figures(metrics: dict[str, Any]) -> dict[str, Any]:
     """Return what is shown of a grader's report: views, grades and calibration."""
-    shown = metrics["metrics"] | {
-        f"view_accuracy, {name}": figure for name, figure in metrics["views"].items()
-    }
+    views = {f"view_accuracy, {name}": each for name, each in metrics["views"].items()}
+    shown = metrics["metrics"] | views
     for name, figures in metrics["grades"].items():
         shown |= {f"grade_{kind}, {name}": figure for kind, figure in figures.items()}
     for when in ("before", "after"):

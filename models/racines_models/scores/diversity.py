@@ -18,7 +18,7 @@ from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
 from racines_data.phantom.config import recorded_phantom
 from racines_data.store.frames import Batch, FrameStore
-from racines_models.sample import draw
+from racines_models.sample import draw, evenly
 from racines_models.scores.features import kept
 
 FRAMES = 64
@@ -55,15 +55,9 @@ def drawn_again(
         return drawn, torch.arange(len(drawn[0]))
     if not hasattr(generator, "generate"):
         return None
-    places = places_again(len(drawn[0]))
+    places = evenly(len(drawn[0]), FRAMES)
     some = Batch(*(column[places] for column in frames))
     return [drawn[0][places], draw(generator, some, seeds[0] + 1)], places
-
-
-def places_again(count: int) -> Tensor:
-    """Return the places of at most 64 of `count` frames, at even distances."""
-    wanted = min(FRAMES, count)
-    return torch.arange(wanted) * count // wanted
 
 
 def scanned_again(store: FrameStore, frames: Batch, folder: Path | None = None) -> Tensor | None:

@@ -5,7 +5,8 @@ PRDC is precision, recall, density and coverage of a set, by nearest neighbours 
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -99,11 +100,8 @@ def psnr(images: Tensor, truth: Tensor) -> Tensor:
     """Return the PSNR of (N, H, W) uint8 image pairs, (N,) dB, at most `PSNR_CAP`."""
     from torchmetrics.functional.image import peak_signal_noise_ratio as ratio
 
-    def chunk(a: Tensor, b: Tensor) -> Tensor:
-        values = ratio(a, b, data_range=DATA_RANGE, reduction="none", dim=(1, 2, 3))
-        return values.clamp_max(PSNR_CAP)
-
-    return _pairwise(chunk, images, truth)
+    each = partial(ratio, data_range=DATA_RANGE, reduction="none", dim=(1, 2, 3))
+    return _pairwise(each, images, truth).clamp_max(PSNR_CAP)
 
 
 def fid(candidate: Tensor, reference: Tensor) -> float:
@@ -124,35 +122,18 @@ def frechet_distance(reference: Tensor, candidate: Tensor) -> float:
         if len(features) < 2:
             raise RacinesError(f"a Fréchet distance needs 2 images or more, got {len(features)}")
     if min(len(reference), len(candidate)) > reference.shape[1]:
-        return Reference.of(reference).distance(candidate)
+        return _distance_by_covariance(reference, candidate)
     return _distance_by_gram(reference, candidate)
 
 
-class Reference(NamedTuple):
-    """The Gaussian of a reference set, with the symmetric root of its covariance; float64."""
-
-    mean: Tensor
-    """(D,)."""
-    root: Tensor
-    """(D, D), symmetric, positive semidefinite."""
-    trace: float
-    """Of the covariance."""
-
-    @classmethod
-    def of(cls, features: Tensor) -> "Reference":
-        """Fit (N, D) features."""
-        mean, covariance = moments(features)
-        eigenvalues, vectors = torch.linalg.eigh(covariance)
-        root = (vectors * _root(eigenvalues)) @ vectors.T
-        return cls(mean, root, float(covariance.trace()))
-
-    def distance(self, features: Tensor) -> float:
-        """Return the Fréchet distance to (M, D) features."""
-        mean, covariance = moments(features)
-        product = self.root @ covariance @ self.root
-        eigenvalues = torch.linalg.eigvalsh((product + product.T) / 2)
-        shift = (self.mean - mean).square().sum()
-        return float(shift + self.trace + covariance.trace() - 2 * _root(eigenvalues).sum())
+def _distance_by_covariance(reference: Tensor, candidate: Tensor) -> float:
+    (mean, covariance), (other, its) = moments(reference), moments(candidate)
+    eigenvalues, vectors = torch.linalg.eigh(covariance)
+    root = (vectors * _root(eigenvalues)) @ vectors.T
+    product = root @ its @ root
+    eigenvalues = torch.linalg.eigvalsh((product + product.T) / 2)
+    shift, traces = (mean - other).square().sum(), (covariance.trace(), its.trace())
+    return float(shift + traces[0] + traces[1] - 2 * _root(eigenvalues).sum())
 
 
 def moments(features: Tensor) -> tuple[Tensor, Tensor]:

@@ -20,7 +20,7 @@ from racines_models.judges.grader.report import compare
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.judges.pose.training import pose_errors
 from racines_models.provenance import code_version, dataset_card, environment
-from racines_models.sample import Progress, Sample, draw, speed, take_sample
+from racines_models.sample import Progress, Sample, draw, evenly, speed, take_sample
 from racines_models.scores import diversity, metrics
 from racines_models.scores.features import (
     Extractor,
@@ -225,8 +225,7 @@ class Scorer:
     def _neighbours(self, truth: Tensor, drawn: list[Tensor]) -> dict[str, Estimate]:
         if len(truth) <= metrics.NEIGHBOURS:
             return {}
-        count = min(len(truth), PRDC_FRAMES)
-        rows = torch.arange(count) * len(truth) // count
+        rows = evenly(len(truth), PRDC_FRAMES)
         sets = [metrics.Neighbourhoods(truth[rows], each[rows]) for each in drawn]
 
         def statistics(keep: np.ndarray) -> dict[str, float]:
@@ -292,7 +291,7 @@ class Scorer:
             rule = "root mean square difference of two draws of one pose"
             told = self._mean([diversity.spread(sets)], places)
             figures["diversity"] = told.to_json(GRAY, rule=rule, draws=len(sets))
-        places = diversity.places_again(len(frames.index))
+        places = evenly(len(frames.index), diversity.FRAMES)
         some = Batch(*(column[places] for column in frames))
         scanned = diversity.scanned_again(self.store, some, self.cache)
         if scanned is not None:

@@ -43,9 +43,8 @@ def run_ablation(
     for conditioning, injection in product(MODES, INJECTIONS):
         keys = {"conditioning": conditioning, "injection": injection}
         name = f"{conditioning}-{injection}"
-        changed = dataclasses.replace(config, **keys)
         of_variant = dataclasses.replace(run, folder=run.folder / name)
-        generator = _trained(cls, changed, store, of_variant)
+        generator = _trained(cls, dataclasses.replace(config, **keys), store, of_variant)
         rows.append({"name": name, **keys, **judge(generator, sample, run.seed, pose)})
     content = {
         "schema": SCHEMA,

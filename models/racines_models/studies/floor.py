@@ -17,7 +17,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore
 from racines_models.provenance import code_version, dataset_card, environment
-from racines_models.sample import Progress, Sample, spread_sample
+from racines_models.sample import Progress, Sample, evenly, spread_sample
 from racines_models.scores import metrics
 from racines_models.scores.features import Extractor, reference_features
 
@@ -105,7 +105,7 @@ def halve(trajectory: np.ndarray, config: FloorConfig) -> list[tuple[np.ndarray,
 def _row(features: Tensor, halvings: list[tuple[np.ndarray, np.ndarray]], n: int) -> dict[str, Any]:
     fid, kid = [], []
     for pair in halvings:
-        a, b = (features[torch.from_numpy(half[np.arange(n) * len(half) // n])] for half in pair)
+        a, b = (features[torch.from_numpy(half)[evenly(len(half), n)]] for half in pair)
         fid.append(metrics.fid(a, b))
         kid.append(metrics.kid(a, b))
     return {"n": n, "fid": metrics.over_splits(fid), "kid": metrics.over_splits(kid)}
@@ -131,8 +131,7 @@ def draw_floor(content: dict[str, Any]) -> bytes:
                 axes.set_xscale("log", base=2)
                 axes.set_xticks(n, [str(each) for each in n])
                 axes.minorticks_off()
-                axes.set_title(f"{key.upper()}, {name} features")
-                axes.set_ylim(bottom=min(0.0, *low))
+                axes.set(title=f"{key.upper()}, {name} features", ylim=(min(0.0, *low), None))
         for axes in grid[-1]:
             axes.set_xlabel("frames of each half, n")
         return encode(figure)

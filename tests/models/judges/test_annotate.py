@@ -144,20 +144,20 @@ def test_a_killed_run_goes_on_and_leaves_the_old_dataset_till_then(
 ):
     whole = tmp_path / "whole"
     annotate(root, grader, whole)
-    judge, judged = module._judge, []
+    save, judged = module.save_weights, []
 
-    def until_killed(store, grader, shard):
+    def until_killed(path, opinions):
         if len(judged) == 7:
             raise Killed
-        judged.append(shard.name)
-        return judge(store, grader, shard)
+        judged.append(path.name)
+        return save(path, opinions)
 
     def killed(*_):
         raise Killed
 
     with monkeypatch.context() as patch:
         if shards:
-            patch.setattr(module, "_judge", until_killed)
+            patch.setattr(module, "save_weights", until_killed)
         else:
             patch.setattr(module, "swap_folder", killed)
         with pytest.raises(Killed):
@@ -166,7 +166,7 @@ def test_a_killed_run_goes_on_and_leaves_the_old_dataset_till_then(
     first = list(judged)
     judged.clear()
     monkeypatch.setattr(
-        module, "_judge", lambda *given: judged.append(given[2].name) or judge(*given)
+        module, "save_weights", lambda *given: judged.append(given[0].name) or save(*given)
     )
     annotate(root, grader)
     assert not set(first) & set(judged) and bool(judged) == bool(shards)

@@ -8,12 +8,12 @@ import torch
 from racines_data.errors import RacinesError
 from racines_data.views import LABELS
 from racines_models.judges.grader.model import Grader, GraderNetwork
-from racines_models.judges.grader.report import report
+from racines_models.judges.grader.report import examine
 from racines_models.judges.grader.training import class_weights, train_grader
 from racines_models.pictures import pick_columns
 from racines_models.sample import take_sample
 from racines_models.scores.scoring import Scorer, ScoresConfig
-from racines_models.studies.realism.report import RealismConfig, take_phantom
+from racines_models.studies.realism.report import RealismConfig, choose_rows
 from tests.models.judges.test_grader import SHORT, run
 from tests.models.labelled import LabelledStore
 
@@ -42,7 +42,7 @@ def test_heads_weights_and_report_have_the_organs_labels(organ, folder):
     probabilities, _ = grader.probabilities_and_grade(organ.images[:3])
     assert probabilities.shape == (3, 4)
     assert class_weights(organ, 0.5).shape == (4,)
-    told = report(grader, organ)
+    told = examine(grader, organ).content
     assert set(told["views"]) == set(ORGAN)
     assert told["confusion"]["labels"] == list(ORGAN)
     assert torch.tensor(told["confusion"]["counts"]).shape == (4, 4)
@@ -66,7 +66,7 @@ def test_a_grader_refuses_a_dataset_of_other_views(organ, folder):
     heart = LabelledStore(trajectories=10, length=6)
     grader = Grader.load(folder)
     with pytest.raises(RacinesError, match=r"KLX.*A4C.*train a grader"):
-        report(grader, heart)
+        examine(grader, heart)
     sample = take_sample(heart, "test", 8)
     judge = Scorer(ScoresConfig(resamples=10), heart, sample, [sample.frames.images], None, None)
     with pytest.raises(RacinesError, match="the dataset has A4C"):
@@ -78,8 +78,8 @@ def test_a_grader_refuses_a_dataset_of_other_views(organ, folder):
 
 def test_realism_refuses_the_frames_of_another_organ(organ):
     with pytest.raises(RacinesError, match="A4C: the dataset's views are KLX"):
-        take_phantom(organ, RealismConfig())
-    assert len(take_phantom(organ, RealismConfig(view="GB", frames=4))) == 4
+        choose_rows(organ, RealismConfig())
+    assert len(choose_rows(organ, RealismConfig(view="GB", frames=4))) == 4
 
 
 def test_the_strip_of_pictures_shows_each_view_of_the_organ(organ):

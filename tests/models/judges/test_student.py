@@ -13,7 +13,7 @@ from racines_models.judges.grader.training import train_grader
 from racines_models.judges.student import training as student_training
 from racines_models.judges.student.model import Student, StudentConfig, StudentNetwork
 from racines_models.judges.student.training import (
-    ask_teacher,
+    StudentLearner,
     distillation_loss,
     speed,
     train_student,
@@ -121,17 +121,17 @@ def test_its_half_precision_copy_opens_and_agrees(trained, store, tmp_path):
 def test_a_killed_and_resumed_run_ends_in_the_same_weights(store, teacher, tmp_path, monkeypatch):
     whole, broken = tmp_path / "whole", tmp_path / "broken"
     train_student(store, SHORT, run(whole), teacher)
-    ask, write = student_training._ask, Checkpoint.write
+    ask, write = StudentLearner.ask_of, Checkpoint.write
     asked = []
 
     def ask_then_die(*args):
         if len(asked) == 1:
             raise Killed
-        asked.append(args[4])
+        asked.append(args[2])
         return ask(*args)
 
     with monkeypatch.context() as patch:  # while the teacher is asked
-        patch.setattr(student_training, "_ask", ask_then_die)
+        patch.setattr(StudentLearner, "ask_of", ask_then_die)
         with pytest.raises(Killed):
             train_student(store, EACH_STEP, run(broken), teacher)
     first = (broken / "checkpoint/teacher/00-0000.safetensors").stat().st_mtime_ns
@@ -181,9 +181,10 @@ def test_a_variant_is_the_same_whenever_it_is_looked_at(store, teacher, tmp_path
     varied = which > 0
     assert not torch.equal(whole[varied], x[varied])
     assert not torch.equal(whole, variants(x, rows, which, 6, SMALL))
-    taught = ask_teacher(teacher, store, SMALL, 2, 5, tmp_path, lambda _: None)
+    learner = StudentLearner(store, SMALL, run(tmp_path, seed=5), teacher)
+    logits, _ = learner.answers(tmp_path, lambda _: None)
     wanted = teacher.answer(variants(x, rows, torch.ones(8, dtype=torch.int64), 5, SMALL))
-    assert torch.allclose(taught.logits[1, :8], wanted.logits, atol=1e-3)
+    assert torch.allclose(logits[1, :8], wanted.logits, atol=1e-3)
 
 
 def test_the_loss_vanishes_where_the_student_agrees():

@@ -9,9 +9,9 @@ import torch
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
 from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork
-from racines_models.sample import draw, take_sample
+from racines_models.sample import draw, evenly, take_sample
 from racines_models.scores import diversity, scoring
-from racines_models.scores.diversity import places_again, scanned_again, spread
+from racines_models.scores.diversity import FRAMES, scanned_again, spread
 from racines_models.scores.metrics import Neighbourhoods
 from racines_models.scores.scoring import ScoresConfig, score
 from racines_models.statistics import bootstrap_median
@@ -126,7 +126,7 @@ def test_diversity_is_the_difference_of_two_draws_of_a_pose(labelled):
     three = figures(Noise(labelled), labelled, seeds=[0, 1, 2])["diversity"]
     assert three["settings"]["draws"] == 3
     assert three["value"] == pytest.approx(told["value"], rel=0.02)
-    assert places_again(1000).tolist() == [1000 * i // 64 for i in range(64)]
+    assert evenly(1000, FRAMES).tolist() == [1000 * i // 64 for i in range(64)]
 
 
 def test_images_made_beforehand_have_diversity_only_across_their_seeds(labelled):

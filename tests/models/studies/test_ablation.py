@@ -16,14 +16,17 @@ from racines_data.phantom.config import BlockConfig, heart_config
 from racines_data.phantom.heart import CONNECTIVE, heart
 from racines_models.studies.ablation import run as ablation
 from racines_models.studies.ablation.run import (
+    BASE,
+    NO_GRAY_MAP,
+    VARIANTS,
     AblationConfig,
     Setting,
     ablate,
     draw_ablation,
     merge_into,
+    pick_variants,
     poses_near,
 )
-from racines_models.studies.ablation.variants import BASE, NO_GRAY_MAP, VARIANTS, pick_variants
 from racines_models.studies.realism.report import RealFrames, RealismConfig
 from tests.models.scores.test_scores import Coarse
 from tests.models.studies.test_realism import speckle
@@ -120,7 +123,7 @@ def test_two_variants_are_measured_and_kept(real, baked, tmp_path):
 
 
 def test_without_gray_map_the_mean_gray_stays(real):
-    probed = ablation._probed(SETTING)
+    probed = [Phantom(each) for each in VARIANTS[0].configs(COARSE, 1)]
     mask, gain = ablation._calibrate(real.images, probed, SETTING)
     (plain,) = ablation.gray_map_variant(gain).configs(COARSE, 1)
     full = ablation._frames(probed[0], SETTING, 0)[:, mask].double().mean()

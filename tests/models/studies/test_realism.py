@@ -10,16 +10,18 @@ from PIL import Image
 from scipy.stats import wasserstein_distance
 
 from racines_data.errors import RacinesError
-from racines_models.studies.realism.figures import RULES, Sector, local_deviation, wasserstein
 from racines_models.studies.realism.report import (
+    RULES,
     RealFrames,
     RealismConfig,
+    Sector,
     choose_rows,
     common_sector,
     compare_with_real,
+    local_deviation,
     one_each,
     read_real,
-    take_phantom,
+    wasserstein,
 )
 from tests.models.labelled import LabelledStore
 from tests.models.scores.test_scores import Coarse
@@ -97,12 +99,13 @@ def test_frames_of_the_same_law_are_as_near_as_the_halves(real_file, phantom_lik
 def test_only_frames_of_the_view_and_grade_are_taken(phantom_like):
     phantom_like.views[:60] = 5
     phantom_like.images[:] = torch.arange(120, dtype=torch.uint8).view(-1, 1, 1)
-    taken = take_phantom(phantom_like, RealismConfig(frames=10, grade=8.0))
+    rows = choose_rows(phantom_like, RealismConfig(frames=10, grade=8.0))
+    taken = phantom_like.take(rows).images
     assert len(taken) == 10 and int(taken.min()) >= 96
     with pytest.raises(RacinesError, match="SC with grade >= 5"):
-        take_phantom(phantom_like, RealismConfig(view="SC"))
+        choose_rows(phantom_like, RealismConfig(view="SC"))
     with pytest.raises(RacinesError, match="the dataset's views are"):
-        take_phantom(phantom_like, RealismConfig(view="XX"))
+        choose_rows(phantom_like, RealismConfig(view="XX"))
 
 
 def test_frames_of_many_hearts_are_taken_evenly_over_the_hearts(phantom_like):
@@ -115,8 +118,7 @@ def test_frames_of_many_hearts_are_taken_evenly_over_the_hearts(phantom_like):
     def of_heart(count: int) -> list[int]:
         rows = choose_rows(store, RealismConfig(frames=count, grade=0.0))
         assert len(rows.unique()) == count
-        taken = take_phantom(store, RealismConfig(frames=count, grade=0.0))
-        assert taken[:, 0, 0].tolist() == rows.tolist()
+        assert store.take(rows).images[:, 0, 0].tolist() == rows.tolist()
         seeds = torch.tensor(store.phantoms)[store.trajectory_index[rows]]
         return [int((seeds == seed).sum()) for seed in (1, 3, 7, 9)]
 

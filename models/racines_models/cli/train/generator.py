@@ -36,16 +36,11 @@ def train_generator(
     cls = generator_class(name)
     values = read_settings(params, profile)
     settings = section(values, ("generators", cls.name))
-    run = Run(
-        folder=out or Path("models/runs") / cls.name,
-        seed=seed_of(values, seed),
-        device=device,
-        resume=resume,
-        progress=not as_json,
-    )
+    folder = out or Path("models/runs") / cls.name
+    run = Run(folder, seed_of(values, seed), device, resume, progress=not as_json)
     metrics = _started(processes, name, settings, data, run)
     if metrics is not None:
-        tell({"out": str(run.folder), **metrics}, as_json, f"{run.folder}: {_words(metrics)}")
+        tell({"out": str(folder), **metrics}, as_json, f"{folder}: {_words(metrics)}")
 
 
 def _started(processes: int, *fit: Any) -> dict[str, Any] | None:
@@ -74,8 +69,7 @@ def _fit(name: str, settings: dict[str, Any], data: Path, run: "Run") -> dict[st
 
 
 def _words(metrics: dict[str, Any]) -> str:
-    shown = {key: value for key, value in metrics.items() if not isinstance(value, dict | str)}
-    parts = [f"{key} {value:,}" for key, value in shown.items()]
+    parts = [f"{k} {v:,}" for k, v in metrics.items() if not isinstance(v, dict | str)]
     if validation := metrics.get("validation"):
         parts.append("PSNR {psnr:.2f} dB on {n} {split} frames".format(**validation))
     return ", ".join(parts)

@@ -10,17 +10,17 @@ served rows of before.
 import json
 import os
 import shutil
+from collections.abc import Iterable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 from safetensors.torch import load_file
-from torch import Tensor
 
 from racines_data.card.croissant import CROISSANT, add_croissant
 from racines_data.card.markdown import write_card
@@ -37,13 +37,6 @@ from racines_models.weights import save_weights
 
 BATCH = 256
 """Images judged at once."""
-
-
-class _Shard(NamedTuple):
-    """A file of `frames` and its rows of the store."""
-
-    name: str
-    rows: slice
 
 
 def annotate(
@@ -83,12 +76,11 @@ def annotate(
             "agreement": agreement(store, opinions),
         }
         final = folder / "final"
-        rewritten = {CARD, CROISSANT, *(shard.name for shard in shards)}
+        rewritten = {CARD, CROISSANT, *shards}
         for name in sorted(manifest["files"].keys() - rewritten):
             write_once(final / name, partial(_bring, (root / name).resolve(), out == root))
-        for shard in shards:
-            write = partial(_write_shard, root / shard.name, opinions[shard.rows])
-            write_once(final / shard.name, write)
+        for name, rows in shards.items():
+            write_once(final / name, partial(_write_shard, root / name, opinions[rows]))
         _seal(final, manifest, shards)
         swap_folder(final, out)
     return manifest
@@ -108,45 +100,38 @@ def agreement(store: FrameStore, opinions: np.ndarray) -> dict[str, Any]:
     return found
 
 
-def _shards(root: Path, manifest: dict[str, Any], store: FrameStore) -> list[_Shard]:
-    """Return the shards of `frames` in the order of the store."""
+def _shards(root: Path, manifest: dict[str, Any], store: FrameStore) -> dict[str, slice]:
+    """Return the files of `frames` in the order of the store, and the rows of each."""
     names = [name for split in manifest["configs"]["frames"].values() for name in split]
     # All that will be carried over must be whole, or damage would be sealed anew.
     check_files(root, manifest["files"], rebuild_hint(manifest))
-    shards: list[_Shard] = []
+    shards, start = {}, 0
     for name in names:
-        start = shards[-1].rows.stop if shards else 0
         table = pq.read_table(root / name, columns=["trajectory", "frame"])
         rows = slice(start, start + len(table))
         ids = [store.trajectories[i] for i in store.trajectory_index[rows].tolist()]
         numbers = store.frame[rows].tolist()
         if (table["trajectory"].to_pylist(), table["frame"].to_pylist()) != (ids, numbers):
             raise RacinesError(f"{root / name}: its rows are not those of the training store")
-        shards.append(_Shard(name, rows))
+        shards[name], start = rows, rows.stop
     return shards
 
 
 def _judge_all(
-    store: FrameStore, grader: Grader, shards: list[_Shard], folder: Path, told: Progress | None
+    store: FrameStore, grader: Grader, shards: dict[str, slice], folder: Path, told: Progress | None
 ) -> np.ndarray:
     """Return (N, 2) float32 views and grades, judged shard by shard; those on disk are kept."""
     parts = []
-    for shard in shards:
-        path = folder / f"{Path(shard.name).stem}.safetensors"
+    for name, rows in shards.items():
+        path = folder / f"{Path(name).stem}.safetensors"
         if not path.exists():
-            save_weights(path, {"opinions": _judge(store, grader, shard)})
+            judged = map(grader.probabilities_and_grade, store.images[rows].split(BATCH))
+            answers = [torch.stack([p.argmax(-1).float(), g.float()], 1).cpu() for p, g in judged]
+            save_weights(path, {"opinions": torch.cat(answers)})
         parts.append(load_file(path)["opinions"])
         if told is not None:
             told(len(parts[-1]))
     return torch.cat(parts).numpy()
-
-
-def _judge(store: FrameStore, grader: Grader, shard: _Shard) -> Tensor:
-    parts = []
-    for images in store.images[shard.rows].split(BATCH):
-        probabilities, grades = grader.probabilities_and_grade(images)
-        parts.append(torch.stack([probabilities.argmax(-1).float(), grades.float()], 1).cpu())
-    return torch.cat(parts)
 
 
 def _bring(source: Path, linked: bool, target: Path) -> None:
@@ -177,10 +162,10 @@ def _write_shard(source: Path, opinions: np.ndarray, path: Path) -> None:
             start += len(table)
 
 
-def _seal(final: Path, manifest: dict[str, Any], shards: list[_Shard]) -> None:
+def _seal(final: Path, manifest: dict[str, Any], shards: Iterable[str]) -> None:
     """Write card, Croissant and manifest of the new files."""
     (final / CARD).write_text(write_card(manifest))
-    for name in (*(shard.name for shard in shards), CARD):
+    for name in (*shards, CARD):
         path = final / name
         manifest["files"][name] = {"sha256": sha256_file(path), "bytes": path.stat().st_size}
     if CROISSANT in manifest["files"]:

@@ -190,9 +190,8 @@ class Grader(Judge):
         except RacinesError as error:
             raise RacinesError(f"{folder / CONFIG}: {error}") from error
         config = fill(kind.Config, described["config"], f"{folder / CONFIG}: config")
-        path = folder / WEIGHTS
-        published = described.get("weights_files", {}).get("files", {}).get(WEIGHTS, {})
-        digest = published.get("sha256", described["sha256"])
+        path, files = folder / WEIGHTS, described.get("weights_files", {}).get("files", {})
+        digest = files.get(WEIGHTS, {}).get("sha256", described["sha256"])
         if not path.is_file() or sha256_file(path) != digest:
             raise RacinesError(f"{path}: missing or damaged; run: racines train grader")
         labels = described.get("labels") or LABELS  # graders of old are cardiac
@@ -203,10 +202,8 @@ class Grader(Judge):
         return grader
 
     def _read(self, images: Tensor) -> Reading:
-        def answer(images: Tensor) -> Reading:
-            return self.answer(self.network.normalise(images))
-
-        return Reading(*in_fixed_batches(answer, images.to(self.device)))
+        normalise, images = self.network.normalise, images.to(self.device)
+        return Reading(*in_fixed_batches(lambda batch: self.answer(normalise(batch)), images))
 
     def answer(self, x: Tensor) -> Reading:
         """Return logits, grades and features of normalised (B, 1, S, S) images."""
@@ -218,8 +215,5 @@ class Grader(Judge):
 
 def read_config(folder: Path) -> dict[str, Any]:
     """Return what a grader's `config.json` says; refused if absent or of another schema."""
-    described = read_described(folder, f"no grader there; run: racines train grader --out {folder}")
-    found = described.get("schema")
-    if found != SCHEMA:
-        raise RacinesError(f"{folder / CONFIG}: schema {found!r}, expected {SCHEMA!r}")
-    return described
+    absent = f"no grader there; run: racines train grader --out {folder}"
+    return read_described(folder, absent, SCHEMA)

@@ -49,28 +49,22 @@ def compare(
     known = views >= 0
     target = known & (views != random)
     error = (grade - grades).abs().double()
-    close = torch.where(error.isfinite(), (error <= CLOSE).double(), torch.nan)
+    of_view = torch.where(target, error, torch.nan)
+    close = torch.where(of_view.isfinite(), (of_view <= CLOSE).double(), torch.nan)
+    right = torch.where(known, (label == views).double(), torch.nan)
+    same, near = "the grader's label is the true one", f"grades differ by at most {CLOSE:g}"
+    apart = "mean absolute difference"
     compared = {
-        "view_agreement": Comparison(
-            torch.where(known, (label == views).double(), torch.nan),
-            "the grader's label is the true one",
-        ),
-        "grade_agreement": Comparison(
-            torch.where(target, close, torch.nan),
-            f"grades differ by at most {CLOSE:g}, frames of a view",
-        ),
-        "grade_error": Comparison(
-            torch.where(target, error, torch.nan),
-            "mean absolute difference, frames of a view",
-            UNIT,
-        ),
-        "grade_error_all": Comparison(error, "mean absolute difference, all frames", UNIT),
+        "view_agreement": Comparison(right, same),
+        "grade_agreement": Comparison(close, f"{near}, frames of a view"),
+        "grade_error": Comparison(of_view, f"{apart}, frames of a view", UNIT),
+        "grade_error_all": Comparison(error, f"{apart}, all frames", UNIT),
     }
     return {k: each for k, each in compared.items() if bool(each.values.isfinite().any())}
 
 
 class Examination(NamedTuple):
-    """A grader, its answers on the frames of a split, and what they come to: see `report`."""
+    """A grader, its answers on the frames of a split, and what they come to: see `examine`."""
 
     grader: Grader
     frames: Batch
@@ -78,30 +72,25 @@ class Examination(NamedTuple):
     content: dict[str, Any]
 
 
-def report(grader: Grader, store: FrameStore, split: str = "test") -> dict[str, Any]:
+def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examination:
     """Judge a split and compare with its labels, which the grader must have been trained for.
 
     Returns:
-        `split`; `metrics`: `view_accuracy`, `grade_mae` (frames of a view), `grade_mae_all`,
-        `grade_agreement`, each with value, low, high, n; `views`: the accuracy on each label's
-        frames; `grades`: `mae` and `bias` on each view's frames; `calibration`: the temperature and
-        the expected calibration error `before` and `after` it; `confusion`: counts, rows the truth.
+        As `content`, `split`; `metrics`: `view_accuracy`, `grade_mae` (frames of a view),
+        `grade_mae_all`, `grade_agreement`, each with value, low, high, n; `views`: the accuracy on
+        each label's frames; `grades`: `mae` and `bias` on each view's frames; `calibration`: the
+        temperature and the expected calibration error `before` and `after` it; `confusion`: counts,
+        rows the truth.
     """
-    return examine(grader, store, split).content
-
-
-def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examination:
-    """Judge a split, as `report`, and keep the answers for the plots."""
     grader.check_labels(store.labels, "the dataset")
     rows = store.split_indices(split)
     frames = store.take(rows)
     reading = grader.read(frames.images)
     label, trajectory = reading.logits.argmax(-1), store.trajectory_index[rows].numpy()
-    random = len(store.labels) - 1
-    compared = compare(label, reading.grades, frames.views, frames.grades, random)
-    names = {"view_agreement": "view_accuracy", "grade_error": "grade_mae"}
-    names |= {"grade_error_all": "grade_mae_all"}
-    counts = confusion_counts(label, frames.views, len(store.labels))
+    labels, names = len(store.labels), {"view_agreement": "view_accuracy"}
+    names |= {"grade_error": "grade_mae", "grade_error_all": "grade_mae_all"}
+    compared = compare(label, reading.grades, frames.views, frames.grades, labels - 1)
+    counts = confusion_counts(label, frames.views, labels)
     calibration: dict[str, Any] = {"temperature": grader.temperature}
     if bool((frames.views >= 0).any()):
         for when, temperature in (("before", 1.0), ("after", grader.temperature)):
@@ -110,7 +99,7 @@ def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examinati
     content = {
         "split": split,
         "metrics": {names.get(k, k): each.mean(trajectory) for k, each in compared.items()},
-        **_by_view(compared, reading.grades, frames, store.labels, trajectory),
+        **_by_view(compared, reading.grades, frames, store),
         "calibration": calibration,
         "confusion": {"labels": list(store.labels), "counts": counts},
     }
@@ -118,22 +107,19 @@ def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examinati
 
 
 def _by_view(
-    compared: dict[str, Comparison],
-    grades: Tensor,
-    frames: Batch,
-    labels: tuple[str, ...],
-    trajectory: np.ndarray,
+    compared: dict[str, Comparison], grades: Tensor, frames: Batch, store: FrameStore
 ) -> dict[str, Any]:
     """Return `views`, the accuracy by label, and `grades`, the errors by view."""
     views, errors = {}, {}
+    trajectory = store.trajectory_index[frames.index].numpy()
     difference, graded = (grades - frames.grades).double().numpy(), frames.grades.isfinite()
-    for index, name in enumerate(labels):
+    for index, name in enumerate(store.labels):
         shown = frames.views == index
         if bool(shown.any()):
             right = compared["view_agreement"].values[shown].numpy()
             views[name] = bootstrap_mean(right, trajectory[shown.numpy()]).to_json()
         chosen = (shown & graded).numpy()
-        if chosen.any() and name != labels[-1]:
+        if chosen.any() and name != store.labels[-1]:
             signed, clusters = difference[chosen], trajectory[chosen]
             errors[name] = {
                 "mae": bootstrap_mean(np.abs(signed), clusters).to_json(UNIT),

@@ -126,9 +126,8 @@ class GraderLearner(JudgeLearner):
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return an AdamW a stage; the rates are multiples of the stage's (see `rate`)."""
-        heads = (self.network.view_head, self.network.grade_head)
+        heads, made = (self.network.view_head, self.network.grade_head), {}
         groups = [{"params": list(head.parameters())} for head in heads]
-        made = {}
         for name, stage in self.stages.items():
             encoder = {"params": list(self.network.encoder.parameters()), "lr": stage.encoder_rate}
             decay = self.config.weight_decay

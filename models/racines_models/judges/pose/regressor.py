@@ -29,8 +29,6 @@ TARGETS = 9
 """Position (3) and the continuous rotation (6)."""
 FEATURES = 512
 """Channels of the encoder's last map at width 1."""
-BATCH = 256
-"""Images read at once."""
 
 
 @dataclass(frozen=True)
@@ -90,13 +88,8 @@ class PoseNetwork(nn.Module):
         from monai.networks.nets.resnet import resnet18
 
         self.factor = IMAGE_SIZE // input_size
-        self.encoder = resnet18(
-            spatial_dims=2,
-            n_input_channels=1,
-            conv1_t_stride=2,
-            feed_forward=False,
-            widen_factor=width,
-        )
+        shape: dict[str, Any] = {"spatial_dims": 2, "n_input_channels": 1, "conv1_t_stride": 2}
+        self.encoder = resnet18(**shape, feed_forward=False, widen_factor=width)
         self.encoder.avgpool = nn.Flatten()  # pyright: ignore[reportAttributeAccessIssue]
         cells = (input_size // 32) ** 2
         self.head = nn.Linear(int(FEATURES * width) * cells, TARGETS)
@@ -147,14 +140,10 @@ class PoseRegressor:
     @torch.inference_mode()
     def predict(self, images: Tensor) -> Pose:
         """Return the poses, on the CPU, that (N, 128, 128) uint8 images show."""
-
-        def targets(images: Tensor) -> Tensor:
-            # fp32: bfloat16 rounds a position by tenths of a millimetre.
-            return self.network(self.network.normalise(images))
-
-        batches = check_images(images).split(BATCH)
-        predicted = [in_fixed_batches(targets, batch.to(self.device)) for batch in batches]
-        return self.network.pose(torch.cat(predicted)).to("cpu")
+        network, images = self.network, check_images(images).to(self.device)
+        # fp32: bfloat16 rounds a position by tenths of a millimetre.
+        predicted = in_fixed_batches(lambda batch: network(network.normalise(batch)), images)
+        return network.pose(predicted).to("cpu")
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -180,10 +169,8 @@ class PoseRegressor:
     def load(cls, folder: Path | str, device: str = "cpu") -> "PoseRegressor":
         """Read what `save` wrote, or its half-precision copy; refused if absent or damaged."""
         folder = Path(folder)
-        described = read_described(folder, "no pose regressor there; run: racines train pose")
-        if described.get("schema") != SCHEMA:
-            found = described.get("schema")
-            raise RacinesError(f"{folder / CONFIG}: schema {found!r}, expected {SCHEMA!r}")
+        absent = "no pose regressor there; run: racines train pose"
+        described = read_described(folder, absent, SCHEMA)
         config = fill(PoseConfig, described["config"], f"{folder / CONFIG}: config")
         network = PoseNetwork(config.input_size, config.width)
         load_network(folder / WEIGHTS, network, f"run: racines train pose --out {folder}")

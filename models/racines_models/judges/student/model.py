@@ -5,7 +5,6 @@ nothing is computed at a high resolution; for inference, batch norm is folded in
 """
 
 import copy
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -110,17 +109,11 @@ class Student(Grader):
     architecture: ClassVar[str] = "student"
     Config: ClassVar[type] = StudentConfig
 
-    def __init__(
-        self,
-        network: GradingNetwork,
-        config: Any,
-        device: str = "cpu",
-        labels: Sequence[str] = LABELS,
-        temperature: float = 1.0,
-    ) -> None:
-        super().__init__(network, config, device, labels, temperature)
+    def __init__(self, network: GradingNetwork, *given: Any, **named: Any) -> None:
+        """Take what a `Grader` does."""
+        super().__init__(network, *given, **named)
         assert isinstance(network, StudentNetwork)
-        self._dtype = torch.bfloat16 if config.bf16 else torch.float32
+        self._dtype = torch.bfloat16 if self.config.bf16 else torch.float32
         self._encoder = network.folded(self._dtype).requires_grad_(False)
 
     @classmethod

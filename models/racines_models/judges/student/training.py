@@ -10,8 +10,9 @@ it epochs later, sees what the teacher saw. Order and rates are functions of (se
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from safetensors import SafetensorError
@@ -27,11 +28,11 @@ from racines_data.randomness import derive, uniform
 from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
 from racines_models.judges.grader.model import Grader
+from racines_models.judges.grader.report import compare
 from racines_models.judges.grader.training import JudgeLearner, learning_rate
 from racines_models.judges.student.model import Student, StudentConfig
 from racines_models.protocol import Run
 from racines_models.sample import Progress
-from racines_models.statistics import bootstrap_mean
 from racines_models.training.augmentation import Augmentation, augment
 from racines_models.training.checkpoint import FOLDER, Checkpoint, discard_checkpoint
 from racines_models.training.objective import Update
@@ -105,10 +106,37 @@ class StudentLearner(JudgeLearner):
             checkpoint.write({"seen": 0, "seconds": 0.0})
         total = len(self.rows) * self.config.variants
         with image_counter("teacher", total, hidden=not run.progress) as advance:
-            folder = run.folder / FOLDER / "teacher"
-            answers = (self.config, self.config.variants, self.seed, folder, advance)
-            self.taught = ask_teacher(self.teacher, self.store, *answers)
+            self.taught = self.answers(run.folder / FOLDER / "teacher", advance)
         self.asked = time.perf_counter() - began
+
+    def answers(self, folder: Path, progress: Progress) -> tuple[Tensor, Tensor]:
+        """Return the teacher's (V, N, L) logits and (V, N) grades of N frames in V variants.
+
+        What `folder` has already is not asked again: it must belong to this very run.
+        """
+        parts, count = [], self.config.variants
+        for variant, (number, chunk) in product(range(count), enumerate(self.rows.split(CHUNK))):
+            path = folder / f"{variant:02d}-{number:04d}.safetensors"
+            try:
+                answers = load_file(path)
+            except (SafetensorError, OSError):  # not asked yet, or damaged
+                answers = self.ask_of(chunk, variant)
+                save_weights(path, answers)
+            parts.append(answers)
+            progress(len(chunk))
+        logits, grades = (torch.cat([part[key] for part in parts]) for key in ("logits", "grades"))
+        return logits.view(count, len(self.rows), -1), grades.view(count, -1)
+
+    @torch.inference_mode()
+    def ask_of(self, rows: Tensor, variant: int) -> dict[str, Tensor]:
+        """Return the teacher's `logits` and `grades` of one variant of some frames."""
+        parts, teacher = [], self.teacher
+        for batch in rows.split(ASKED):
+            x = teacher.network.normalise(self.store.take(batch).images.to(teacher.device))
+            x = variants(x, batch, torch.full_like(batch, variant), self.seed, self.config)
+            parts.append(teacher.answer(x))
+        logits, grades = (torch.cat([part[i] for part in parts]).cpu() for i in (0, 1))
+        return {"logits": logits, "grades": grades}
 
     def beside(self, judge: Grader, training: dict[str, Any]) -> dict[str, Any]:
         """Return how the student agrees with its teacher, and how quick both are."""
@@ -168,61 +196,6 @@ def variants(
     return torch.where(which.to(x.device).view(-1, 1, 1, 1) == 0, x, varied)
 
 
-class SoftLabels(NamedTuple):
-    """The teacher's (V, N, L) float32 `logits` and (V, N) `grades` of N frames in V variants."""
-
-    logits: Tensor
-    grades: Tensor
-
-
-def ask_teacher(
-    teacher: Grader,
-    store: FrameStore,
-    augmentation: Augmentation,
-    count: int,
-    seed: int,
-    folder: Path,
-    progress: Progress,
-) -> SoftLabels:
-    """Ask of the whole train split; what `folder` has already is not asked again.
-
-    `folder` must belong to this teacher, dataset, augmentation and seed.
-    """
-    rows = store.split_indices("train")
-    parts = []
-    for variant in range(count):
-        for number, chunk in enumerate(rows.split(CHUNK)):
-            path = folder / f"{variant:02d}-{number:04d}.safetensors"
-            try:
-                answers = load_file(path)
-            except (SafetensorError, OSError):  # not asked yet, or damaged
-                answers = _ask(teacher, store, augmentation, chunk, variant, seed)
-                save_weights(path, answers)
-            parts.append(answers)
-            progress(len(chunk))
-    logits, grades = (torch.cat([part[key] for part in parts]) for key in ("logits", "grades"))
-    shape = (count, len(rows))
-    return SoftLabels(logits.view(*shape, -1), grades.view(shape))
-
-
-@torch.inference_mode()
-def _ask(
-    teacher: Grader,
-    store: FrameStore,
-    augmentation: Augmentation,
-    rows: Tensor,
-    variant: int,
-    seed: int,
-) -> dict[str, Tensor]:
-    parts = []
-    for batch in rows.split(ASKED):
-        x = teacher.network.normalise(store.take(batch).images.to(teacher.device))
-        x = variants(x, batch, torch.full_like(batch, variant), seed, augmentation)
-        parts.append(teacher.answer(x))
-    logits, grades = (torch.cat([part[i] for part in parts]).cpu() for i in (0, 1))
-    return {"logits": logits, "grades": grades}
-
-
 def agreement(
     student: Grader, teacher: Grader, store: FrameStore, split: str = "test"
 ) -> dict[str, Any]:
@@ -234,16 +207,14 @@ def agreement(
     """
     rows = store.split_indices(split)
     images, trajectory = store.take(rows).images, store.trajectory_index[rows].numpy()
-    (ours, our_grades, _), (theirs, grades, _) = student.judge(images), teacher.judge(images)
-    shown = theirs != len(teacher.labels) - 1
-    error = torch.where(shown, (our_grades - grades).abs().double(), torch.nan).numpy()
-    rule = "the student's label is the teacher's"
-    same = bootstrap_mean((ours == theirs).double().numpy(), trajectory).to_json(rule=rule)
-    compared: dict[str, Any] = {"split": split, "view": same}
-    if bool(shown.any()):
+    ours, theirs = student.judge(images)[:2], teacher.judge(images)[:2]
+    compared = compare(*ours, *theirs, len(teacher.labels) - 1)
+    view = compared["view_agreement"]._replace(rule="the student's label is the teacher's")
+    told: dict[str, Any] = {"split": split, "view": view.mean(trajectory)}
+    if grade := compared.get("grade_error"):
         rule = "mean absolute difference, frames that the teacher calls a view"
-        compared["grade_mae"] = bootstrap_mean(error, trajectory).to_json("grades of 10", rule=rule)
-    return compared
+        told["grade_mae"] = grade._replace(rule=rule).mean(trajectory)
+    return told
 
 
 def speed(student: Grader, teacher: Grader) -> dict[str, Any]:

@@ -7,11 +7,11 @@ All variants have the same poses, electronic noise, halves and mask (that of the
 that a change of KID is the part's alone. What the halves leave open is the range beside it.
 """
 
-import dataclasses
 import json
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,18 +24,12 @@ from racines_data.files import write_json
 from racines_data.geometry import Pose, euler_to_matrix
 from racines_data.phantom import PHANTOM_VERSION, Phantom, PhantomConfig
 from racines_data.phantom.acquisition import coordinates
+from racines_data.phantom.config import heart_config
 from racines_data.randomness import derive, normal, sample_seeds
 from racines_models.provenance import code_version, environment, sha256_bytes
 from racines_models.sample import Progress
 from racines_models.scores import metrics
 from racines_models.scores.features import Extractor
-from racines_models.studies.ablation.variants import (
-    BASE,
-    NO_GRAY_MAP,
-    VARIANTS,
-    Variant,
-    gray_map_variant,
-)
 from racines_models.studies.realism.report import RealFrames, RealismConfig, common_sector, one_each
 
 SCHEMA = "racines.ablation/1"
@@ -46,6 +40,74 @@ PROBED = 3
 HALVINGS = 12
 """Steps of the search for that gain, from `GAINS`: to 0.01 dB."""
 GAINS = (-40.0, 0.0)
+OFF = -200.0
+"""dB of what is switched off."""
+BASE = "full phantom"
+NO_GRAY_MAP = "no gray map"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to render the population of hearts."""
+
+    name: str
+    change: Callable[[PhantomConfig, PhantomConfig], PhantomConfig]
+    """From a heart's configuration and the base phantom's to what is rendered instead."""
+
+    def configs(self, base: PhantomConfig, hearts: int) -> list[PhantomConfig]:
+        """Return the configuration of each of the hearts 1 … `hearts`."""
+        return [self.change(heart_config(base, seed), base) for seed in range(1, hearts + 1)]
+
+
+def _probe(config: PhantomConfig, base: PhantomConfig, **changes: Any) -> PhantomConfig:
+    return replace(config, probe=replace(config.probe, **changes))
+
+
+def _anatomy(config: PhantomConfig, base: PhantomConfig, function: str) -> PhantomConfig:
+    return replace(config, anatomy=f"racines_models.studies.ablation.hearts:{function}")
+
+
+def gray_map_variant(gain: float) -> Variant:
+    """Return the variant without gray map, its gain moved by `gain`, dB."""
+
+    def change(config: PhantomConfig, base: PhantomConfig) -> PhantomConfig:
+        return _probe(config, base, gray_map=1.0, gain=config.probe.gain + gain)
+
+    return Variant(NO_GRAY_MAP, change)
+
+
+_PROBE = {
+    "single look": {"looks": 1},
+    NO_GRAY_MAP: {"gray_map": 1.0},  # its gain is sought: see gray_map_variant
+    "no speckle reduction": {"smoothing": (0.0, 0.0)},
+    "no multiple scattering": {"haze": OFF},
+    "no reverberation": {"reverberation": OFF},
+    "no electronic noise": {"noise": OFF},
+    "no side lobes": {"side_lobes": 0.0},
+    "no directivity": {"directivity": 0.0},
+    "no near-field gain": {"near_gain": 0.0},
+}
+_TISSUES = ("sheets", "grain", "texture", "layers")
+VARIANTS = (
+    Variant(BASE, lambda config, base: config),
+    *(Variant(name, partial(_probe, **changes)) for name, changes in _PROBE.items()),
+    Variant("one scanner setting", lambda config, base: replace(config, probe=base.probe)),
+    Variant("no cover", lambda c, base: replace(c, block=replace(c.block, cover=0.0))),
+    *(Variant(f"no {part}", partial(_anatomy, function=f"no_{part}")) for part in _TISSUES),
+    # Heart 1 is of the population: the canonical one lies in plain gel, which is another change.
+    Variant("one form of heart", lambda config, base: replace(config, anatomy_seed=1)),
+    Variant("one heart, one setting", lambda config, base: base),
+)
+"""The full phantom first; those that share its baked blocks next to it."""
+
+
+def pick_variants(names: list[str] | None) -> list[Variant]:
+    """Return the full phantom and the named variants, or all."""
+    known = [variant.name for variant in VARIANTS]
+    unknown = sorted(set(names or ()) - set(known))
+    if unknown:
+        raise RacinesError(f"unknown variant {unknown[0]!r}: choose of {', '.join(known[1:])}")
+    return [v for v in VARIANTS if not names or v.name in (BASE, *names)]
 
 
 @dataclass(frozen=True)
@@ -81,7 +143,8 @@ def ablate(
     """
     told = progress or (lambda count: None)
     real = one_each(real, 2 * setting.realism.frames)
-    probed = _probed(setting)
+    full = VARIANTS[0].configs(setting.base, min(PROBED, setting.config.hearts))
+    probed = [Phantom(config) for config in full]
     mask, gain = _calibrate(real.images, probed, setting)
     variants = [gray_map_variant(gain) if v.name == NO_GRAY_MAP else v for v in variants]
     content = _head(real, mask, gain, setting, extractor)
@@ -135,11 +198,6 @@ def _frames(phantom: Phantom, setting: Setting, heart: int) -> Tensor:
     return phantom.render(pose, seeds)
 
 
-def _probed(setting: Setting) -> list[Phantom]:
-    hearts = min(PROBED, setting.config.hearts)
-    return [Phantom(config) for config in VARIANTS[0].configs(setting.base, hearts)]
-
-
 def _render(
     block: list[Variant], setting: Setting, probed: list[Phantom], told: Progress
 ) -> list[Tensor]:
@@ -160,7 +218,7 @@ def _render(
 
 def _volume_of(config: PhantomConfig) -> PhantomConfig:
     """Return what decides the baked block: all but the probe."""
-    return dataclasses.replace(config, probe=PhantomConfig().probe)
+    return replace(config, probe=PhantomConfig().probe)
 
 
 def _same_blocks(variants: list[Variant], setting: Setting) -> Iterable[list[Variant]]:
@@ -230,7 +288,7 @@ def _digest(variant: Variant, content: dict[str, Any], setting: Setting) -> str:
     """Return the digest of what decides a variant's KID."""
     free = {k: v for k, v in content.items() if k not in ("code", "environment")}
     configs = variant.configs(setting.base, setting.config.hearts)
-    settings = [free, dataclasses.asdict(setting.realism), *map(dataclasses.asdict, configs)]
+    settings = [free, asdict(setting.realism), *map(asdict, configs)]
     return sha256_bytes(json.dumps(settings, sort_keys=True).encode())
 
 
