@@ -139,12 +139,12 @@ def build(
         splits = assign_splits(units, *shares)
         held = held_out_session(units)
         main = Part("frames", source, units, splits, folder / "frames", held)
-        stage_units(source, units, main.folder, config.workers, progress)
-        part = None
+        part, parts = None, [(source, units, main.folder, False)]
         if many is not None:
             splits = assign_group_splits(many_units, *shares)
             part = Part(MULTI_PHANTOM, many, many_units, splits, folder / MULTI_PHANTOM)
-            stage_units(many, many_units, part.folder, config.workers, progress, by_session=True)
+            parts.append((many, many_units, part.folder, True))
+        stage_units(parts, config.workers, progress)
         final = folder / f"final-{config.shards}"  # what is whole there has the same bounds
         manifest = write_dataset(final, main, part, recipe, config.shards, progress)
         swap_folder(final, out)
