@@ -3,10 +3,10 @@
 import io
 import zlib
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
-from datasets import Features
 from PIL import Image
 
 from racines_data.errors import RacinesError
@@ -16,10 +16,13 @@ from racines_data.schema import CONTROLS, PARAMETERS, SOURCES, Trajectory, frame
 from racines_data.sources.base import Unit
 from racines_data.views import LABELS
 
+if TYPE_CHECKING:
+    from datasets import Features
+
 PIXELS = IMAGE_SIZE * IMAGE_SIZE
 
 
-def features_of(source: str, labels: Sequence[str] = LABELS) -> Features:
+def features_of(source: str, labels: Sequence[str] = LABELS) -> "Features":
     """Return the features of `frames` for one source, a third party's included, and its labels."""
     return frame_features(SOURCES if source in SOURCES else (*SOURCES, source), labels)
 

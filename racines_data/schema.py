@@ -2,12 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from datasets import ClassLabel, Features, Image, Value
 
 from racines_data.errors import RacinesError
 from racines_data.views import LABELS
+
+if TYPE_CHECKING:  # what starts a process (a worker, a command) need not wait for the library
+    from datasets import Features
 
 PARAMETERS = tuple(
     f"{kind}_{axis}" for kind in ("force", "torque", "position", "rotation") for axis in "xyz"
@@ -21,8 +24,10 @@ SPLITS = ("train", "validation", "test")
 SOURCES = ("phantom", "release", "cactus", "tracked")
 
 
-def frame_features(sources: Sequence[str] = SOURCES, labels: Sequence[str] = LABELS) -> Features:
+def frame_features(sources: Sequence[str] = SOURCES, labels: Sequence[str] = LABELS) -> "Features":
     """Return the features of `frames`; `sources` and `labels` name the classes of source, view."""
+    from datasets import ClassLabel, Features, Image, Value
+
     columns = {"image": Image(mode="L")}
     columns |= {name: Value("float32") for name in (*PARAMETERS, "timestamp", *CONTROLS)}
     columns["timestamp"] = Value("float64")
@@ -41,8 +46,10 @@ def frame_features(sources: Sequence[str] = SOURCES, labels: Sequence[str] = LAB
     return Features(columns)
 
 
-def trajectory_features() -> Features:
+def trajectory_features() -> "Features":
     """Return the features of the `trajectories` config."""
+    from datasets import Features, Value
+
     kinds = dict.fromkeys(("trajectory", "session", "target_view"), "string")
     kinds |= {"phantom": "int32", "split": "string", "frames": "int32", "duration": "float64"}
     return Features({name: Value(kind) for name, kind in (kinds | {"digest": "string"}).items()})

@@ -136,12 +136,12 @@ def build(
         shares = config.validation, config.test, config.seed
         splits, held = writer.assign_splits(units, *shares), writer.held_out_session(units)
         main = writer.Part("frames", source, units, splits, folder / "frames", held)
-        stage_units(source, units, main.folder, config.workers, progress)
-        part = None
+        part, parts = None, [(source, units, main.folder, False)]
         if many is not None:
             splits = writer.assign_group_splits(many_units, *shares)
             part = writer.Part(MULTI_PHANTOM, many, many_units, splits, folder / MULTI_PHANTOM)
-            stage_units(many, many_units, part.folder, config.workers, progress, by_session=True)
+            parts.append((many, many_units, part.folder, True))
+        stage_units(parts, config.workers, progress)
         final = folder / f"final-{config.shards}"  # what is whole there has the same bounds
         manifest = writer.write_dataset(final, main, part, recipe, config.shards, progress)
         swap_folder(final, out)

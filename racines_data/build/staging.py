@@ -62,34 +62,35 @@ def open_unit(path: Path) -> tuple[pa.Table, str]:
 
 
 def stage_units(
-    source: Source,
-    units: Sequence[Unit],
-    folder: Path,
-    workers: int,
-    progress: bool,
-    by_session: bool = False,
+    parts: Sequence[tuple[Source, Sequence[Unit], Path, bool]], workers: int, progress: bool
 ) -> None:
-    """Make the units that are not staged yet in `folder`, in `workers` processes.
+    """Make the units of all parts that are not staged yet, in the same `workers` processes.
 
-    With `by_session` one worker makes all units of a session: for a source to which a session costs
-    something (a heart is baked once).
+    A part is a source, its units, their folder, and whether one worker makes all units of a
+    session: for a source to which a session costs something (a heart is baked once).
     """
-    (folder / "units").mkdir(parents=True, exist_ok=True)
-    tasks: dict[str | int, list[tuple[Unit, Path]]] = {}
-    staged = 0
-    for index, unit in enumerate(units):
-        path = unit_path(folder, index)
-        try:
-            open_unit(path)
-            staged += unit.frames
-        except (OSError, KeyError, pa.ArrowInvalid):
-            tasks.setdefault(unit.session if by_session else index, []).append((unit, path))
+    tasks: list[tuple[int, list[tuple[Unit, Path]]]] = []
     with progress_bar(progress) as bar:
-        total = sum(unit.frames for unit in units)
-        shown = bar.add_task(f"{folder.name} frames", total=total, completed=staged)
-        remedy = "to go on, with fewer workers"
-        for frames in in_workers(_stage, source, list(tasks.values()), workers, remedy):
-            bar.advance(shown, frames)
+        shown = []
+        for number, (_, units, folder, by_session) in enumerate(parts):
+            (folder / "units").mkdir(parents=True, exist_ok=True)
+            missing: dict[str | int, list[tuple[Unit, Path]]] = {}
+            staged = 0
+            for index, unit in enumerate(units):
+                path = unit_path(folder, index)
+                try:
+                    open_unit(path)
+                    staged += unit.frames
+                except (OSError, KeyError, pa.ArrowInvalid):
+                    group = unit.session if by_session else index
+                    missing.setdefault(group, []).append((unit, path))
+            tasks += [(number, members) for members in missing.values()]
+            total = sum(unit.frames for unit in units)
+            shown.append(bar.add_task(f"{folder.name} frames", total=total, completed=staged))
+        sources = [source for source, *_ in parts]
+        made = in_workers(_stage, sources, tasks, workers, "to go on, with fewer workers")
+        for (number, _), frames in zip(tasks, made, strict=True):
+            bar.advance(shown[number], frames)
 
 
 def in_workers(
@@ -143,8 +144,10 @@ def _in_worker(work: Callable[[Any, Task], Result], task: Task) -> Result:
     return work(_state, task)
 
 
-def _stage(source: Source, members: Sequence[tuple[Unit, Path]]) -> int:
-    """Make some units, each into its file; return the number of frames expected of them."""
+def _stage(sources: Sequence[Source], task: tuple[int, Sequence[tuple[Unit, Path]]]) -> int:
+    """Make some units of a source, each into its file; return the frames expected of them."""
+    number, members = task
+    source = sources[number]
     labels = labels_of_source(source)
     for unit, path in members:
         trajectory = source.produce(unit)

@@ -18,6 +18,9 @@ TESTS = [
     "tests/models/generators/test_gan_roster.py",
     "tests/models/generators/test_generators.py",
     "tests/models/generators/test_noise_ceiling.py",
+    "tests/models/generators/test_flow.py",
+    "tests/models/generators/test_scene_field.py",
+    "tests/models/exchange/test_onnx.py",
     "tests/envs/agents/test_agents.py",
 ]
 """Where tests marked `contract` are: those of published weights, and tiny networks."""

@@ -17,9 +17,9 @@ from torch.nn import functional
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, rotate
 from racines_data.imaging import IMAGE_SIZE
+from racines_data.phantom.acoustics import pixel_grid, sector_mask
 from racines_data.phantom.anatomy import load_anatomy
 from racines_data.phantom.config import ProbeConfig
-from racines_data.phantom.acoustics import pixel_grid, sector_mask
 from racines_data.randomness import normal, sample_seeds
 from racines_data.world import World
 from racines_models.judges.grader.model import Grader

@@ -60,6 +60,7 @@ def test_draws_what_the_class_draws(vae_gan, poses):
     assert not torch.equal(opened.generate(poses, 5), opened.generate(poses, 6))
 
 
+@pytest.mark.contract
 def test_a_sample_ignores_its_batch(vae_gan, poses):
     opened = OnnxGenerator(vae_gan[1])
     seeds = torch.arange(len(poses)) * 7 + 1
