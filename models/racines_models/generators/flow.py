@@ -163,7 +163,7 @@ def follow(
 
 
 def _slope(unet: nn.Module, x: Tensor, time: float, parameters: Tensor) -> Tensor:
-    foreseen = unet(x, x.new_full((len(x),), time), parameters)
+    foreseen = unet(x, x.new_full((x.shape[0],), time), parameters)
     return (foreseen.float() - x) / (1.0 - time)
 
 

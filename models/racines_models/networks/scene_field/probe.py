@@ -92,7 +92,7 @@ class Probe(nn.Module):
 
     def image(self, polar: Tensor) -> Tensor:
         """Turn (B, beams, samples) into (B, 128, 128), zero outside the sector."""
-        grid = self.pixels.expand(len(polar), -1, -1, -1)
+        grid = self.pixels.expand(polar.shape[0], -1, -1, -1)
         drawn = grid_sample(
             polar.unsqueeze(1), grid, "bilinear", padding_mode="border", align_corners=True
         )
