@@ -62,6 +62,7 @@ def test_the_wheel_holds_the_packages_and_their_data_and_nothing_else(wheel: Pat
         assert name in names
 
 
+@pytest.mark.docs
 @pytest.mark.slow
 def test_the_installed_wheel_works_outside_the_repository(
     wheel: Path, tmp_path: Path, tiny_root: Path

@@ -141,6 +141,7 @@ def test_damaged_checkpoint_is_not_continued(tmp_path):
     assert weights(tmp_path / "run") == weights(tmp_path / "clean")
 
 
+@pytest.mark.docs
 @pytest.mark.parametrize("name", LEARNERS)
 def test_every_learner_ends_in_the_same_bits_after_two_deaths(tmp_path, name, monkeypatch):
     learn(name, tmp_path / "whole")
