@@ -18,7 +18,7 @@ help: ## list the targets
 
 $(READY): pyproject.toml constraints.txt
 	test -x $(VENV)/bin/python || $(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/python -m pip install -q -c constraints.txt -e ".[dev]"
+	$(VENV)/bin/python -m pip install -q --no-compile -c constraints.txt -e ".[dev]"
 	touch $@
 
 repro: $(READY) ## run the pipeline; a second run does nothing
