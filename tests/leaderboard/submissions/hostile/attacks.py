@@ -22,9 +22,6 @@ FILES = {
     "list a folder": "os.listdir(folder)",
     "size of a file": "os.stat(victim)",
     "openat2": "call(437, -100, victim.encode(), ctypes.create_string_buffer(24), 24)",
-    "open_tree": "call(428, -100, b'/', 0)",
-    "handle of a file": "call((303, 264), -100, victim.encode(), "
-    "ctypes.create_string_buffer(struct.pack('Ii', 128, 0), 136), (ctypes.c_int * 1)(), 0)",
 }
 """`folder` is anybody's to write to, `victim` a file there, `to-etc` a link."""
 
@@ -36,7 +33,6 @@ PROC = {
     "the root through /proc": "open('/proc/self/root/etc/passwd').read()",
     "the parent's environment": "open(f'/proc/{parent}/environ').read()",
     "the parent's descriptors": "os.listdir(f'/proc/{parent}/fd')",
-    "the parent's memory": "os.open(f'/proc/{parent}/mem', os.O_RDWR)",
 }
 
 PROCESSES = {
@@ -46,8 +42,6 @@ PROCESSES = {
     "execveat": "call((322, 281), -100, b'/bin/echo', "
     "(ctypes.c_char_p * 4)(b'echo', b'-n', b'done', None), (ctypes.c_char_p * 1)(None), 0)",
     "thread": "threading.Thread(target=int).start()",
-    "clone3": "call(435, ctypes.create_string_buffer(struct.pack('QQQQQQQQ', 0, 0, 0, 0, "
-    "signal.SIGCHLD, 0, 0, 0), 64), 64) or os._exit(0)",
     "signal the parent": "os.kill(parent, 0)",
     "signal a group": "os.killpg(group, 0)",
     "signal everyone": "os.kill(-1, 0) if doors else None",
@@ -83,9 +77,6 @@ MEMORY = {
     "executable memory": "mmap.mmap(-1, 4096, prot=7)",
     "memory made executable": "page = mmap.mmap(-1, 4096); done(libc.mprotect("
     "ctypes.c_void_p(ctypes.addressof(ctypes.c_char.from_buffer(page))), 4096, 5))",
-    "memory of a process": "here = ctypes.create_string_buffer(8); "
-    "part = struct.pack('PL', ctypes.addressof(here), 8); "
-    "call((310, 270), os.getpid(), part, 1, part, 1, 0)",
 }
 
 UNDOING = {
@@ -98,12 +89,21 @@ UNDOING = {
     "resource.setrlimit(resource.RLIMIT_CPU, (hard, hard))",
     "not heed the limit": "signal.signal(signal.SIGXCPU, signal.SIG_IGN)",
     "hold the signal back": "signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGXCPU])",
-    "other personality": "done(libc.personality(0x0400000))",
     "other user": "os.setuid(os.getuid() if not doors else 0)",
     "look around": "os.uname()",
 }
 
 PRIVILEGED = {
+    "open_tree": "call(428, -100, b'/', 0)",
+    "handle of a file": "call((303, 264), -100, victim.encode(), "
+    "ctypes.create_string_buffer(struct.pack('Ii', 128, 0), 136), (ctypes.c_int * 1)(), 0)",
+    "the parent's memory": "os.open(f'/proc/{parent}/mem', os.O_RDWR)",
+    "clone3": "call(435, ctypes.create_string_buffer(struct.pack('QQQQQQQQ', 0, 0, 0, 0, "
+    "signal.SIGCHLD, 0, 0, 0), 64), 64) or os._exit(0)",
+    "memory of a process": "here = ctypes.create_string_buffer(8); "
+    "part = struct.pack('PL', ctypes.addressof(here), 8); "
+    "call((310, 270), os.getpid(), part, 1, part, 1, 0)",
+    "other personality": "done(libc.personality(0x0400000))",
     "a terminal": "os.open('/dev/tty', os.O_RDWR)",
     "ptrace the parent": "done(libc.ptrace(0x4206, parent, None, None))",
     "be traced": "done(libc.ptrace(0, 0, None, None))",
@@ -127,7 +127,7 @@ PRIVILEGED = {
     "secret memory": "call(447, 0)",
     "another ruleset": "call(444, None, 0, 1)",
 }
-"""What a machine may forbid a free process as well."""
+"""What a machine or a container may forbid a free process as well."""
 
 FREE = FILES | PROC | PROCESSES | SOCKETS | DESCRIPTORS | MEMORY | UNDOING
 ALL = FREE | PRIVILEGED

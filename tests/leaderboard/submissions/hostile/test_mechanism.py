@@ -139,12 +139,12 @@ def before():
     child.close()
 
 
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 def test_as_another_user_images_are_the_same(tmp_path, monkeypatch):
     become = (
         "import os; import racines_leaderboard.submissions.confined.child as c; "
         "was = dict(c.MODES); "
-        f"down = lambda: (os.setgroups([]), os.setgid({NOBODY}), os.setuid({NOBODY})); "
+        "down = lambda: os.geteuid() == 0 and "
+        f"(os.setgroups([]), os.setgid({NOBODY}), os.setuid({NOBODY})); "
         "c.MODES.update({name: (lambda mode: lambda: (mode(), down())[0])(mode) "
         "for name, mode in was.items()}); c.main()"
     )
