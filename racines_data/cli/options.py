@@ -82,6 +82,13 @@ StartSeed = Annotated[
 
 Results = Annotated[Path, typer.Option(help="Folder of the boards.")]
 Submissions = Annotated[Path, typer.Option(help="Folder of the submissions.")]
+Unconfined = Annotated[
+    bool,
+    typer.Option(
+        "--unconfined",
+        help="Open others' files even where the kernel cannot confine: trust their author.",
+    ),
+]
 Board = Annotated[str | None, typer.Option(help="Only this board.")]
 
 

@@ -31,6 +31,7 @@ def audit(
     params: opt.Params = None,
     results: opt.Results = opt.RESULTS,
     submissions: opt.Submissions = opt.SUBMISSIONS,
+    unconfined: opt.Unconfined = False,
     details: opt.Details = False,
     seal: Annotated[
         bool, typer.Option("--seal", help="Seal records that have no seal and do not fail.")
@@ -47,10 +48,12 @@ def audit(
     from racines_leaderboard.audit import run
     from racines_leaderboard.audit.bench import Bench, Places
     from racines_leaderboard.audit.verdicts import audit_markdown, show
+    from racines_leaderboard.submissions.confined.session import Limits
 
     judges = {"grader": grader, "pose": pose}
     given = {kind: folder for kind, folder in judges.items() if folder is not None}
-    places = Places(results, submissions, data, params or Path("params.yaml"), judges=given)
+    settings, limits = params or Path("params.yaml"), Limits(unconfined=unconfined)
+    places = Places(results, submissions, data, settings, judges=given, limits=limits)
     if bool(names) == every:
         raise typer.BadParameter("give names, or --all")
     if quick and retrain:

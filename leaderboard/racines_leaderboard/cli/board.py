@@ -31,6 +31,7 @@ def leaderboard(
     results: opt.Results = opt.RESULTS,
     submissions: opt.Submissions = opt.SUBMISSIONS,
     params: opt.Params = None,
+    unconfined: opt.Unconfined = False,
     markdown: Annotated[
         Path | None, typer.Option(help="Write all boards to this file, charts beside the results.")
     ] = None,
@@ -62,12 +63,15 @@ def leaderboard(
         results_of.collect(collect, results, submissions, board, others)
     if recompute:
         from racines_leaderboard.board import recompute as scoring
+        from racines_leaderboard.submissions.confined.session import Limits
 
         settings = params or Path("params.yaml")
         board = _board_of(settings, board)
         grader = None if no_grader else opt.GRADER
         pose = opt.POSE if opt.POSE.is_dir() else None
-        ground = scoring.Ground(board, read_params(settings), data, grader, pose, CACHE)
+        ground = scoring.Ground(
+            board, read_params(settings), data, grader, pose, CACHE, Limits(unconfined=unconfined)
+        )
         for folder in [scoring.find(submissions, name) for name in recompute]:
             record = scoring.recompute(folder, ground, results)
             typer.echo(f"racines: scored again: {record['track']}/{record['name']}", err=True)

@@ -22,6 +22,7 @@ def submit(
     new: Annotated[
         bool, typer.Option("--new", help="Write a submission.yaml to fill in, and stop.")
     ] = False,
+    unconfined: opt.Unconfined = False,
     track: Annotated[str, typer.Option(help="With --new: generators or agents.")] = "generators",
     as_json: opt.AsJson = False,
 ) -> None:
@@ -33,10 +34,15 @@ def submit(
         return
     if check and (force or fetch):
         raise typer.BadParameter("--check copies nothing: leave out --force and --fetch")
+    from racines_leaderboard.submissions.confined.session import Limits
     from racines_leaderboard.submissions.document import KINDS, rescored
     from racines_leaderboard.submissions.intake import look_at, take_in
 
-    taken = look_at(source) if check else take_in(source, out, replace=force, fetching=fetch)
+    limits = Limits(unconfined=unconfined)
+    if check:
+        taken = look_at(source, limits)
+    else:
+        taken = take_in(source, out, replace=force, fetching=fetch, limits=limits)
     document, again = taken.document, rescored(taken.document)
     if as_json:
         told = {"folder": str(taken.folder), "rescored": [each["path"] for each in again]}

@@ -1,7 +1,8 @@
 """The child that runs a stranger's file: first its limits, then the file, one message at a time.
 
 It is given the file's bytes, never its path; once the libraries are loaded it can open no file, no
-socket and no process. Standard input and output are the wire; what libraries print is lost.
+socket and no process (`kernel`). Standard input and output are the wire; what libraries print is
+lost.
 
 Parent and child send bytes, never pickles. A message is its kind and its payload, two byte strings
 of `multiprocessing.connection`, of which `send_bytes` and `recv_bytes` alone are used: its `send`
@@ -9,9 +10,8 @@ and `recv` would unpickle. Arrays are packed by safetensors, whose reader checks
 it takes the bytes.
 """
 
-import contextlib
-import ctypes
 import json
+import os
 import resource
 import sys
 from collections.abc import Callable, Mapping
@@ -22,7 +22,16 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from racines_leaderboard.submissions.confined.kernel import (
+    CannotConfineError,
+    confine,
+    end_with,
+    open_no_more,
+)
+
 MAX_TEXT = 500
+MAX_HEADER = 2**20
+"""Bytes that say which arrays an answer holds: some ten thousand of them."""
 Run = Callable[[bytes], bytes]
 OPEN, RUN, ANSWER, REFUSED = b"O", b"R", b"A", b"X"
 """Kinds: a file's bytes, inputs, outputs, and one line of text that says what is wrong."""
@@ -58,6 +67,8 @@ def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
 
 def unpack_arrays(payload: bytes) -> dict[str, np.ndarray]:
     """Return the arrays of `pack_arrays`; a WireError, where length or type does not fit."""
+    if int.from_bytes(payload[:8], "little") > MAX_HEADER:
+        raise WireError(f"arrays whose header takes more than {MAX_HEADER:,} bytes")
     try:
         arrays = load(payload)
     except (SafetensorError, KeyError, ValueError, TypeError) as error:
@@ -75,14 +86,16 @@ def _check_types(arrays: Mapping[str, np.ndarray]) -> None:
 def main() -> None:
     """Serve the mode and the limits that the command line names, until the wire closes."""
     mode, limits = sys.argv[1], json.loads(sys.argv[2])
+    if limits["parent"]:
+        end_with(limits["parent"])
     resource.setrlimit(resource.RLIMIT_AS, (limits["memory"], limits["memory"]))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
-    resource.setrlimit(resource.RLIMIT_CPU, (limits["cpu_seconds"], limits["cpu_seconds"]))
     asked, answers = Connection(0, writable=False), Connection(1, readable=False)
     try:
         opened = MODES[mode]()
-        _close_the_doors()
+        _close_the_doors(limits["unconfined"])
+        say(answers, ANSWER)  # not before this does the stranger's file come
     except Exception as error:
         say(answers, REFUSED, _text(error))
         return
@@ -92,7 +105,6 @@ def main() -> None:
             kind, payload = hear(asked)
         except EOFError:
             return
-        _allow_seconds(limits["open_seconds" if kind == OPEN else "call_seconds"])
         try:
             if kind == OPEN:
                 run = opened(payload)
@@ -104,24 +116,20 @@ def main() -> None:
             return
 
 
-def _close_the_doors() -> None:
+def _close_the_doors(unconfined: bool) -> None:
     """Forbid further files, sockets, processes and privileges; the libraries are loaded by now."""
-    with contextlib.suppress(OSError, ValueError, AttributeError):
-        ctypes.CDLL(None).prctl(38, 1, 0, 0, 0)  # PR_SET_NO_NEW_PRIVS, Linux
-    with contextlib.suppress(OSError, ValueError):
-        resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
-    resource.setrlimit(resource.RLIMIT_NOFILE, (3, 3))
-
-
-def _allow_seconds(seconds: int) -> None:
-    """Let this call take so much of the CPU, beyond what was taken; the whole stays bounded."""
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    whole = resource.getrlimit(resource.RLIMIT_CPU)[1]
-    soft = min(int(used.ru_utime + used.ru_stime) + 1 + seconds, whole)
-    resource.setrlimit(resource.RLIMIT_CPU, (soft, whole))
+    os.closerange(3, resource.getrlimit(resource.RLIMIT_NOFILE)[0])
+    try:
+        confine()
+    except CannotConfineError:
+        if not unconfined:
+            raise
+        open_no_more()
 
 
 def _text(error: BaseException) -> bytes:
+    if isinstance(error, CannotConfineError):
+        return b"K" + str(error).encode()
     short = isinstance(error, MemoryError) or "alloc" in str(error)
     text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
     return (b"M" if short else b"E") + text[:MAX_TEXT].encode(errors="replace")

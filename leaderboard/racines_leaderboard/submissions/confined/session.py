@@ -1,4 +1,4 @@
-"""A stranger's file in a child process with limits of time, memory and everything else.
+"""A stranger's file in a child process with limits of time and memory, and nothing else to reach.
 
 The parent sends bytes and gets bytes back (`child`); it unpickles nothing. What breaks a limit ends
 in a `RacinesError` that names the file and the limit, and the child is killed.
@@ -7,6 +7,7 @@ in a `RacinesError` that names the file and the limit, and the child is killed.
 import contextlib
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -34,6 +35,7 @@ START = (
     "import sys; sys.path[:0] = sys.argv.pop(1).split('|'); "
     "from racines_leaderboard.submissions.confined.child import main; main()"
 )
+REMEDY = "run it on Linux (x86_64 or aarch64), or give --unconfined and trust its author"
 
 
 @dataclass(frozen=True)
@@ -43,13 +45,15 @@ class Limits:
     memory: int = 4 * 2**30
     """Bytes of address space, libraries included (0.4 GiB)."""
     open_seconds: int = 120
-    """To start and to open the file, by the wall clock and of the CPU."""
+    """To start, and again to open the file; by the wall clock and of the CPU."""
     call_seconds: int = 60
     """Of one call, likewise."""
     cpu_seconds: int = 4 * 3600
     """Of the CPU in all."""
     answer: int = 64 * 2**20
     """Bytes of one answer."""
+    unconfined: bool = False
+    """Go on with these limits alone where the kernel cannot confine; otherwise that is refused."""
 
 
 class Child:
@@ -67,7 +71,10 @@ class Child:
         packages = (racines_data, racines_models, racines_leaderboard)
         roots = "|".join(str(Path(str(p.__file__)).resolve().parents[1]) for p in packages)
         # -I: neither the environment nor the current folder says what is imported.
-        words = [sys.executable, "-I", "-c", START, roots, mode, json.dumps(asdict(self.limits))]
+        # A child ends with the thread that starts it: with that alone which ends with the process.
+        main = threading.current_thread() is threading.main_thread()
+        told = json.dumps(asdict(self.limits) | {"parent": os.getpid() if main else 0})
+        words = [sys.executable, "-I", "-c", START, roots, mode, told]
         # Of this process's environment it sees where libraries lie, and no secret.
         seen = {key: value for key, value in os.environ.items() if key == "LD_LIBRARY_PATH"}
         seen |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -84,11 +91,20 @@ class Child:
                 start_new_session=True,
             )
         self._end = weakref.finalize(self, _stop, self._process, collect=True)
+        # Until it says that it is confined it has nothing of the stranger's, and may be believed.
+        self._ours = True
+        self._exchange(self.limits.open_seconds, lambda: None)
+        self._ours = False
         self.ask(wire.OPEN, content)
 
     def ask(self, kind: bytes, payload: bytes) -> bytes:
         """Send a message and return the answer's payload."""
         seconds = self.limits.open_seconds if kind == wire.OPEN else self.limits.call_seconds
+        return self._exchange(seconds, lambda: wire.say(self._asks, kind, payload))
+
+    def _exchange(self, seconds: int, say: Callable[[], None]) -> bytes:
+        """Say something and return the payload of what the child says to it, in time."""
+        self._allow_cpu(seconds)
         deadline = time.monotonic() + seconds
         # Whatever is waited for ends with the child: the pipes have no other holder.
         clock = threading.Timer(seconds, _stop, [self._process])
@@ -97,7 +113,7 @@ class Child:
         try:
             try:
                 with contextlib.suppress(BrokenPipeError):  # its last words say why
-                    wire.say(self._asks, kind, payload)
+                    say()
                 kind, answer = wire.hear(self._answers, self.limits.answer)
             except (EOFError, OSError) as error:
                 late = time.monotonic() >= deadline
@@ -118,6 +134,22 @@ class Child:
         self._asks.close()
         self._answers.close()
 
+    def _allow_cpu(self, seconds: int) -> None:
+        """Let this call take so much of the CPU; from here, for the child may set nothing.
+
+        What still counts when this process is gone, and its clock with it.
+        """
+        pid = self._process.pid
+        if not hasattr(resource, "prlimit"):  # Linux alone has it
+            return
+        with contextlib.suppress(OSError):  # the child is gone: the pipes will say so
+            used = time.clock_gettime((~pid << 3) | 2)  # clock_getcpuclockid(3) of the process
+            hard = resource.prlimit(pid, resource.RLIMIT_CPU)[1]
+            whole = self.limits.cpu_seconds
+            whole = whole if hard == resource.RLIM_INFINITY else min(whole, hard)
+            soft = min(int(used) + 1 + seconds, whole)
+            resource.prlimit(pid, resource.RLIMIT_CPU, (soft, whole))
+
     def _cause(self, seconds: int) -> str:
         """Say why there is no answer: no message came, or the child died."""
         if self._asks.closed:
@@ -127,6 +159,8 @@ class Child:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(5)
         code = self._process.returncode
+        if code is None:
+            return "refused: it closed the wire"
         if code == -signal.SIGXCPU:
             return f"took more than {seconds} s of the CPU: stopped"
         name = signal.Signals(-code).name if code and code < 0 else f"exit code {code}"
@@ -134,6 +168,8 @@ class Child:
 
     def _told(self, answer: bytes) -> str:
         text = "".join(c if c.isprintable() else " " for c in answer[1:].decode(errors="replace"))
+        if self._ours and answer[:1] == b"K":
+            return f"nothing here can confine what a stranger sent: {text[:500]}: {REMEDY}"
         return f"{text[:500]}; {self._memory}" if answer[:1] == b"M" else f"refused: {text[:500]}"
 
 
