@@ -10,12 +10,17 @@ from typing import Any
 import pytest
 import yaml
 
+from racines_leaderboard.records.ranges import range_of
+
 DIGEST = "ab" * 32
 ENVIRONMENT = {"python": "3.11.7", "torch": "2.13.0", "platform": "Linux", "cpu": "x86_64"}
 
 
-def metric(value: float | None, n: int = 100) -> dict[str, Any]:
-    low, high = (None, None) if value is None else (value - 0.1, value + 0.1)
+def metric(value: float | None, n: int = 100, name: str = "") -> dict[str, Any]:
+    least, most = range_of(name)
+    low, high = value, value
+    if value is not None:
+        low, high = max(value - 0.1, least), min(value + 0.1, most)
     return {"value": value, "low": low, "high": high, "n": n}
 
 
@@ -32,7 +37,7 @@ def generator_scores(name: str, recipe: str = DIGEST, **figures: float | None) -
             "split": "test",
         },
         "seeds": [0],
-        "metrics": {key: metric(value) for key, value in values.items()},
+        "metrics": {key: metric(value, name=key) for key, value in values.items()},
         "extractors": {},
         "weights": {"sha256": DIGEST},
         "code": {"version": "0.1.0"},
@@ -60,7 +65,7 @@ def agent_scores(
             "start_set": "fixed-100",
         },
         "phantom": {"version": "1.0.0", "recipe_digest": recipe},
-        "metrics": {key: metric(value) for key, value in values.items()},
+        "metrics": {key: metric(value, name=key) for key, value in values.items()},
         "seeds": [0],
         "weights": None,
         "code": {"version": "0.1.0"},

@@ -22,6 +22,7 @@ from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.claims import differing
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, unknown
 from racines_leaderboard.board.collect import Record
+from racines_leaderboard.records.ranges import CLOSE, ENDS, faults
 from racines_leaderboard.records.tracks import TRACK
 from racines_models.scores import diversity
 from racines_models.scores.scoring import PRDC_FRAMES
@@ -32,15 +33,12 @@ OF_VIEW = re.compile(r"(grade_agreement|grade_error|pose_error_(mm|deg)_view)(_t
 PRDC = re.compile(r"(precision|recall|density|coverage)(_grader)?")
 TIMED = re.compile(r"images_per_second_(?P<batch>\d+)|latency")
 """Metrics of the machine."""
-CLOSE = 1e-9
-"""What the last bits of a sum may differ by, relative."""
 BITWISE, TOLERANCE, HALF = "bitwise", "tolerance", "half precision"
 PRIMARY = 4e-4
 """Of the metrics that rank, in their own unit: below half of 0.001."""
 OTHERS, ITEMS = 1e-3, 2.0
 SHARE = 0.25
 """Of the half-width of an interval, for half-precision weights."""
-ENDS = ("value", "low", "high")
 NUMBERS = (*ENDS, "n")
 CONTINUOUS = ("ssim", "psnr", "fid", "kid", "final_grade", "spl", "position_error", "return")
 """Figures that are equal to the last bit by no accident."""
@@ -68,14 +66,12 @@ def _by_itself(
     """Check a metric's interval, its n where it is known, and what follows from other numbers."""
     value, low, high = (metric[key] for key in ENDS)
     settings, n = metric.get("settings", {}), metric["n"]
-    if (low is None) != (high is None):
-        yield fails(f"{subject}.interval", "one end is missing", [low, high])
-    elif value is None or low is None:
-        yield holds(f"{subject}.interval", "none given", [low, high])
-    else:
-        slack = CLOSE * max(1.0, abs(value))
-        inside, ends = low - slack <= value <= high + slack, [low, value, high]
-        yield tell(inside, f"{subject}.interval", "low ≤ value ≤ high", ends)
+    wrong = dict(faults(subject.rpartition(".")[2], metric))
+    for field, reason in wrong.items():
+        yield fails(f"{subject}.{field}", reason, metric[field])
+    if not wrong:
+        told = "none given" if None in (value, low) else "low ≤ value ≤ high, all within its range"
+        yield holds(f"{subject}.interval", told, [low, value, high])
     if count is not None:
         yield equal(f"{subject}.n", n, *count)
     if (sets := settings.get("by_set")) and value is not None:

@@ -10,6 +10,7 @@ from typing import Any
 from racines_data.errors import RacinesError
 from racines_leaderboard.records.experts import FOLDER as EXPERTS
 from racines_leaderboard.records.experts import with_experts
+from racines_leaderboard.records.ranges import check_possible
 from racines_leaderboard.records.schema import check, read_json, sealed, write_record
 from racines_leaderboard.records.tracks import TRACK, TRACKS, Track
 from racines_leaderboard.submissions.document import find_submission
@@ -55,8 +56,8 @@ def collect(
     left out.
 
     Raises:
-        RacinesError: a missing folder or one without scores, a damaged file, or scores made on
-            another dataset than the board's.
+        RacinesError: a missing folder or one without scores, a damaged file, a metric that cannot
+            be, or scores made on another dataset than the board's.
     """
     records: dict[Path, Record] = {}
     for folder in folders:
@@ -108,7 +109,9 @@ def _read_scores(path: Path) -> tuple[dict[str, Any], Track]:
     track = TRACK_OF.get(declared)
     if track is None:
         raise RacinesError(f"{path}: schema: {declared!r} is none of {', '.join(TRACK_OF)}")
-    return read_json(path, track.schema), track
+    scores = read_json(path, track.schema)
+    check_possible(scores, str(path))
+    return scores, track
 
 
 def read_record(path: Path, board: str, track: Track) -> Record:
@@ -118,6 +121,7 @@ def read_record(path: Path, board: str, track: Track) -> Record:
         if record[key] != value:
             raise RacinesError(f"{path}: {key}: {record[key]!r}, expected {value!r} by its place")
     check(record["scores"], track.schema, f"{path}: scores")
+    check_possible(record["scores"], f"{path}: scores")
     return record
 
 

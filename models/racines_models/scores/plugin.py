@@ -7,6 +7,7 @@ and is a column of the board. It never ranks.
     blackness = "my_package.blackness:BLACKNESS"
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -36,6 +37,10 @@ class Metric:
     """Decimals in a table."""
     scale: float = 1.0
     """Multiplies the value in a table: 100 for %."""
+    minimum: float = -math.inf
+    """The least that the value can be: a record with less is refused."""
+    maximum: float = math.inf
+    """The most."""
     rule: str = ""
     """What it says, in half a sentence; kept with each value."""
 

@@ -1,0 +1,285 @@
+"""Intervals of scores whose units are few, skewed, unequal, and shared by several trainings.
+
+A *unit* is what was drawn independently: a trajectory, a patient, a start. Frames of one unit are
+near-copies. A trained method has several *trainings*, each scored on the same units (crossed). What
+is kept of a metric are its `Replicates`: the value of each training, whole and with each unit (or
+block of units) left out. From those alone come its interval, the interval of the difference of two
+methods on the same units, and, since any function of several metrics has replicates too, that of
+a score made of them.
+
+    units       pseudo-values of the delete-one-unit jackknife (Tukey, 1958), their mean with a t
+                interval that is corrected for their skewness by Hall's transformation (Hall, On the
+                removal of skewness by transformation, 1992)
+    a rate      of 0 or 1 in every unit has no spread: Wilson's interval with units as trials
+    a median    inverts the interval of the share below it (Woodruff, 1952), which the jackknife of
+                the median itself does not survive
+    trainings   Student's t on the spread of their values
+    together    MOVER (Zou and Donner, Construction of confidence limits about effect measures,
+                2008): the distances from the value to the two ends add in squares
+
+The spread that a training has because units are few is part of both; it is taken off the second.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+LEVEL = 0.95
+"""Nominal coverage of every interval."""
+BLOCKS = 40
+"""Most blocks of units that are left out in turn."""
+
+
+@dataclass(frozen=True)
+class Replicates:
+    """A statistic of R trainings on U units, whole and with each of B blocks of units left out."""
+
+    whole: np.ndarray
+    """(R,)"""
+    without: np.ndarray
+    """(R, B); B is 0 where there is one unit."""
+    units: int
+    n: int
+    """Items, such as frames, of one training."""
+
+    @property
+    def value(self) -> float:
+        """The mean over trainings."""
+        return float(self.whole.mean())
+
+    def pseudo(self) -> np.ndarray:
+        """Return (B,) pseudo-values of the mean over trainings; their mean is nearly the value."""
+        blocks = self.without.shape[1]
+        return blocks * self.whole.mean() - (blocks - 1) * self.without.mean(0)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A value with its interval; the ends are None where nothing could spread."""
+
+    value: float
+    low: float | None
+    high: float | None
+    n: int
+    units: int
+    trainings: int
+    method: str
+
+    def to_json(self, unit: str | None = None, **settings: Any) -> dict[str, Any]:
+        """Return the interval as it stands in a scores file."""
+        described = {key: getattr(self, key) for key in ("value", "low", "high", "n")}
+        if unit is not None:
+            described["unit"] = unit
+        counts = {"units": self.units, "trainings": self.trainings}
+        return described | {"settings": settings | {"interval": self.method} | counts}
+
+
+def blocks_of(units: np.ndarray, most: int = BLOCKS) -> np.ndarray:
+    """Return (N,) block numbers of (N,) unit labels; each unit is whole in one block."""
+    _, number = np.unique(units, return_inverse=True)
+    return number % most
+
+
+def mean_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS) -> Replicates:
+    """Return the replicates of the mean of (R, N) or (N,) values; NaN is an absent measurement.
+
+    Raises:
+        ValueError: no value is present in a training.
+    """
+    values = np.atleast_2d(np.asarray(values, np.float64))
+    blocks = blocks_of(units, most)
+    present = np.isfinite(values)
+    if not present.any(1).all():
+        raise ValueError("no values to estimate from")
+    one_hot = np.eye(blocks.max() + 1)[blocks]
+    sums = np.where(present, values, 0.0) @ one_hot
+    counts = present.astype(np.float64) @ one_hot
+    total, count = sums.sum(1, keepdims=True), counts.sum(1, keepdims=True)
+    used = (counts.sum(0) > 0) & ((count - counts) > 0).all(0)
+    with np.errstate(invalid="ignore"):
+        without = ((total - sums) / (count - counts))[:, used]
+    shown = np.unique(np.asarray(units)[present.any(0)])
+    return _checked(total[:, 0] / count[:, 0], without, len(shown), int(present[0].sum()))
+
+
+def median_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS) -> Replicates:
+    """Return the replicates of the median, as `mean_replicates` does of the mean."""
+    values = np.atleast_2d(np.asarray(values, np.float64))
+    return set_replicates(
+        [lambda keep, row=row: float(np.nanmedian(row[keep])) for row in values], units, most
+    )
+
+
+def set_replicates(
+    statistics: Sequence[Callable[[np.ndarray], float]], units: np.ndarray, most: int = BLOCKS
+) -> Replicates:
+    """Return the replicates of a statistic of a set of N items; one function a training.
+
+    Each takes a (N,) boolean mask of the items to keep.
+    """
+    blocks = blocks_of(units, most)
+    every = np.ones(len(blocks), bool)
+    whole = np.array([statistic(every) for statistic in statistics])
+    count = int(blocks.max()) + 1
+    masks = [blocks != block for block in range(count if count > 1 else 0)]
+    without = np.array([[statistic(mask) for mask in masks] for statistic in statistics])
+    return _checked(whole, without.reshape(len(whole), -1), len(np.unique(units)), len(blocks))
+
+
+def _checked(whole: np.ndarray, without: np.ndarray, units: int, n: int) -> Replicates:
+    if without.shape[1] < 2:
+        without = without[:, :0]
+    return Replicates(whole, without, units, n)
+
+
+def interval(replicates: Replicates, minimum: float = -np.inf, maximum: float = np.inf) -> Interval:
+    """Return the interval of a statistic, cut at the least and the most that it can be."""
+    value = replicates.value
+    ends = _of_units(replicates)
+    spread = _of_trainings(replicates)
+    return _joined(replicates, value, ends, spread, "pseudo-values", minimum, maximum)
+
+
+def rate_interval(hits: np.ndarray, units: np.ndarray) -> Interval:
+    """Return the interval of a rate of (R, N) or (N,) booleans, NaN where not asked."""
+    replicates = mean_replicates(np.asarray(hits, np.float64), units)
+    value = replicates.value
+    if value in (0.0, 1.0):
+        low, high = wilson_ends(value, replicates.units)
+        kind = f"Wilson, {replicates.units} units as trials"
+        return _joined(replicates, value, (value - low, high - value), 0.0, kind, 0.0, 1.0)
+    return interval(replicates, 0.0, 1.0)
+
+
+def median_interval(values: np.ndarray, units: np.ndarray) -> Interval:
+    """Return the interval of the median of (R, N) or (N,) values, each training's taken apart."""
+    values = np.atleast_2d(np.asarray(values, np.float64))
+    replicates = median_replicates(values, units)
+    value, ends = replicates.value, None
+    middles = np.nanmedian(values, axis=1, keepdims=True)
+    below = np.where(np.isfinite(values), values <= middles, np.nan)
+    shares = mean_replicates(below, units)
+    reach = _of_units(shares)
+    if reach is not None:
+        # The same shares of every training, about its own median.
+        shares_at = np.clip([0.5 - reach[1], 0.5 + reach[0]], 0.0, 1.0)
+        low, high = np.nanquantile(values, shares_at, axis=1).mean(1)
+        ends = max(value - low, 0.0), max(high - value, 0.0)
+    return _joined(replicates, value, ends, _of_trainings(replicates), "Woodruff")
+
+
+def difference(first: Replicates, second: Replicates) -> Interval:
+    """Return the interval of first - second on the same units; trainings are independent.
+
+    Raises:
+        ValueError: their units or blocks are not the same.
+    """
+    if (first.units, first.without.shape[1]) != (second.units, second.without.shape[1]):
+        raise ValueError("two methods are compared on the same units alone")
+    apart = Replicates(
+        np.array([first.value - second.value]),
+        (first.without.mean(0) - second.without.mean(0))[None],
+        first.units,
+        min(first.n, second.n),
+    )
+    trained = [pair for pair in map(_variance_of_trainings, (first, second)) if pair[1]]
+    variance = sum(each for each, _ in trained)
+    # Welch's degrees of freedom: the two methods' trainings need not spread alike.
+    squares = sum(each**2 / freedom for each, freedom in trained)
+    freedom = variance**2 / squares if squares else 1.0
+    spread = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * np.sqrt(variance)
+    return _joined(apart, apart.value, _of_units(apart), float(spread), "paired pseudo-values")
+
+
+def combine(
+    function: Callable[[np.ndarray], np.ndarray], replicates: Sequence[Replicates]
+) -> Replicates:
+    """Return the replicates of a function of several statistics of the same trainings and units.
+
+    The function takes (M, …) values of the M statistics and returns (…).
+
+    Raises:
+        ValueError: their trainings, units or blocks are not the same.
+    """
+    first = replicates[0]
+    if any(each.without.shape != first.without.shape for each in replicates):
+        raise ValueError("statistics are combined over the same trainings and units alone")
+    whole = function(np.stack([each.whole for each in replicates]))
+    without = function(np.stack([each.without for each in replicates]))
+    n, units = (min(getattr(each, key) for each in replicates) for key in ("n", "units"))
+    return Replicates(whole, without, units, n)
+
+
+def wilson_ends(rate: float, n: float, z: float | None = None) -> tuple[float, float]:
+    """Return the ends of Wilson's score interval of a rate of n trials (Wilson, 1927)."""
+    z = float(stats.norm.ppf(0.5 + LEVEL / 2)) if z is None else z
+    centre = (rate + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z / (1 + z**2 / n) * np.sqrt(rate * (1 - rate) / n + z**2 / (4 * n**2))
+    # The interval reaches its end exactly where no or every trial was a hit.
+    low = 0.0 if rate == 0.0 else float(centre - half)
+    return low, (1.0 if rate == 1.0 else float(centre + half))
+
+
+def _of_units(replicates: Replicates) -> tuple[float, float] | None:
+    """Return how far the interval over units reaches below and above the value."""
+    pseudo = replicates.pseudo()
+    count = len(pseudo)
+    if count < 2:
+        return None
+    error = float(pseudo.std(ddof=1)) / np.sqrt(count)
+    if error <= 1e-12 * max(1.0, abs(replicates.value)):
+        return 0.0, 0.0
+    t = float(stats.t.ppf(0.5 + LEVEL / 2, count - 1))
+    skewness = float(stats.skew(pseudo)) / np.sqrt(count)
+    return error * _hall(t, skewness), -error * _hall(-t, skewness)
+
+
+def _hall(x: float, g: float) -> float:
+    """Return the inverse of Hall's monotone transformation t + g t² / 3 + g² t³ / 27 + g / 6."""
+    return x if abs(g) < 1e-9 else 3.0 / g * (float(np.cbrt(1.0 + g * (x - g / 6.0))) - 1.0)
+
+
+def _of_trainings(replicates: Replicates) -> float:
+    """Return the half-width over trainings."""
+    variance, freedom = _variance_of_trainings(replicates)
+    return float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * np.sqrt(variance) if freedom else 0.0
+
+
+def _variance_of_trainings(replicates: Replicates) -> tuple[float, int]:
+    """Return the variance of the mean over trainings, less what few units add; its freedom."""
+    count = len(replicates.whole)
+    if count < 2:
+        return 0.0, 0
+    variance = float(replicates.whole.var(ddof=1)) / count
+    blocks = replicates.without.shape[1]
+    if blocks > 1:
+        # The interaction of training and unit: each training's own about what all share.
+        own = replicates.without - replicates.without.mean(1, keepdims=True)
+        both = np.square(own - own.mean(0)).sum() / (count - 1) / count
+        variance = max(variance - (blocks - 1) / blocks * float(both), 0.0)
+    return variance, count - 1
+
+
+def _joined(
+    replicates: Replicates,
+    value: float,
+    ends: tuple[float, float] | None,
+    spread: float,
+    kind: str,
+    minimum: float = -np.inf,
+    maximum: float = np.inf,
+) -> Interval:
+    trainings = len(replicates.whole)
+    if ends is None and trainings < 2:
+        low = high = None
+    else:
+        below, above = ends or (0.0, 0.0)
+        low = max(value - float(np.hypot(below, spread)), minimum)
+        high = min(value + float(np.hypot(above, spread)), maximum)
+    method = f"{kind} over {replicates.units} units" + (
+        f", t over {trainings} trainings" if trainings > 1 else ""
+    )
+    return Interval(value, low, high, replicates.n, replicates.units, trainings, method)
