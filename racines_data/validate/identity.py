@@ -19,7 +19,7 @@ import yaml
 from PIL import Image
 from torch import Tensor
 
-from racines_data.digest import content_digest, recipe_digest
+from racines_data.digest import content_digest, recipe_digest, refuse_strays
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.geometry import geodesic, parameters_to_pose
@@ -41,8 +41,9 @@ QUERIES, KEYS = 1024, 32_768  # frames compared at a time: bounds the distances 
 
 
 def rehash_files(root: Path, manifest: dict[str, Any], workers: int = 1) -> str:
-    """Hash every file again, whatever an earlier check found."""
+    """Hash every file again, whatever an earlier check found; refuse those of no use."""
     files = manifest["files"]
+    refuse_strays(root, manifest)
     for config, splits in manifest["configs"].items():
         for name in chain.from_iterable(splits.values()):
             if name not in files:
