@@ -61,6 +61,7 @@ COMMANDS = {
     "study forces": "racines_envs.cli.study:forces",
     "study speed": "racines_envs.cli.study:speed",
     "study determinism": "racines_leaderboard.cli.audit:determinism",
+    "study processors": "racines_leaderboard.cli.processors:processors",
     "export generator": "racines_models.cli.export:export_generator",
     "export agent": "racines_envs.cli.episodes:export_agent",
     "export weights": "racines_models.cli.export:export_weights",
