@@ -1,8 +1,6 @@
 """The command `racines study processors`: does every processor draw the same phantom?"""
 
 import json
-from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -10,29 +8,19 @@ from racines_data.cli import options as opt
 from racines_data.errors import RacinesError
 
 
-def processors(
-    record: Annotated[
-        Path | None, typer.Option(help="File of canonical frames.  [default: the packaged one]")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Write the record with the set drawn here to this file.")
-    ] = None,
-    draw: Annotated[
-        bool, typer.Option(help="Draw here; else compare the sets on record alone.")
-    ] = True,
-    as_json: opt.AsJson = False,
-) -> None:
+def processors(out: opt.OwnOutFile = None, as_json: opt.AsJson = False) -> None:
     """Draw the phantom's canonical frames and compare them with those that other processors drew.
 
     Exit 1 where two sets differ by more than processors may. PyTorch chooses its instructions once
-    a process: ATEN_CPU_CAPABILITY=default, avx2 or avx512 before the command chooses others.
+    a process: ATEN_CPU_CAPABILITY=default, avx2 or avx512 before the command chooses others. With
+    --out the sets on record are written with the one drawn here.
     """
     from racines_leaderboard.determinism import processors as study
 
-    found = study.read_record(record or study.RECORD)
-    here = study.draw(found) if draw else None
+    found = study.read_record()
+    here = study.draw(found)
     report = study.compare_all(found, here)
-    if here is not None and out is not None:
+    if out is not None:
         study.write_record(found.with_drawing(here), out)
     typer.echo(json.dumps(report) if as_json else study.processors_markdown(report))
     if not report["holds"]:

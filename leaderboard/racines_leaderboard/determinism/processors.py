@@ -135,9 +135,7 @@ def read_record(path: Path = RECORD) -> Record:
             ]
             parameters = file["parameters"]
     except FileNotFoundError as error:
-        raise RacinesError(
-            f"{path}: no canonical frames here; name the file with --record"
-        ) from error
+        raise RacinesError(f"{path}: no canonical frames here; install racines anew") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise RacinesError(f"{path}: not canonical frames ({error}); get it anew") from error
     if (told["schema"], told["phantom"], told["scenes"]) != (SCHEMA, PHANTOM_VERSION, [*SCENES]):

@@ -133,7 +133,6 @@ def test_the_command_fails_where_another_code_drew(monkeypatch: pytest.MonkeyPat
     done = run(app, ["study", "processors"])
     assert done.exit_code == 1 and isinstance(done.exception, RacinesError)
     assert "differ by more than processors may" in str(done.exception)
-    assert run(app, ["study", "processors", "--no-draw"]).exit_code == 0
 
 
 def test_the_command_writes_the_set_drawn_here(monkeypatch, tmp_path: Path) -> None:
