@@ -43,11 +43,11 @@ QUERIES, KEYS = 1024, 32_768  # frames compared at a time: bounds the distances 
 def rehash_files(root: Path, manifest: dict[str, Any], workers: int = 1) -> str:
     """Hash every file again, whatever an earlier check found; refuse those of no use."""
     files = manifest["files"]
-    refuse_strays(root, manifest)
     for config, splits in manifest["configs"].items():
         for name in chain.from_iterable(splits.values()):
             if name not in files:
                 raise RacinesError(f"{name} of config {config} is not among the manifest's files")
+    refuse_strays(root, manifest)
     for name in files:
         if not (root / name).is_file():
             raise RacinesError(f"{name} is missing")
