@@ -11,10 +11,12 @@ The file keeps the poses, the first set whole, and of the others how they differ
 import hashlib
 import io
 import json
+import zlib
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -136,7 +138,7 @@ def read_record(path: Path = RECORD) -> Record:
             parameters = file["parameters"]
     except FileNotFoundError as error:
         raise RacinesError(f"{path}: no canonical frames here; install racines anew") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile, zlib.error) as error:
         raise RacinesError(f"{path}: not canonical frames ({error}); get it anew") from error
     if (told["schema"], told["phantom"], told["scenes"]) != (SCHEMA, PHANTOM_VERSION, [*SCENES]):
         raise RacinesError(

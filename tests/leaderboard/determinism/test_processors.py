@@ -92,9 +92,12 @@ class TestRecord:
         path = tmp_path / "a.npz"
         with pytest.raises(RacinesError, match=r"a.npz: no canonical frames here"):
             processors.read_record(path)
-        path.write_bytes(b"no archive")
-        with pytest.raises(RacinesError, match=r"a.npz: not canonical frames"):
-            processors.read_record(path)
+        whole = processors.RECORD.read_bytes()
+        middle = whole[:5000] + bytes(200) + whole[5200:]
+        for content in (b"", b"no archive", whole[:1000], whole[:-100], middle):
+            path.write_bytes(content)
+            with pytest.raises(RacinesError, match=r"a.npz: not canonical frames"):
+                processors.read_record(path)
 
     def test_changed_frames_and_another_phantom_are_refused(self, tmp_path: Path) -> None:
         path = tmp_path / "a.npz"
