@@ -34,7 +34,7 @@ test: $(READY) ## run the tests of the code
 test-docs: $(READY) ## run the documentation, the walk-throughs, and what goes on after a kill
 	$(TESTS) -m docs
 
-test-instruction-sets: $(READY) ## run the contracts of rows on each instruction set that the CPU has
+test-instruction-sets: $(READY) ## run the contracts of rows, and draw canonical frames, on each instruction set that the CPU has
 	$(TESTS) -m instruction_sets
 
 test-fast: $(READY) ## run the tests that take seconds

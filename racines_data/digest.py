@@ -7,17 +7,29 @@ so that another PNG or Parquet library leaves it alone. Each file has its own sh
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from itertools import chain
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from racines_data.errors import RacinesError
-from racines_data.files import sha256_file, write_atomic
-from racines_data.manifest import check_split, rebuild_hint
+from racines_data.files import sampled_sha256, sha256_file, write_atomic
+from racines_data.manifest import (
+    CARD,
+    CROISSANT,
+    MANIFEST,
+    MULTI_PHANTOM,
+    PICTURES,
+    REPORT,
+    STORES,
+    VERIFY_VARIABLE,
+    check_split,
+    rebuild_hint,
+    store_name,
+)
 from racines_data.schema import Trajectory
 
 
@@ -54,17 +66,24 @@ def content_digest(rows: Iterable[tuple[str, str, str]]) -> str:
     return digest.hexdigest()
 
 
-def check_files(root: Path, files: Mapping[str, Mapping[str, Any]], remedy: str) -> None:
+def check_files(
+    root: Path, files: Mapping[str, Mapping[str, Any]], remedy: str, verify: bool = False
+) -> None:
     """Check files of a dataset against their recorded sizes and sha256.
 
-    A file whose size and modification time are those of an earlier check is not read again.
+    A file is hashed whole once, and again when its inode, its size, the time of its last change of
+    content or of status, or a sample of its bytes is not what it was then. The time of the status
+    is the file system's own, which `touch` cannot set back. With `verify`, or where
+    `RACINES_VERIFY` is set, every file is hashed whole whatever was found before.
 
     Raises:
-        RacinesError: a file is missing or damaged, by its path, with the remedy.
+        RacinesError: a file is missing, damaged, or outside the dataset, by its path; the remedy.
     """
+    verify = verify or os.environ.get(VERIFY_VARIABLE, "0") not in ("", "0")
     known = _read_verified()
     fresh = dict(known)
     for name, record in files.items():
+        check_inside(root, name)
         path = (root / name).resolve()
         if not path.is_file():
             raise RacinesError(f"{root / name}: missing; {remedy}")
@@ -74,8 +93,9 @@ def check_files(root: Path, files: Mapping[str, Mapping[str, Any]], remedy: str)
                 f"{root / name}: damaged ({stat.st_size} bytes, expected {record['bytes']}); "
                 f"{remedy}"
             )
-        seal = [stat.st_size, stat.st_mtime_ns, record["sha256"]]
-        if known.get(str(path)) == seal:
+        times = stat.st_mtime_ns, stat.st_ctime_ns
+        seal = [stat.st_ino, stat.st_size, *times, sampled_sha256(path), record["sha256"]]
+        if known.get(str(path)) == seal and not verify:
             continue
         if sha256_file(path) != record["sha256"]:
             raise RacinesError(f"{root / name}: damaged (sha256 differs); {remedy}")
@@ -86,8 +106,72 @@ def check_files(root: Path, files: Mapping[str, Mapping[str, Any]], remedy: str)
             write_atomic(_verified_path(), json.dumps(kept))
 
 
+def check_inside(root: Path, name: str) -> None:
+    """Refuse a manifest's path that leads out of the dataset's folder."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts or "\\" in name:
+        raise RacinesError(
+            f"{root / MANIFEST}: files: {name!r} lies outside the dataset; get it again from "
+            "where it came from"
+        )
+
+
+def refuse_strays(root: Path, manifest: Mapping[str, Any]) -> None:
+    """Refuse a dataset's folder with files that are no part of it.
+
+    `datasets` reads more of a folder than the card names (a `.huggingface.yaml` there replaces the
+    card's list of shards), and whoever copies the folder takes all of it for the version.
+
+    Raises:
+        RacinesError: a file that the manifest does not list, or lists without a use for it.
+    """
+    files = manifest["files"]
+    for name in files:
+        check_inside(root, name)
+    strays = [name for name in _walk(root) if name not in files and not _harmless(name)]
+    if strays:
+        raise RacinesError(
+            f"{root}: {_some(strays)} {'is' if len(strays) == 1 else 'are'} no part of the "
+            "dataset (not in manifest.json): remove, or rebuild into an empty folder"
+        )
+    used = {CARD, CROISSANT, REPORT, *map(store_name, STORES)}
+    for shards in manifest["configs"].values():
+        used.update(chain.from_iterable(shards.values()))
+    for part in (manifest, manifest.get(MULTI_PHANTOM) or {}):
+        used.update(frame["file"] for frame in part.get("canonical", ()))
+    idle = [name for name in files if name not in used and not name.startswith(PICTURES)]
+    if idle:
+        raise RacinesError(
+            f"{root / MANIFEST}: files: {_some(idle)} of no config, store, card or canonical "
+            "frame: rebuild the dataset"
+        )
+
+
+def _walk(root: Path) -> Iterator[str]:
+    """Yield all files below a folder, and links to folders, which are not followed."""
+    for folder, folders, names in os.walk(root):
+        linked = [name for name in folders if os.path.islink(os.path.join(folder, name))]
+        for name in sorted([*names, *linked]):
+            yield Path(folder, name).relative_to(root).as_posix()
+
+
+def _harmless(name: str) -> bool:
+    """Return whether no reader of datasets looks at a file: file managers' and the Hub client's."""
+    own = name in (MANIFEST, ".gitattributes") or name.startswith(".cache/huggingface/")
+    return own or PurePosixPath(name).name in (".DS_Store", "Thumbs.db", "desktop.ini")
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
 def checked_shards(
-    root: Path, manifest: Mapping[str, Any], config: str, split: str | None, *more: str
+    root: Path,
+    manifest: Mapping[str, Any],
+    config: str,
+    split: str | None,
+    *more: str,
+    verify: bool = False,
 ) -> dict[str, list[str]]:
     """Return the shards of a config by split, or of one; they and `more` files are checked."""
     if config not in manifest["configs"]:
@@ -98,7 +182,13 @@ def checked_shards(
         raise RacinesError(f"{root}: config {config!r} has no split {split!r}: too few rows")
     wanted = {name: paths for name, paths in shards.items() if split in (None, name)}
     names = (*more, *chain.from_iterable(wanted.values()))
-    check_files(root, {name: manifest["files"][name] for name in names}, rebuild_hint(manifest))
+    if unsealed := [name for name in names if name not in manifest["files"]]:
+        raise RacinesError(
+            f"{root / MANIFEST}: {_some(unsealed)} of config {config!r} not among the files: "
+            f"{rebuild_hint(manifest)}"
+        )
+    files = {name: manifest["files"][name] for name in names}
+    check_files(root, files, rebuild_hint(manifest), verify)
     return wanted
 
 

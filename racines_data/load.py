@@ -20,6 +20,7 @@ def load(
     root: Path | str | None = None,
     streaming: bool = False,
     repo_id: str | None = None,
+    verify: bool = False,
 ) -> "Dataset | DatasetDict | IterableDataset | IterableDatasetDict":
     """Load a dataset through `datasets`, after checking the digests of the files it reads.
 
@@ -30,13 +31,15 @@ def load(
         root: The dataset's folder; default `RACINES_DATA` or `data/racines`.
         streaming: Read while iterating instead of through the cache.
         repo_id: `OWNER/NAME` on the Hugging Face Hub, to fetch the dataset from instead.
+        verify: Hash the files again, also those that have not changed since an earlier check.
 
     Raises:
-        RacinesError: no dataset, another version, no such config or split, or a damaged file.
+        RacinesError: no dataset, another version, no such config or split, a damaged file, or one
+            that is no part of the dataset.
     """
     import datasets
 
-    from racines_data.digest import checked_shards
+    from racines_data.digest import checked_shards, refuse_strays
 
     if repo_id is not None:
         from racines_data.hub.fetch import download
@@ -49,7 +52,8 @@ def load(
             f"{folder}: holds {manifest['source']} {manifest['version']}, not {version}; point "
             f"root or {ROOT_VARIABLE} at that version, or build it with the code that made it"
         )
-    checked_shards(folder, manifest, config, split, CARD)
+    refuse_strays(folder, manifest)
+    checked_shards(folder, manifest, config, split, CARD, verify=verify)
     loaded = datasets.load_dataset(str(folder), config, split=split, streaming=streaming)
     for part in loaded.values() if isinstance(loaded, dict) else [loaded]:
         part.info.description = describe(manifest, config)

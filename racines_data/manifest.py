@@ -12,9 +12,13 @@ from racines_data.views import LABELS
 METADATA = b"racines.store"
 MANIFEST = "manifest.json"
 CARD = "README.md"
+CROISSANT = "croissant.json"
+REPORT = "import_report.parquet"
+PICTURES = "card/"  # folder of what the card shows
 MULTI_PHANTOM = "multi_phantom"  # the config of many simulated hearts
 DEFAULT_ROOT = Path("data/racines")
 ROOT_VARIABLE = "RACINES_DATA"
+VERIFY_VARIABLE = "RACINES_VERIFY"  # hash every file again, as `racines --verify` does
 STORES = ("frames", MULTI_PHANTOM)  # configs with a store; `sessions` are rows of `frames`
 
 

@@ -26,13 +26,12 @@ from racines_data.card.pictures import write_pictures
 from racines_data.digest import content_digest, recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_once
-from racines_data.manifest import CARD, MANIFEST, MULTI_PHANTOM, store_name
+from racines_data.manifest import CARD, MANIFEST, MULTI_PHANTOM, REPORT, store_name
 from racines_data.progress import progress_bar
 from racines_data.schema import PARAMETERS, SPLITS, trajectory_features
 from racines_data.sources.base import Finding, Source, Unit, has_poses, labels_of_source, own_card
 from racines_data.store.sweeps import write_store
 
-REPORT = "import_report.parquet"
 _ROW_GROUP = 256
 SHARD_FRAMES = 2048  # most frames in a shard: a full dataset has more shards, not larger ones
 Paths = dict[str, tuple[list[str], list[str]]]  # shards by split: not held out, and held out

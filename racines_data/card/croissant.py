@@ -20,12 +20,11 @@ from datasets import ClassLabel, Features, Image
 
 from racines_data.card.frames import unit_of
 from racines_data.files import sha256_file, write_atomic
-from racines_data.manifest import MULTI_PHANTOM, describe, manifest_labels
+from racines_data.manifest import CROISSANT, MULTI_PHANTOM, describe, manifest_labels
 from racines_data.records import features_of
 from racines_data.schema import CONTROLS, PARAMETERS, SPLITS, trajectory_features
 from racines_data.sources.base import manifest_card
 
-CROISSANT = "croissant.json"
 _PARQUET = "application/x-parquet"
 _CONFORMS = ("http://mlcommons.org/croissant/1.0", "http://mlcommons.org/croissant/RAI/1.0")
 _URLS = {"cc-by-4.0": "https://creativecommons.org/licenses/by/4.0/"}

@@ -8,7 +8,7 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_data.errors import RacinesError
-from racines_data.manifest import CARD, default_root, read_manifest
+from racines_data.manifest import CARD, PICTURES, default_root, read_manifest
 
 if TYPE_CHECKING:
     from racines_data.hub.push import Push
@@ -59,7 +59,7 @@ def card(
     manifest = rewrite_card(folder, realism or (), picture or (), draw)
     if as_json:
         told = {"card": str(folder / CARD), **manifest["files"][CARD]}
-        told["pictures"] = [name for name in manifest["files"] if name.startswith("card/")]
+        told["pictures"] = [name for name in manifest["files"] if name.startswith(PICTURES)]
         typer.echo(json.dumps({**told, "digest": manifest["digest"]}))
     else:
         typer.echo(
@@ -100,14 +100,15 @@ def push(
         bool, typer.Option(help="Send the training stores too; `pull` can make them again.")
     ] = False,
     dry_run: Annotated[bool, typer.Option(help="Say what would go, without network.")] = False,
+    workers: opt.Workers = 2,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Upload a dataset to the Hub and tag it; the token is that of the environment (HF_TOKEN)."""
+    """Hash a dataset's files and rows, upload it to the Hub and tag it (token: HF_TOKEN)."""
     from racines_data.hub.push import plan_push
     from racines_data.hub.push import push as push_dataset
 
     folder = default_root(root)
-    plan = plan_push(folder, repo_id, tag, revision, with_store)
+    plan = plan_push(folder, repo_id, tag, revision, with_store, workers or 1)
     made = plan.to_json() if dry_run else push_dataset(folder, plan, private)
     if as_json:
         typer.echo(json.dumps({**made, "private": private, "dry_run": dry_run}))

@@ -40,6 +40,10 @@ Set = Annotated[
 Seed = Annotated[int | None, typer.Option(help="Seed.  [default: the settings']")]
 DrawSeed = Annotated[int, typer.Option("--seed", min=0, help="Seed of what is drawn by chance.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes.")]
+Verify = Annotated[
+    bool,
+    typer.Option("--verify", help="Hash every file of a dataset again, changed or not."),
+]
 Strict = Annotated[bool, typer.Option(help="Stop at the first refused input.")]
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print the figures as JSON on stdout.")]

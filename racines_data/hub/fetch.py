@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from racines_data.digest import check_files
+from racines_data.digest import check_files, refuse_strays
 from racines_data.errors import RacinesError
 from racines_data.manifest import read_manifest
 
@@ -38,7 +38,8 @@ def download(
         api: Client of the Hub.
 
     Raises:
-        RacinesError: no such repository or version, or a damaged file.
+        RacinesError: no such repository or version, a damaged file, or one that is no part of
+            the dataset, such as those of another version in `out`.
     """
     from huggingface_hub import HfApi
 
@@ -51,6 +52,7 @@ def download(
         )
     root = Path(path)
     manifest = read_manifest(root)
+    refuse_strays(root, manifest)
     wanted = {n: r for n, r in manifest["files"].items() if not n.startswith(STORE_FOLDER)}
     check_files(root, wanted, f"delete it and fetch {repo_id} again")
     if stores:

@@ -1,6 +1,6 @@
 """Pushing a dataset to the Hugging Face Hub.
 
-    check every digest ─> tag free? ─> upload_folder (resumes) ─> files as sealed? ─> tag
+    hash every file and the rows ─> tag free? ─> upload_folder (resumes) ─> files as sealed? ─> tag
 
 A version is what its tag names, and the tag is made last: a push that fails leaves a branch that no
 version points to, and is simply run again. A tag is never moved. The training stores stay here by
@@ -13,10 +13,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from racines_data.digest import check_files
+from pyarrow import ArrowException
+
+from racines_data.digest import check_files, refuse_strays
 from racines_data.errors import RacinesError
 from racines_data.hub.fetch import KIND, STORE_FOLDER, hub_errors, hub_files
-from racines_data.manifest import MANIFEST, describe, read_manifest, rebuild_hint
+from racines_data.manifest import MANIFEST, STORES, describe, read_manifest, rebuild_hint
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
@@ -53,8 +55,11 @@ def plan_push(
     tag: str | None = None,
     revision: str = "main",
     with_store: bool = False,
+    workers: int = 1,
 ) -> Push:
-    """Say what a push would send, after checking the digest of every file; without network.
+    """Say what a push would send, without network, after hashing every file and the rows.
+
+    What an earlier check found is not relied on: a version that was published stays.
 
     Args:
         root: Folder of the dataset.
@@ -62,9 +67,11 @@ def plan_push(
         tag: Name of the version; default the manifest's, such as `phantom-v1.0.0`.
         revision: Branch to push to.
         with_store: Send the training stores too.
+        workers: Processes that read the rows of a large dataset.
 
     Raises:
-        RacinesError: no dataset, a missing or damaged file, or a bad name of a repository.
+        RacinesError: no dataset, a missing or damaged file, one that is no part of the dataset,
+            rows that do not have the recorded content digest, or a bad name of a repository.
     """
     from huggingface_hub.errors import HFValidationError
     from huggingface_hub.utils import validate_repo_id
@@ -74,7 +81,9 @@ def plan_push(
     except HFValidationError as error:
         raise RacinesError(f"{repo_id}: not a repository's name ({error})") from error
     manifest = read_manifest(root)
-    check_files(root, manifest["files"], rebuild_hint(manifest))
+    refuse_strays(root, manifest)
+    check_files(root, manifest["files"], rebuild_hint(manifest), verify=True)
+    _check_content(root, manifest, workers)
     files, kept = manifest["files"], () if with_store else (STORE_FOLDER,)
     left = {name: record["bytes"] for name, record in files.items() if name.startswith(kept)}
     sent = {name: dict(record) for name, record in files.items() if name not in left}
@@ -82,6 +91,25 @@ def plan_push(
     default = f"{manifest['source']}-v{manifest['version']}"  # of a dataset built before tags
     chosen = tag or manifest.get("tag", default)
     return Push(repo_id, revision, chosen, manifest["digest"], sent, left)
+
+
+def _check_content(root: Path, manifest: dict[str, Any], workers: int) -> None:
+    """Check that card and rows are those whose digest the manifest gives, not the files alone."""
+    from racines_data.validate.identity import check_card, check_content, check_splits
+    from racines_data.validate.survey import survey
+
+    try:
+        check_card(root, manifest)
+        for config in STORES:
+            if config in manifest["configs"]:
+                found = survey(root, manifest, config, workers)
+                check_content(found, manifest)
+                check_splits(found, root, manifest)
+    except (RacinesError, ArrowException, OSError, LookupError, ValueError) as error:
+        said = f"{error}" if isinstance(error, RacinesError) else f"{error!r}"
+        raise RacinesError(
+            f"{root}: not pushed: {said}; {rebuild_hint(manifest)}, or see racines data validate"
+        ) from error
 
 
 def push(root: Path, plan: Push, private: bool = False, api: "HfApi | None" = None) -> dict:

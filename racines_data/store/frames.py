@@ -114,7 +114,9 @@ class FrameStore:
     phantoms: list[int | None]
     """Seed of each trajectory's simulated anatomy; absent for recordings."""
 
-    def __init__(self, root: Path | str | None = None, config: str = "frames") -> None:
+    def __init__(
+        self, root: Path | str | None = None, config: str = "frames", verify: bool = False
+    ) -> None:
         if config not in STORES:
             raise RacinesError(f"config {config!r} has no store: choose one of {', '.join(STORES)}")
         self.config = config
@@ -128,11 +130,11 @@ class FrameStore:
                 f"{self.root / 'manifest.json'}: names no {name}; rebuild"
                 + (f" with data.{MULTI_PHANTOM}.hearts set" if config == MULTI_PHANTOM else "")
             )
-        check_files(self.root, {name: files[name]}, manifest.rebuild_hint(self.manifest))
+        hint = manifest.rebuild_hint(self.manifest)
+        check_files(self.root, {name: files[name]}, hint, verify)
         try:
             self._read(self.root / name)
         except (pa.ArrowInvalid, KeyError, ValueError) as error:
-            hint = manifest.rebuild_hint(self.manifest)
             raise RacinesError(f"{self.root / name}: damaged ({error}); {hint}") from error
 
     def __len__(self) -> int:
@@ -257,6 +259,11 @@ class BatchDataset(IterableDataset[Batch]):
         return -(-(stop - start) // self.batch_size)
 
 
-def open_store(root: Path | str | None = None, config: str = "frames") -> FrameStore:
-    """Open the training store of a dataset (default: `data/racines`), of one of its configs."""
-    return FrameStore(root, config)
+def open_store(
+    root: Path | str | None = None, config: str = "frames", verify: bool = False
+) -> FrameStore:
+    """Open the training store of a dataset (default: `data/racines`), of one of its configs.
+
+    With `verify` the file is hashed again, also if it has not changed since an earlier check.
+    """
+    return FrameStore(root, config, verify)

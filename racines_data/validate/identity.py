@@ -19,16 +19,16 @@ import yaml
 from PIL import Image
 from torch import Tensor
 
-from racines_data.digest import content_digest, recipe_digest
+from racines_data.digest import content_digest, recipe_digest, refuse_strays
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.geometry import geodesic, parameters_to_pose
 from racines_data.manifest import CARD, MULTI_PHANTOM, config_digest, describe, read_manifest
 from racines_data.schema import SPLITS
+from racines_data.validate.canonical import compare
 from racines_data.validate.survey import Survey
 
 RATE_TOLERANCE = 0.01  # largest departure of a time step from the median one, as a share
-TOLERANCE = 1  # gray levels by which canonical frames of one version may differ
 NEAR_LIMIT = 0.5
 """Largest share of near-copies, as a part of what a random split of frames has. Sweeps over one
 block cross now and then, the more of them the more often: that is no fault of the split."""
@@ -41,12 +41,13 @@ QUERIES, KEYS = 1024, 32_768  # frames compared at a time: bounds the distances 
 
 
 def rehash_files(root: Path, manifest: dict[str, Any], workers: int = 1) -> str:
-    """Hash every file again, whatever an earlier check found."""
+    """Hash every file again, whatever an earlier check found; refuse those of no use."""
     files = manifest["files"]
     for config, splits in manifest["configs"].items():
         for name in chain.from_iterable(splits.values()):
             if name not in files:
                 raise RacinesError(f"{name} of config {config} is not among the manifest's files")
+    refuse_strays(root, manifest)
     for name in files:
         if not (root / name).is_file():
             raise RacinesError(f"{name} is missing")
@@ -193,9 +194,9 @@ def check_rate(survey: Survey) -> str:
 def same_version(root: Path, other: Path) -> str:
     """Check that two builds are of one version, and say how they differ.
 
-    Floating point differs in the last bit between processors, so that a rebuild elsewhere may
-    differ by one gray level in a few pixels, and its content digest with it. It is the same version
-    if it has the same recipe, and canonical frames within one gray level.
+    A rebuild on another processor has other bytes in a few pixels, and another content digest with
+    them (see `validate.canonical`). It is the same version if it has the same recipe, and canonical
+    frames no further off than processors are; those of recordings, by one gray level.
     """
     one, two = read_manifest(root), read_manifest(other)
     for key in ("source", "version", "recipe_digest"):
@@ -204,13 +205,14 @@ def same_version(root: Path, other: Path) -> str:
     more = [manifest.get(MULTI_PHANTOM, {}) for manifest in (one, two)]
     if one["digest"] == two["digest"] and more[0].get("digest") == more[1].get("digest"):
         return "equal, byte for byte"
-    furthest = 0
-    for frame in [*one["canonical"], *more[0].get("canonical", [])]:
-        images = [np.asarray(Image.open(folder / frame["file"]), int) for folder in (root, other)]
-        furthest = max(furthest, int(np.abs(images[0] - images[1]).max()))
-    if furthest > TOLERANCE:
-        raise RacinesError(f"canonical frames differ by {furthest} gray levels from {other}")
-    return f"same recipe; content differs, canonical frames by {furthest} gray level at most"
+    files = [frame["file"] for frame in [*one["canonical"], *more[0].get("canonical", [])]]
+    frames = (
+        np.stack([np.asarray(Image.open(folder / f)) for f in files]) for folder in (root, other)
+    )
+    found = compare(*frames)
+    if not (found.holds if one["source"] == "phantom" else found.levels <= 1):
+        raise RacinesError(f"canonical frames differ from those of {other} by {found}")
+    return f"same recipe; content differs, canonical frames by {found}"
 
 
 # --- copies of training frames --------------------------------------------------------------------

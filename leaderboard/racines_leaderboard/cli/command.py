@@ -16,7 +16,9 @@ from typing import Annotated, Any
 
 import typer
 
+from racines_data.cli import options as opt
 from racines_data.errors import RacinesError
+from racines_data.manifest import VERIFY_VARIABLE
 from racines_data.plugins import Plugins
 from racines_leaderboard.cli.renamed import RenamingGroup
 
@@ -59,6 +61,7 @@ COMMANDS = {
     "study forces": "racines_envs.cli.study:forces",
     "study speed": "racines_envs.cli.study:speed",
     "study determinism": "racines_leaderboard.cli.audit:determinism",
+    "study processors": "racines_leaderboard.cli.processors:processors",
     "export generator": "racines_models.cli.export:export_generator",
     "export agent": "racines_envs.cli.episodes:export_agent",
     "export weights": "racines_models.cli.export:export_weights",
@@ -125,8 +128,11 @@ def root(
     show_version: Annotated[
         bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)
     ] = False,
+    verify: opt.Verify = False,
 ) -> None:
     """RACINES, the open benchmark for robotic cardiac ultrasound. Not a medical device."""
+    if verify:
+        os.environ[VERIFY_VARIABLE] = "1"  # which worker processes have, too
     if show_version:
         typer.echo(f"racines {version('racines')}")
         raise typer.Exit
