@@ -17,19 +17,37 @@ from PIL import Image
 from racines_data.errors import RacinesError
 
 
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let what the system refuses while a file is written name that file.
+
+    A full disk names none, and a file in the making has a temporary name that says nothing.
+    """
+    try:
+        yield
+    except OSError as error:
+        # A parent that cannot be made, or written into, stays the one that is named.
+        made = str(error.filename or "")
+        if not made or Path(made).name.startswith(f".{path.name}"):
+            told = OSError(error.errno, error.strerror or str(error), str(path))
+            raise told from error
+        raise
+
+
 def write_atomic(path: Path, content: str | bytes) -> None:
     """Write a file under a temporary name in its folder, then rename it into place."""
     data = content.encode() if isinstance(content, str) else content
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with naming(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
 
 
 def write_once(path: Path, write: Callable[[Path], None]) -> None:

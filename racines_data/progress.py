@@ -4,7 +4,17 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich import progress
-from rich.console import Console
+from rich.text import Text
+
+from racines_data.escape import visible
+from racines_data.terminal import console
+
+
+class _Name(progress.ProgressColumn):
+    """What is done, in bold; the name of a run or a file is no markup."""
+
+    def render(self, task: progress.Task) -> Text:
+        return Text(visible(task.description), "bold")
 
 
 def progress_bar(shown: bool, unit: str = "", *more: progress.ProgressColumn) -> progress.Progress:
@@ -12,16 +22,16 @@ def progress_bar(shown: bool, unit: str = "", *more: progress.ProgressColumn) ->
 
     `unit` is what is counted, in the plural.
     """
-    console = Console(stderr=True)
+    drawn_on = console(err=True)
     return progress.Progress(
-        progress.TextColumn("[bold]{task.description}"),
+        _Name(),
         progress.BarColumn(),
         progress.MofNCompleteColumn(),
         *([progress.TextColumn(unit)] if unit else []),
         progress.TimeRemainingColumn(),
         *more,
-        console=console,
-        disable=not (shown and console.is_terminal),
+        console=drawn_on,
+        disable=not (shown and drawn_on.is_terminal),
     )
 
 

@@ -1,18 +1,19 @@
-"""Tables: one writer of Markdown, with one escape of what others wrote, and one of the terminal's.
+"""Tables: one writer of Markdown, one of CSV and one of the terminal's.
 
 A cell is text, shown as it stands, unless it says that it is `Markdown` (or rich's `Text`) of ours.
 """
 
-import re
+import csv
+import io
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
+
+from racines_data.escape import csv_cell, visible
+from racines_data.escape import markdown as escape
 
 if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
-
-_MARKS = re.compile(r"([\\`|*\[\]])")
-_HTML = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;"})
 
 
 class Markdown(str):
@@ -21,14 +22,8 @@ class Markdown(str):
 
 def code(text: Any) -> Markdown:
     """Return text in code letters."""
-    line = " ".join(str(text).replace("`", "'").replace("|", "\\|").splitlines())
-    return Markdown(f"`{line}`")
-
-
-def escape(text: Any) -> str:
-    """Return text as Markdown that shows it on one line: no markup, HTML, cell or line break."""
-    line = " ".join(str(text).splitlines())
-    return _MARKS.sub(r"\\\1", line.translate(_HTML))
+    line = visible(text).replace("`", "'").replace("|", "\\|").strip()
+    return Markdown(f"`{line}`" if line else "")
 
 
 def markdown_table(
@@ -41,6 +36,13 @@ def markdown_table(
     return "\n".join(f"| {' | '.join(line)} |" for line in cells)
 
 
+def csv_table(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Return a table as CSV (RFC 4180): numbers as they are, no cell that a spreadsheet runs."""
+    out = io.StringIO()
+    csv.writer(out).writerows([csv_cell(cell) for cell in row] for row in (head, *rows))
+    return out.getvalue()
+
+
 def console_table(
     head: Sequence[str],
     rows: Iterable[Iterable["str | Text"]],
@@ -50,17 +52,20 @@ def console_table(
 ) -> "Table":
     """Return a table for `rich.print`; the columns from `right` on are aligned to the right.
 
-    Cells that are text are shown as they stand: `[red]` is no colour.
+    Cells that are text are shown as they stand: `[red]` is no colour, and control characters are
+    spaces. A cell may have several lines.
     """
     from rich import box
     from rich.table import Table
     from rich.text import Text
 
-    named = None if title is None else Text(title)
+    from racines_data.terminal import shown_text
+
+    named = None if title is None else Text(visible(title))
     table = Table(title=named, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, padding))
     for i, name in enumerate(head):
         justify = "left" if right is None or i < right else "right"
-        table.add_column(Text(name), justify=justify, overflow="fold")
+        table.add_column(Text(visible(name)), justify=justify, overflow="fold")
     for row in rows:
-        table.add_row(*(cell if isinstance(cell, Text) else Text(cell) for cell in row))
+        table.add_row(*map(shown_text, row))
     return table

@@ -25,7 +25,7 @@ import torch
 
 from racines_data.digest import trajectory_digest
 from racines_data.errors import RacinesError
-from racines_data.files import working_folder
+from racines_data.files import naming, working_folder
 from racines_data.progress import progress_bar
 from racines_data.records import check_trajectory, pixels_array, trajectory_to_table
 from racines_data.sources.base import Source, Unit, has_poses, labels_of_source
@@ -157,7 +157,8 @@ def _stage(sources: Sequence[Source], task: tuple[int, Sequence[tuple[Unit, Path
         digest = {_DIGEST: trajectory_digest(trajectory).encode()}
         table = table.replace_schema_metadata((table.schema.metadata or {}) | digest)
         aside = path.with_suffix(f".{os.getpid()}")
-        with pa.OSFile(str(aside), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
-            writer.write_table(table)
-        os.replace(aside, path)
+        with naming(path):
+            with pa.OSFile(str(aside), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
+                writer.write_table(table)
+            os.replace(aside, path)
     return sum(unit.frames for unit, _ in members)

@@ -25,7 +25,7 @@ from racines_data.card.markdown import write_card
 from racines_data.card.pictures import write_pictures
 from racines_data.digest import content_digest, recipe_digest
 from racines_data.errors import RacinesError
-from racines_data.files import sha256_file, write_once
+from racines_data.files import naming, sha256_file, write_once
 from racines_data.manifest import CARD, MANIFEST, MULTI_PHANTOM, REPORT, store_name
 from racines_data.progress import progress_bar
 from racines_data.schema import PARAMETERS, SPLITS, trajectory_features
@@ -202,7 +202,8 @@ def _write_shard(group: Group, start: int, stop: int, path: Path) -> None:
 
 def write_parquet(path: Path, table: pa.Table) -> None:
     """Write a table with row groups small enough to stream."""
-    pq.write_table(table, path, row_group_size=_ROW_GROUP, compression="zstd")
+    with naming(path):
+        pq.write_table(table, path, row_group_size=_ROW_GROUP, compression="zstd")
 
 
 def _write_trajectories(final: Path, rows: Sequence[dict[str, Any]]) -> dict[str, list[str]]:

@@ -19,6 +19,7 @@ from typing import Any
 from datasets import ClassLabel, Features, Image
 
 from racines_data.card.frames import unit_of
+from racines_data.escape import visible
 from racines_data.files import sha256_file, write_atomic
 from racines_data.manifest import CROISSANT, MULTI_PHANTOM, describe, manifest_labels
 from racines_data.records import features_of
@@ -318,7 +319,7 @@ def datasheet(manifest: Mapping[str, Any]) -> str:
         for name, text in rai_fields(manifest).items()
     }
     told |= {**manifest["report"], "instances": instances, "rights": manifest_card(manifest).rights}
-    told |= {"tag": manifest.get("tag", manifest["version"])}
+    told |= {"tag": visible(manifest.get("tag", manifest["version"])).replace("`", "'")}
     return "\n\n".join(
         f"### {title}\n\n"
         + "\n\n".join(f"**{ask}** {answer.format_map(told)}" for ask, answer in asked.items())

@@ -8,9 +8,10 @@ import yaml
 from racines_data.card import frames
 from racines_data.card.croissant import config_features, datasheet, rai_fields
 from racines_data.card.realism import realism_section
+from racines_data.escape import visible
 from racines_data.manifest import MULTI_PHANTOM, describe, manifest_labels
 from racines_data.sources.base import manifest_card
-from racines_data.tables import Markdown, code, markdown_table
+from racines_data.tables import Markdown, code, escape, markdown_table
 from racines_data.views import LABELS
 
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"))
@@ -46,6 +47,13 @@ frames in `canonical/` tell whether a rebuild on another processor is the same v
 gray level. `manifest.json` has the sha256 of every file, which `racines data validate` checks."""
 
 
+def _as_text(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a manifest whose own card is text; that of a source of ours is Markdown."""
+    held = manifest.get("card") or {}
+    words = {key: escape(value) if isinstance(value, str) else value for key, value in held.items()}
+    return {**manifest, "card": words}
+
+
 def write_card(manifest: Mapping[str, Any]) -> str:
     """Return README.md of a dataset: YAML front matter, the card, the datasheet.
 
@@ -53,13 +61,15 @@ def write_card(manifest: Mapping[str, Any]) -> str:
     without them their sections are left out.
     """
     head = yaml.safe_dump(_front_matter(manifest), sort_keys=False, allow_unicode=True, width=1000)
-    source, version, card = manifest["source"], manifest["version"], manifest_card(manifest)
-    views = ", ".join(manifest_labels(manifest)[:-1])
+    shown = _as_text(manifest)
+    card = manifest_card(shown)
+    source, version = visible(manifest["source"]), visible(manifest["version"])
+    views = escape(", ".join(manifest_labels(manifest)[:-1]))
     many = MULTI_PHANTOM in manifest["configs"]
     hearts = f'hearts = racines_data.load(config="{MULTI_PHANTOM}")\n' if many else ""
     parts = [
-        f"**Source: `{source}` — {card.origin}.**",
-        f"# RACINES, {source} {version}",
+        f"**Source: {code(source)} — {card.origin}.**",
+        f"# RACINES, {escape(f'{source} {version}')}",
         _INTRODUCTION,
         _picture(manifest, "samples"),
         "## What a row is",
@@ -70,7 +80,9 @@ def write_card(manifest: Mapping[str, Any]) -> str:
         frames.splits_table(manifest),
         _picture(manifest, "hearts"),
         "## Load",
-        _LOADING.format(tag=manifest.get("tag", version), version=version, hearts=hearts),
+        _LOADING.format(
+            tag=_quoted(manifest.get("tag", version)), version=_quoted(version), hearts=hearts
+        ),
         "## Version and digests",
         _versions(manifest),
         _DIGESTS,
@@ -81,14 +93,19 @@ def write_card(manifest: Mapping[str, Any]) -> str:
         *_shares(manifest),
         realism_section(manifest),
         "## Intended use and limits",
-        rai_fields(manifest)["rai:dataUseCases"][0],
+        rai_fields(shown)["rai:dataUseCases"][0],
         card.limits,
         *_losses(manifest),
         "## Datasheet",
-        datasheet(manifest),
+        datasheet(shown),
     ]
     body = "\n\n".join(part.strip() for part in parts if part.strip())
     return f"---\n{head}---\n{body}\n"
+
+
+def _quoted(text: str) -> str:
+    """Return text that stands between quotation marks, in code."""
+    return visible(text).translate({ord(mark): "'" for mark in '"`\\'})
 
 
 def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:
@@ -127,7 +144,7 @@ def _configs(manifest: Mapping[str, Any]) -> Iterator[str]:
     if held is None:
         yield "- No `sessions` config: there is only one session, so none can be held out."
     else:
-        kept = f"the same rows with the whole session `{held}` as test, the rest as train."
+        kept = f"the same rows with the whole session {code(held)} as test, the rest as train."
         yield f"- `sessions`: {kept}"
     if many:
         yield (

@@ -8,11 +8,12 @@ import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from racines_data.card.frames import number
 from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM
-from racines_data.tables import markdown_table
+from racines_data.tables import code, escape, markdown_table
 
 SCHEMA = "racines.realism/1"
 _DIGITS = {"kid": 4, "fid": 1, "local_contrast": 2}
@@ -64,7 +65,10 @@ def realism_section(manifest: Mapping[str, Any]) -> str:
     if not reports:
         return ""
     told = (part for content in reports for part in _told(content))
-    shown = (f"![{Path(name).stem}]({name})" for name in manifest.get("realism_pictures", []))
+    shown = (
+        f"![{escape(Path(name).stem)}]({quote(name)})"
+        for name in manifest.get("realism_pictures", [])
+    )
     return "\n\n".join(["## Realism", _INTRODUCTION, *told, *shown])
 
 
@@ -86,16 +90,21 @@ def _told(content: Mapping[str, Any]) -> Iterator[str]:
 def _measured(content: Mapping[str, Any]) -> str:
     config = content.get("config") or content.get("dataset", {}).get("config")
     real = content.get("real", {})
-    told = f"{content['phantom_frames']} simulated" if "phantom_frames" in content else "Simulated"
-    told += f" {content.get('view', '')} frames"
+    told = (
+        f"{escape(content['phantom_frames'])} simulated"
+        if "phantom_frames" in content
+        else "Simulated"
+    )
+    told += f" {escape(content.get('view', ''))} frames"
     if "grade_at_least" in content:
         told += f" of grade {content['grade_at_least']:g} or more"
     if config:
-        told += f" of `{config}`"
+        told += f" of {code(config)}"
     if "frames" in real:
-        told += f" beside {real['frames']} real ones of {real.get('patients', '?')} patients"
+        told += f" beside {escape(real['frames'])} real ones of "
+        told += f"{escape(real.get('patients', '?'))} patients"
     if "n" in content:
-        told += f"; n = {content['n']}"
+        told += f"; n = {escape(content['n'])}"
     return f"{told}:"
 
 

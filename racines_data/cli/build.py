@@ -1,6 +1,5 @@
 """The commands `racines data build` and `racines data import`. Heavy imports stand inside."""
 
-import json
 import time
 from dataclasses import fields
 from pathlib import Path
@@ -11,6 +10,7 @@ import typer
 from racines_data.cli import options as opt
 from racines_data.cli.options import given, overrides, read_settings
 from racines_data.errors import RacinesError
+from racines_data.terminal import say, say_json
 
 if TYPE_CHECKING:
     from racines_data.sources.base import Finding
@@ -56,10 +56,10 @@ def build(
         summary["findings"] = [vars(finding) for finding in made.report]
         summary["seconds"] = round(time.perf_counter() - start, 2)
         summary["peak_memory"] = dataset.peak_memory(config.workers)
-        typer.echo(json.dumps({"out": str(out), **summary}))
+        say_json({"out": str(out), **summary})
     else:
         _print_dataset(out, manifest)
-        typer.echo(f"recipe  {manifest['recipe_digest']}")
+        say(f"recipe  {manifest['recipe_digest']}")
         _print_findings(made.report)
 
 
@@ -100,20 +100,20 @@ def import_(
         manifest = dataset.build(made, out, config, progress=not as_json)
     except RacinesError as error:
         if as_json:
-            typer.echo(json.dumps({"out": None, "error": str(error), **_report(made.report)}))
+            say_json({"out": None, "error": str(error), **_report(made.report)})
         elif made.report:
             _print_kinds(made.report, "nothing was imported")
         raise
     if as_json:
         summary = {key: manifest[key] for key in _KEYS}
-        typer.echo(json.dumps({"out": str(out), **summary, **_report(made.report)}))
+        say_json({"out": str(out), **summary, **_report(made.report)})
         return
     _print_dataset(out, manifest)
     refused, flagged = manifest["report"]["refused_frames"], manifest["report"]["flagged"]
     if made.report:
         _print_kinds(made.report, f"{refused} frames refused, {flagged} findings flagged")
     else:
-        typer.echo("every file is sound")
+        say("every file is sound")
 
 
 def _report(findings: list["Finding"]) -> dict[str, Any]:
@@ -125,16 +125,17 @@ def _report(findings: list["Finding"]) -> dict[str, Any]:
 def _print_dataset(out: Path, manifest: dict[str, Any]) -> None:
     counts = manifest["counts"]
     splits = ", ".join(f"{name} {count['frames']}" for name, count in counts["splits"].items())
-    typer.echo(
+    say(
         f"{out}: {manifest['source']} {manifest['version']}, {counts['frames']} frames in "
-        f"{counts['trajectories']} trajectories ({splits})\ncontent {manifest['digest']}"
+        f"{counts['trajectories']} trajectories ({splits})"
     )
+    say(f"content {manifest['digest']}")
 
 
 def _print_kinds(findings: list["Finding"], headline: str) -> None:
-    typer.echo(headline)
+    say(headline)
     for kind, count in _report(findings)["kinds"].items():
-        typer.echo(f"  {count:6d}  {kind}")
+        say(f"  {count:6d}  {kind}")
     _print_findings(findings)
 
 
@@ -142,7 +143,7 @@ def _print_findings(findings: list["Finding"]) -> None:
     for finding in findings[:_SHOWN]:
         verdict = "refused" if finding.refused else "flagged"
         item = f" {finding.item}" if finding.item else ""
-        typer.echo(f"{verdict}: {finding.file}{item}: {finding.reason}")
+        say(f"{verdict}: {finding.file}{item}: {finding.reason}")
     if len(findings) > _SHOWN:
         more = len(findings) - _SHOWN
-        typer.echo(f"… and {more} more: see import_report.parquet, or --json")
+        say(f"… and {more} more: see import_report.parquet, or --json")

@@ -1,6 +1,5 @@
 """The commands `racines data validate`, `card`, `export`, `push`, `pull`, and `study sheet`."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,6 +8,7 @@ import typer
 from racines_data.cli import options as opt
 from racines_data.errors import RacinesError
 from racines_data.manifest import CARD, PICTURES, default_root, read_manifest
+from racines_data.terminal import say, say_json
 
 if TYPE_CHECKING:
     from racines_data.hub.push import Push
@@ -30,7 +30,7 @@ def validate(
     folder = default_root(root)
     result = run.validate(folder, against, workers or 1, progress=not as_json)
     if as_json:
-        typer.echo(json.dumps(run.to_json(result)))
+        say_json(run.to_json(result))
     else:
         run.print_validation(result)
     if not result.ok:
@@ -60,11 +60,9 @@ def card(
     if as_json:
         told = {"card": str(folder / CARD), **manifest["files"][CARD]}
         told["pictures"] = [name for name in manifest["files"] if name.startswith(PICTURES)]
-        typer.echo(json.dumps({**told, "digest": manifest["digest"]}))
+        say_json({**told, "digest": manifest["digest"]})
     else:
-        typer.echo(
-            f"{folder / CARD}: written, {len(manifest.get('realism', []))} realism report(s)"
-        )
+        say(f"{folder / CARD}: written, {len(manifest.get('realism', []))} realism report(s)")
 
 
 def export(
@@ -80,14 +78,14 @@ def export(
 
     made = load_exporter(format)(root, out, split=split, limit=limit, progress=not as_json)
     if as_json:
-        typer.echo(json.dumps(made))
+        say_json(made)
         return
-    typer.echo(
+    say(
         f"{made['out']}: {made['frames']} frames in {made['trajectories']} trajectories, "
         f"format {made['format']}"
     )
     for note in made.get("notes", []):
-        typer.echo(f"note: {note}")
+        say(f"note: {note}")
 
 
 def push(
@@ -111,21 +109,21 @@ def push(
     plan = plan_push(folder, repo_id, tag, revision, with_store, workers or 1)
     made = plan.to_json() if dry_run else push_dataset(folder, plan, private)
     if as_json:
-        typer.echo(json.dumps({**made, "private": private, "dry_run": dry_run}))
+        say_json({**made, "private": private, "dry_run": dry_run})
     elif dry_run:
         _print_plan(plan, private)
     elif made["uploaded"]:
-        typer.echo(f"{repo_id}: {len(plan.files)} files, {_size(plan.bytes)}, tag {plan.tag}")
+        say(f"{repo_id}: {len(plan.files)} files, {_size(plan.bytes)}, tag {plan.tag}")
     else:
-        typer.echo(f"{repo_id}: has {plan.tag} already, with these very files")
+        say(f"{repo_id}: has {plan.tag} already, with these very files")
 
 
 def _print_plan(plan: "Push", private: bool) -> None:
     for name, record in sorted(plan.files.items()):
-        typer.echo(f"{_size(record['bytes']):>10}  {name}")
+        say(f"{_size(record['bytes']):>10}  {name}")
     for name, count in sorted(plan.left_out.items()):
-        typer.echo(f"{_size(count):>10}  {name}  (stays here; --with-store sends it)")
-    typer.echo(
+        say(f"{_size(count):>10}  {name}  (stays here; --with-store sends it)")
+    say(
         f"would send {len(plan.files)} files, {_size(plan.bytes)}, to dataset {plan.repo_id} "
         f"({'private' if private else 'public'} if new), branch {plan.revision}, tag {plan.tag}, "
         f"content sha256 {plan.digest}"
@@ -154,9 +152,9 @@ def pull(
     manifest = read_manifest(root)
     if as_json:
         keys = ("source", "version", "digest", "counts")
-        typer.echo(json.dumps({"root": str(root), **{key: manifest[key] for key in keys}}))
+        say_json({"root": str(root), **{key: manifest[key] for key in keys}})
     else:
-        typer.echo(f"{root}: {manifest['source']} {manifest['version']}, digests hold")
+        say(f"{root}: {manifest['source']} {manifest['version']}, digests hold")
 
 
 def sheet(
@@ -170,4 +168,4 @@ def sheet(
     from racines_data.phantom.figures import contact_sheet
 
     contact_sheet(Phantom(PhantomConfig(anatomy=anatomy, anatomy_seed=anatomy_seed)), out, seed)
-    typer.echo(f"wrote {out}")
+    say(f"wrote {out}")

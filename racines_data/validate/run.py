@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
 from racines_data.tables import console_table
+from racines_data.terminal import console
 from racines_data.validate import identity, meaning
 from racines_data.validate.survey import Survey, survey
 from racines_data.views import PAPER_STATISTICS, ParameterStatistics
@@ -164,14 +164,14 @@ def to_json(result: Validation) -> dict[str, Any]:
 
 def print_validation(result: Validation) -> None:
     """Print one line a check, and the parameters beside the paper's table, on stdout."""
-    console = Console()
+    shown_on = console()
     for check in result.checks:
         broken = ("BROKEN", "red") if check.binding else ("note", "yellow")
         mark = ("ok", "green") if check.ok else broken
         line = Text.assemble(mark, f"  {check.name}: {check.detail}")
-        console.print(line, soft_wrap=True, highlight=False)
+        shown_on.print(line, soft_wrap=True)
     if result.statistics:
-        console.print(_table(result))
+        shown_on.print(_table(result))
 
 
 def _table(result: Validation) -> Table:

@@ -19,7 +19,7 @@ def test_numbers_stand_to_the_right():
     [
         ("a | b", r"a \| b"),
         ("a\\| b", r"a\\\| b"),
-        ("[site](https://a.b)", r"\[site\](https://a.b)"),
+        ("[site](https://a.b)", r"\[site\](https&#58;//a.b)"),
         ("![x](y)", r"!\[x\](y)"),
         ("`code`", r"\`code\`"),
         ("<script>&lt;", "&lt;script&gt;&amp;lt;"),

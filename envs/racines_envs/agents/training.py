@@ -20,6 +20,7 @@ from tensordict import TensorDictBase
 
 from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore, open_store
+from racines_data.terminal import say
 from racines_envs.agents.networks import PoseEncoder, open_encoder
 from racines_envs.agents.policy import PolicyAgent, make_actor
 from racines_envs.agents.rollout import rollout
@@ -197,10 +198,9 @@ class TrainingRun(ABC):
             live.log_metric(name, value)
         live.sync()
         if self.progress and "validation/success" in row:
-            print(
+            say(
                 f"{self.frames:>10,} frames  success {row['validation/success']:.2f}  "
-                f"steps {row['validation/steps']:.1f}  {row['frames_per_second']:,.0f} frames/s",
-                flush=True,
+                f"steps {row['validation/steps']:.1f}  {row['frames_per_second']:,.0f} frames/s"
             )
 
     def _state(self) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """The commands `racines train agent` and `racines eval agent`. Heavy imports stand inside."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,6 +7,7 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_data.cli.options import given, overrides, read_settings, seed_of
+from racines_data.terminal import say, say_json, say_page
 from racines_envs.cli.settings import Agent, Name, phantom_config
 from racines_models.cli.device import OneDevice
 
@@ -51,7 +51,7 @@ def train_agent(
     where = {"phantom": phantom_config(settings), "data": data, "progress": not as_json}
     cls.train(config, folder, seed=seed_of(settings, seed), resume=resume, **where)
     metrics = (folder / "metrics.json").read_text()
-    typer.echo(metrics if as_json else f"settings, metrics and policy, if any, are in {folder}")
+    say_page(metrics if as_json else f"settings, metrics and policy, if any, are in {folder}")
 
 
 def evaluate_agent(
@@ -99,9 +99,9 @@ def evaluate_agent(
     out = out or entry.scores
     write_evaluation(result, out, picture or out.with_suffix(".png"))
     if as_json:
-        typer.echo(json.dumps(result.scores, indent=2))
+        say_json(result.scores, indent=2)
     else:
         task = result.scores["task"]
         title = f"{result.scores['agent']} on {task['view']} ({task['observation']})"
         show_metrics(title, result.scores["metrics"])
-        typer.echo(f"written: {out}")
+        say(f"written: {out}")

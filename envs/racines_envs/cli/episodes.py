@@ -1,6 +1,5 @@
 """The commands `racines drive`, `replay`, `explain` and `export …`. Heavy imports stand inside."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +8,7 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_data.cli.options import check_ending, given, overrides, read_settings
+from racines_data.terminal import say, say_json
 from racines_envs.cli.settings import Agent, phantom_config
 from racines_models.cli.device import OneDevice
 
@@ -51,9 +51,10 @@ def drive(
             run(session, terminal.keys(), terminal.show)
     if as_json:
         info = {name: value[0].item() for name, value in core.info().items()}
-        typer.echo(json.dumps(info, indent=2))
+        say_json(info, indent=2)
     else:
-        typer.echo("\n".join(session.words()[:-3]))
+        for line in session.words()[:-3]:
+            say(line)
 
 
 def replay(
@@ -66,7 +67,10 @@ def replay(
     done = rerun(recording)
     text = f"{recording}: {done.steps} steps repeat within {done.position_error:.1e} m and "
     text += f"{done.rotation_error:.1e} rad"
-    typer.echo(json.dumps(asdict(done), indent=2) if as_json else text)
+    if as_json:
+        say_json(asdict(done), indent=2)
+    else:
+        say(text)
 
 
 def explain(
@@ -109,12 +113,12 @@ def explain(
     folder = out or RUNS / "explain" / entry.name
     write_explanation(result, folder, pictures)
     if as_json:
-        typer.echo(json.dumps(result.scores, indent=2))
+        say_json(result.scores, indent=2)
     else:
         name, images = result.scores["agent"], result.scores["images"]
         for what, metrics in result.scores["metrics"].items():
             show_metrics(f"{name}, {what}: {images} images", metrics)
-        typer.echo(f"written: {folder}")
+        say(f"written: {folder}")
 
 
 def export_agent(
@@ -128,7 +132,10 @@ def export_agent(
     check_ending(out, ".onnx")
     made = export_run(run, out)
     line = f"{out}: {made['bytes']:,} bytes, opset {made['opset']}, sees {made['observation']}"
-    typer.echo(json.dumps(made) if as_json else line)
+    if as_json:
+        say_json(made)
+    else:
+        say(line)
 
 
 def export_trace(
@@ -157,4 +164,7 @@ def export_trace(
     folder = run or RUNS / agent_class(agent).name
     made = record_trace(agent, folder, config, out, phantom_config(settings))
     line = f"{out}: {made['episodes']:,} episodes, {made['steps']:,} steps"
-    typer.echo(json.dumps(made) if as_json else line)
+    if as_json:
+        say_json(made)
+    else:
+        say(line)

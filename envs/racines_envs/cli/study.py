@@ -1,6 +1,5 @@
 """The commands `racines study …` on agents. Heavy imports stand inside: --help is instant."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,6 +7,7 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_data.cli.options import given, overrides, read_settings
+from racines_data.terminal import say, say_json, say_page
 from racines_envs.cli.settings import phantom_config
 from racines_models.cli.device import OneDevice
 
@@ -31,7 +31,10 @@ def curves(
 
     content = read_curves(_listed(runs))
     draw_curves(content, out, paper)
-    typer.echo(json.dumps(content) if as_json else f"written: {out}")
+    if as_json:
+        say_json(content)
+    else:
+        say(f"written: {out}")
 
 
 def forces(
@@ -51,10 +54,10 @@ def forces(
     report = force_report(open_store(data), split=split)
     write_json(out, report)
     if as_json:
-        typer.echo(json.dumps(report, indent=2))
+        say_json(report, indent=2)
         return
-    typer.echo(forces_markdown(report))
-    typer.echo(f"held out: {report['frames'][split]} frames of split {split}; written: {out}")
+    say_page(forces_markdown(report))
+    say(f"held out: {report['frames'][split]} frames of split {split}; written: {out}")
 
 
 def reward_audit(
@@ -159,7 +162,10 @@ def speed(
             raise typer.BadParameter(f"{threads} threads: give 1 or more")
         torch.set_num_threads(threads)
     content = step_speed(fill(SpeedConfig, chosen, "speed"), phantom_config(values))
-    typer.echo(json.dumps(content, indent=2) if as_json else _speed_table(content))
+    if as_json:
+        say_json(content, indent=2)
+    else:
+        say_page(_speed_table(content))
 
 
 def _speed_table(content: dict[str, Any]) -> str:
@@ -205,7 +211,7 @@ def _publish(content: dict[str, Any], table: str, out: Path, as_json: bool) -> N
     write_atomic(out.with_suffix(".md"), table)
     write_json(out, content)
     if as_json:
-        typer.echo(json.dumps(content, indent=2))
+        say_json(content, indent=2)
     else:
-        typer.echo(table)
-        typer.echo(f"written: {out}, {out.with_suffix('.png').name}, {out.with_suffix('.md').name}")
+        say_page(table)
+        say(f"written: {out}, {out.with_suffix('.png').name}, {out.with_suffix('.md').name}")

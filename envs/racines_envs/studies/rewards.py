@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.tables import markdown_table
+from racines_data.tables import escape, markdown_table
 from racines_envs.agents.protocol import Agent
 from racines_envs.evaluation.agent_specs import Run, common_view
 from racines_envs.evaluation.measures import RETURN_OF_A_HIT
@@ -257,8 +257,9 @@ def reward_markdown(content: dict[str, Any]) -> str:
         "high return, no success", "steps", "steps hovering",
     ]  # fmt: skip
     lines = [
-        f"**Rewards on {content['view']}**, {starts['starts']} starts × {len(starts['seeds'])} "
-        f"sets, at most {content['max_steps']} steps; in brackets 95 % intervals.",
+        f"**Rewards on {escape(content['view'])}**, {starts['starts']} starts × "
+        f"{len(starts['seeds'])} sets, at most {content['max_steps']} steps; in brackets 95 % "
+        "intervals.",
         "",
         markdown_table(head, map(_cells, content["rows"])),
         "",
@@ -267,7 +268,11 @@ def reward_markdown(content: dict[str, Any]) -> str:
         "",
         "**What the returns are the sum of**",
         "",
-        *(f"- {line}" for row in content["rows"] if (line := arithmetic(row, content["numbers"]))),
+        *(
+            f"- {escape(line)}"
+            for row in content["rows"]
+            if (line := arithmetic(row, content["numbers"]))
+        ),
         "",
         _of_the_paper(content),
     ]

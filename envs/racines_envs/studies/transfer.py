@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from scipy.stats import rankdata
 
 from racines_data.errors import RacinesError
-from racines_data.tables import markdown_table
+from racines_data.tables import escape, markdown_table
 from racines_envs.agents.rollout import rollout
 from racines_envs.evaluation.agent_specs import Run, common_view
 from racines_envs.evaluation.measures import path_length_score
@@ -208,9 +208,9 @@ def transfer_markdown(content: dict[str, Any]) -> str:
         for agent in content["agents"]
     ]
     lines = [
-        f"**Transfer on {content['view']}**: true success (95 %), steps of the successes, final "
-        f"grade; {starts['starts']} starts × {len(starts['seeds'])} sets, judged by "
-        f"{_judges(content['judged_by'])}.",
+        f"**Transfer on {escape(content['view'])}**: true success (95 %), steps of the successes, "
+        f"final grade; {starts['starts']} starts × {len(starts['seeds'])} sets, judged by "
+        f"{escape(_judges(content['judged_by']))}.",
         "",
         markdown_table(["agent", "trained in", *map(_short, backends)], rows),
     ]

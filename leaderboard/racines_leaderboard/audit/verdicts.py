@@ -5,10 +5,10 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any
 
-from rich.console import Console
 from rich.text import Text
 
 from racines_data.tables import console_table, escape, markdown_table
+from racines_data.terminal import console
 
 HOLDS = "holds"
 FAILS = "does not hold"
@@ -137,21 +137,22 @@ def _short(value: Any) -> str:
 
 def show(report: Report, details: bool) -> None:
     """Print a report: all rows with `details`, else those that do not plainly hold."""
-    console = Console()
+    shown_on = console()
     shown = [
         [Text(cell, MARKS.get(row[1], "")) for cell in row]
         for row in report.rows()
         if details or row[1] in MARKS
     ]
-    console.print(report.summary(), style=None if report.holds else "bold red", markup=False)
+    shown_on.print(report.summary(), style=None if report.holds else "bold red")
     if shown:
-        console.print(console_table(HEAD, shown, right=None))
+        shown_on.print(console_table(HEAD, shown, right=None))
 
 
 def audit_markdown(reports: list[Report]) -> str:
     """Return reports as a Markdown page."""
     parts = ["# Audit", "", "Research software, not a medical device.", ""]
     for each in reports:
-        parts += [f"## {each.board}/{each.track}/{each.name}", "", escape(each.summary())]
+        where = escape(f"{each.board}/{each.track}/{each.name}")
+        parts += [f"## {where}", "", escape(each.summary())]
         parts += ["", markdown_table(HEAD, each.rows()), ""]
     return "\n".join(parts)

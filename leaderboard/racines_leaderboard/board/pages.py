@@ -4,12 +4,15 @@ import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import quote
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from racines_data.errors import RacinesError
+from racines_data.escape import visible
 from racines_data.files import write_atomic
+from racines_data.tables import escape
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.rank import Ranked, Record, metric_of, rankings
 from racines_leaderboard.board.table import board_tables, titled_markdown
@@ -38,12 +41,13 @@ def write_page(page: Path, results: Path) -> None:
     """Write the page of all boards, and beside each board's results its charts."""
     parts = [HEAD]
     for board in boards(results):
-        parts.append(f"## {board}\n\n{_tables(results, board, details=True)}\n")
+        parts.append(f"## {escape(board)}\n\n{_tables(results, board, details=True)}\n")
         content = read_board(results, board)
         for track in TRACKS:
             image = results / board / f"{track.name}.png"
             if _write_chart(image, track, content[track.name]):
-                parts.append(f"![{track.name} of {board}]({os.path.relpath(image, page.parent)})\n")
+                where = quote(os.path.relpath(image, page.parent))
+                parts.append(f"![{track.name} of {escape(board)}]({where})\n")
     write_atomic(page, "\n".join(parts))
 
 
@@ -94,8 +98,8 @@ def panel(axis: Axes, column: Column, ranking: Sequence[Ranked]) -> None:
             axis.plot(ends, [row, row], color=INK, alpha=0.45, linewidth=3, solid_capstyle="butt")
         axis.plot([value], [row], "o", color=INK, markersize=5)
     named = [(ranked.record["name"], ranked.record["scores"].get("task")) for ranked in ranking]
-    labels = [f"{name} ({task['view']})" if task else name for name, task in named]
-    axis.set_yticks(range(len(ranking)), labels, size=9)
+    labels = [visible(f"{name} ({task['view']})" if task else name) for name, task in named]
+    axis.set_yticks(range(len(ranking)), labels, size=9, parse_math=False)
     axis.set_ylim(len(ranking) - 0.4, -0.6)
     axis.set_title(column.title, size=9)
     axis.tick_params(axis="x", labelsize=8)

@@ -11,7 +11,8 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table as RichTable
 
-from racines_data.tables import console_table, escape, markdown_table
+from racines_data.tables import console_table, csv_table, escape, markdown_table
+from racines_data.terminal import shown_text
 from racines_leaderboard.board.rank import Ranked, Record, by_task, metric_of, rank, rankings, tied
 from racines_leaderboard.records.tracks import TRACKS, Column, Track, board_tracks
 
@@ -60,7 +61,7 @@ def show(table: Table, console: Console) -> None:
         drawn = _drawn(table.title, [*zip(*rows, strict=True)][1:])
     console.print(drawn)
     for note in table.notes:
-        console.print(note, style="dim", markup=False)
+        console.print(shown_text(note), style="dim")
     console.print()
 
 
@@ -85,6 +86,26 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
         ]
         for track in TRACKS
     }
+
+
+_OF_METRIC = ("value", "low", "high", "n")
+CSV_HEAD = ("board", "track", "task", "place", "name", "tier", "method", "figure", *_OF_METRIC)
+
+
+def board_csv(contents: dict[str, dict[str, list[Record]]]) -> str:
+    """Return boards by name as one CSV file, a line a figure of a result, in the order of ranks."""
+    lines = []
+    for board, content in contents.items():
+        for track in TRACKS:
+            for task, records in by_task(content[track.name]).items():
+                for place, record in ((r.place, r.record) for r in rank(track, records)):
+                    method = (record["submission"] or {}).get("method")
+                    about = (board, track.name, task, place, record["name"], record["tier"], method)
+                    lines += [
+                        (*about, figure, *(metric.get(key) for key in _OF_METRIC))
+                        for figure, metric in record["scores"]["metrics"].items()
+                    ]
+    return csv_table(CSV_HEAD, lines)
 
 
 @functools.cache

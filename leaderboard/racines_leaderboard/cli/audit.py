@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from racines_data.cli import options as opt
+from racines_data.terminal import say, say_json, say_page
 
 if TYPE_CHECKING:
     from racines_leaderboard.audit.verdicts import Report
@@ -77,7 +78,7 @@ def audit(
     elif out is not None:
         write_atomic(out, audit_markdown(reports))
     if as_json:
-        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        say_json(document, indent=2)
     if not document["holds"]:
         raise typer.Exit(1)
 
@@ -104,7 +105,7 @@ def _seal(path: Path) -> None:
     record = json.loads(path.read_text())
     if KEY not in record:
         write_record(path, sealed(record))
-        typer.echo(f"racines: sealed: {path}", err=True)
+        say(f"racines: sealed: {path}", err=True)
 
 
 def determinism(
@@ -123,7 +124,10 @@ def determinism(
     def tell(outcome: Outcome) -> None:
         said = outcome.note or ("bitwise" if outcome.bitwise else f"{outcome.largest:.2g}")
         line = f"{outcome.stage}, {outcome.compared}: {said} ({outcome.seconds} s)"
-        typer.echo(f"racines: {line}", err=True)
+        say(f"racines: {line}", err=True)
 
     document = measure(stage or (), tell, out)
-    typer.echo(json.dumps(document, indent=2) if as_json else determinism_markdown(document))
+    if as_json:
+        say_json(document, indent=2)
+    else:
+        say_page(determinism_markdown(document))

@@ -1,6 +1,5 @@
 """The command `racines leaderboard`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +8,7 @@ import typer
 from racines_data.cli import options as opt
 from racines_data.config import read_params
 from racines_data.errors import RacinesError
+from racines_data.terminal import console, say, say_json
 
 CACHE = Path("models/runs/scores/reference")
 """What is computed of the reference alone, shared with `racines eval generator`."""
@@ -38,6 +38,9 @@ def leaderboard(
     readme: Annotated[
         Path | None, typer.Option(help="Renew the tables between the marks of this file.")
     ] = None,
+    csv: Annotated[
+        Path | None, typer.Option(help="Write every figure of what is shown to this CSV file.")
+    ] = None,
     details: opt.Details = False,
     as_json: opt.AsJson = False,
 ) -> None:
@@ -45,12 +48,10 @@ def leaderboard(
 
     With --params, `board` of that file names the board.
     """
-    from rich.console import Console
-
     from racines_data.files import write_atomic
     from racines_leaderboard.board import collect as results_of
     from racines_leaderboard.board.pages import with_tables, write_page
-    from racines_leaderboard.board.table import board_tables, plain, published, show
+    from racines_leaderboard.board.table import board_csv, board_tables, plain, published, show
 
     if params is not None:
         board = _board_of(params, board)
@@ -59,7 +60,7 @@ def leaderboard(
             raise RacinesError("--collect needs --board NAME or --params FILE")
         others = results_of.made_elsewhere(collect, board) if params is not None else []
         for path in others:
-            typer.echo(f"racines: left out {path}: made for another board than {board}", err=True)
+            say(f"racines: left out {path}: made for another board than {board}", err=True)
         results_of.collect(collect, results, submissions, board, others)
     if recompute:
         from racines_leaderboard.board import recompute as scoring
@@ -74,7 +75,7 @@ def leaderboard(
         )
         for folder in [scoring.find(submissions, name) for name in recompute]:
             record = scoring.recompute(folder, ground, results)
-            typer.echo(f"racines: scored again: {record['track']}/{record['name']}", err=True)
+            say(f"racines: scored again: {record['track']}/{record['name']}", err=True)
     names = [board] if board else results_of.boards(results)
     if not set(names) <= set(results_of.boards(results)) or not names:
         raise RacinesError(f"{results}: no results of {board or 'any board'}")
@@ -85,15 +86,17 @@ def leaderboard(
             raise RacinesError(f"{readme}: no such file")
         write_atomic(readme, with_tables(readme.read_text(), results, str(readme)))
     content = {name: results_of.read_board(results, name) for name in names}
+    if csv is not None:
+        write_atomic(csv, board_csv(content))
     if as_json:
         ranked = {name: plain(records) for name, records in content.items()}
         document = {"boards": ranked, "reported_in_the_paper": published()}
-        typer.echo(json.dumps(document, indent=2, ensure_ascii=False))
+        say_json(document, indent=2)
         return
-    console = Console()
+    shown = console()
     for name, records in content.items():
         for table in board_tables(name, records, details):
-            show(table, console)
+            show(table, shown)
 
 
 def _board_of(params: Path, board: str | None) -> str:

@@ -17,9 +17,10 @@ from typing import Annotated, Any
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.errors import RacinesError
+from racines_data.errors import RacinesError, describe_os_error
 from racines_data.manifest import VERIFY_VARIABLE
 from racines_data.plugins import Plugins
+from racines_data.terminal import say
 from racines_leaderboard.cli.renamed import RenamingGroup
 
 GROUPS = {
@@ -134,16 +135,24 @@ def root(
     if verify:
         os.environ[VERIFY_VARIABLE] = "1"  # which worker processes have, too
     if show_version:
-        typer.echo(f"racines {version('racines')}")
+        say(f"racines {version('racines')}")
         raise typer.Exit
 
 
 def main() -> None:
-    """Run the command; a refused input is one line on stderr and exit code 1."""
+    """Run the command; what is refused, by us or the system, is one line on stderr, exit code 1."""
     # A plug-in named module:Class may stand in the current folder; last, so that it hides nothing.
     sys.path.append(os.getcwd())
     try:
         app()
     except RacinesError as error:
-        print(f"racines: {error}", file=sys.stderr)
+        say(f"racines: {error}", err=True)
+        raise SystemExit(1) from error
+    except RuntimeError as error:
+        if not isinstance(error.__context__, OSError):  # pathlib's word for a circle of links
+            raise
+        say(f"racines: {describe_os_error(error.__context__)}", err=True)
+        raise SystemExit(1) from error
+    except OSError as error:
+        say(f"racines: {describe_os_error(error)}", err=True)
         raise SystemExit(1) from error

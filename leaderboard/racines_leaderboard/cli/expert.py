@@ -1,12 +1,12 @@
 """The commands `racines expert …`. Heavy imports stand inside, so that --help is instant."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from racines_data.cli import options as opt
+from racines_data.terminal import console, say, say_json
 from racines_models.cli.device import Device
 
 if TYPE_CHECKING:
@@ -56,8 +56,8 @@ def sample(
     study = Study(images, repeats, seed, split)
     with image_counter("drawing", images, hidden=False) as advance:
         kit = make_kit(out, store, systems, study, judge, advance)
-    typer.echo(f"{out}: {images} images and {repeats} repeats, kit {kit.digest[:12]}.")
-    typer.echo(f"Give raters {out}/kit.json and {out}/images; keep {out}/key.json from them.")
+    say(f"{out}: {images} images and {repeats} repeats, kit {kit.digest[:12]}.")
+    say(f"Give raters {out}/kit.json and {out}/images; keep {out}/key.json from them.")
 
 
 def rate(
@@ -89,8 +89,8 @@ def rate(
     else:
         session = (raters.grader if by == "grader" else raters.oracle)(opened, truth, folder)
     done = session.progress()
-    typer.echo(f"{session.path}: {done.done} of {done.total} images, rater {session.rater}.")
-    typer.echo(f"{session.kind}: not an expert's ratings ({session.about}).")
+    say(f"{session.path}: {done.done} of {done.total} images, rater {session.rater}.")
+    say(f"{session.kind}: not an expert's ratings ({session.about}).")
 
 
 def score(
@@ -108,8 +108,6 @@ def score(
 
     With --out, report.json and report.png are written.
     """
-    from rich.console import Console
-
     from racines_data.files import write_json
     from racines_leaderboard.expert import score as scoring
     from racines_leaderboard.expert.kit import Kit
@@ -130,11 +128,11 @@ def score(
     if board is not None:
         written += publish(report, results, board)
     if as_json:
-        typer.echo(json.dumps(report, ensure_ascii=False))
+        say_json(report)
         return
-    scoring.show(report, Console())
+    scoring.show(report, console())
     for path in written:
-        typer.echo(str(path))
+        say(str(path))
 
 
 def _system(spec: str, store: "FrameStore", split: str, device: str) -> "System":

@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 from typing import Any
 
-import typer
 from typer.core import TyperGroup
+
+from racines_data.terminal import say
 
 COMMANDS = {
     "phantom sheet": "study sheet",
@@ -58,7 +59,7 @@ def _options(words: Iterator[str], options: dict[str, str]) -> Iterator[str]:
 
 
 def _tell(old: str, new: str) -> None:
-    typer.echo(f"racines: {old} is an old name of: {new}", err=True)
+    say(f"racines: {old} is an old name of: {new}", err=True)
 
 
 class RenamingGroup(TyperGroup):

@@ -8,13 +8,25 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_data.errors import RacinesError
+from racines_data.terminal import say
 from racines_models.cli.device import Device
 
 
 def studio(
     host: Annotated[
-        str, typer.Option(help="Address to listen at; 0.0.0.0 lets other machines in.")
+        str,
+        typer.Option(
+            help="Address to listen at; 0.0.0.0, with --allow-host, lets other machines in."
+        ),
     ] = "127.0.0.1",
+    allow_host: Annotated[
+        list[str] | None,
+        typer.Option(help="A name that it may be asked for by, beside localhost; repeatable."),
+    ] = None,
+    framed_by: Annotated[
+        list[str] | None,
+        typer.Option(help="Origin of a page that may show it in a frame; repeatable."),
+    ] = None,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 7860,
     tab: Annotated[
         list[str] | None, typer.Option(help="Show this tab; repeatable.  [default: all]")
@@ -44,5 +56,5 @@ def studio(
         data, results, submissions, weights, runs, agents, kits, seed, device,
         max_sessions, policies,
     )  # fmt: skip
-    typer.echo(f"RACINES Studio: http://{host}:{port} (Ctrl-C stops it)")
-    serve(place, host, port, tab)
+    say(f"RACINES Studio: http://{host}:{port} (Ctrl-C stops it)")
+    serve(place, host, port, tab, hosts=allow_host or (), framed_by=framed_by or ())

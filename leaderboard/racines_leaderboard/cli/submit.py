@@ -1,12 +1,12 @@
 """The command `racines submit`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from racines_data.cli import options as opt
+from racines_data.terminal import say, say_json
 
 
 def submit(
@@ -30,7 +30,7 @@ def submit(
     if new:
         from racines_leaderboard.submissions.template import write_template
 
-        typer.echo(f"written: {write_template(source, track)}: fill it in, then: racines submit")
+        say(f"written: {write_template(source, track)}: fill it in, then: racines submit")
         return
     if check and (force or fetch):
         raise typer.BadParameter("--check copies nothing: leave out --force and --fetch")
@@ -47,18 +47,18 @@ def submit(
     if as_json:
         told = {"folder": str(taken.folder), "rescored": [each["path"] for each in again]}
         told = document | told | {"remote": list(taken.remote)}
-        typer.echo(json.dumps(told, indent=2, ensure_ascii=False))
+        say_json(told, indent=2)
         return
-    typer.echo(f"{taken.folder}: sound ({document['name']}, {document['track']}).")
+    say(f"{taken.folder}: sound ({document['name']}, {document['track']}).")
     for name in taken.remote:
-        typer.echo(f"Left at its URL and not looked into: {name}; --fetch takes it in.")
+        say(f"Left at its URL and not looked into: {name}; --fetch takes it in.")
     if again:
         what = ", ".join(f"{each['path']} ({KINDS[each['kind']].told})" for each in again)
-        typer.echo(f"Scored again: {what}.")
+        say(f"Scored again: {what}.")
         place = f"{document['track']}/{document['name']}"
-        typer.echo(f"Next: racines leaderboard --recompute {place}")
+        say(f"Next: racines leaderboard --recompute {place}")
     else:
-        typer.echo(
+        say(
             "Nothing here can be scored again: scores stay self-reported until it is trained again."
         )
-        typer.echo("Next: racines leaderboard --collect FOLDER_OF_SCORES")
+        say("Next: racines leaderboard --collect FOLDER_OF_SCORES")

@@ -12,7 +12,7 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
-from racines_data.tables import markdown_table
+from racines_data.tables import escape, markdown_table
 from racines_leaderboard.determinism.stages import Arrays, Setup, Stage, Work, stages, threads
 from racines_models.provenance import code_version, environment
 
@@ -161,7 +161,7 @@ def determinism_markdown(document: dict[str, Any]) -> str:
         ((stage, *(cells.get(way, "") for way in ways)) for stage, cells in rows.items()),
     )
     about = f"torch {here['torch']}, {here['cpu']}, {here['platform']}"
-    return "\n".join([table, "", f"{about}. {document['seconds']:.0f} s.", ""])
+    return "\n".join([table, "", f"{escape(about)}. {document['seconds']:.0f} s.", ""])
 
 
 def cell(outcome: dict[str, Any]) -> str:

@@ -18,6 +18,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
 from racines_data.plotting import INK, MUTED, OURS, PAPER, card_style
 from racines_data.tables import console_table
+from racines_data.terminal import shown_text
 from racines_leaderboard.expert.agreement import Answers, agreement, fleiss_metric
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.expert.ratings import Ratings
@@ -198,8 +199,10 @@ def show(report: dict[str, Any], console: Console) -> None:
             console.print(console_table(head, lines, title, right=2))
     if between:
         fleiss = between["fleiss_kappa"]
-        console.print(f"Fleiss' κ of the views: {_cell(fleiss, 1.0, 3)}, n = {fleiss['n']}")
-    console.print(f"Lines below a figure: 95 % interval. {report['remark']}", style="dim")
+        told = f"Fleiss' κ of the views: {_cell(fleiss, 1.0, 3)}, n = {fleiss['n']}"
+        console.print(shown_text(told))
+    remark = shown_text(f"Lines below a figure: 95 % interval. {report['remark']}")
+    console.print(remark, style="dim")
 
 
 def _cell(metric: dict[str, Any], scale: float, digits: int) -> str:

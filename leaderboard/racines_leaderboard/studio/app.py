@@ -1,16 +1,15 @@
 """The Studio as a Gradio app: its frame, how it looks and how it is served. Needs the extra."""
 
-from collections.abc import Awaitable, Callable, MutableMapping, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import gradio as gr
 from gradio.themes import Base
 from gradio.themes.utils import colors, sizes
-from starlette.responses import PlainTextResponse
 
 from racines_data.errors import RacinesError
+from racines_leaderboard.studio.guard import middleware
 from racines_leaderboard.studio.parts import Place
 
 TABS = {
@@ -81,8 +80,13 @@ def serve(
     port: int = 7860,
     tabs: Sequence[str] | None = None,
     block: bool = True,
+    hosts: Sequence[str] = (),
+    framed_by: Sequence[str] = (),
 ) -> gr.Blocks:
     """Build the app and serve it; return when it is stopped, or at once without `block`.
+
+    It answers those alone who ask for it by a name of this machine, by `host`, or by one of
+    `hosts`; pages of the origins `framed_by` may show it in a frame.
 
     Raises:
         RacinesError: the port is taken, or an unknown tab.
@@ -107,21 +111,8 @@ def serve(
             footer_links=[],
             theme=theme(),
             css=Path(__file__).with_name("studio.css").read_text(),
-            app_kwargs={"middleware": [(NoUploads, [], {})]},
+            app_kwargs={"middleware": middleware(host, hosts, framed_by)},
         )
     except OSError as error:
         raise RacinesError(f"--port {port}: {error}; name another with --port") from error
     return app
-
-
-class NoUploads:
-    """Refuses uploads before a byte of them is read: no tab takes a file."""
-
-    def __init__(self, app: Callable[..., Awaitable[None]]) -> None:
-        self.app = app
-
-    async def __call__(self, scope: MutableMapping[str, Any], *channels: Any) -> None:
-        """Answer 403 to anything sent to an upload's address; hand on everything else."""
-        upload = scope["type"] == "http" and scope["path"].rstrip("/").endswith("/upload")
-        refused = PlainTextResponse("The Studio takes no files.\n", status_code=403)
-        await (refused if upload else self.app)(scope, *channels)

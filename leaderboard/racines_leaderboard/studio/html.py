@@ -5,16 +5,15 @@ so no file is written that another visitor could fetch.
 """
 
 import base64
-import html
 import re
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
-from unicodedata import category
 
 from matplotlib.figure import Figure
 from PIL import Image
 
+from racines_data import escape
 from racines_data.files import image_bytes
 from racines_data.plotting import card_style, encode
 
@@ -22,8 +21,6 @@ LONGEST = 400
 """Characters of a text that are shown, unless told otherwise."""
 DPI = 180
 """Of figures: about twice a screen's, so that their text stays sharp."""
-# The page's components fill templates, so their marks are text as well, not only HTML's own.
-_MARKS = str.maketrans({"{": "&#123;", "}": "&#125;", "$": "&#36;", "`": "&#96;"})
 _URL = re.compile(r"https://[A-Za-z0-9.-]+(:\d{1,5})?(/[A-Za-z0-9._~/?#=&%+@:,-]*)?")
 _drawing = threading.Lock()
 """Matplotlib's settings belong to the process: one figure at a time."""
@@ -35,9 +32,7 @@ class Markup(str):
 
 def text(value: Any, longest: int = LONGEST) -> str:
     """Return a value as HTML text: escaped, without invisible characters, cut at `longest`."""
-    # Category C: control, format (direction changes among them) and private characters.
-    visible = "".join(" " if category(c)[0] == "C" else c for c in str(value)[: 4 * longest])
-    return html.escape(cut(visible, longest), quote=True).translate(_MARKS)
+    return escape.html(cut(str(value)[: 4 * longest], longest))
 
 
 def cut(words: str, longest: int) -> str:

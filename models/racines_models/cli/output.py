@@ -1,26 +1,24 @@
 """What the commands print: JSON where it is asked for, else lines and tables."""
 
-import json
 from pathlib import Path
 from typing import Any
 
-import typer
-from rich.console import Console
 from rich.table import Table
 
 from racines_data.tables import console_table
+from racines_data.terminal import console, say, say_json
 
 
 def tell(content: dict[str, Any], as_json: bool, *shown: str | Table) -> None:
     """Print what a command found: as JSON, or else the lines and tables that show it."""
     if as_json:
-        typer.echo(json.dumps(content))
+        say_json(content)
         return
     for each in shown:
         if isinstance(each, str):
-            typer.echo(each)
+            say(each)
         else:
-            Console().print(each)
+            console().print(each)
 
 
 def ranged(metric: dict[str, Any]) -> str:
@@ -44,7 +42,7 @@ def metrics_table(title: str, metrics: dict[str, Any]) -> Table:
 
 def show_metrics(title: str, metrics: dict[str, Any]) -> None:
     """Print metrics with their intervals."""
-    Console().print(metrics_table(title, metrics))
+    console().print(metrics_table(title, metrics))
 
 
 def show_training(title: str, out: Path, metrics: dict[str, Any], as_json: bool) -> None:

@@ -9,7 +9,6 @@ import json
 import os
 import pickle
 import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
+from racines_data.terminal import say
 from racines_models.protocol import Run
 from racines_models.training.processes import is_main_process
 
@@ -45,7 +45,14 @@ class Checkpoint:
         """Replace the checkpoint atomically."""
         self._path.parent.mkdir(parents=True, exist_ok=True)
         partial = self._path.with_suffix(".partial")
-        torch.save({"identity": self._identity, "state": state}, partial)
+        try:
+            torch.save({"identity": self._identity, "state": state}, partial)
+        except RuntimeError as error:  # its writer says so where a disk is full
+            partial.unlink(missing_ok=True)
+            raise RacinesError(
+                f"{self._path}: cannot be written ({error}): free some space, or name another "
+                "place; the last checkpoint is kept"
+            ) from error
         os.replace(partial, self._path)
 
     def read(self, resume: bool | None) -> dict[str, Any] | None:
@@ -71,7 +78,7 @@ class Checkpoint:
         if resume:
             raise RacinesError(f"{self._path}: cannot resume: {problem}; use --fresh")
         if problem != MISSING:
-            print(f"racines: {self._path}: {problem}: training starts anew", file=sys.stderr)
+            say(f"racines: {self._path}: {problem}: training starts anew", err=True)
         return None
 
 

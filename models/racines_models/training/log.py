@@ -34,7 +34,7 @@ class TrainingLog:
         self._sums: dict[str, Tensor] = {}
         self._steps = 0
         self.last: dict[str, float] = {}
-        losses = TextColumn("{task.fields[losses]}")
+        losses = TextColumn("{task.fields[losses]}", markup=False)
         self._progress = progress_bar(visible and writes, "images", losses)
         self._task = self._progress.add_task(name, total=stop, completed=start, losses="")
 

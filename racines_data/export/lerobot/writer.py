@@ -34,6 +34,7 @@ from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS, SPLITS
 from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
+from racines_data.tables import escape
 
 IMAGE = "observation.images.ultrasound"
 CHUNK_FILES = 1000
@@ -304,7 +305,8 @@ def _card(manifest: Mapping[str, Any], info: Mapping[str, Any]) -> str:
     return (
         "---\ntags: [LeRobot, ultrasound, robotics]\ntask_categories: [robotics]\n"
         'configs:\n- config_name: default\n  data_files: "data/*/*.parquet"\n---\n'
-        f"**RACINES, {describe(manifest)}.**\n\nLeRobot v3.0: {info['total_episodes']} episodes, "
+        f"**RACINES, {escape(describe(manifest))}.**\n\n"
+        f"LeRobot v3.0: {info['total_episodes']} episodes, "
         f"{info['total_frames']} frames at {info['fps']} per second; splits as ranges of episodes: "
         f"{json.dumps(info['splits'])}.\n\n`observation.state` and `action` in the robot's base "
         "frame: m, rad, N, N·m; m/s, rad/s. Images have one channel; policies that want three: "

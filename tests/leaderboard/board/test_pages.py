@@ -75,7 +75,7 @@ def test_a_submitters_words_are_text_on_a_page_and_on_a_terminal(tmp_path, write
     write_submission(tmp_path / "s" / "generators" / "net", name="net", method=hostile)
     collect([write_scores("g", generator_scores("net"))], tmp_path / "r", tmp_path / "s", "b")
     table = board_tables("b", read_board(tmp_path / "r", "b"))[0]
-    shown = r"net \| x \| \[y\](https://a.b) &lt;img src=z&gt; \`code\` \[red\]"
+    shown = r"net \| x \| \[y\](https&#58;//a.b) &lt;img src=z&gt; \`code\` \[red\]"
     assert f"Systems: net, {shown}." in titled_markdown(table)
     out = io.StringIO()
     show(dataclasses.replace(table, title=hostile), Console(file=out, width=200))

@@ -1,3 +1,4 @@
+import hashlib
 import json
 from collections import Counter
 
@@ -8,7 +9,16 @@ from PIL import Image
 from racines_data.errors import RacinesError
 from racines_data.views import LABELS
 from racines_leaderboard.expert.kit import Kit
-from racines_leaderboard.expert.sample import Study, System, allocate, blind, make_kit, stratify
+from racines_leaderboard.expert.sample import (
+    RETOUCHED,
+    Study,
+    System,
+    allocate,
+    blind,
+    make_kit,
+    retouch,
+    stratify,
+)  # fmt: skip
 from tests.leaderboard.expert_kit import Inverse, Judge, frames, kit_of
 
 
@@ -61,16 +71,60 @@ def test_a_kit_has_every_image_once_and_its_repeats_again(tmp_path):
     assert poses["inverse"] == poses["true-frames"], "systems are compared at the same poses"
     for name, entry in key["images"].items():
         with Image.open(kit.image_path(name)) as image:
-            shown = np.asarray(image)
+            shown = np.asarray(image).astype(int)
         assert entry["truth"]["view"] == LABELS[int(store.views[entry["row"]])]
-        assert entry["grader"]["view"] == ("Random" if shown[0, 0] < 128 else "SC")
+        if abs(shown[0, 0] - 127.5) > 1:
+            assert entry["grader"]["view"] == ("Random" if shown[0, 0] < 128 else "SC")
         if entry["system"] == "true-frames":
-            assert (shown == store.images[entry["row"]].numpy()).all()
+            _check_retouched(shown, store.images[entry["row"]].numpy().astype(int))
         if entry["repeat_of"] is not None:
             first = key["images"][entry["repeat_of"]]
             assert {**first, "repeat_of": entry["repeat_of"]} == entry
-            same = kit.image_path(entry["repeat_of"]).read_bytes()
-            assert same == kit.image_path(name).read_bytes()
+            with Image.open(kit.image_path(entry["repeat_of"])) as other:
+                _check_retouched(shown, np.asarray(other).astype(int), RETOUCHED * 2)
+
+
+def _check_retouched(shown: np.ndarray, true: np.ndarray, most: int = RETOUCHED) -> None:
+    """Check that two images look the same and are not equal."""
+    changed = np.abs(shown - true)
+    assert changed.max() <= (1 if most == RETOUCHED else 2)
+    assert most / 4 < (changed > 0).sum() <= most
+
+
+def test_no_hash_tells_which_image_is_a_repeat(tmp_path):
+    """Of dark, bright and flat images too, whose pixels can go one way only."""
+    store = frames()
+    store.images[:200], store.images[200:400] = 0, 255
+    kit = kit_of(tmp_path, store, images=60, repeats=30)
+    files = [kit.image_path(name).read_bytes() for name in kit.images]
+    pixels = []
+    for name in kit.images:
+        with Image.open(kit.image_path(name)) as image:
+            pixels.append(image.tobytes())
+    assert sum(e["repeat_of"] is not None for e in kit.read_key()["images"].values()) == 30
+    for seen in (files, pixels):
+        assert len({hashlib.sha256(each).digest() for each in seen}) == len(kit.images) == 90
+
+
+def test_the_first_and_the_repeat_are_changed_alike():
+    """What was changed is no sign: as many pixels of each, whether it is shown twice or not."""
+    images = np.random.default_rng(0).integers(0, 256, (40, 128, 128), np.uint8)
+    shown = retouch(np.concatenate([images, images[:10]]), seed=3)
+    assert (shown == retouch(np.concatenate([images, images[:10]]), seed=3)).all()
+    assert not (shown == retouch(np.concatenate([images, images[:10]]), seed=4)).all()
+    true = np.concatenate([images, images[:10]]).astype(int)
+    steps = shown.astype(int) - true
+    assert np.abs(steps).max() == 1 and abs(steps.mean()) < 1e-3
+    counts = (steps != 0).sum((1, 2))
+    assert counts.min() >= RETOUCHED - 4 and counts.max() <= RETOUCHED
+
+
+def test_both_look_alike():
+    """Beyond what an eye tells apart, about 40 dB."""
+    images = np.random.default_rng(1).integers(0, 256, (8, 128, 128), np.uint8)
+    one, two = retouch(images, 1).astype(float), retouch(images, 2).astype(float)
+    psnr = 10 * np.log10(255**2 / ((one - two) ** 2).mean((1, 2)))
+    assert psnr.min() > 65
 
 
 def test_nothing_that_a_rater_sees_tells_an_answer(tmp_path):

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
+from racines_data.terminal import say
 from racines_models.cli.device import Device
 
 
@@ -30,4 +31,4 @@ def gallery(
     chosen = names or [name for name in generator_names() if (runs / name).is_dir()]
     drawn = {name: load_generator(name, runs / name, device) for name in chosen}
     write_gallery(out, store, gallery_sample(store, split), drawn, seed)
-    typer.echo(f"{out}: {', '.join(drawn)}")
+    say(f"{out}: {', '.join(drawn)}")

@@ -8,6 +8,7 @@ import typer
 from racines_data.cli import options as opt
 from racines_data.cli.options import given, read_settings
 from racines_data.errors import RacinesError
+from racines_data.terminal import say
 from racines_models.cli.device import Device
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def realism(
     if path is None or (optional and not path.is_file()):
         if not optional:
             raise RacinesError(no_real(path))
-        typer.echo(f"racines: {no_real(path)}", err=True)
+        say(f"racines: {no_real(path)}", err=True)
         reason = "the named file of real frames is absent" if path else "no real frames named"
         for name, report in outs.items():
             write_json(report.with_suffix(".json"), not_compared(name, reason))

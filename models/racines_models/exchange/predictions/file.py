@@ -22,7 +22,7 @@ from PIL import Image
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.files import sha256_file
+from racines_data.files import naming, sha256_file
 from racines_data.imaging import IMAGE_SIZE, ImageSource
 from racines_data.randomness import derive
 from racines_data.records import encode_png
@@ -131,10 +131,9 @@ def _write(
     """Write the rows of each seed, with the `columns` behind sample and seed."""
     schema = schema.with_metadata({f"racines.{key}": value for key, value in metadata.items()})
     index = task.sample.frames.index.numpy()
-    path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.name}.part")
     try:
-        with pq.ParquetWriter(aside, schema, compression="zstd", use_dictionary=False) as writer:
+        with naming(path), _writer(aside, schema) as writer:
             for seed in task.seeds:
                 values = [index, np.full(len(index), seed), *columns(seed)]
                 table = pa.table([pa.array(each) for each in values], schema=schema)
@@ -143,6 +142,11 @@ def _write(
     finally:
         aside.unlink(missing_ok=True)
     return len(index) * len(task.seeds)
+
+
+def _writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=False)
 
 
 class Predictions:

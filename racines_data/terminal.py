@@ -1,0 +1,53 @@
+"""The one way of the commands to a terminal: what others wrote has no say over it.
+
+A name may hold the escape that clears a screen, renames a window or hides what follows; here it is
+shown as a space. `--json` is written in ASCII.
+"""
+
+import json
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from racines_data.escape import visible
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.text import Text
+
+
+def say(line: Any, err: bool = False) -> None:
+    """Print one line, on stderr with `err`."""
+    typer.echo(visible(line), err=err)
+
+
+def say_page(page: str) -> None:
+    """Print text of several lines, whose line breaks are our own."""
+    typer.echo(visible(page, keep="\n"))
+
+
+def say_json(document: Any, indent: int | None = None) -> None:
+    """Print JSON, in ASCII: what cannot be seen is written as its number."""
+    typer.echo(json.dumps(document, indent=indent))
+
+
+def shown_text(content: "str | Text") -> "Text":
+    """Return text for `rich`, styled as it was, without markup or control characters."""
+    from rich.text import Text
+
+    text = Text(content) if isinstance(content, str) else content.copy()
+    text.plain = visible(text.plain, keep="\n")  # one character for one, so styles stay in place
+    return text
+
+
+def console(err: bool = False) -> "Console":
+    """Return a console that takes text as it stands; `console_table` makes its tables."""
+    from rich.console import Console
+    from rich.text import Text
+
+    class Plain(Console):
+        def print(self, *objects: Any, **options: Any) -> None:
+            texts = (shown_text(o) if isinstance(o, str | Text) else o for o in objects)
+            super().print(*texts, **options)
+
+    return Plain(stderr=err, markup=False, emoji=False, highlight=False)
