@@ -41,6 +41,8 @@ COPIES_LIMIT = 0.1
 """Largest share of copies in a trajectory of validation or test."""
 BESIDE_LIMIT = 0.4
 """Largest share of frames that are nearer to one earlier trajectory than to their own."""
+RELATED = 0.5
+"""Likeness below which a frame lies beside nothing: both may be noise."""
 SIZE = 256
 """Numbers in a texture: a random projection, which keeps the cosine c to (1 - c²)/16."""
 _FINE, _COARSE = 2, 8  # pixels: blocks whose means are kept, and blocks whose means are taken away
@@ -196,7 +198,11 @@ def _by_sweep(
 ) -> list[SweepLeak]:
     start, stop = store.bounds(split)
     sources = store.trajectory_index[match.row]
-    copies, nearer, paired = match.likeness >= LIKENESS, match.likeness >= own, own.isfinite()
+    copies, nearer, paired = (
+        match.likeness >= LIKENESS,
+        match.likeness >= own.clamp_min(RELATED),
+        own.isfinite(),
+    )
     lengths = torch.unique_consecutive(store.trajectory_index[start:stop], return_counts=True)
     found = []
     edges = torch.cat([torch.zeros(1, dtype=torch.int64), lengths[1].cumsum(0)]).tolist()
