@@ -36,11 +36,13 @@ from racines_data.schema import SPLITS
 from racines_data.store.frames import FrameStore
 
 LIKENESS = 0.965
-"""Likeness from which two frames are one image; scans at one pose reach 0.99, 1 mm apart 0.94."""
-COPIES_LIMIT = 0.1
+"""Likeness from which two frames show one place; scans of a pose reach 0.99, 1 mm apart 0.94."""
+COPIES_LIMIT = 0.3
 """Largest share of copies in a trajectory of validation or test."""
-BESIDE_LIMIT = 0.4
+BESIDE_LIMIT = 0.3
 """Largest share of frames that are nearer to one earlier trajectory than to their own."""
+CHANCE = 4
+"""So many frames of a trajectory may lie beside another, however short it is."""
 RELATED = 0.5
 """Likeness below which a frame lies beside nothing: both may be noise."""
 SIZE = 256
@@ -76,7 +78,8 @@ class SweepLeak:
     @property
     def leaks(self) -> bool:
         """Whether a limit is passed."""
-        return self.exact > 0 or self.copies > COPIES_LIMIT or self.beside > BESIDE_LIMIT
+        beside = self.beside > BESIDE_LIMIT and round(self.beside * self.frames) > CHANCE
+        return self.exact > 0 or self.copies > COPIES_LIMIT or beside
 
 
 class _Match(NamedTuple):
