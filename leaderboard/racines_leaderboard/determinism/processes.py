@@ -19,6 +19,7 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.determinism.stages import Arrays, Setup, Stage, Work, threads
+from racines_models.training.processes import die_with_parent
 
 ATEN = "ATEN_CPU_CAPABILITY"
 ONEDNN = "ONEDNN_MAX_CPU_ISA"
@@ -66,7 +67,7 @@ class Processes:
     def _pool(self, variables: Mapping[str, str]) -> ProcessPoolExecutor:
         key = tuple(sorted(variables.items()))
         if key not in self._pools:
-            pool = ProcessPoolExecutor(1, get_context("spawn"))
+            pool = ProcessPoolExecutor(1, get_context("spawn"), die_with_parent)
             with _environment(variables):  # the process starts at the first question, this one
                 took = pool.submit(torch.backends.cpu.get_cpu_capability).result()
             told = variables.get(ATEN)

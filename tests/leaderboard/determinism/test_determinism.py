@@ -3,6 +3,10 @@
 import json
 import multiprocessing
 import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 import torch
@@ -20,6 +24,8 @@ from racines_leaderboard.determinism.run import (
     unrepeated,
 )
 from racines_leaderboard.determinism.stages import Setup, Stage, Work, in_batches, threads
+from tests.conftest import ROOT
+from tests.waiting import until
 
 
 def test_differences_are_measured():
@@ -198,3 +204,24 @@ def test_all_processes_start_from_the_same_inputs(tmp_path):
     assert all(torch.equal(value, weights[1][key]) for key, value in weights[0].items())
     assert one.store.root == two.store.root
     assert one.fit("mean-image", "cpu") is not None and len(list(tmp_path.iterdir())) == 3
+
+
+def test_no_process_outlives_a_run_that_is_killed(tmp_path):
+    """Else it waits for ever for work that never comes."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import os, pathlib, signal, sys\n"
+        "from racines_leaderboard.determinism.processes import Processes\n"
+        "from racines_leaderboard.determinism.stages import Setup, Stage\n"
+        "from tests.leaderboard.determinism.test_determinism import by_process\n"
+        "if __name__ == '__main__':\n"
+        "    running = Processes(pathlib.Path(sys.argv[1]))\n"
+        "    made = running.run(Stage('a', 'b', by_process, ()), Setup(), {})\n"
+        "    print(int(made['a']), flush=True)\n"
+        "    os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([*map(str, sys.path)])}
+    words = [sys.executable, str(script), str(tmp_path)]
+    done = subprocess.run(words, env=environment, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    assert done.returncode == -signal.SIGKILL
+    until(lambda: not Path(f"/proc/{int(done.stdout)}").exists())
