@@ -211,8 +211,8 @@ def test_minari_ends_where_three_hits_in_a_row_are_full():
 def test_minari_steps_are_those_of_the_environment():
     """A rollout of the task, written down as labels, is paid and ended as the task did it."""
     core = make_core("SC", 1, observation="params", reward="oracle")
-    pose, target = core.phantom.target("SC"), core.task.target
-    core.reset(0, pose=type(pose)(*(each[None] for each in pose)))
+    target = core.task.target
+    core.reset(0, pose=core.phantom.target("SC"))
     views, grades, paid, ended = [int(core.info()["view"])], [core.info()["grade"]], [], []
     for action in (12, 12, 12):
         step = core.step(torch.tensor([action]))

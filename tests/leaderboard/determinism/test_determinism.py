@@ -6,8 +6,8 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
+import psutil
 import pytest
 import torch
 
@@ -224,4 +224,4 @@ def test_no_process_outlives_a_run_that_is_killed(tmp_path):
     words = [sys.executable, str(script), str(tmp_path)]
     done = subprocess.run(words, env=environment, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     assert done.returncode == -signal.SIGKILL
-    until(lambda: not Path(f"/proc/{int(done.stdout)}").exists())
+    until(lambda: not psutil.pid_exists(int(done.stdout)))
