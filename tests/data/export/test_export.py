@@ -249,7 +249,7 @@ def test_minari_names_an_environment_that_can_be_made(tiny_root: Path, tmp_path:
         seen, _ = env.reset(seed=1)
         assert env.observation_space.contains(seen)
         assert spec.kwargs["reward"] == "oracle" and set(seen) == {"image", "params"}
-        other = gymnasium.make(spec, view="PSAX-AV" if spec.kwargs["view"] == "SC" else "SC")
+        other = gymnasium.make(spec, view="A4C" if spec.kwargs["view"] == "SC" else "SC")
         assert other.unwrapped.core.task.view != spec.kwargs["view"]  # pyright: ignore
 
 

@@ -239,15 +239,13 @@ def _leak_table(leaks: dict[str, Any], most: int = 10) -> Any:
             f"{row['exact']}",
             f"{row['copies']:.0%}",
             f"{row['beside']:.0%}",
-            f"{row['mirrored']:.0%}",
-            f"{row['likeness']:.3f}",
-            f"{row['source']} ({row['from_source']:.0%})",
+            row["source"],
             "leaks" if row["leaks"] else "",
         )
         for row in order[:most]
     ]
     limits = leaks["limits"]
-    head = ("trajectory", "split", "exact", "copies", "beside", "mirrored", "likeness", "most like")
+    head = ("trajectory", "split", "exact", "copies", "beside", "most like")
     title = (
         f"{len(leaks['leaking'])} of {len(order)} held-out trajectories leak (limits: no exact "
         f"copy, copies {limits['copies']:.0%}, beside {limits['beside']:.0%}); the nearest:"
