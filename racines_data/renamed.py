@@ -69,8 +69,8 @@ MOVED = {
         "explain_truth=maps"
     ),
     "racines_envs.recordings": (
-        "recorder=episodes recordings.episode_writer=episodes recordings.rerun=episodes "
-        "replay=episodes"
+        "racines_data.export.minari=minari recorder=episodes recordings.episode_writer=episodes "
+        "recordings.rerun=episodes replay=episodes"
     ),
     "racines_envs.studies": (
         "curves rank_correlation=transfer reward_pages=rewards reward_report=rewards "

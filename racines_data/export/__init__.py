@@ -1,4 +1,4 @@
-"""Other people's formats: the RACINES release, LeRobot, Minari.
+"""Other people's formats: the RACINES release, LeRobot; Minari's is of `racines_envs.recordings`.
 
 A format is one module with one function `export`, and one entry point of `racines.exporters`.
 """

@@ -2,7 +2,7 @@
 
 manifest ──> files, card, recipe
 shards   ──> survey (each shard read once, in parallel) ──> rows, counts, content, splits,
-             store, times, rate, labels, views, annotation, duplicates, oracle, paper, modes
+             store, times, rate, labels, views, annotation, duplicates, oracle, leaks, paper, modes
 """
 
 import dataclasses
@@ -17,9 +17,10 @@ from rich.text import Text
 
 from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
+from racines_data.store.frames import FrameStore
 from racines_data.tables import console_table
 from racines_data.terminal import console
-from racines_data.validate import identity, meaning
+from racines_data.validate import identity, leaks, meaning
 from racines_data.validate.survey import Survey, survey
 from racines_data.views import PAPER_STATISTICS, ParameterStatistics
 
@@ -105,6 +106,7 @@ def _check_config(
     result.add(f"{prefix}splits", lambda: identity.check_splits(found, root, manifest))
     result.add(f"{prefix}store", lambda: found.unless_faulty("store", stored))
     _check_meaning(result, prefix, found)
+    _check_leaks(result, prefix, root, found)
     if config != "frames":
         return
     parameters = found.column("parameters")
@@ -141,6 +143,19 @@ def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
         if judged and not isinstance(judged[0], str):
             figures["oracle"] = vars(judged[0])
     result.figures[found.config] = figures
+
+
+def _check_leaks(result: Validation, prefix: str, root: Path, found: Survey) -> None:
+    """Hold each held-out trajectory against the splits before it, by the store's images."""
+
+    def check() -> str:
+        if found.faults["store"]:
+            return "not told: the store is not whole"
+        sweeps = leaks.find_leaks(FrameStore(root, found.config))
+        result.figures[found.config]["leaks"] = leaks.leaks_json(sweeps)
+        return leaks.check_leaks(sweeps)
+
+    result.add(f"{prefix}leaks", check, binding=result.manifest["source"] == "phantom")
 
 
 def to_json(result: Validation) -> dict[str, Any]:

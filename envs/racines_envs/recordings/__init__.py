@@ -1,4 +1,4 @@
-"""Episodes on disk, written, and run again to check the poses."""
+"""Episodes on disk: written, run again to check the poses, and exported for Minari."""
 
 import lazy_loader
 

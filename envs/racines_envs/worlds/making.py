@@ -1,11 +1,13 @@
 """From names to a core: what `gymnasium.make`, `ScanEnv` and the evaluation all call."""
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import torch
 
+from racines_data.config import fill
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
@@ -25,8 +27,9 @@ from racines_models.devices import resolve_device
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
 
-WorldLike = World | PhantomConfig | str | None
-"""What names a world: itself, a phantom's settings, `recorded`, or None for the default."""
+WorldLike = World | PhantomConfig | Mapping[str, Any] | str | None
+"""What names a world: itself, a phantom's settings (as a mapping too, as JSON has them),
+`recorded`, or None for the default."""
 RECORDED = "recorded"  # the `phantom` that stands for the recordings themselves
 ANY = "any"  # the `data_version` that lets everything pass
 _SHORTEST = 8  # characters of a digest that name a dataset
@@ -81,6 +84,8 @@ def make_core(
         RacinesError: any name that is unknown or any artefact that is not there.
     """
     device = resolve_device(device)
+    if isinstance(phantom, Mapping):
+        phantom = fill(PhantomConfig, phantom, "phantom")
     task = find_task(view, None if phantom == RECORDED else phantom, anatomy)
     if termination is not None:
         task = dataclasses.replace(task, termination=termination)

@@ -117,9 +117,17 @@ def determinism(
 ) -> None:
     """Measure how far each stage repeats itself: bitwise, or by the largest difference.
 
-    With --out the report is written as JSON, stage by stage; a killed run goes on.
+    Twice, in another process, with 2 threads, row by row, and with other instruction sets. Exit 1
+    if a stage gives other bytes the second time or in another process. With --out the report is
+    written as JSON, stage by stage; a killed run goes on.
     """
-    from racines_leaderboard.determinism.run import Outcome, determinism_markdown, measure
+    from racines_data.errors import RacinesError
+    from racines_leaderboard.determinism.run import (
+        Outcome,
+        determinism_markdown,
+        measure,
+        unrepeated,
+    )
 
     def tell(outcome: Outcome) -> None:
         said = outcome.note or ("bitwise" if outcome.bitwise else f"{outcome.largest:.2g}")
@@ -131,3 +139,5 @@ def determinism(
         say_json(document, indent=2)
     else:
         say_page(determinism_markdown(document))
+    if broken := unrepeated(document):
+        raise RacinesError(f"not the same bytes a second time: {', '.join(broken)}")

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,20 +13,50 @@ import torch
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.tables import escape, markdown_table
+from racines_leaderboard.determinism.processes import (
+    ATEN,
+    LEVELS,
+    ONEDNN,
+    Processes,
+    own_level,
+)
 from racines_leaderboard.determinism.stages import Arrays, Setup, Stage, Work, stages, threads
 from racines_models.provenance import code_version, environment
 
-SCHEMA = "racines.determinism/1"
+SCHEMA = "racines.determinism/2"
 FIRST = Setup()
-VARIANTS: dict[str, tuple[str, Setup]] = {
-    "again": ("twice", FIRST),
-    "threads": ("1 and 2 threads", Setup(threads=2)),
-    "batch": ("batch 64 and 1", Setup(batch=1)),
-    "workers": ("1 and 2 workers", Setup(workers=2)),
-    "onnx": ("PyTorch and ONNX", Setup(device="onnx")),
-    "cuda": ("CPU and CUDA", Setup(device="cuda")),
+OWN = "the machine's own choice"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way to run a stage again, beside the first."""
+
+    compared: str
+    """The column that it has in the table."""
+    setup: Setup = FIRST
+    variables: Mapping[str, str] | None = None
+    """Environment of a process of its own; None: in this process."""
+
+
+VARIANTS: dict[str, Variant] = {
+    "again": Variant("twice"),
+    "process": Variant("two processes", variables={}),
+    "threads": Variant("1 and 2 threads", Setup(threads=2)),
+    "batch": Variant("batch 64 and 1", Setup(batch=1)),
+    "workers": Variant("1 and 2 workers", Setup(workers=2)),
+    "onnx": Variant("PyTorch and ONNX", Setup(device="onnx")),
+    "cuda": Variant("CPU and CUDA", Setup(device="cuda")),
+    "aten-default": Variant("ATen default", variables={ATEN: "default"}),
+    "aten-avx2": Variant("ATen AVX2", variables={ATEN: "avx2"}),
+    "aten-avx512": Variant("ATen AVX-512", variables={ATEN: "avx512"}),
+    "onednn-avx2": Variant("oneDNN AVX2", variables={ONEDNN: "AVX2"}),
+    "onednn-avx512": Variant("oneDNN AVX-512", variables={ONEDNN: "AVX512_CORE"}),
 }
-"""What is compared with the first run, which has one thread, batch 64 and the CPU."""
+"""What is compared with the first run, which has one thread, batch 64, the CPU, and the
+instructions that the libraries choose by themselves."""
+REPEATS = ("twice", "two processes")
+"""Ways in which every stage has to give the same bytes."""
 
 
 @dataclass(frozen=True)
@@ -66,10 +96,11 @@ def measure(
     outcomes, before = _kept(out)
     began = time.perf_counter()
     document = _document(outcomes, before)
-    with TemporaryDirectory() as folder:
-        work, measured = Work(Path(folder)), {each.stage for each in outcomes}
+    measured = {each.stage for each in outcomes}
+    with TemporaryDirectory() as folder, Processes(Path(folder)) as processes:
+        work = Work(Path(folder))
         for stage in (each for each in chosen if each.name not in measured):
-            made = compare_stage(stage, work)
+            made = compare_stage(stage, work, processes)
             outcomes += made
             document = _document(outcomes, before + time.perf_counter() - began)
             if out is not None:
@@ -92,30 +123,52 @@ def _kept(out: Path | None) -> tuple[list[Outcome], float]:
         return [], 0.0  # another file, or of another version: measured again
 
 
-def compare_stage(stage: Stage, work: Work) -> list[Outcome]:
+def compare_stage(stage: Stage, work: Work, processes: Processes) -> list[Outcome]:
     """Run a stage in each of its ways; a way that is not to be had here is told with the reason."""
     first: Arrays | None = None
     outcomes = []
     for name in stage.compared:
-        compared, setup = VARIANTS[name]
+        variant = VARIANTS[name]
         began = time.perf_counter()
         try:
-            if setup.device == "cuda" and not torch.cuda.is_available():
-                raise RacinesError("no CUDA device here")
+            _refuse_absent(variant)
             first = _run(stage, work, FIRST) if first is None else first
-            second = _run(stage, work, setup)
+            if variant.variables is None:
+                second = _run(stage, work, variant.setup)
+            else:
+                second = processes.run(stage, variant.setup, variant.variables)
         except RacinesError as error:
             found, seconds, note = (None, None, None), 0.0, str(error)
         else:
             seconds, note = round(time.perf_counter() - began, 2), ""
             found = differences(first, second)
-        outcomes.append(Outcome(stage.name, compared, *found, stage.unit, seconds, note))
+        outcomes.append(Outcome(stage.name, variant.compared, *found, stage.unit, seconds, note))
     return outcomes
+
+
+def _refuse_absent(variant: Variant) -> None:
+    """Refuse a way that this machine does not have, or that is the first way itself."""
+    if variant.setup.device == "cuda" and not torch.cuda.is_available():
+        raise RacinesError("no CUDA device here")
+    told = "".join((variant.variables or {}).values()).partition("_")[0].upper()
+    if LEVELS.get(told, 0) > own_level():
+        raise RacinesError(f"this CPU has no {told}")
+    if variant.variables and ATEN in variant.variables and LEVELS[told] == own_level():
+        raise RacinesError(OWN)  # oneDNN's levels are finer: its AVX512_CORE may be another's
 
 
 def _run(stage: Stage, work: Work, setup: Setup) -> Arrays:
     with threads(setup.threads):
         return {key: value.clone() for key, value in stage.make(work, setup).items()}
+
+
+def unrepeated(document: dict[str, Any]) -> list[str]:
+    """Return the stages that gave other bytes a second time, in this process or in another."""
+    return [
+        f"{each['stage']} ({each['compared']})"
+        for each in document["outcomes"]
+        if each["compared"] in REPEATS and not each["bitwise"]
+    ]
 
 
 def differences(first: Arrays, second: Arrays) -> tuple[bool, float, float]:
@@ -167,7 +220,7 @@ def determinism_markdown(document: dict[str, Any]) -> str:
 def cell(outcome: dict[str, Any]) -> str:
     """Return what a table says of an outcome."""
     if outcome["bitwise"] is None:
-        return "–"
+        return "own" if outcome["note"] == OWN else "–"
     if outcome["bitwise"]:
         return "bitwise"
     return f"{outcome['largest']:.2g} {outcome['unit']} ({100 * outcome['share']:.2g} % differ)"

@@ -53,7 +53,8 @@ SMALL: dict[str, dict[str, Any]] = {
     "flow": {"width": 16},
 }
 """Sizes of the networks that are slow at their own."""
-TWICE = ("again", "threads")
+SETS = ("aten-default", "aten-avx2", "aten-avx512", "onednn-avx2", "onednn-avx512")
+TWICE = ("again", "process", "threads", *SETS)
 TRAINED = (*TWICE, "cuda")
 BATCHED = (*TWICE, "batch", "cuda")
 
@@ -82,20 +83,25 @@ class Stage:
 
 
 class Work:
-    """A folder, and what is made in it once for all stages."""
+    """A folder, and what is made in it once for all stages, processes included.
+
+    What a stage starts from (the dataset, a trained grader, a fitted generator) is made by the
+    first that asks, under a name of its own, and opened by all others: they differ in what they
+    make of it alone.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.generator = functools.cache(functools.partial(self.fit, device="cpu"))
+        self.generator = functools.cache(self._generator)
         """A generator of a few steps, fitted once."""
 
     def new(self) -> Path:
         """Return a path that nothing has been written to."""
         return self.folder / uuid.uuid4().hex
 
-    def build(self, workers: int) -> FrameStore:
+    def build(self, workers: int, out: Path | None = None) -> FrameStore:
         """Build the small dataset anew, and open it."""
-        settings, out = section(SETTINGS, "data") | {"workers": workers}, self.new()
+        settings, out = section(SETTINGS, "data") | {"workers": workers}, out or self.new()
         config, sections = dataset.read_data_section(settings)
         dataset.build(dataset.make_source(config, sections.get(config.source)), out, config)
         return open_store(out)
@@ -103,7 +109,8 @@ class Work:
     @functools.cached_property
     def store(self) -> FrameStore:
         """The small dataset."""
-        return self.build(1)
+        place = self.folder / "data"
+        return open_store(place) if place.is_dir() else self.build(1, place)
 
     @functools.cached_property
     def poses(self) -> Tensor:
@@ -113,17 +120,22 @@ class Work:
     @functools.cached_property
     def grader(self) -> Grader:
         """A grader of one epoch."""
-        return self.train_grader("cpu")
+        place = self.folder / "grader"
+        return Grader.load(place, "cpu") if place.is_dir() else self.train_grader("cpu", place)
 
-    def train_grader(self, device: str) -> Grader:
+    def train_grader(self, device: str, out: Path | None = None) -> Grader:
         """Train the small grader anew."""
-        config, out = fill(GraderConfig, SETTINGS["grader"], "grader"), self.new()
+        config, out = fill(GraderConfig, SETTINGS["grader"], "grader"), out or self.new()
         train_grader(self.store, config, Run(out, 0, device, progress=False))
         return Grader.load(out, device)
 
-    def fit(self, name: str, device: str) -> Any:
+    def _generator(self, name: str) -> Any:
+        place = self.folder / f"generator-{name}"
+        return load_generator(name, place) if place.is_dir() else self.fit(name, "cpu", place)
+
+    def fit(self, name: str, device: str, out: Path | None = None) -> Any:
         """Fit a generator anew."""
-        cls, out = generator_class(name), self.new()
+        cls, out = generator_class(name), out or self.new()
         trains = "training" in {each.name for each in fields(cls.Config)}
         settings = SMALL.get(name, {}) | ({"training": TRAINING} if trains else {})
         config: Any = fill(cls.Config, settings, name)

@@ -1,4 +1,4 @@
-"""How much a random split of frames flatters a generator that only remembers.
+"""Whether held-out trajectories leak, and how much a random split of frames would flatter.
 
 Nearest-pose retrieval draws nothing: it hands back the training frame whose pose is nearest. Under
 a split by trajectory it has to find a frame of another sweep. Under a random split of frames the
@@ -6,6 +6,8 @@ neighbours in time of every test frame are in the training set, and it hands bac
 
 The same frames are looked up under both splits. Only where they may be found differs, so that the
 difference of SSIM and PSNR is the leak.
+
+Beside it stands the audit of every held-out trajectory (`racines_data.validate.leaks`).
 """
 
 import time
@@ -19,6 +21,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
 from racines_data.store.frames import FrameStore
+from racines_data.validate.leaks import find_leaks, leaks_json
 from racines_models.generators.nearest_pose import NearestPose, NearestPoseConfig
 from racines_models.judges.pose.training import pose_errors
 from racines_models.provenance import code_version, dataset_card, environment
@@ -102,6 +105,7 @@ def measure_leakage(
         "sample": sample.digest,
         "splits": {name: _summary(each, config) for name, each in retrievals.items()},
         "gain": _means(gain, sample, config),  # what the frame split adds, frame by frame
+        "leaks": leaks_json(find_leaks(store)),
         "settings": {
             "metres_per_radian": NearestPoseConfig().metres_per_radian,
             "ssim": metrics.SSIM_SETTINGS,

@@ -140,7 +140,7 @@ def _worker(
     os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
     if "OMP_NUM_THREADS" not in os.environ:
         torch.set_num_threads(max(1, (os.cpu_count() or 1) // count))
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    die_with_parent()
     try:
         Path(folder, f"{rank}.result").write_bytes(pickle.dumps(work(*arguments)))
     except RacinesError as error:
@@ -153,8 +153,12 @@ def _worker(
         leave()
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
     """Do not go on when the command was killed: it may be started again on the same folder."""
+    threading.Thread(target=_wait_for_parent, daemon=True).start()
+
+
+def _wait_for_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -2,21 +2,26 @@
 
 import io
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+import torch
+from gymnasium.envs.registration import EnvSpec
 from pyarrow import ipc
 
 from racines_data.build.dataset import DataConfig, build
 from racines_data.errors import RacinesError
 from racines_data.export.lerobot import writer as lerobot
-from racines_data.export.minari import _rewards
 from racines_data.export.registry import exporter_names, load_exporter
+from racines_data.phantom.config import PHANTOM_VERSION, BlockConfig, PhantomConfig
 from racines_data.store.sweeps import read_sweeps
+from racines_envs.recordings.minari import env_spec, judge_steps
+from racines_envs.worlds.making import make_core
 from tests.conftest import command
 from tests.data.fake_source import FakeConfig, FakeSource
 
@@ -183,11 +188,84 @@ def test_minari_images_are_stored_as_they_are(moving: Path, tmp_path: Path):
         assert np.array_equal(flat.reshape(-1, 128, 128), sweep.images())
 
 
-def test_minari_rewards():
+def test_minari_steps_pay_what_the_task_pays():
     views = np.array([1, 0, 0, 0, 2, -1, 0])
     grades = np.array([9, 2, 5, np.nan, 7, 7, 4])
-    #        0 -> 2 -> 5 -> ? -> 0 -> ? -> 4
-    assert _rewards(views, grades, 0).tolist() == [2, 3, 0, 0, 0, 0]
+    rewards, ended = judge_steps(views, grades, 0)
+    # Comes to the view: 20 + 1 + 2 - 0.1; to a grade of 5: 50 + 3 - 0.1; then nobody knows.
+    assert rewards == pytest.approx([22.9, 52.9, 0, 0, 0, 0])
+    assert not ended.any()
+    lost, _ = judge_steps(np.array([0, 2]), np.array([6.0, 9.0]), 0)
+    assert lost == pytest.approx([-1.1])  # away from it
+    rewards, ended = judge_steps(views, grades, None)
+    assert not rewards.any() and not ended.any() and len(rewards) == 6  # a random scan
+
+
+def test_minari_ends_where_three_hits_in_a_row_are_full():
+    views = np.zeros(12, int)
+    grades = np.array([9, 9, 9, 4, 9, 9, 9, 9, 9, np.nan, 9, 9])
+    # The first observation is a start: what it shows is no step's hit.
+    assert judge_steps(views, grades, 0)[1].nonzero()[0].tolist() == [5]
+
+
+def test_minari_steps_are_those_of_the_environment():
+    """A rollout of the task, written down as labels, is paid and ended as the task did it."""
+    core = make_core("SC", 1, observation="params", reward="oracle")
+    target = core.task.target
+    core.reset(0, pose=core.phantom.target("SC"))
+    views, grades, paid, ended = [int(core.info()["view"])], [core.info()["grade"]], [], []
+    for action in (12, 12, 12):
+        step = core.step(torch.tensor([action]))
+        views.append(int(core.info()["view"]))
+        grades.append(core.info()["grade"])
+        paid.append(float(step.reward))
+        ended.append(bool(step.terminated))
+    rewards, ends = judge_steps(np.array(views), torch.cat(grades).double().numpy(), target)
+    assert ended == [False, False, True] == ends.tolist()
+    assert rewards == pytest.approx(paid, abs=0.2)  # the task's p is a membership, not 0 or 1
+
+
+def test_minari_returns_are_not_all_nothing(tiny_root: Path, tmp_path: Path):
+    made = load_exporter("minari")(tiny_root, tmp_path / "out")
+    returns, ended = [], 0
+    for name in made["datasets"]:
+        for path in sorted((tmp_path / "out" / name / "data").glob("*/part-0.arrow")):
+            with ipc.open_file(path.read_bytes()) as file:
+                batch = file.get_batch(0)
+            returns.append(np.sum(batch.column("rewards").to_numpy()[:-1]))
+            ended += batch.column("terminations").to_numpy(zero_copy_only=False).sum()
+            last = [batch.column(f"{how}s")[-2].as_py() for how in ("termination", "truncation")]
+            assert sum(last) == 1, "an episode ends once"
+    assert len(returns) == 16 and np.count_nonzero(returns) > 8 and max(returns) > 50
+    assert ended > 0
+
+
+def test_minari_names_an_environment_that_can_be_made(tiny_root: Path, tmp_path: Path):
+    made = load_exporter("minari")(tiny_root, tmp_path / "out")
+    for name in made["datasets"]:
+        text = (tmp_path / "out" / name / "data" / "metadata.json").read_text()
+        spec = EnvSpec.from_json(json.loads(text)["env_spec"])
+        env = gymnasium.make(spec, termination="timeout")
+        seen, _ = env.reset(seed=1)
+        assert env.observation_space.contains(seen)
+        assert spec.kwargs["reward"] == "oracle" and set(seen) == {"image", "params"}
+        other = gymnasium.make(spec, view="A4C" if spec.kwargs["view"] == "SC" else "SC")
+        assert other.unwrapped.core.task.view != spec.kwargs["view"]  # pyright: ignore
+
+
+def test_minari_names_the_phantom_that_was_scanned_or_no_environment():
+    own = PhantomConfig(block=BlockConfig(voxel=0.004))
+    settings = {"phantom": PHANTOM_VERSION, "acquisition": {"phantom": asdict(own)}}
+    spec = env_spec({"source": "phantom", "recipe": {"settings": settings}}, ["Random", "A4C"])
+    assert spec is not None
+    env = gymnasium.make(EnvSpec.from_json(spec))
+    assert env.unwrapped.core.phantom.config == own  # pyright: ignore
+    assert env.unwrapped.core.task.view == "A4C"  # pyright: ignore
+    old = {"settings": {**settings, "phantom": "0.0.0"}}
+    assert env_spec({"source": "phantom", "recipe": old}, ["A4C"]) is None
+    assert env_spec({"source": "release", "recipe": {}}, ["A4C"]) is None
+    same = {"settings": {**settings, "acquisition": {"phantom": asdict(PhantomConfig())}}}
+    assert env_spec({"source": "phantom", "recipe": same}, ["Random"]) is None  # no target
 
 
 def test_the_command(moving: Path, tmp_path: Path):

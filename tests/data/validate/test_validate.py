@@ -71,7 +71,7 @@ def test_a_good_dataset_has_no_faults_and_twelve_statistics(built: Path):
     assert names == [
         *("files", "card", "recipe", "rows", "counts", "content", "splits", "store", "times"),
         *("rate", "labels", "views", "annotation", "copies", "near-copies", "oracle"),
-        *("paper's table", "rotation_x"),
+        *("leaks", "paper's table", "rotation_x"),
     ]
     assert abs(result.statistics["position_x"].mean) < 0.3
     assert 0.8 < result.statistics["position_x"].std < 1.2

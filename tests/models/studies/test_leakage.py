@@ -6,9 +6,12 @@ import pytest
 import torch
 from typer.testing import CliRunner
 
+from racines_data.build.dataset import DataConfig, build
 from racines_data.errors import RacinesError
 from racines_leaderboard.cli.command import app
 from racines_models.studies.leakage import LeakageConfig, measure_leakage
+from tests.data.fake_source import FakeConfig
+from tests.data.validate.test_leaks import CopyingSource
 from tests.models.conftest import pictures, random_parameters
 from tests.models.labelled import LabelledStore
 
@@ -111,5 +114,18 @@ def test_command(workplace, monkeypatch):
     assert content == json.loads((workplace / "report/leak.json").read_text())
     assert set(content["splits"]) == {"trajectory", "frame", "session"}
     assert (workplace / "report/leak.png").read_bytes()[:4] == b"\x89PNG"
+    assert content["leaks"]["leaking"] == [] and len(content["leaks"]["trajectories"]) == 10
     shown = CliRunner().invoke(app, words).stdout
+    assert "0 of 10 held-out trajectories leak (limits" in " ".join(shown.split())
     assert "of the same sweep" in shown and "what the split by frame adds" in shown
+
+
+def test_command_fails_on_a_leak(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    build(CopyingSource(FakeConfig()), tmp_path / "racines", DataConfig(workers=1))
+    words = ["study", "leakage", "racines", "--samples", "20", "--out", "leak"]
+    done = CliRunner().invoke(app, words)
+    assert isinstance(done.exception, RacinesError) and done.exit_code == 1
+    assert "held-out trajectories leak: t0" in str(done.exception)
+    leaks = json.loads((tmp_path / "leak.json").read_text())["leaks"]
+    assert leaks["leaking"] and all(row["exact"] == 0 for row in leaks["trajectories"])

@@ -167,7 +167,12 @@ def leakage(
     seed: opt.DrawSeed = 0,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Show what a random split of frames would have scored beside the split by trajectories."""
+    """Audit each held-out trajectory for leaks, and score a random split of frames beside ours.
+
+    Exit 1 if a trajectory of validation or test has frames of an earlier split, as they are or
+    mirrored, re-encoded or under noise, beyond the limits that the report states.
+    """
+    from racines_data.errors import RacinesError
     from racines_data.files import write_json
     from racines_data.manifest import default_root
     from racines_data.progress import image_counter
@@ -211,5 +216,38 @@ def leakage(
         as_json,
         console_table(("split by", *content["splits"]), table, "nearest-pose retrieval"),
         f"what the split by frame adds: {gain}",
+        _leak_table(content["leaks"]),
         f"{out}.json, {out}.png (truth; retrieved by trajectory split; by frame split)",
     )
+    if leaking := content["leaks"]["leaking"]:
+        several = f"{len(leaking)} held-out trajectories leak" if leaking[1:] else "a leak"
+        raise RacinesError(
+            f"{several}: {', '.join(leaking[:8])}{', …' if leaking[8:] else ''}; take them, or "
+            "what they were copied from, out of the dataset"
+        )
+
+
+def _leak_table(leaks: dict[str, Any], most: int = 10) -> Any:
+    """Return the held-out trajectories that are most like an earlier one, as a table."""
+    from racines_data.tables import console_table
+
+    order = sorted(leaks["trajectories"], key=lambda row: (-row["leaks"], -row["beside"]))
+    rows = [
+        (
+            row["trajectory"],
+            row["split"],
+            f"{row['exact']}",
+            f"{row['copies']:.0%}",
+            f"{row['beside']:.0%}",
+            row["source"],
+            "leaks" if row["leaks"] else "",
+        )
+        for row in order[:most]
+    ]
+    limits = leaks["limits"]
+    head = ("trajectory", "split", "exact", "copies", "beside", "most like")
+    title = (
+        f"{len(leaks['leaking'])} of {len(order)} held-out trajectories leak (limits: no exact "
+        f"copy, copies {limits['copies']:.0%}, beside {limits['beside']:.0%}); the nearest:"
+    )
+    return console_table((*head, ""), rows, title)

@@ -8,33 +8,49 @@ frames, hence T-1 steps:
 
     observation   o_0   o_1   …   o_T-1     image (1, 128, 128) uint8, params (12,) float32
     action          a_0   a_1   …           commanded velocity at the frame before the move
-    reward          r_0   r_1   …           F(o_t+1) - F(o_t), F the grade as the target view
+    reward          r_0   r_1   …           the task's `oracle` reward for coming to o_t+1
+    termination     0     0     …           1 where the hits in a row reach what ends the task
     info          view, grade, timestamp and frame of every observation
 
-The dataset has no reward of its own: it depends on the task. This one is the change of a
-potential, so it sums to what a sweep has gained and no lingering farms it; F is 0 where another
-view shows, and where a grade is unknown next to a step its reward is 0. No sweep ends in a terminal
-state: the last step is a truncation. Images have a leading channel axis because Minari stores
-(H, W) images as JPEG unless told not to, and older versions cannot be told; pixels stay as they
-are.
+A recording has no reward of its own: it depends on the task, which is to find the sweep's target
+view. Reward and termination are those of `racines/<VIEW>-v0` (`racines_envs.task.rewards.ORACLE`),
+with the oracle's label and grade that the dataset holds: p is 1 where the target shows, else 0, and
+g its grade. The recording goes on after a termination, and so does the episode. A step next to a
+frame whose view or grade is unknown has reward 0, and so has all of a random scan, which has no
+target; the last step is a truncation, unless it is a termination.
+
+`env_spec` is the task at which most sweeps aim, in the phantom that was scanned, with images and
+parameters as observations and the same reward: `recover_environment()` makes it, and with
+`view=…` that of another target. Its actions are the task's 13 unit steps, not a velocity.
+
+Images have a leading channel axis because Minari stores (H, W) images as JPEG unless told not to,
+and older versions cannot be told; pixels stay as they are.
 """
 
+import dataclasses
 import json
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pyarrow as pa
+import torch
 from pyarrow import ipc
 
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import describe, manifest_labels, read_manifest
+from racines_data.phantom.config import PhantomConfig, recorded_phantom
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS
 from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
+from racines_envs.task.names import task_id
+from racines_envs.task.rewards import ORACLE, RewardConfig, Score, is_hit
+from racines_envs.task.tasks import Task
 
 MINARI_VERSION = "0.5.0"
 """Oldest version whose format this is; later ones read it."""
@@ -56,6 +72,7 @@ def export(
     manifest = read_manifest(root)
     labels, major = manifest_labels(manifest), manifest["version"].split(".")[0]
     written: dict[str, dict[str, int]] = {}
+    aims: dict[str, Counter[str]] = {}
     missing = frames = 0
     with new_folder(out) as folder, progress_bar(progress) as bar:
         task = bar.add_task("frames", total=None)
@@ -65,6 +82,7 @@ def export(
             missing += _write_episode(folder / name / "data", counts["episodes"], sweep, labels)
             counts["episodes"] += 1
             counts["steps"] += len(sweep) - 1
+            aims.setdefault(name, Counter()).update([sweep.first("target_view")])
             frames += len(sweep)
             bar.advance(task, len(sweep))
         steps = sum(counts["steps"] for counts in written.values())
@@ -73,7 +91,8 @@ def export(
                 f"{root}: {manifest['source']} data have no commanded velocity, hence no actions"
             )
         for name, counts in written.items():
-            _write_metadata(folder / name / "data", name, manifest, counts)
+            spec = env_spec(manifest, [view for view, _ in aims[name].most_common()])
+            _write_metadata(folder / name / "data", name, manifest, counts, spec)
         about = {"description": f"RACINES: {describe(manifest)}"}
         (folder / "racines" / "namespace_metadata.json").write_text(json.dumps(about))
     return {
@@ -89,13 +108,12 @@ def export(
 def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ...]) -> int:
     """Write one episode; return how many of its steps have no commanded velocity."""
     table, count = sweep.table, len(sweep)
-    target, random = sweep.first("target_view"), labels[-1]
+    target = sweep.first("target_view")
     actions = float_columns(table, CONTROLS)
     views = table["view"].fill_null(-1).to_numpy()
     grades = float_columns(table, ["grade"])[:, 0]
-    rewards = _rewards(views, grades, labels.index(target))
-    if target == random:
-        rewards = np.zeros_like(rewards)  # a random scan has no target
+    aim = None if target == labels[-1] else labels.index(target)  # a random scan has no target
+    rewards, ended = judge_steps(views, grades, aim)
     images, parameters = sweep.images().reshape(count, -1), float_columns(table, PARAMETERS)
     infos = {
         "view": pa.array(views),
@@ -108,8 +126,8 @@ def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ..
             "observations": _struct({"image": _fixed(images), "params": _fixed(parameters)}),
             "actions": _fixed(actions),  # the last one leads nowhere; Minari drops it
             "rewards": np.append(rewards, 0.0),
-            "terminations": np.zeros(count, bool),
-            "truncations": np.arange(count) == count - 2,
+            "terminations": np.append(ended, False),
+            "truncations": (np.arange(count) == count - 2) & ~np.append(ended, False),
             "infos": _struct(infos),
         }
     )
@@ -124,11 +142,54 @@ def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ..
     return int(np.isnan(actions[:-1]).any(-1).sum())
 
 
-def _rewards(views: np.ndarray, grades: np.ndarray, target: int) -> np.ndarray:
-    """Return (T-1,) float64: the change of the grade as the target view, 0 where unknown."""
-    potential = np.where(views == target, grades, 0.0).astype(np.float64)
-    potential[views == -1] = np.nan
-    return np.nan_to_num(np.diff(potential))
+def judge_steps(
+    views: np.ndarray, grades: np.ndarray, target: int | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return what T-1 steps pay and where they end the task.
+
+    Args:
+        views: (T,) the oracle's labels, -1 where unknown.
+        grades: (T,) its grades of that view, 0-10, NaN where unknown.
+        target: The label of the target view; None where there is none: nothing is paid or ended.
+
+    Returns:
+        (T-1,) float64 rewards and (T-1,) bool: the step completes the hits in a row that end an
+        episode of the task. A run of hits ends it once.
+    """
+    if target is None:
+        return np.zeros(len(views) - 1), np.zeros(len(views) - 1, bool)
+    config, shown = RewardConfig(), torch.from_numpy(views == target)
+    grade = torch.from_numpy(np.where(shown, grades, 0.0))
+    score = Score(shown.double(), grade, torch.zeros(len(views)))
+    before, after = (Score(*(each[rows] for each in score)) for rows in (slice(-1), slice(1, None)))
+    streak, ended = 0, np.zeros(len(views) - 1, bool)
+    for step, hit in enumerate(is_hit(after, config).tolist()):  # NaN is no hit
+        streak = (streak + 1) * hit
+        ended[step] = streak == Task.hits
+    known = torch.from_numpy((views >= 0) & (~shown.numpy() | np.isfinite(grades)))
+    paid = ORACLE(before, after, torch.from_numpy(ended), config)
+    return torch.where(known[1:] & known[:-1], paid, 0.0).double().numpy(), ended
+
+
+def env_spec(manifest: Mapping[str, Any], views: Sequence[str]) -> str | None:
+    """Return the JSON of Gymnasium's spec of a dataset's task; None where there is none.
+
+    The first of `views` that an organ registers is the target. There is none for recordings, nor
+    for a phantom of another version: nobody could make that environment here.
+    """
+    try:
+        phantom = recorded_phantom(dict(manifest))
+    except RacinesError:
+        return None
+    kwargs: dict[str, Any] = {"observation": "multimodal", "reward": "oracle"}
+    if phantom != PhantomConfig(anatomy=phantom.anatomy):
+        kwargs["phantom"] = dataclasses.asdict(phantom)
+    for view in views:
+        name = task_id(view, phantom.anatomy)
+        if name in gymnasium.registry:
+            spec = gymnasium.spec(name)
+            return dataclasses.replace(spec, kwargs={**spec.kwargs, **kwargs}).to_json()
+    return None
 
 
 def _fixed(values: np.ndarray) -> pa.FixedSizeListArray:
@@ -140,7 +201,11 @@ def _struct(columns: Mapping[str, pa.Array]) -> pa.StructArray:
 
 
 def _write_metadata(
-    data: Path, name: str, manifest: Mapping[str, Any], counts: Mapping[str, int]
+    data: Path,
+    name: str,
+    manifest: Mapping[str, Any],
+    counts: Mapping[str, int],
+    spec: str | None,
 ) -> None:
     image = _box((1, IMAGE_SIZE, IMAGE_SIZE), 0, 255, "uint8")
     params = _box((len(PARAMETERS),), -np.inf, np.inf, "float32")
@@ -162,6 +227,8 @@ def _write_metadata(
         "description": _description(manifest),
         "racines": {key: manifest[key] for key in ("source", "version", "digest", "recipe_digest")},
     }
+    if spec is not None:
+        metadata["env_spec"] = spec
     (data / "metadata.json").write_text(json.dumps(metadata))
 
 
@@ -171,9 +238,10 @@ def _description(manifest: Mapping[str, Any]) -> str:
         f"RACINES, {describe(manifest)}. Observation: image (1, 128, 128), 8-bit gray, unchanged; "
         f"params: {', '.join(PARAMETERS)} (N, N·m, m, rad; robot base frame; NaN where unknown). "
         "Action: the commanded velocity at the frame before the step (m/s, rad/s; base frame). "
-        "Reward: the change of the grade as the target view (0 where another view shows or a grade "
-        "is unknown); the recordings themselves have none. No terminations; the last step of a "
-        f"sweep is a truncation. Infos, one an observation: view ({labels}; -1 unknown), grade "
+        "Reward and termination: those of the task racines/<target view>-v0 with reward 'oracle', "
+        f"by the recorded labels ({ORACLE.formula}; 0 where a label is unknown or the sweep has no "
+        "target); the recording goes on after a termination. The last step of a sweep is a "
+        f"truncation. Infos, one an observation: view ({labels}; -1 unknown), grade "
         "(0-10; NaN unknown), timestamp (s), frame. Research data, not for clinical use."
     )
 
