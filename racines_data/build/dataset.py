@@ -146,7 +146,7 @@ def build(
     many_units = [] if many is None else _plan(many, config)
     recipe = _recipe(source, config, many)
     out.parent.mkdir(parents=True, exist_ok=True)
-    with staging_folder(out, source, recipe_digest(recipe)) as folder:
+    with staging_folder(out, source, recipe_digest(recipe), config.allow) as folder:
         shares = config.validation, config.test, config.seed
         splits, held = writer.assign_splits(units, *shares), writer.held_out_session(units)
         main = writer.Part("frames", source, units, splits, folder / "frames", held)

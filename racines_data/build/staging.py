@@ -39,16 +39,20 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
-def staging_folder(out: Path, source: Source, recipe_digest: str) -> AbstractContextManager[Path]:
+def staging_folder(
+    out: Path, source: Source, recipe_digest: str, allow: Sequence[str] = ()
+) -> AbstractContextManager[Path]:
     """Open the staging folder of a build, beside its output; removed when the build succeeds.
 
-    Its name tells the recipe and the code apart, so that units of another are never taken up; if
-    another build of the same dataset is running, that is a `RacinesError`.
+    Its name tells the recipe, the code and what the gate allows apart, so that units of another are
+    never taken up; if another build of the same dataset is running, that is a `RacinesError`.
     """
     code = hashlib.sha256()
-    for file in sorted({*Path(__file__).parent.rglob("*.py"), Path(inspect.getfile(type(source)))}):
+    rooms = (Path(__file__).parent, Path(inspect.getfile(Bounds)).parent)
+    own = {path for room in rooms for path in room.rglob("*.py")}
+    for file in sorted({*own, Path(inspect.getfile(type(source)))}):
         code.update(file.read_bytes())
-    key = f"{recipe_digest}/{code.hexdigest()}"
+    key = "/".join([recipe_digest, code.hexdigest(), *sorted(allow)])
     return working_folder(out, "staging", key, "another build of it is running; wait for it")
 
 

@@ -83,6 +83,12 @@ def check_poses(matrices: np.ndarray, tolerance: float = TOLERANCE) -> None:
             raise Fault(fault.kind, f"frame {frame}: {fault.detail}", fault.item)
 
 
+def runs_on(times: np.ndarray, repeats: bool = False) -> np.ndarray:
+    """Return (T - 1,) whether each of (T,) times is after the one before; `repeats`: or equal."""
+    steps = np.diff(times)
+    return steps >= 0 if repeats else steps > 0
+
+
 def backward(times: Sequence[float], allow_repeats: bool) -> list[int]:
     """Return the fewest frames without which the clock only runs forwards.
 
@@ -130,7 +136,7 @@ def _times(times: np.ndarray, bounds: Bounds) -> Iterator[Fault]:
         detail = f"frame {row} has none: timestamps must be finite seconds that increase"
         yield Fault(Kind.CLOCK, detail, "timestamp")
         return
-    steps = np.diff(times)
+    steps, wrong = np.diff(times), ~runs_on(times, bounds.repeats)
     if len(steps) and (steps <= 0).all() and (steps < 0).any():
         detail = f"runs backwards, from {times[0]:g} to {times[-1]:g} s: reverse the frames"
         yield Fault(Kind.CLOCK, detail + " (images and poses too)", "timestamp")
@@ -138,8 +144,8 @@ def _times(times: np.ndarray, bounds: Bounds) -> Iterator[Fault]:
         row = int(np.flatnonzero(steps < 0)[0]) + 1
         detail = f"decreases at frame {row}, by {-steps[row - 1]:g} s: sort the frames by time"
         yield Fault(Kind.CLOCK, detail, "timestamp")
-    elif (steps == 0).any() and not bounds.repeats:
-        row = int(np.flatnonzero(steps == 0)[0]) + 1
+    elif wrong.any():
+        row = int(np.flatnonzero(wrong)[0]) + 1
         detail = (
             f"{int((steps == 0).sum())} frames repeat the time before, first frame {row}: give "
             "each frame its own, or drop it"
@@ -201,8 +207,8 @@ def _angles(angles: np.ndarray) -> Iterator[Fault]:
     if largest <= math.pi + 1e-5:
         if clipped.sum() > _CLIPPED * len(clipped):
             detail = (
-                f"±π/2 in {int(clipped.sum())} of {len(clipped)} frames: likely the arcsine of more "
-                "than 1, cut off, from matrices or quaternions that are not unit; normalise them"
+                f"±π/2 in {int(clipped.sum())} of {len(clipped)} frames: likely the arcsine of "
+                "more than 1, cut off: matrices or quaternions that are not unit; normalise them"
             )
             yield Fault(Kind.NOT_ORTHONORMAL, detail, PARAMETERS[10])
         return

@@ -12,7 +12,8 @@ _FLAT = 2  # gray levels between the darkest and the brightest pixel of an image
 _MOST = 0.5
 _STILL = 10  # frames of one image after which a moving probe should have changed it
 _MOVED = 0.005, 0.087  # m, rad: half a centimetre, five degrees
-_DARK = 8
+_DARK, _WHITE = 8, 250  # gray levels of what is black, and of what is white
+_ALWAYS = 0.2  # share of pixels that are white in every frame of no scanner's sector
 _EDGE, _TIP, _STRAIGHT = 0.5, 0.4, 0.97
 """Of a sector seen from its tip: where it is widest, as a share of the depth, at least; the width
 of its tip, as a share of the greatest, at most; how straight its edges are, a correlation."""
@@ -54,9 +55,10 @@ def pixel_faults(trajectory: Trajectory, poses: bool) -> Iterator[tuple[str, Fau
         yield "", Fault(Kind.CONSTANT, detail, "image")
         return
     yield from _frozen(trajectory, flat, poses)
-    if (flat == 255).mean() > _MOST:
+    white = float((flat.min(0) >= _WHITE).mean())
+    if white > _ALWAYS:
         detail = (
-            f"{(flat == 255).mean():.0%} of the pixels are 255: likely inverted (white where there "
+            f"{white:.0%} of the pixels are white in every frame: likely inverted (white where there "
             "is no echo), or scaled beyond 255; give echoes bright on black"
         )
         yield "saturated", Fault(Kind.IMAGE_RANGE, detail, "image")

@@ -24,7 +24,7 @@ from racines_data.sources.base import Finding, SourceCard, Unit
 from racines_data.sources.folder import UNITS, parameters_of, recorded
 from racines_data.sources.gate.bounds import TRACKER, Bounds
 from racines_data.sources.gate.numbers import LENGTHS, likely_unit, rotation_faults
-from racines_data.sources.images import square
+from racines_data.sources.images import Kind, square
 from racines_data.views import RANDOM
 
 READER = 1
@@ -317,7 +317,9 @@ class TrackedSource:
         if not (np.isfinite(matrix).all() and np.isfinite(time)):
             return f"{name} or Timestamp is not finite"
         if fault := rotation_faults(matrix[None], self.config.tolerance)[0]:
-            return f"{name}: {fault}"
+            if fault.kind is Kind.REFLECTED:
+                return f"{name} is left-handed: {fault.detail}"
+            return f"{name} is not a rigid pose: {fault.detail}"
         if time <= previous:
             return f"Timestamp {time} does not follow {previous}"
         return ""

@@ -138,7 +138,7 @@ def test_an_image_that_cannot_be_read(copy: Path):
 
 def test_out_of_range(copy: Path):
     alter(copy, "position_z", lambda values: [60.2] * len(values))
-    assert "position_z exceeds ±10" in broken(copy)["rows"]
+    assert "position: frame 0 lies 60." in broken(copy)["rows"]
 
 
 def test_frame_numbers_out_of_order(copy: Path):
