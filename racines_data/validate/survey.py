@@ -112,7 +112,7 @@ def plan_pieces(root: Path, manifest: dict[str, Any], config: str) -> list[Piece
     """Divide the rows of a config, whose columns must be the schema's, into pieces for workers."""
     schema = features_of(manifest["source"], manifest_labels(manifest)).arrow_schema
     pieces: list[Piece] = []
-    poses, bounds = manifest.get("poses", True), manifest_bounds(manifest)
+    known = manifest.get("poses", True), manifest_bounds(manifest)
     start = 0
     for split, names in manifest["configs"][config].items():
         for name in names:
@@ -125,7 +125,7 @@ def plan_pieces(root: Path, manifest: dict[str, Any], config: str) -> list[Piece
         for index, (first, stop) in enumerate(bounds):
             if first < stop:
                 place = first - ends[index], stop - ends[index], start + first
-                pieces.append(Piece(split, names[index:], *place, poses, bounds))
+                pieces.append(Piece(split, names[index:], *place, *known))
         start += ends[-1]
     return pieces
 

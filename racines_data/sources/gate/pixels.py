@@ -58,8 +58,8 @@ def pixel_faults(trajectory: Trajectory, poses: bool) -> Iterator[tuple[str, Fau
     white = float((flat.min(0) >= _WHITE).mean())
     if white > _ALWAYS:
         detail = (
-            f"{white:.0%} of the pixels are white in every frame: likely inverted (white where there "
-            "is no echo), or scaled beyond 255; give echoes bright on black"
+            f"{white:.0%} of the pixels are white in every frame: likely inverted (white where "
+            "there is no echo), or scaled beyond 255; give echoes bright on black"
         )
         yield "saturated", Fault(Kind.IMAGE_RANGE, detail, "image")
     if (side := sector_side(images)) not in ("", "top"):
