@@ -41,6 +41,12 @@ Seed = Annotated[int | None, typer.Option(help="Seed.  [default: the settings']"
 DrawSeed = Annotated[int, typer.Option("--seed", min=0, help="Seed of what is drawn by chance.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes.")]
 Strict = Annotated[bool, typer.Option(help="Stop at the first refused input.")]
+Allow = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--allow", help="What the gate infers and is wrong about, by name; repeat for several."
+    ),
+]
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print the figures as JSON on stdout.")]
 Details = Annotated[bool, typer.Option("--details", help="Show further figures as well.")]

@@ -52,7 +52,7 @@ def check_trajectory(
         raise RacinesError(f"{where}: has poses or times, but its source says that it has none")
     for opinion, fault in _faults(trajectory, poses, bounds):
         if opinion not in bounds.allow:
-            remedy = f". If it is right as it is: data.allow: [{opinion}]" if opinion else ""
+            remedy = f". If it is right as it is: --allow {opinion}" if opinion else ""
             raise RacinesError(f"{where}: {fault}{remedy}")
     _check_labels(trajectory, labels, where)
 
@@ -140,5 +140,5 @@ def check_scales(scales: Sequence[Scale], source: str, allow: Sequence[str] = ()
                 f"source {source}, trajectory {scales[odd[0]].trajectory}: {field}: mixed units: "
                 f"{sizes[odd[0]]:.3g} where {usual:.3g} is usual in the {len(known)} trajectories, "
                 f"{len(odd)} such; give one unit throughout, or import them apart. "
-                "If it is right as it is: data.allow: [units-mixed]"
+                "If it is right as it is: --allow units-mixed"
             )

@@ -158,6 +158,14 @@ def test_the_command_refuses_and_its_json_says_why(tmp_path: Path):
     assert "source release, trajectory folder-1-a4c: unit of force" in told
 
 
+def test_the_command_can_allow_what_the_gate_infers(tmp_path: Path):
+    tree = write_release(tmp_path / "tree", "action for reaction")
+    words = ["data", "import", str(tree), "--out", str(tmp_path / "out"), "--workers", "1"]
+    assert CliRunner().invoke(app, words).exit_code == 1
+    assert CliRunner().invoke(app, [*words, "--allow", "force-sign"]).exit_code == 0
+    assert validate(tmp_path / "out").ok
+
+
 # --- tracked sweeps -------------------------------------------------------------------------------
 
 
