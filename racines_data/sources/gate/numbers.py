@@ -186,11 +186,17 @@ def _positions(positions: np.ndarray, bounds: Bounds) -> Iterator[Fault]:
 
 
 def _mixed_frames(distance: np.ndarray) -> Iterator[Fault]:
-    """Yield a fault where some frames are ten and more times nearer than the others."""
+    """Yield a fault where some frames are a hundred or thousand times nearer than the others."""
     usual = float(np.median(distance))
     small = distance < usual / 50
-    # A probe does not come so near to the base or the tracker that it measures from.
-    if len(distance) >= 4 and usual > 0.05 and small.any():
+    if len(distance) < 4 or usual < 0.05 or not small.any():
+        return
+    # A path that begins at the origin also comes from nearby, but it does not jump.
+    ratio = usual / np.maximum(distance[small], 1e-12)
+    fits = ((ratio > 50) & (ratio < 200)) | ((ratio > 500) & (ratio < 2000))
+    edges = np.flatnonzero(small[1:] != small[:-1])
+    pairs = np.sort(np.stack([distance[edges], distance[edges + 1]]), axis=0)
+    if fits.all() and (pairs[1] > 25 * pairs[0]).all():
         row = int(np.flatnonzero(small)[0])
         detail = (
             f"frame {row} lies {distance[row]:.3g} m from the origin, most at {usual:.3g} m: units "

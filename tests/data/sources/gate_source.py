@@ -67,6 +67,13 @@ def halves(columns: Columns) -> Columns:
     return columns | {"parameters": parameters}
 
 
+def divided(columns: Columns) -> Columns:
+    """Positions in metres, some of them divided once more as if they had been in millimetres."""
+    parameters = columns["parameters"].copy()
+    parameters[8:20, 6:9] /= 1000
+    return columns | {"parameters": parameters}
+
+
 def freeze(images: np.ndarray) -> np.ndarray:
     return np.repeat(images[:1], len(images), 0)
 
@@ -121,6 +128,7 @@ MISTAKES: dict[str, tuple[Callable[[Columns], Columns], str]] = {
     "millimetres": (scaled(POSITION, 1e3), "millimetres: position: .*likely mm, multiply by 0.001"),
     "centimetres": (scaled(POSITION, 1e2), "centimetres: position: .*likely cm, multiply by 0.01"),
     "mixed frames": (halves, "millimetres: position: .*units are mixed within it"),
+    "divided twice": (divided, "mixed units: position: frame 8 lies .*give metres throughout"),
     "backwards": (timed(lambda t: t[::-1].copy()), "clock: timestamp: runs backwards"),
     "milliseconds": (timed(lambda t: t * 1e3), "clock: timestamp: .*likely milliseconds"),
     "repeated": (

@@ -158,6 +158,13 @@ def test_controls_that_follow_nothing_are_no_evidence():
         check_trajectory(made(UNIT, columns), UNIT)
 
 
+def test_a_path_from_the_origin_has_no_mixed_units():
+    columns = sound(0) | still(sound(0))
+    parameters = columns["parameters"].copy()
+    parameters[:, 6:9] = np.linspace(0, 0.3, 40)[:, None]
+    check_trajectory(made(UNIT, columns | {"parameters": parameters}), UNIT)
+
+
 def test_images_without_a_sector_are_no_evidence():
     columns = sound(0)
     rng = np.random.default_rng(0)
