@@ -28,8 +28,8 @@ _UNEXPLAINED = 0.05
 """Share of the energy of motion that controls leave open in sound data, at most."""
 _BETTER = 4.0
 """How many times less another reading has to leave open."""
-_UP = 0.3
-_MOST = 0.9
+_UP, _MOST, _ENOUGH = 0.3, 0.9, 8
+"""The beam's part upwards, the share of frames, and their number, from which it looks up."""
 _CONTACT = 2.0  # N: with less, nothing is said of a force's sign
 _MOVING = 1e-4  # m/s or rad/s: what is commanded less is at rest
 _COMMANDED = 1e-3
@@ -84,7 +84,7 @@ def _matrices(angles: np.ndarray) -> np.ndarray:
 
 def _looks_up(rotation: np.ndarray) -> Iterator[tuple[str, Fault]]:
     share = float((rotation[:, 2, 2] > _UP).mean())
-    if share >= _MOST:
+    if share >= _MOST and len(rotation) >= _ENOUGH:
         detail = (
             f"the beam (the probe's z) points up, out of the patient, in {share:.0%} of frames: "
             "z mirrored or the other way, angles of another convention, or a base whose z points "
