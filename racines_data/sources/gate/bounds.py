@@ -72,7 +72,9 @@ def bounds_of(source: Any, allow: Sequence[str] = ()) -> Bounds:
 
 def to_manifest(bounds: Bounds) -> dict[str, Any]:
     """Return what a manifest holds of the bounds: nothing where they are the usual ones."""
-    return {} if bounds == Bounds() else {"bounds": asdict(bounds)}
+    if bounds == Bounds():
+        return {}
+    return {"bounds": asdict(bounds) | {"allow": list(bounds.allow)}}
 
 
 def manifest_bounds(manifest: Mapping[str, Any]) -> Bounds:

@@ -28,7 +28,7 @@ _UNEXPLAINED = 0.05
 """Share of the energy of motion that controls leave open in sound data, at most."""
 _BETTER = 4.0
 """How many times less another reading has to leave open."""
-_UP, _MOST, _ENOUGH = 0.3, 0.9, 8
+_UP, _MOST, _ENOUGH = 0.3, 0.9, 12
 """The beam's part upwards, the share of frames, and their number, from which it looks up."""
 _CONTACT = 2.0  # N: with less, nothing is said of a force's sign
 _MOVING = 1e-4  # m/s or rad/s: what is commanded less is at rest

@@ -10,6 +10,8 @@ from racines_data.sources.images import Fault, Kind
 
 _FLAT = 2  # gray levels between the darkest and the brightest pixel of an image of nothing
 _MOST = 0.5
+_ONE, _ALL = 0.2, 0.95
+"""Share of the pixels that one gray level has, and that it and black have, in a constant image."""
 _STILL = 10  # frames of one image after which a moving probe should have changed it
 _MOVED = 0.005, 0.087  # m, rad: half a centimetre, five degrees
 _DARK, _WHITE = 8, 250  # gray levels of what is black, and of what is white
@@ -45,7 +47,7 @@ def pixel_faults(trajectory: Trajectory, poses: bool) -> Iterator[tuple[str, Fau
         )
         yield "", Fault(Kind.IMAGE_RANGE, detail, "image")
         return
-    constant = high.astype(int) - low <= _FLAT
+    constant = (high.astype(int) - low <= _FLAT) | _one_gray(flat)
     if constant.mean() > _MOST:
         row = int(np.flatnonzero(constant)[0])
         detail = (
@@ -68,6 +70,13 @@ def pixel_faults(trajectory: Trajectory, poses: bool) -> Iterator[tuple[str, Fau
             "the probe at the top centre, (T, rows, columns)"
         )
         yield "sector", Fault(Kind.TURNED, detail, "image")
+
+
+def _one_gray(flat: np.ndarray) -> np.ndarray:
+    """Return (T,) whether an image is one gray, but for black (padding) and a few edges."""
+    counts = np.stack([np.bincount(each, minlength=256) for each in flat]) / flat.shape[1]
+    gray = counts[:, _DARK:].max(1)
+    return (gray > _ONE) & (gray + counts[:, :_DARK].sum(1) > _ALL)
 
 
 def _frozen(trajectory: Trajectory, flat: np.ndarray, poses: bool) -> Iterator[tuple[str, Fault]]:

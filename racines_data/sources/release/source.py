@@ -42,6 +42,8 @@ UNIT_KINDS = LENGTH_KINDS
 _NEAREST = 0.01
 """No recording has the probe nearer to the middle of the robot's base, m."""
 
+_LIKELY = 0.1  # m: nearer than this, another unit is no likelier than a wrong number
+
 
 @dataclass(frozen=True)
 class ReleaseConfig:
@@ -207,7 +209,7 @@ def _wrong_unit(position: np.ndarray, unit: str, reach: float) -> Fault | None:
         return None
     read = f"the probe is {distance * UNITS[unit]:.4g} m from the robot when read in {unit}"
     others = {name: metres for name, metres in LENGTHS.items() if name != unit}
-    if other := likely_unit(distance, others, _NEAREST, reach):
+    if other := likely_unit(distance, others, _LIKELY, reach):
         return Fault(LENGTH_KINDS[other], f"{read}; the position is likely in {other}", FIELDS[2])
     return Fault(Kind.OUT_OF_REACH, f"{read}; its reach is {reach:g} m", FIELDS[2])
 

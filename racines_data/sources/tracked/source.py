@@ -33,6 +33,7 @@ FARTHEST = TRACKER.reach
 """No tracker sees a probe from farther away, m."""
 NEAREST = TRACKER.nearest
 """No tracker has a whole sweep nearer to its origin, m."""
+_USUAL = 1.0  # ordinary distance of a probe from a tracker, m
 _FRAME = re.compile(r"Seq_Frame(\d+)_(\w+)")
 _CHUNK = 1 << 20
 _READ = {
@@ -259,6 +260,8 @@ class TrackedSource:
             except RacinesError as error:
                 self.report.append(Finding(path.name, "", True, str(error), frames))
                 continue
+            if not kept:
+                continue  # every frame is in the report
             segments = np.array_split(np.array(kept, int), min(self.config.segments, len(kept)))
             for number, indices in enumerate(segments):
                 names = f"{_stem(path)}-{number:02d}", _stem(path), RANDOM
@@ -330,7 +333,7 @@ class TrackedSource:
             return
         size = reach / UNITS[self.config.unit]
         others = {name: metres for name, metres in LENGTHS.items() if name != self.config.unit}
-        other = likely_unit(size, others, NEAREST, FARTHEST)
+        other = likely_unit(size, others, NEAREST, FARTHEST, _USUAL)
         read = f"translations reach {reach:.3g} m when read in {self.config.unit}"
         if other is None:
             raise RacinesError(f"{read}; give them in mm or m")
