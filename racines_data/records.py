@@ -9,11 +9,10 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from racines_data.errors import RacinesError
 from racines_data.files import image_bytes
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.schema import CONTROLS, PARAMETERS, SOURCES, Trajectory, frame_features
-from racines_data.sources.base import Unit
+from racines_data.sources.gate.check import check_trajectory as check_trajectory
 from racines_data.views import LABELS
 
 if TYPE_CHECKING:
@@ -93,52 +92,3 @@ def table_to_trajectory(table: pa.Table) -> Trajectory:
 def float_columns(table: pa.Table, names: Sequence[str]) -> np.ndarray:
     """Return (T, len(names)) float32, NaN for null."""
     return np.stack([table[name].fill_null(np.nan).to_numpy() for name in names], -1)
-
-
-def check_trajectory(
-    trajectory: Trajectory, unit: Unit, labels: Sequence[str] = LABELS, poses: bool = True
-) -> None:
-    """Check what a source with these view labels has made of a unit.
-
-    A source without poses (single images, labelled) has neither poses nor times: all NaN.
-
-    Raises:
-        RacinesError: wrong identity, image shape or type, a pose or time that is not finite, or a
-            label or grade out of range.
-    """
-    where = f"trajectory {unit.id}"
-    made = (trajectory.id, trajectory.session, trajectory.target_view)
-    if made != (unit.id, unit.session, unit.target_view):
-        raise RacinesError(f"{where}: the source made {made} of it; names must stay the unit's")
-    if trajectory.target_view not in labels:
-        raise RacinesError(
-            f"{where}: unknown target view {trajectory.target_view!r}; one of {', '.join(labels)}"
-        )
-    shape = (len(trajectory), IMAGE_SIZE, IMAGE_SIZE)
-    if trajectory.images.dtype != np.uint8 or trajectory.images.shape != shape or not shape[0]:
-        raise RacinesError(
-            f"{where}: images are {trajectory.images.dtype} {trajectory.images.shape}; give uint8 "
-            f"(T, {IMAGE_SIZE}, {IMAGE_SIZE}), T > 0"
-        )
-    if poses:
-        _check_numbers(trajectory, where)
-    elif not np.isnan(trajectory.parameters).all() or not np.isnan(trajectory.timestamps).all():
-        raise RacinesError(f"{where}: has poses or times, but its source says that it has none")
-    grades = trajectory.grades[~np.isnan(trajectory.grades)]
-    if ((grades < 0) | (grades > 10)).any():
-        raise RacinesError(f"{where}: a grade lies outside 0-10")
-    if ((trajectory.views < -1) | (trajectory.views >= len(labels))).any():
-        raise RacinesError(f"{where}: a view label lies outside -1 to {len(labels) - 1}")
-
-
-def _check_numbers(trajectory: Trajectory, where: str) -> None:
-    bad = ~np.isfinite(trajectory.parameters)
-    bad[:, :6] = np.isinf(trajectory.parameters[:, :6])  # a force may be absent
-    if bad.any():
-        row, column = np.argwhere(bad)[0]
-        raise RacinesError(
-            f"{where}: {PARAMETERS[column]} of frame {row} is not finite: every pose needs numbers"
-        )
-    times = trajectory.timestamps
-    if not np.isfinite(times).all() or (np.diff(times) < 0).any():
-        raise RacinesError(f"{where}: timestamps must be finite seconds that do not decrease")

@@ -23,7 +23,18 @@ from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.files import recover_folder, swap_folder
 from racines_data.manifest import MANIFEST, MULTI_PHANTOM
-from racines_data.sources.base import Finding, Source, Unit, source_class, source_names
+from racines_data.records import float_columns
+from racines_data.schema import PARAMETERS
+from racines_data.sources.base import (
+    Finding,
+    Source,
+    Unit,
+    has_poses,
+    source_class,
+    source_names,
+)
+from racines_data.sources.gate.bounds import bounds_of
+from racines_data.sources.gate.check import check_scales, scale_of
 
 FORMAT = 3  # version of the layout of units, shards and store; part of every recipe
 
@@ -50,6 +61,8 @@ class DataConfig:
     """Stop at the first input that is refused."""
     max_refused: float = 0.2
     """Largest share of frames that may be refused."""
+    allow: tuple[str, ...] = ()
+    """Opinions of the gate that are not held against this data, by name (docs/import.md)."""
 
 
 def read_data_section(values: Mapping[str, Any]) -> tuple[DataConfig, dict[str, Settings]]:
@@ -128,11 +141,12 @@ def build(
         raise RacinesError("data.workers and data.shards must be one or more")
     if not re.fullmatch(r"\d+\.\d+\.\d+", source.version):
         raise RacinesError(f"source {source.name}: version {source.version!r} is not x.y.z")
+    bounds = bounds_of(source, config.allow)
     units = _plan(source, config)
     many_units = [] if many is None else _plan(many, config)
     recipe = _recipe(source, config, many)
     out.parent.mkdir(parents=True, exist_ok=True)
-    with staging_folder(out, source, recipe_digest(recipe)) as folder:
+    with staging_folder(out, source, recipe_digest(recipe), config.allow) as folder:
         shares = config.validation, config.test, config.seed
         splits, held = writer.assign_splits(units, *shares), writer.held_out_session(units)
         main = writer.Part("frames", source, units, splits, folder / "frames", held)
@@ -141,9 +155,11 @@ def build(
             splits = writer.assign_group_splits(many_units, *shares)
             part = writer.Part(MULTI_PHANTOM, many, many_units, splits, folder / MULTI_PHANTOM)
             parts.append((many, many_units, part.folder, True))
-        stage_units(parts, config.workers, progress)
+        stage_units(parts, config.workers, progress, config.allow)
+        for each in filter(None, (main, part)):
+            _check_scales(each, bounds.allow)
         final = folder / f"final-{config.shards}"  # what is whole there has the same bounds
-        manifest = writer.write_dataset(final, main, part, recipe, config.shards, progress)
+        manifest = writer.write_dataset(final, main, part, recipe, config.shards, progress, bounds)
         swap_folder(final, out)
     return manifest
 
@@ -180,6 +196,21 @@ def _plan(source: Source, config: DataConfig) -> list[Unit]:
         twice = next(name for name in ids if ids.count(name) > 1)
         raise RacinesError(f"source {source.name}: trajectory {twice!r} occurs twice")
     return units
+
+
+def _check_scales(part: writer.Part, allow: Sequence[str]) -> None:
+    """Hold the staged trajectories of a source against one another."""
+    if has_poses(part.source):
+        scales = [
+            scale_of(
+                row["trajectory"],
+                float_columns(table, PARAMETERS[:6]),
+                float_columns(table, PARAMETERS[6:9]),
+                table["timestamp"].to_numpy(),
+            )
+            for row, table in zip(part.rows, part.tables(), strict=True)
+        ]
+        check_scales(scales, part.source.name, allow)
 
 
 def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str, Any]:

@@ -27,8 +27,10 @@ from racines_data.digest import trajectory_digest
 from racines_data.errors import RacinesError
 from racines_data.files import naming, working_folder
 from racines_data.progress import progress_bar
-from racines_data.records import check_trajectory, pixels_array, trajectory_to_table
+from racines_data.records import pixels_array, trajectory_to_table
 from racines_data.sources.base import Source, Unit, has_poses, labels_of_source
+from racines_data.sources.gate.bounds import Bounds, bounds_of
+from racines_data.sources.gate.check import check_trajectory
 
 _DIGEST = b"racines.digest"
 _state: Any = None  # a worker's own copy
@@ -37,16 +39,20 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 
-def staging_folder(out: Path, source: Source, recipe_digest: str) -> AbstractContextManager[Path]:
+def staging_folder(
+    out: Path, source: Source, recipe_digest: str, allow: Sequence[str] = ()
+) -> AbstractContextManager[Path]:
     """Open the staging folder of a build, beside its output; removed when the build succeeds.
 
-    Its name tells the recipe and the code apart, so that units of another are never taken up; if
-    another build of the same dataset is running, that is a `RacinesError`.
+    Its name tells the recipe, the code and what the gate allows apart, so that units of another are
+    never taken up; if another build of the same dataset is running, that is a `RacinesError`.
     """
     code = hashlib.sha256()
-    for file in sorted({*Path(__file__).parent.rglob("*.py"), Path(inspect.getfile(type(source)))}):
+    rooms = (Path(__file__).parent, Path(inspect.getfile(Bounds)).parent)
+    own = {path for room in rooms for path in room.rglob("*.py")}
+    for file in sorted({*own, Path(inspect.getfile(type(source)))}):
         code.update(file.read_bytes())
-    key = f"{recipe_digest}/{code.hexdigest()}"
+    key = "/".join([recipe_digest, code.hexdigest(), *sorted(allow)])
     return working_folder(out, "staging", key, "another build of it is running; wait for it")
 
 
@@ -62,12 +68,16 @@ def open_unit(path: Path) -> tuple[pa.Table, str]:
 
 
 def stage_units(
-    parts: Sequence[tuple[Source, Sequence[Unit], Path, bool]], workers: int, progress: bool
+    parts: Sequence[tuple[Source, Sequence[Unit], Path, bool]],
+    workers: int,
+    progress: bool,
+    allow: Sequence[str] = (),
 ) -> None:
     """Make the units of all parts that are not staged yet, in the same `workers` processes.
 
     A part is a source, its units, their folder, and whether one worker makes all units of a
-    session: for a source to which a session costs something (a heart is baked once).
+    session: for a source to which a session costs something (a heart is baked once). What the gate
+    infers is not held against them where `allow` names it.
     """
     tasks: list[tuple[int, list[tuple[Unit, Path]]]] = []
     with progress_bar(progress) as bar:
@@ -87,7 +97,7 @@ def stage_units(
             tasks += [(number, members) for members in missing.values()]
             total = sum(unit.frames for unit in units)
             shown.append(bar.add_task(f"{folder.name} frames", total=total, completed=staged))
-        sources = [source for source, *_ in parts]
+        sources = [(source, bounds_of(source, allow)) for source, *_ in parts]
         made = in_workers(_stage, sources, tasks, workers, "to go on, with fewer workers")
         for (number, _), frames in zip(tasks, made, strict=True):
             bar.advance(shown[number], frames)
@@ -144,14 +154,16 @@ def _in_worker(work: Callable[[Any, Task], Result], task: Task) -> Result:
     return work(_state, task)
 
 
-def _stage(sources: Sequence[Source], task: tuple[int, Sequence[tuple[Unit, Path]]]) -> int:
+def _stage(
+    sources: Sequence[tuple[Source, Bounds]], task: tuple[int, Sequence[tuple[Unit, Path]]]
+) -> int:
     """Make some units of a source, each into its file; return the frames expected of them."""
     number, members = task
-    source = sources[number]
+    source, bounds = sources[number]
     labels = labels_of_source(source)
     for unit, path in members:
         trajectory = source.produce(unit)
-        check_trajectory(trajectory, unit, labels, has_poses(source))
+        check_trajectory(trajectory, unit, labels, has_poses(source), bounds, source.name)
         table = trajectory_to_table(trajectory, source.name, labels)
         table = table.append_column("pixels", pixels_array(trajectory.images))
         digest = {_DIGEST: trajectory_digest(trajectory).encode()}

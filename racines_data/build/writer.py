@@ -30,6 +30,7 @@ from racines_data.manifest import CARD, MANIFEST, MULTI_PHANTOM, REPORT, store_n
 from racines_data.progress import progress_bar
 from racines_data.schema import PARAMETERS, SPLITS, trajectory_features
 from racines_data.sources.base import Finding, Source, Unit, has_poses, labels_of_source, own_card
+from racines_data.sources.gate.bounds import Bounds, to_manifest
 from racines_data.store.sweeps import write_store
 
 _ROW_GROUP = 256
@@ -106,11 +107,13 @@ def write_dataset(
     recipe: dict[str, Any],
     shards: int,
     progress: bool = False,
+    bounds: Bounds | None = None,
 ) -> dict[str, Any]:
     """Write a dataset of staged units, at least `shards` shards a config; return its manifest.
 
     Shards and stores that a killed run has left in `final` are kept. `many` is the `multi_phantom`
-    config, if there is one; `recipe` is all that decided the bytes.
+    config, if there is one; `recipe` is all that decided the bytes; `bounds` are what the gate held
+    the source to.
     """
     _keep_finished(final)
     source, rows = main.source, main.rows
@@ -126,6 +129,7 @@ def write_dataset(
         "labels": list(labels_of_source(source)),
         "poses": has_poses(source),
         **({"card": dataclasses.asdict(card)} if (card := own_card(source)) else {}),
+        **to_manifest(bounds or Bounds()),
         "held_out_session": main.held_out,
         "counts": _counts(rows),
         "report": {

@@ -29,6 +29,7 @@ def build(
     frames: Annotated[int | None, typer.Option(min=1, help="Frames to acquire.")] = None,
     seed: opt.Seed = None,
     strict: opt.Strict = False,
+    allow: opt.Allow = None,
     params: opt.Params = None,
     profile: opt.Profile = None,
     as_json: opt.AsJson = False,
@@ -41,6 +42,7 @@ def build(
     start = time.perf_counter()
     values = section(read_settings(params, profile), "data")
     values |= given(source=source, workers=workers, frames=frames, seed=seed, strict=strict or None)
+    values |= given(allow=allow or None)
     config, sections = dataset.read_data_section(values)
     known = {field.name for field in fields(source_class(config.source).Config)}
     if frames is not None and "frames" not in known:
@@ -71,6 +73,7 @@ def import_(
     out: opt.Out = Path("data/imported"),
     settings: opt.Set = None,
     strict: opt.Strict = False,
+    allow: opt.Allow = None,
     max_refused: Annotated[
         float | None, typer.Option(min=0, max=1, help="Largest share of frames to refuse.")
     ] = None,
@@ -91,6 +94,7 @@ def import_(
     values = section(read_settings(params, profile), "data") | given(
         source=source, workers=workers, seed=seed, max_refused=max_refused, strict=strict or None
     )
+    values |= given(allow=allow or None)
     config, sections = dataset.read_data_section(values)
     own = sections.get(config.source, {}) | overrides(settings)
     made = dataset.make_source(config, own, inputs)

@@ -45,6 +45,12 @@ Verify = Annotated[
     typer.Option("--verify", help="Hash every file of a dataset again, changed or not."),
 ]
 Strict = Annotated[bool, typer.Option(help="Stop at the first refused input.")]
+Allow = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--allow", help="What the gate infers and is wrong about, by name; repeat for several."
+    ),
+]
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print the figures as JSON on stdout.")]
 Details = Annotated[bool, typer.Option("--details", help="Show further figures as well.")]

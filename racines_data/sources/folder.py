@@ -15,10 +15,11 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, pose_to_parameters
 from racines_data.schema import CONTROLS, PARAMETERS, Trajectory
 from racines_data.sources.base import Finding, Unit
+from racines_data.sources.gate.numbers import LENGTHS, TOLERANCE, check_poses
 from racines_data.sources.images import Kind
 
-UNITS = {"m": 1.0, "mm": 1e-3}
-"""Metres of each unit that a recording may have its positions in."""
+UNITS = {name: LENGTHS[name] for name in ("m", "mm")}
+"""Metres of each unit that a recording may be read in."""
 
 
 class Report(list[Finding]):
@@ -98,12 +99,20 @@ class FolderSource:
 
 
 def parameters_of(
-    matrices: np.ndarray, wrench: np.ndarray | None = None, metres: float = 1.0
+    matrices: np.ndarray,
+    wrench: np.ndarray | None = None,
+    metres: float = 1.0,
+    tolerance: float = TOLERANCE,
 ) -> np.ndarray:
     """Return (T, 12) float32 parameters of (T, 4, 4) poses and (T, 6) forces and torques, float64.
 
-    Positions come in units of so many `metres`; without a wrench, forces are NaN.
+    Positions come in units of so many `metres`; without a wrench, forces are NaN. A rotation may be
+    off by `tolerance`, per element of R Rᵀ - 1.
+
+    Raises:
+        RacinesError: a matrix that is no rigid right-handed pose: angles would hide that.
     """
+    check_poses(matrices, tolerance)
     known = torch.from_numpy(matrices)
     pose = Pose(known[:, :3, 3] * metres, known[:, :3, :3])
     forces = np.full((len(matrices), 6), np.nan) if wrench is None else wrench

@@ -17,6 +17,7 @@ from rich.text import Text
 
 from racines_data.errors import RacinesError
 from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
+from racines_data.sources.gate.bounds import manifest_bounds
 from racines_data.store.frames import FrameStore
 from racines_data.tables import console_table
 from racines_data.terminal import console
@@ -121,8 +122,9 @@ def _check_config(
 def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
     manifest, named = result.manifest, manifest_labels(result.manifest)
     simulated = manifest["source"] == "phantom"
+    repeats = manifest_bounds(manifest).repeats
     if manifest.get("poses", True):  # single images have neither poses nor times
-        result.add(f"{prefix}times", lambda: identity.check_times(found))
+        result.add(f"{prefix}times", lambda: identity.check_times(found, repeats))
         result.add(f"{prefix}rate", lambda: identity.check_rate(found), binding=simulated)
     result.add(f"{prefix}labels", lambda: meaning.check_labels(found, named))
     shares = meaning.view_shares(found, named)

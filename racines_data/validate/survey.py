@@ -5,7 +5,6 @@
 A trajectory may cross shards: it belongs to the shard in which it begins.
 """
 
-import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -24,15 +23,15 @@ from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import manifest_labels
 from racines_data.progress import progress_bar
-from racines_data.records import check_trajectory, features_of, table_to_trajectory
-from racines_data.schema import PARAMETERS, Trajectory
+from racines_data.records import features_of, table_to_trajectory
+from racines_data.schema import Trajectory
 from racines_data.sources.base import Unit
+from racines_data.sources.gate.bounds import Bounds, manifest_bounds
+from racines_data.sources.gate.check import check_trajectory
 from racines_data.store.frames import FrameStore
 from racines_data.store.sweeps import run_edges, trajectories
 
 WORTH_WORKERS = 8192  # frames from which starting worker processes costs less than they save
-LIMITS = {"force": 200.0, "torque": 50.0, "position": 10.0, "rotation": math.pi + 1e-5}
-"""Largest absolute value of a parameter by its kind: N, N·m, m, rad."""
 POOL = 8  # edge, in pixels, of the blocks whose means are an image's signature
 
 _KEPT = ("id", "session", "target_view", "phantom", "parameters", "timestamps", "views", "grades")
@@ -49,6 +48,7 @@ class Piece:
     stop: int  # past-the-last row, counted from the shard's beginning
     start: int  # row of the store at which they begin
     poses: bool = True  # whether the dataset has poses and times at all
+    bounds: Bounds = Bounds()  # what the gate holds them to
 
     @property
     def frames(self) -> int:
@@ -112,6 +112,7 @@ def plan_pieces(root: Path, manifest: dict[str, Any], config: str) -> list[Piece
     """Divide the rows of a config, whose columns must be the schema's, into pieces for workers."""
     schema = features_of(manifest["source"], manifest_labels(manifest)).arrow_schema
     pieces: list[Piece] = []
+    known = manifest.get("poses", True), manifest_bounds(manifest)
     start = 0
     for split, names in manifest["configs"][config].items():
         for name in names:
@@ -124,7 +125,7 @@ def plan_pieces(root: Path, manifest: dict[str, Any], config: str) -> list[Piece
         for index, (first, stop) in enumerate(bounds):
             if first < stop:
                 place = first - ends[index], stop - ends[index], start + first
-                pieces.append(Piece(split, names[index:], *place, manifest.get("poses", True)))
+                pieces.append(Piece(split, names[index:], *place, *known))
         start += ends[-1]
     return pieces
 
@@ -195,7 +196,7 @@ def _sweep(
 ) -> CheckedSweep:
     faults = []
     try:
-        _check_rows(rows, trajectory, labels, piece.poses)
+        _check_rows(rows, trajectory, labels, piece)
     except RacinesError as error:
         faults.append(("rows", f"{error}"))
     if store is not None and not _in_store(store, place, piece.split, trajectory):
@@ -213,14 +214,12 @@ def _sweep(
     )
 
 
-def _check_rows(rows: pa.Table, trajectory: Trajectory, labels: Sequence[str], poses: bool) -> None:
+def _check_rows(
+    rows: pa.Table, trajectory: Trajectory, labels: Sequence[str], piece: Piece
+) -> None:
     unit = Unit(trajectory.id, trajectory.session, trajectory.target_view, len(trajectory))
-    check_trajectory(trajectory, unit, labels, poses)
+    check_trajectory(trajectory, unit, labels, piece.poses, piece.bounds)
     where = f"trajectory {trajectory.id}"
-    for index, name in enumerate(PARAMETERS):
-        limit = LIMITS[name.partition("_")[0]]
-        if (np.abs(trajectory.parameters[:, index]) > limit).any():
-            raise RacinesError(f"{where}: {name} exceeds ±{limit:.4g}")
     for name in ("session", "target_view", "phantom", "source"):
         if len(rows[name].unique()) > 1:
             raise RacinesError(f"{where}: {name} changes within it")

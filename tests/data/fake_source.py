@@ -67,6 +67,8 @@ class FakeSource:
         n = unit.frames
         rng = np.random.default_rng([self.config.seed, int(unit.id[1:])])
         parameters = rng.normal(size=(n, 12)).astype(np.float32)
+        parameters[:, 6:9] = 0.1 * parameters[:, 6:9] + [0.49, 0.0, 0.1]  # within a robot's reach
+        parameters[:, 9:] = 0.2 * parameters[:, 9:] + [2.2, 0.0, 0.0]  # looking down
         parameters[n // 2 :, :6] = np.nan
         views = rng.integers(-1, len(LABELS), n)
         grades = np.where((rng.random(n) < 0.5) | (views < 0), np.nan, 5.0).astype(np.float32)

@@ -8,7 +8,6 @@ each file that cannot be used. `produce` decodes the images of one trajectory.
 """
 
 import hashlib
-from bisect import bisect_left, bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -24,6 +23,14 @@ from racines_data.progress import progress_bar
 from racines_data.schema import Trajectory
 from racines_data.sources.base import SourceCard, Unit
 from racines_data.sources.folder import UNITS, FolderSource, Report, parameters_of, recorded
+from racines_data.sources.gate.bounds import Bounds
+from racines_data.sources.gate.numbers import (
+    LENGTH_KINDS,
+    LENGTHS,
+    backward,
+    likely_unit,
+    rotation_faults,
+)
 from racines_data.sources.images import Fault, Kind, check_png, read_gray, resolution, square
 from racines_data.sources.release import layout
 from racines_data.sources.release.layout import FIELDS, Pair, SweepFolder
@@ -31,9 +38,11 @@ from racines_data.views import RANDOM, VIEWS
 
 _CHUNK = 64
 _THREADS = 4
-UNIT_KINDS = {"m": Kind.METRES, "mm": Kind.MILLIMETRES}
+UNIT_KINDS = LENGTH_KINDS
 _NEAREST = 0.01
 """No recording has the probe nearer to the middle of the robot's base, m."""
+
+_LIKELY = 0.1  # m: nearer than this, another unit is no likelier than a wrong number
 
 
 @dataclass(frozen=True)
@@ -176,20 +185,9 @@ def check_numbers(rows: np.ndarray, config: ReleaseConfig) -> list[Fault | None]
         faults[index] = _not_finite(rows[index], config.allow_absent)
     good = np.flatnonzero([fault is None for fault in faults])
     matrices = rows[good, layout.POSE].reshape(-1, 4, 4)
-    rotation = matrices[:, :3, :3]
-    error = np.abs(rotation @ rotation.transpose(0, 2, 1) - np.eye(3)).max((1, 2), initial=0)
-    reflected = np.linalg.det(rotation) < 0
-    for place, index in enumerate(good):
-        if (matrices[place, 3] != [0, 0, 0, 1]).any():
-            fault = Fault(Kind.NOT_RIGID, f"its last row is {matrices[place, 3]}", FIELDS[2])
-        elif error[place] > config.tolerance:
-            detail = f"R Rᵀ differs from 1 by {error[place]:.2g}, more than {config.tolerance:g}"
-            fault = Fault(Kind.NOT_ORTHONORMAL, detail, FIELDS[2])
-        elif reflected[place]:
-            fault = Fault(Kind.REFLECTED, "its determinant is -1: left-handed", FIELDS[2])
-        else:
-            fault = _wrong_unit(matrices[place, :3, 3], config.unit, config.reach)
-        faults[index] = fault
+    rigid = rotation_faults(matrices, config.tolerance, FIELDS[2])
+    for index, fault, matrix in zip(good, rigid, matrices, strict=True):
+        faults[index] = fault or _wrong_unit(matrix[:3, 3], config.unit, config.reach)
     return faults
 
 
@@ -210,34 +208,10 @@ def _wrong_unit(position: np.ndarray, unit: str, reach: float) -> Fault | None:
     if distance * UNITS[unit] <= reach and (unit == "m" or distance * UNITS[unit] >= _NEAREST):
         return None
     read = f"the probe is {distance * UNITS[unit]:.4g} m from the robot when read in {unit}"
-    for other, metres in UNITS.items():
-        if other != unit and _NEAREST <= distance * metres <= reach:
-            return Fault(UNIT_KINDS[other], f"{read}; the position is likely in {other}", FIELDS[2])
+    others = {name: metres for name, metres in LENGTHS.items() if name != unit}
+    if other := likely_unit(distance, others, _LIKELY, reach):
+        return Fault(LENGTH_KINDS[other], f"{read}; the position is likely in {other}", FIELDS[2])
     return Fault(Kind.OUT_OF_REACH, f"{read}; its reach is {reach:g} m", FIELDS[2])
-
-
-def backward(times: Sequence[float], allow_repeats: bool) -> list[int]:
-    """Return the fewest frames without which the clock only runs forwards.
-
-    All but a longest increasing run: one wrong time costs one frame, wherever it lies. With
-    `allow_repeats` the clock may stand still.
-    Patience sorting: Aldous and Diaconis, Longest increasing subsequences, 1999.
-    """
-    find = bisect_right if allow_repeats else bisect_left
-    tails: list[float] = []
-    places: list[int] = []
-    before: list[int] = []
-    for index, time in enumerate(times):
-        pile = find(tails, time)
-        before.append(places[pile - 1] if pile else -1)
-        tails[pile : pile + 1] = [time]
-        places[pile : pile + 1] = [index]
-    lost = set(range(len(times)))
-    index = places[-1] if places else -1
-    while index >= 0:
-        lost.remove(index)
-        index = before[index]
-    return sorted(lost)
 
 
 CARD = SourceCard(
@@ -281,6 +255,11 @@ class ReleaseSource(FolderSource):
         """The view folders, then `Random`."""
         return (*self.config.views, RANDOM)
 
+    @property
+    def bounds(self) -> Bounds:
+        """The usual, with the reach and the clock of the settings."""
+        return Bounds(reach=self.config.reach, repeats=self.config.allow_repeats)
+
     @classmethod
     def check_settings(cls, settings: ReleaseConfig) -> None:
         """Refuse an unknown unit."""
@@ -323,7 +302,7 @@ class ReleaseSource(FolderSource):
         return recorded(
             unit,
             [square(read_gray(unit.folder.images / pair.image)) for pair in unit.pairs],
-            parameters=parameters_of(poses, rows[:, layout.WRENCH], metres),
+            parameters=parameters_of(poses, rows[:, layout.WRENCH], metres, self.config.tolerance),
             timestamps=rows[:, layout.TIME].copy(),
             controls=rows[:, layout.CONTROL].astype(np.float32),
             views=np.full(len(rows), label, np.int64),
@@ -334,10 +313,12 @@ class ReleaseSource(FolderSource):
         for unit, kind in UNIT_KINDS.items():
             wrong = [f for f in self.report if f.refused and f.reason.startswith(f"{kind}:")]
             if wrong:
+                remedy = f"set data.release.unit to {unit}"
+                if unit not in UNITS:
+                    remedy = f"multiply the positions in its logs by {LENGTHS[unit]:g}"
                 raise RacinesError(
                     f"{self.root}: {kind}: the whole set is likely in {unit}: every readable "
-                    f"position is; set data.release.unit to {unit}. First: {wrong[0].file}: "
-                    f"{wrong[0].reason}"
+                    f"position is; {remedy}. First: {wrong[0].file}: {wrong[0].reason}"
                 )
 
 

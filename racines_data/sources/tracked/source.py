@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,15 +22,18 @@ from racines_data.files import sha256_file
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Finding, SourceCard, Unit
 from racines_data.sources.folder import UNITS, parameters_of, recorded
-from racines_data.sources.images import square
+from racines_data.sources.gate.bounds import TRACKER, Bounds
+from racines_data.sources.gate.numbers import LENGTHS, likely_unit, rotation_faults
+from racines_data.sources.images import Kind, square
 from racines_data.views import RANDOM
 
 READER = 1
 """Version of what this reader makes of a file; part of the recipe."""
-FARTHEST = 10.0
+FARTHEST = TRACKER.reach
 """No tracker sees a probe from farther away, m."""
-NEAREST = 0.01
+NEAREST = TRACKER.nearest
 """No tracker has a whole sweep nearer to its origin, m."""
+_USUAL = 1.0  # ordinary distance of a probe from a tracker, m
 _FRAME = re.compile(r"Seq_Frame(\d+)_(\w+)")
 _CHUNK = 1 << 20
 _READ = {
@@ -215,6 +218,7 @@ class TrackedSource:
     version = "0.1.0"
     Config = TrackedConfig
     card = CARD
+    bounds: ClassVar[Bounds] = TRACKER
 
     @classmethod
     def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> "TrackedSource":
@@ -256,6 +260,8 @@ class TrackedSource:
             except RacinesError as error:
                 self.report.append(Finding(path.name, "", True, str(error), frames))
                 continue
+            if not kept:
+                continue  # every frame is in the report
             segments = np.array_split(np.array(kept, int), min(self.config.segments, len(kept)))
             for number, indices in enumerate(segments):
                 names = f"{_stem(path)}-{number:02d}", _stem(path), RANDOM
@@ -276,7 +282,8 @@ class TrackedSource:
         fields = [recording.frames[index] for index in unit.indices]
         matrices = np.stack([self._matrix(each) for each in fields])
         times = np.array([float(each["Timestamp"]) for each in fields])
-        return recorded(unit, images, parameters=parameters_of(matrices), timestamps=times)
+        parameters = parameters_of(matrices, tolerance=self.config.tolerance)
+        return recorded(unit, images, parameters=parameters, timestamps=times)
 
     def _check(self, recording: Recording) -> list[int]:
         """Return the frames to keep and report the others; refuse a file that is unusable."""
@@ -312,24 +319,26 @@ class TrackedSource:
             return f"{name} or Timestamp is missing or not numbers"
         if not (np.isfinite(matrix).all() and np.isfinite(time)):
             return f"{name} or Timestamp is not finite"
-        rotation = matrix[:3, :3]
-        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
-        if error > self.config.tolerance or (matrix[3] != [0, 0, 0, 1]).any():
-            return f"{name} is not a rigid pose (R Rᵀ is off by {error:.2g})"
-        if np.linalg.det(rotation) < 0:
-            return f"{name} is left-handed"
+        if fault := rotation_faults(matrix[None], self.config.tolerance)[0]:
+            if fault.kind is Kind.REFLECTED:
+                return f"{name} is left-handed: {fault.detail}"
+            return f"{name} is not a rigid pose: {fault.detail}"
         if time <= previous:
             return f"Timestamp {time} does not follow {previous}"
         return ""
 
     def _check_unit(self, matrices: np.ndarray) -> None:
         reach = np.linalg.norm(matrices[:, :3, 3], axis=-1).max()
-        if not NEAREST <= reach <= FARTHEST:
-            other = "m" if reach < NEAREST else "mm"
-            raise RacinesError(
-                f"translations reach {reach:.3g} m when read in {self.config.unit}; "
-                f"they are likely in {other}: set unit to {other}"
-            )
+        if NEAREST <= reach <= FARTHEST:
+            return
+        size = reach / UNITS[self.config.unit]
+        others = {name: metres for name, metres in LENGTHS.items() if name != self.config.unit}
+        other = likely_unit(size, others, NEAREST, FARTHEST, _USUAL)
+        read = f"translations reach {reach:.3g} m when read in {self.config.unit}"
+        if other is None:
+            raise RacinesError(f"{read}; give them in mm or m")
+        remedy = f"set unit to {other}" if other in UNITS else "convert them to mm"
+        raise RacinesError(f"{read}; they are likely in {other}: {remedy}")
 
     def _flag_tools(self, recording: Recording) -> None:
         own = f"{self.config.transform}TransformStatus"
