@@ -39,6 +39,7 @@ from racines_leaderboard.submissions.document import (
     read_bounded,
     read_document,
 )
+from racines_leaderboard.submissions.probe import Probed, matching_store, probe
 from racines_models.exchange.onnx.generator import read_onnx
 
 SECONDS = 60
@@ -97,6 +98,8 @@ class Taken:
     document: dict[str, Any]
     remote: tuple[str, ...]
     """Files that were left at their URL, and not looked into."""
+    probed: Probed
+    """What of the contract holds, and what could not be told."""
 
 
 def take_in(
