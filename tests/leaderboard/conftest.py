@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-DIGEST = "ab" * 32
+DIGEST = hashlib.sha256(b"made up").hexdigest()
 ENVIRONMENT = {"python": "3.11.7", "torch": "2.13.0", "platform": "Linux", "cpu": "x86_64"}
 
 

@@ -14,13 +14,14 @@ from racines_envs.agents.trace import TraceAgent
 from racines_envs.cli.settings import phantom_config
 from racines_envs.evaluation.run import EvaluationConfig, evaluate
 from racines_envs.worlds.making import find_task, make_phantom, phantom_recipe
-from racines_leaderboard.board.collect import Record, one_dataset, record_of
-from racines_leaderboard.records.schema import check, write_record
+from racines_leaderboard.board.collect import Record, record_of, write_records
+from racines_leaderboard.records.schema import check
 from racines_leaderboard.records.tracks import GENERATORS, TRACK, TRACKS
 from racines_leaderboard.submissions.confined import session as confined
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_leaderboard.submissions.document import YAML, files_of, find_submission, rescored
 from racines_leaderboard.submissions.intake import check_content
+from racines_leaderboard.submissions.probe import probe
 from racines_models.exchange.predictions.file import Predictions
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
@@ -55,15 +56,16 @@ def find(submissions: Path, name: str) -> Path:
     return found[0]
 
 
-def recompute(folder: Path, ground: Ground, results: Path) -> Record:
+def recompute(folder: Path, ground: Ground, results: Path, force: bool = False) -> Record:
     """Score the artefact in `<submissions>/<track>/<name>`; write a record of tier `recomputed`.
 
-    Graphs run in a confined child; no code of the submitter's runs. Timings are left out: they
-    would be those of the confinement.
+    Graphs run in a confined child; no code of the submitter's runs. The contract is tried first.
+    Timings are left out: they would be those of the confinement.
 
     Raises:
         RacinesError: a submission at fault or without an artefact that can be scored, one made for
-            other data, a file that breaks a limit, or metrics that do not belong on the board.
+            other data, a file that breaks the contract or a limit, metrics that do not belong on
+            the board, or, without `force`, a record of another result in its place.
     """
     document, scores = recompute_scores(folder, ground)
     track, board = TRACK[document["track"]], ground.board
@@ -76,8 +78,7 @@ def recompute(folder: Path, ground: Ground, results: Path) -> Record:
     record = record_of(board, track, document["name"], "recomputed", document, scores)
     check(record, "record", str(path))
     check(record["scores"], track.schema, f"{path}: scores")
-    one_dataset({path: record}, results, board)
-    write_record(path, record)
+    write_records({path: record}, results, board, force)
     return record
 
 
@@ -118,6 +119,7 @@ def _generator_scores(
 ) -> dict[str, Any]:
     store = open_store(ground.data)
     _check_data(document, store.manifest, str(ground.data))
+    probe(paths[0].parent, document, store, ground.limits)
     config = fill(ScoresConfig, section(ground.settings, "scores"), "scores")
     opened = [
         Predictions(path, store, config.split)
@@ -159,5 +161,6 @@ def _agent_scores(
     phantom = phantom_config(ground.settings)
     phantom = make_phantom(phantom, "cpu", find_task(view, phantom).anatomy)
     _check_data(document, phantom_recipe(phantom) or {}, f"the phantom of board {ground.board}")
+    probe(path.parent, document, limits=ground.limits, phantom=phantom)
     scores = evaluate("", path.parent, config, phantom, agent=agent).scores
     return scores | {"agent": document["name"]}

@@ -37,12 +37,14 @@ def leaderboard(
     readme: Annotated[
         Path | None, typer.Option(help="Renew the tables between the marks of this file.")
     ] = None,
+    force: opt.Force = False,
     details: opt.Details = False,
     as_json: opt.AsJson = False,
 ) -> None:
     """Collect scores into a board, or make them again, rank it, and show it.
 
-    With --params, `board` of that file names the board.
+    With --params, `board` of that file names the board. A record of another result stays in its
+    place, unless --force is given; the same may be collected again.
     """
     from rich.console import Console
 
@@ -59,7 +61,7 @@ def leaderboard(
         others = results_of.made_elsewhere(collect, board) if params is not None else []
         for path in others:
             typer.echo(f"racines: left out {path}: made for another board than {board}", err=True)
-        results_of.collect(collect, results, submissions, board, others)
+        results_of.collect(collect, results, submissions, board, others, force)
     if recompute:
         from racines_leaderboard.board import recompute as scoring
 
@@ -69,7 +71,7 @@ def leaderboard(
         pose = opt.POSE if opt.POSE.is_dir() else None
         ground = scoring.Ground(board, read_params(settings), data, grader, pose, CACHE)
         for folder in [scoring.find(submissions, name) for name in recompute]:
-            record = scoring.recompute(folder, ground, results)
+            record = scoring.recompute(folder, ground, results, force)
             typer.echo(f"racines: scored again: {record['track']}/{record['name']}", err=True)
     names = [board] if board else results_of.boards(results)
     if not set(names) <= set(results_of.boards(results)) or not names:
