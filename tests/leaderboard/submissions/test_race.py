@@ -1,4 +1,4 @@
-"""Processes that take in, or collect, at the same time; and what must not pass for something else."""
+"""Processes that take in or collect at the same time, and what may not pass for something else."""
 
 import hashlib
 import json
