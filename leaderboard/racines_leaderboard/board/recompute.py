@@ -161,6 +161,6 @@ def _agent_scores(
     phantom = phantom_config(ground.settings)
     phantom = make_phantom(phantom, "cpu", find_task(view, phantom).anatomy)
     _check_data(document, phantom_recipe(phantom) or {}, f"the phantom of board {ground.board}")
-    probe(path.parent, document, limits=ground.limits, phantom=phantom)
+    probe(path.parent, document, limits=ground.limits, phantom=phantom, view=view)
     scores = evaluate("", path.parent, config, phantom, agent=agent).scores
     return scores | {"agent": document["name"]}

@@ -49,6 +49,8 @@ from racines_models.provenance import sha256_bytes
 from racines_models.registry import generator_class
 from racines_models.sample import draw, take_sample
 
+VIEW = "SC"
+"""Whose starts are taken where nothing names a view."""
 POSES, STARTS = 11, 64
 """Poses that a generator draws, and starts that a policy acts at."""
 FRAMES = 64
@@ -92,11 +94,13 @@ def probe(
     store: FrameStore | None = None,
     limits: Limits | None = None,
     phantom: WorldLike = None,
+    view: str = VIEW,
 ) -> Probed:
     """Try the contract on a submission's artefacts, which lie in a folder and were looked into.
 
     Without the `store` that it was made for, predictions are not probed, and generators at the
-    starts of a task, where no frame tells whether they follow the pose. Agents act on a `phantom`.
+    starts of a task, where no frame tells whether they follow the pose. Agents act on a `phantom`,
+    at the starts of their view or else of `view`.
 
     Raises:
         ContractError: a clause that is broken, after the artefact's name.
@@ -108,7 +112,7 @@ def probe(
         path = folder / artefact.get("path", "")
         with _named(str(path) if "path" in artefact else name):
             if kind == "adapter":
-                _adapter(name, document["track"], store, phantom, found)
+                _adapter(name, document["track"], store, phantom, view, found)
             elif kind == "trace":
                 found.untold[name] = "a trace is what was done, not what decides"
             elif kind not in ("generator", "predictions", "policy"):
@@ -124,7 +128,7 @@ def probe(
             else:
                 again = partial(_act_confined, path, limits)
                 agent = ConfinedPolicyAgent(path, limits)
-                _policy(agent, artefact["sha256"], again, phantom, found)
+                _policy(agent, artefact["sha256"], again, phantom, view, found)
     return found
 
 
@@ -157,10 +161,10 @@ def _generator(
     told = declared(source)
     check_declared(told, remedy)
     seeds = _seeds(sha256, POSES)
-    if store is None:
-        poses = _starts("SC", sha256, POSES, "params", phantom)[0]
+    rows = torch.empty(0) if store is None else store.split_indices("test")
+    if store is None or len(rows) < POSES:
+        poses = _starts(VIEW, sha256, POSES, "params", phantom)[0]
     else:
-        rows = store.split_indices("test")
         place = torch.randperm(len(rows), generator=torch.Generator().manual_seed(int(seeds[0])))
         poses = store.take(rows[place[:POSES]]).parameters
     images = check_generator(source.generate, poses, seeds, told)
@@ -209,8 +213,10 @@ def _predictions(
         found.untold["G7"] = "few images, or other noise in each"
 
 
-def _policy(agent: Any, sha256: str, again: Again, phantom: WorldLike, found: Probed) -> None:
-    view = getattr(agent, "view", "SC")
+def _policy(
+    agent: Any, sha256: str, again: Again, phantom: WorldLike, view: str, found: Probed
+) -> None:
+    view = getattr(agent, "view", view)
     _, seen, seeds = _starts(view, sha256, STARTS, agent.observation, phantom)
     told = getattr(agent, "interface", None) or agent.config
     temperature = getattr(told, "temperature", 0.0)
@@ -220,7 +226,12 @@ def _policy(agent: Any, sha256: str, again: Again, phantom: WorldLike, found: Pr
 
 
 def _adapter(
-    target: str, track: str, store: FrameStore | None, phantom: WorldLike, found: Probed
+    target: str,
+    track: str,
+    store: FrameStore | None,
+    phantom: WorldLike,
+    view: str,
+    found: Probed,
 ) -> None:
     """Probe a merged class by a run of it, if one lies here."""
     cls: Any = (generator_class if track == "generators" else agent_class)(target)
@@ -229,12 +240,17 @@ def _adapter(
     if folder is None:
         found.untold[target] = f"no run of it in {' or '.join(map(str, folders))}"
         return
-    opened, again = cls.load(folder), partial(_in_new_process, track, target, folder)
+    try:
+        opened = cls.load(folder)
+    except RacinesError as error:  # of this machine, not of the submission
+        found.untold[target] = str(error)
+        return
+    again = partial(_in_new_process, track, target, folder)
     sha256 = sha256_bytes(target.encode())
     if track == "generators":
         _generator(opened, sha256, "give its card {key}", again, store, phantom, found)
     elif isinstance(opened, PolicyAgent):
-        _policy(opened, sha256, again, phantom, found)
+        _policy(opened, sha256, again, phantom, view, found)
     else:
         found.untold[target] = "it is no network of what it is shown"
 
@@ -247,7 +263,13 @@ def _starts(
     view: str, sha256: str, count: int, observation: str, phantom: WorldLike
 ) -> tuple[Tensor, dict[str, Tensor], Tensor]:
     """Return parameters, what is seen, and seeds, at starts that the hash draws."""
-    core = make_core(view, count, observation=observation, reward="oracle", phantom=phantom)
+    how: dict[str, Any] = {"observation": observation, "reward": "oracle", "phantom": phantom}
+    try:
+        core = make_core(view, count, **how)
+    except RacinesError:  # a view of another organ: what it is shown has the same form everywhere
+        if phantom is not None:
+            raise
+        core = make_core(VIEW, count, **how)
     seen = core.reset(_seeds(sha256, count))
     return core.parameters, seen, core.decision_seeds()
 
