@@ -64,7 +64,8 @@ def harmful(path: Path, how: str) -> Path:
         run = [huge, mean, helper.make_node("Add", ["more", "seed"], ["last"])]
     common.append(constant("shape", [8, 128, 128]))
     nodes = [seed, *run, helper.make_node("Expand", ["last", "shape"], ["images"])]
-    return save(path, nodes, [parameters], images, common, output="unit")
+    told = {"stochastic": "false", "conditional": "true", "output": "unit"}
+    return save(path, nodes, [parameters], images, common, **told)
 
 
 DECLARED = {"stochastic": "true", "conditional": "true"}

@@ -67,7 +67,7 @@ def recompute(folder: Path, ground: Ground, results: Path, force: bool = False) 
             other data, a file that breaks the contract or a limit, metrics that do not belong on
             the board, or, without `force`, a record of another result in its place.
     """
-    document, scores = recompute_scores(folder, ground)
+    document, scores = recompute_scores(folder, ground, probing=True)
     track, board = TRACK[document["track"]], ground.board
     path = results / board / track.name / f"{document['name']}.json"
     try:
@@ -82,8 +82,13 @@ def recompute(folder: Path, ground: Ground, results: Path, force: bool = False) 
     return record
 
 
-def recompute_scores(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return a submission's document, and the scores of its artefact; nothing is written."""
+def recompute_scores(
+    folder: Path, ground: Ground, probing: bool = False
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return a submission's document, and the scores of its artefact; nothing is written.
+
+    With `probing` the contract is tried on it first; an audit holds the numbers alone to account.
+    """
     document = find_submission(folder.parents[1], folder.parent.name, folder.name)
     if document is None:
         raise RacinesError(f"{folder}: no submission there")
@@ -96,10 +101,25 @@ def recompute_scores(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict
             check_content(path, artefact["kind"], document["track"], ground.limits)
         elif artefact in artefacts:
             raise RacinesError(f"{path}: lies at its URL: take it in with racines submit --fetch")
+    if probing:
+        _try_contract(folder, document, ground)
     paths = [folder / artefact["path"] for artefact in artefacts]
     make = _generator_scores if document["track"] == GENERATORS.name else _agent_scores
     scores = make(document, artefacts[0]["kind"], paths, ground)
     return document, scores | {"weights": {each["path"]: each["sha256"] for each in artefacts}}
+
+
+def _try_contract(folder: Path, document: dict[str, Any], ground: Ground) -> None:
+    """Try the contract on a board's own data, or at the starts of its own view."""
+    if document["track"] == GENERATORS.name:
+        store = open_store(ground.data)
+        _check_data(document, store.manifest, str(ground.data))
+        probe(folder, document, store, ground.limits)
+        return
+    view = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation").view
+    phantom = phantom_config(ground.settings)
+    world = make_phantom(phantom, "cpu", find_task(view, phantom).anatomy)
+    probe(folder, document, limits=ground.limits, phantom=world, view=view)
 
 
 def _check_data(document: dict[str, Any], here: dict[str, Any], where: str) -> None:
@@ -119,7 +139,6 @@ def _generator_scores(
 ) -> dict[str, Any]:
     store = open_store(ground.data)
     _check_data(document, store.manifest, str(ground.data))
-    probe(paths[0].parent, document, store, ground.limits)
     config = fill(ScoresConfig, section(ground.settings, "scores"), "scores")
     opened = [
         Predictions(path, store, config.split)
@@ -161,6 +180,5 @@ def _agent_scores(
     phantom = phantom_config(ground.settings)
     phantom = make_phantom(phantom, "cpu", find_task(view, phantom).anatomy)
     _check_data(document, phantom_recipe(phantom) or {}, f"the phantom of board {ground.board}")
-    probe(path.parent, document, limits=ground.limits, phantom=phantom, view=view)
     scores = evaluate("", path.parent, config, phantom, agent=agent).scores
     return scores | {"agent": document["name"]}

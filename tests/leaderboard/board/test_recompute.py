@@ -106,9 +106,15 @@ def test_other_data_are_refused(ground, tmp_path):
 )
 def test_what_breaks_a_limit_leaves_no_record(ground, tmp_path, how, limit, message):
     digest = open_store(ground.data).manifest["digest"]
-    path = harmful(inbox(tmp_path, "in") / "harm.onnx", how)
-    folder = submitted(tmp_path, "generator", path, digest)
+    folder = tmp_path / "leaderboard/submissions/generators/mine"
+    folder.mkdir(parents=True)
+    entry = artefact("generator", harmful(folder / "harm.onnx", how))
+    dataset = {"source": "phantom", "version": "1.0.0", "digest": digest}
+    write_submission(folder, entry, dataset=dataset, tier="recomputed")
     limited = replace(ground, limits=replace(ground.limits, **limit))
+    with pytest.raises(RacinesError, match=f"harm.onnx: .*{message}"):  # it comes no further
+        take_in(folder, tmp_path / "elsewhere", limits=limited.limits)
+    assert not (tmp_path / "elsewhere").exists()
     with pytest.raises(RacinesError, match=f"harm.onnx: .*{message}"):
         recompute(folder, limited, tmp_path / "results")
     assert not (tmp_path / "results").exists()
