@@ -125,21 +125,21 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
         if document["track"] not in kind.tracks:
             raise RacinesError(f"{field}.kind: {artefact['kind']} is none of {document['track']}")
         content = artefact.get("sha256") or artefact["adapter"]
+        if "adapter" in artefact:
+            _check_adapter(content, f"{field}.adapter")
+        else:
+            name = check_name(artefact["path"], f"{field}.path")
+            if Path(name).suffix != kind.suffix:
+                raise RacinesError(
+                    f"{field}.path: {name!r} refused: {artefact['kind']} is a {kind.suffix} file"
+                )
+            if name.casefold() in seen:
+                raise RacinesError(f"{field}.path: {name!r} stands twice: one entry a file")
+            seen.add(name.casefold())
+            check_hash(content, f"{field}.sha256")
         if content in held:
             raise RacinesError(f"{field}: the same as {held[content]}: one entry an artefact")
         held[content] = f"artefacts.{i}"
-        if "adapter" in artefact:
-            _check_adapter(artefact["adapter"], f"{field}.adapter")
-            continue
-        check_hash(artefact["sha256"], f"{field}.sha256")
-        name = check_name(artefact["path"], f"{field}.path")
-        if Path(name).suffix != kind.suffix:
-            raise RacinesError(
-                f"{field}.path: {name!r} refused: {artefact['kind']} is a {kind.suffix} file"
-            )
-        if name.casefold() in seen:
-            raise RacinesError(f"{field}.path: {name!r} stands twice: one entry a file")
-        seen.add(name.casefold())
     if files_of(document) and "digest" not in document["dataset"]:
         raise RacinesError(
             f"{where}: dataset.digest: missing: the content or recipe digest of the data"

@@ -103,14 +103,14 @@ def probe(
     at the starts of their view or else of `view`.
 
     Raises:
-        ContractError: a clause that is broken, after the artefact's name.
+        ContractError: a clause that is broken, after the names of submission and artefact.
         RacinesError: what an artefact's reader refuses.
     """
     found = Probed()
     for artefact in document["artefacts"]:
         kind, name = artefact["kind"], artefact.get("path") or artefact.get("adapter")
         path = folder / artefact.get("path", "")
-        with _named(str(path) if "path" in artefact else name):
+        with _named(f"{document['name']}: {name}"):
             if kind == "adapter":
                 _adapter(name, document["track"], store, phantom, view, found)
             elif kind == "trace":
