@@ -112,7 +112,7 @@ def probe(
         path = folder / artefact.get("path", "")
         with _named(f"{document['name']}: {name}"):
             if kind == "adapter":
-                _adapter(name, document["track"], store, phantom, view, found)
+                _adapter(name, document, store, phantom, view, found)
             elif kind == "trace":
                 found.untold[name] = "a trace is what was done, not what decides"
             elif kind not in ("generator", "predictions", "policy"):
@@ -227,14 +227,18 @@ def _policy(
 
 def _adapter(
     target: str,
-    track: str,
+    document: dict[str, Any],
     store: FrameStore | None,
     phantom: WorldLike,
     view: str,
     found: Probed,
 ) -> None:
     """Probe a merged class by a run of it, if one lies here."""
-    cls: Any = (generator_class if track == "generators" else agent_class)(target)
+    track = document["track"]
+    try:
+        cls: Any = (generator_class if track == "generators" else agent_class)(target)
+    except RacinesError as error:
+        raise RacinesError(f"{document.get('name', target)}: {error}") from error
     folders = [place / cls.name for place in PLACES[track]]
     folder = next((each for each in folders if (each / "config.json").is_file()), None)
     if folder is None:

@@ -35,6 +35,7 @@ from tests.leaderboard.graphs import (
 )
 from tests.leaderboard.handed_in import inbox, submitted
 
+GENERATORS = {"track": "generators"}
 SHA = "0123456789abcde" * 4
 
 
@@ -118,16 +119,16 @@ def test_a_merged_class_is_asked_in_a_new_process_too(tmp_path, store, monkeypat
 
     monkeypatch.chdir(tmp_path)
     found = Probed()
-    _adapter("tests.leaderboard.merged:Steady", "generators", store, None, "SC", found)
+    _adapter("tests.leaderboard.merged:Steady", GENERATORS, store, None, "SC", found)
     assert not found.held and "no run of it in models/runs/steady" in str(found.untold)
     for cls in (merged.Steady, merged.Moody, merged.Silent):
         cls().save(Path("models/runs") / cls.name)
-    _adapter("tests.leaderboard.merged:Steady", "generators", store, None, "SC", found)
+    _adapter("tests.leaderboard.merged:Steady", GENERATORS, store, None, "SC", found)
     assert found.held == set(CLAUSES)
     with pytest.raises(ContractError, match="clause G4 .*new process"):
-        _adapter("tests.leaderboard.merged:Moody", "generators", store, None, "SC", Probed())
+        _adapter("tests.leaderboard.merged:Moody", GENERATORS, store, None, "SC", Probed())
     with pytest.raises(ContractError, match="clause G7 .*undeclared .*give its card conditional"):
-        _adapter("tests.leaderboard.merged:Silent", "generators", store, None, "SC", Probed())
+        _adapter("tests.leaderboard.merged:Silent", GENERATORS, store, None, "SC", Probed())
 
 
 class Drawn:
