@@ -101,6 +101,28 @@ def working_folder(out: Path, kind: str, key: str, busy: str) -> Iterator[Path]:
         shutil.rmtree(folder)
 
 
+@contextmanager
+def locked(folder: Path, seconds: float = 120) -> Iterator[None]:
+    """Let one process at a time write into a folder, which is made; others wait.
+
+    Raises:
+        RacinesError: another has not let go of it after so many seconds.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / ".lock"
+    try:
+        lock = FileLock(path, timeout=seconds).acquire()
+    except Timeout as error:
+        busy = f"another process has been writing there for {seconds:g} s"
+        raise RacinesError(f"{folder}: {busy}: wait for it, or end it") from error
+    with lock:
+        try:
+            yield
+        finally:
+            # While it is held: who waits at it sees that it is gone, and makes another.
+            path.unlink(missing_ok=True)
+
+
 def _aside(out: Path) -> Path:
     return out.parent / f".{out.name}.old"
 

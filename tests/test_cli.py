@@ -158,6 +158,10 @@ def test_params_name_the_board(tmp_path: Path):
 
 def test_submit(tmp_path: Path):
     path = write_submission(tmp_path / "in", track="agents")
+    said = command(tmp_path, "racines", "submit", "in", code=1).stderr
+    assert "mine: " in said and "VaeGan is not an agent" in said
+    merged = {"kind": "adapter", "adapter": "racines_envs.agents.ppo:PPOAgent"}
+    path = write_submission(tmp_path / "in", merged, track="agents")
     assert "sound" in command(tmp_path, "racines", "submit", "in").stdout
     stored = tmp_path / "leaderboard/submissions/agents/mine/submission.yaml"
     assert stored.exists()

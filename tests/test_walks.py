@@ -60,7 +60,7 @@ def test_a_new_agent_gets_the_same_scores_twice(tmp_path):
 def test_recordings_are_taken_in_and_scanned(tmp_path, monkeypatch):
     monkeypatch.setenv("RACINES", str(ROOT))
     walk("release", tmp_path)
-    scores = json.loads((tmp_path / "envs/runs/scores/planner.json").read_text())
+    scores = json.loads((tmp_path / "envs/runs/scores/planner-replay.json").read_text())
     assert scores["task"]["backend"] == "replay"
     (board,) = (tmp_path / "leaderboard/results/my-recordings/generators").glob("*.json")
     assert json.loads(board.read_text())["scores"]["dataset"]["source"] == "release"
@@ -69,6 +69,6 @@ def test_recordings_are_taken_in_and_scanned(tmp_path, monkeypatch):
 def test_a_robot_and_an_organ_get_their_own_board(tmp_path):
     walk("robot", tmp_path)
     results = tmp_path / "leaderboard/results/vessels"
-    assert {path.stem for path in results.glob("agents/*.json")} == {"planner", "random"}
+    assert {path.stem for path in results.glob("agents/*.json")} == {"planner-sx", "random-sx"}
     manifest = json.loads((tmp_path / "recordings/manifest.json").read_text())
     assert manifest["source"] == "arm" and manifest["labels"] == ["LX", "SX", "Random"]

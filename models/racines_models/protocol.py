@@ -50,6 +50,8 @@ class Card:
     seed: int
     limits: tuple[str, ...] = ()
     """Known weaknesses, one sentence each."""
+    conditional: bool = True
+    """Whether the pose changes the image."""
 
 
 @runtime_checkable

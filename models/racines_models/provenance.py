@@ -1,14 +1,21 @@
 """Where a number comes from: hashes of files, version of the code, machine."""
 
 import hashlib
+import json
 import platform
 import subprocess
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.store.frames import FrameStore
+
+PASSING = ("seconds", "environment", "code")
+"""Of scores: what differs from one run of the same measurement to the next."""
+SPEEDS = ("latency", "images_per_second_1", "images_per_second_64")
+"""Metrics of which the same holds."""
 
 
 def sha256_bytes(*parts: bytes) -> str:
@@ -37,6 +44,54 @@ def code_version() -> dict[str, Any]:
     except (OSError, subprocess.SubprocessError):
         commit = None
     return {"version": metadata.version("racines"), "commit": commit}
+
+
+def same_result(a: Any, b: Any) -> bool:
+    """Return whether two documents of scores say the same; times, machine and code do not count."""
+    return _lasting(a) == _lasting(b)
+
+
+def _lasting(scores: Any) -> Any:
+    """Return what does not change when the same is measured again, as JSON gives it back."""
+    kept = {key: value for key, value in dict(scores).items() if key not in PASSING}
+    metrics = kept.get("metrics", {})
+    kept["metrics"] = {key: value for key, value in metrics.items() if key not in SPEEDS}
+    return json.loads(json.dumps(kept))
+
+
+def check_replaces(path: Path, scores: dict[str, Any], force: bool) -> None:
+    """Refuse to write scores over others, unless told to; the same ones may be written again.
+
+    Raises:
+        RacinesError: the file holds another result, or is no result.
+    """
+    if force or not path.is_file():
+        return
+    try:
+        before = json.loads(path.read_text())
+        same = same_result(before, scores)
+    except (OSError, ValueError, TypeError) as error:
+        raise RacinesError(
+            f"{path}: is there and holds no scores: --force to replace it"
+        ) from error
+    if not same:
+        raise RacinesError(
+            f"{path}: holds another result, of {_of_what(before)}; this one is of "
+            f"{_of_what(scores)}: --force to replace it, or write elsewhere"
+        )
+
+
+def _of_what(scores: dict[str, Any]) -> str:
+    """Return in a few words what scores were made of."""
+    task, data = scores.get("task") or {}, scores.get("dataset") or {}
+    words = [str(scores.get("generator") or scores.get("agent"))]
+    words += [str(task[key]) for key in ("view", "backend") if key in task]
+    starts = task.get("start_set")
+    if isinstance(starts, dict):
+        words.append(f"{starts.get('starts')} starts of sets {starts.get('seeds')}")
+    words += [str(data["split"])] if "split" in data else []
+    weights = sha256_bytes(json.dumps(scores.get("weights"), sort_keys=True).encode())
+    return f"{' '.join(words)} (weights {weights[:8]})"
 
 
 def environment(device: str = "cpu") -> dict[str, Any]:

@@ -23,38 +23,9 @@ from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE, ImageSource
 from racines_data.schema import PARAMETERS
 from racines_data.store.frames import FrameStore
+from racines_models.contract import check_own_rows, check_pose, check_same, check_seed, check_type
+from racines_models.contract import check_rows as check_rows
 from racines_models.protocol import Card, Generator, Run
-
-PLACES = 8
-"""Rows that `check_rows` moves through all places: as many as networks take at once on a CPU."""
-
-
-def check_rows(draw: Callable[..., Tensor | tuple[Tensor, ...]], *inputs: Tensor) -> None:
-    """Check that a row's result depends on its own inputs alone, to the last bit.
-
-    Each of the first eight rows stands at every place, alone, and among all others, which are more
-    than one chunk. `draw` turns (B, …) inputs, seeds among them where there are any, into a tensor
-    or tensors of (B, …); an `AssertionError` says what differs.
-    """
-
-    def results(places: Tensor) -> list[Tensor]:
-        drawn = draw(*(x[places] for x in inputs))
-        return [drawn] if isinstance(drawn, Tensor) else list(drawn)
-
-    everyone = torch.arange(len(inputs[0]))
-    assert len(everyone) > PLACES, f"give more than {PLACES} rows"
-    together = results(everyone)
-
-    def check(places: Tensor, what: str) -> None:
-        for whole, part in zip(together, results(places), strict=True):
-            apart = (whole[places].double() - part.double()).abs()
-            assert torch.equal(whole[places], part), f"{what}: differs by {float(apart.max()):.3g}"
-
-    check(everyone.flip(0), "in the reverse order")
-    for place in range(PLACES):
-        check(everyone[:PLACES].roll(place), f"{place} places further on")
-        check(everyone[place : place + 1], f"row {place} alone")
-
 
 _fits: dict[tuple[type, int], tuple[FrameStore, Generator, TemporaryDirectory[str]]] = {}
 # By test class and store, which is held so that its id stays its own.
@@ -96,18 +67,21 @@ class GeneratorContract:
         """`generate` returns (B, 128, 128) uint8, none for no poses; the class is a generator."""
         generator = self.fitted(store, tmp_path)
         assert isinstance(generator, Generator) and isinstance(generator, ImageSource)
-        for count in (0, 1, 11):
-            images = generator.generate(self.parameters(store, count), 0)
-            assert images.dtype == torch.uint8
-            assert images.shape == (count, IMAGE_SIZE, IMAGE_SIZE)
+        poses = self.parameters(store)
+        check_type(generator.generate, poses, torch.arange(len(poses)))
 
     def test_same_seed_same_bytes(self, store: FrameStore, tmp_path: Path) -> None:
         """The seed decides, and it matters exactly where the card says so."""
         generator, poses = self.fitted(store, tmp_path), self.parameters(store)
         first = generator.generate(poses, 5)
-        assert torch.equal(first, generator.generate(poses, 5))
-        other = generator.generate(poses, 6)
-        assert torch.equal(first, other) is not generator.card.stochastic
+        check_same(first, generator.generate(poses, 5), "G3")
+        check_seed(first, generator.generate(poses, 6), generator.card.stochastic)
+
+    def test_pose_counts_where_the_card_says_so(self, store: FrameStore, tmp_path: Path) -> None:
+        """Other poses change the images exactly where the card says so."""
+        generator, poses = self.fitted(store, tmp_path), self.parameters(store)
+        first, other = (generator.generate(x, 5) for x in (poses, poses.roll(1, 0)))
+        check_pose(first, other, generator.card.conditional)
 
     def test_two_fits_agree(self, store: FrameStore, tmp_path: Path) -> None:
         """The same data and seed give the same model file on one machine."""
@@ -120,7 +94,7 @@ class GeneratorContract:
         """An image depends on its own parameters and seed, to the last bit."""
         generator, poses = self.fitted(store, tmp_path), self.parameters(store)
         seeds = torch.arange(len(poses)) * 7 + 1
-        check_rows(generator.generate, poses, seeds)
+        check_own_rows(generator.generate, poses, seeds)
 
     def test_saved_and_loaded_draws_the_same(self, store: FrameStore, tmp_path: Path) -> None:
         """`load` of what `fit` or `save` left gives the same bytes and the same card."""

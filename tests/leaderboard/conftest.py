@@ -12,7 +12,7 @@ import yaml
 
 from racines_leaderboard.records.ranges import range_of
 
-DIGEST = "ab" * 32
+DIGEST = hashlib.sha256(b"made up").hexdigest()
 ENVIRONMENT = {"python": "3.11.7", "torch": "2.13.0", "platform": "Linux", "cpu": "x86_64"}
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 FOREVER = 2**62
@@ -63,25 +64,45 @@ def harmful(path: Path, how: str) -> Path:
         run = [huge, mean, helper.make_node("Add", ["more", "seed"], ["last"])]
     common.append(constant("shape", [8, 128, 128]))
     nodes = [seed, *run, helper.make_node("Expand", ["last", "shape"], ["images"])]
-    return save(path, nodes, [parameters], images, common, output="unit")
+    told = {"stochastic": "false", "conditional": "true", "output": "unit"}
+    return save(path, nodes, [parameters], images, common, **told)
 
 
-def sound_generator(path: Path) -> Path:
-    """Write a generator of stripes whose gray follows pose and noise."""
+DECLARED = {"stochastic": "true", "conditional": "true"}
+
+
+def sound_generator(
+    path: Path, speckle: float = 0.02, steep: float = -6.0, **told: str | None
+) -> Path:
+    """Write a generator of stripes whose gray follows pose and noise, and says so.
+
+    It draws no noise where `speckle` is 0, no pose where `steep` is; a metadata value of None is
+    left out.
+    """
     inputs = [
         helper.make_tensor_value_info("parameters", TensorProto.FLOAT, ["B", 12]),
         helper.make_tensor_value_info("noise", TensorProto.FLOAT, ["B", 128]),
     ]
     images = helper.make_tensor_value_info("images", TensorProto.FLOAT, ["B", 128, 128])
-    depth = np.linspace(0.6, -0.6, 128, dtype=np.float32).reshape(1, 128, 1)
+    # The higher the probe, the darker the frames; so steep a line is nearest to the phantom's.
+    depth = np.linspace(-0.3, -1.5, 128, dtype=np.float32).reshape(1, 128, 1)
     values = [constant("depth", depth, np.float32), constant("axes", [1])]
-    values += [constant("small", 0.02, np.float32), constant("six", [6]), constant("nine", [9])]
-    values += [constant("last", [1]), constant("rows", [1, 2])]
+    values += [
+        constant("small", speckle, np.float32),
+        constant("eight", [8]),
+        constant("nine", [9]),
+    ]
+    values += [
+        constant("last", [1]),
+        constant("rows", [1, 2]),
+        constant("steep", steep, np.float32),
+    ]
     nodes = [
         helper.make_node("Unsqueeze", ["noise", "axes"], ["lines"]),
         helper.make_node("Mul", ["lines", "small"], ["speckle"]),
-        helper.make_node("Slice", ["parameters", "six", "nine", "last"], ["place"]),
-        helper.make_node("ReduceSum", ["place", "last"], ["sum"], keepdims=1),
+        helper.make_node("Slice", ["parameters", "eight", "nine", "last"], ["height"]),
+        helper.make_node("Mul", ["height", "steep"], ["gray"]),
+        helper.make_node("ReduceSum", ["gray", "last"], ["sum"], keepdims=1),
         helper.make_node("Unsqueeze", ["sum", "rows"], ["shift4"]),
         helper.make_node("Squeeze", ["shift4", "rows"], ["shift"]),
         helper.make_node("Unsqueeze", ["shift", "axes"], ["shift3"]),
@@ -89,15 +110,96 @@ def sound_generator(path: Path) -> Path:
         helper.make_node("Add", ["plain", "shift3"], ["bright"]),
         helper.make_node("Tanh", ["bright"], ["images"]),
     ]
-    return save(path, nodes, inputs, images, values, name="stripes", output="unit")
+    about = {"name": "stripes", "output": "unit"} | DECLARED | told
+    about = {key: value for key, value in about.items() if value is not None}
+    return save(path, nodes, inputs, images, values, **about)
 
 
-def sound_policy(path: Path) -> Path:
+def spoilt_generator(path: Path, how: str) -> Path:
+    """Write the sound generator with something behind it that breaks the contract."""
+    model = onnx.load(sound_generator(path, steep=0.0 if how == "one pixel" else -6.0))
+    graph, node = model.graph, helper.make_node
+    graph.node[-1].output[0] = "drawn"
+    pixel = np.zeros((1, 128, 128), np.float32)
+    pixel[0, 64, 64] = 5.0
+    graph.initializer.extend(
+        [constant("zero", [0]), constant("half", 0.5, np.float32), constant("pixel", pixel, "f4"),
+         constant("dim", 0.004, np.float32), constant("one", 1.0, np.float32)]
+    )  # fmt: skip
+    graph.node.extend(
+        {
+            "batch": [
+                node("ReduceMean", ["drawn", "zero"], ["mean"]),
+                node("Mul", ["mean", "half"], ["share"]),
+                node("Sub", ["drawn", "share"], ["images"]),
+            ],
+            "chance": [
+                node("RandomNormalLike", ["drawn"], ["chance"], scale=0.05, seed=1.0),
+                node("Add", ["drawn", "chance"], ["shaken"]),
+                node("Tanh", ["shaken"], ["images"]),
+            ],
+            "black": [
+                node("Mul", ["drawn", "dim"], ["faint"]),
+                node("Add", ["faint", "dim"], ["above"]),
+                node("Sub", ["above", "one"], ["images"]),
+            ],
+            "one pixel": [
+                node("Mul", ["shift3", "pixel"], ["dot"]),
+                node("Slice", ["parameters", "eight", "nine", "last"], ["high"]),
+                node("Unsqueeze", ["high", "axes"], ["high3"]),
+                node("Mul", ["high3", "pixel"], ["spot"]),
+                node("Add", ["drawn", "spot"], ["more"]),
+                node("Add", ["more", "dot"], ["images"]),
+            ],
+        }[how]
+    )
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def blind_policy(path: Path, sees: str) -> Path:
+    """Write a policy that declares to see the pose (`params`), or the image too, and ignores one.
+
+    `params`: it always takes the same action; `multimodal`: it goes by the pose alone; `batch`: by
+    what its neighbours see.
+    """
+    params = helper.make_tensor_value_info("params", TensorProto.FLOAT, ["B", 9])
+    image = helper.make_tensor_value_info("image", TensorProto.UINT8, ["B", 128, 128])
+    logits = helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["B", 13])
+    matrix = np.random.default_rng(0).normal(size=(9, 13)).astype(np.float32)
+    values = [constant("matrix", matrix, np.float32), constant("zero", 0.0, np.float32)]
+    values += [constant("first", [0]), constant("axes", [1, 2])]
+    values += [constant("always", np.eye(13)[:1], np.float32)]
+    nodes = [helper.make_node("MatMul", ["params", "matrix"], ["own"])]
+    if sees == "params":
+        nodes += [helper.make_node("Mul", ["own", "zero"], ["none"])]
+        nodes += [helper.make_node("Add", ["none", "always"], ["logits"])]
+    elif sees == "batch":
+        nodes += [helper.make_node("ReduceMean", ["own", "first"], ["mean"])]
+        nodes += [helper.make_node("Sub", ["own", "mean"], ["logits"])]
+    else:
+        nodes += [helper.make_node("Cast", ["image"], ["gray"], to=TensorProto.FLOAT)]
+        nodes += [helper.make_node("ReduceMean", ["gray", "axes"], ["level"], keepdims=0)]
+        nodes += [helper.make_node("Unsqueeze", ["level", "one"], ["column"])]
+        nodes += [helper.make_node("Mul", ["column", "faint"], ["little"])]
+        nodes += [helper.make_node("Add", ["own", "little"], ["logits"])]
+        values += [constant("one", [1]), constant("faint", 1e-9, np.float32)]
+    inputs = [params, image] if sees == "multimodal" else [params]
+    return save(path, nodes, inputs, logits, values, name="blind")
+
+
+def sound_policy(path: Path, **told: str) -> Path:
     """Write a policy of the pose alone: one matrix."""
     params = helper.make_tensor_value_info("params", TensorProto.FLOAT, ["B", 9])
     logits = helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["B", 13])
     matrix = np.random.default_rng(0).normal(size=(9, 13)).astype(np.float32)
     node = helper.make_node("MatMul", ["params", "matrix"], ["logits"])
     return save(
-        path, [node], [params], logits, [constant("matrix", matrix, np.float32)], name="line"
+        path,
+        [node],
+        [params],
+        logits,
+        [constant("matrix", matrix, np.float32)],
+        name="line",
+        **told,
     )

@@ -74,15 +74,23 @@ def evaluate_agent(
     settings: opt.Set = None,
     params: opt.Params = None,
     profile: opt.Profile = None,
+    force: opt.Force = False,
     as_json: opt.AsJson = False,
 ) -> None:
     """Score an agent from fixed starts; options override the settings.
 
-    The policy is that of envs/runs/<run>, the scores go to envs/runs/scores/<run>.json.
+    The policy is that of envs/runs/<run>, the scores go to envs/runs/scores/<run>.json. Where an
+    option asks for another view, backend or start set than the settings do, the name says so:
+    <run>-pl.json. Another result that is there stays, unless --force is given.
     """
     from racines_data.config import fill, section
     from racines_envs.evaluation.agent_specs import find_entry
-    from racines_envs.evaluation.run import EvaluationConfig, evaluate, write_evaluation
+    from racines_envs.evaluation.run import (
+        EvaluationConfig,
+        evaluate,
+        result_name,
+        write_evaluation,
+    )
     from racines_models.cli.output import show_metrics
 
     values = read_settings(params, profile)
@@ -91,13 +99,14 @@ def evaluate_agent(
         view=view, starts=starts, backend=backend, generator=generator, reward=reward,
         data=data, grader=grader, device=device, seed=seed,
     ) | overrides(settings)  # fmt: skip
-    config = fill(EvaluationConfig, section(values, "evaluation") | chosen, "evaluation")
+    stated = section(values, "evaluation")
+    config = fill(EvaluationConfig, stated | chosen, "evaluation")
+    usual = fill(EvaluationConfig, stated | given(view=entry.view), "evaluation")
+    label = entry.name if name or out else result_name(entry.name, config, usual)
     phantom, board = phantom_config(values), values.get("board")
-    result = evaluate(
-        entry.agent, run or entry.folder, config, phantom, run=entry.name, board=board
-    )
-    out = out or entry.scores
-    write_evaluation(result, out, picture or out.with_suffix(".png"))
+    result = evaluate(entry.agent, run or entry.folder, config, phantom, run=label, board=board)
+    out = out or entry.scores.with_name(f"{label}.json")
+    write_evaluation(result, out, picture or out.with_suffix(".png"), force)
     if as_json:
         say_json(result.scores, indent=2)
     else:

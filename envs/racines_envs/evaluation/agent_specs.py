@@ -14,6 +14,7 @@ The run's name is that of its folder, of its scores and of its row on a board.
 """
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -24,6 +25,7 @@ import torch
 from racines_data.config import section
 from racines_data.errors import RacinesError
 from racines_envs.agents import Agent, agent_class, load_agent
+from racines_envs.agents.protocol import FILES
 
 RUNS = Path("envs/runs")
 
@@ -146,7 +148,8 @@ def find_entry(settings: dict[str, Any], spec: str, name: str | None = None) -> 
     """Return the run that a spec names, in all sections' settings; called `name`, if given.
 
     A spec is the name of an entry, a mapping, of the section `agents`; or a registered agent,
-    `module:Class` or `FILE.onnx`, whose entry is the one of its own name, if there is one.
+    `module:Class` or `FILE.onnx`, whose entry is the one of its own name, if there is one. A file's
+    run is called as the file.
     """
     entries = section(settings, "agents")
     own = spec if spec in entries else agent_class(spec).name
@@ -160,4 +163,11 @@ def find_entry(settings: dict[str, Any], spec: str, name: str | None = None) -> 
     # What learns for a view has it among its settings; for others it is the evaluation's alone.
     apart = {"agent"} if "view" in known else {"agent", "view"}
     chosen = values.of(*(values.keys() - apart))
-    return Entry(name or own, agent, chosen, values.get("view"))
+    of_file = Path(agent).suffix.lower() in FILES
+    called = plain_name(Path(agent).stem) if of_file and spec == agent else own
+    return Entry(name or called or own, agent, chosen, values.get("view"))
+
+
+def plain_name(text: str) -> str:
+    """Return a text as a name on a board: a-z, 0-9 and single dashes."""
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")

@@ -19,7 +19,7 @@ from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import Episodes, rollout
 from racines_envs.agents.trace import TraceAgent, circumstances, read_trace, write_trace
-from racines_envs.evaluation.agent_specs import check_view
+from racines_envs.evaluation.agent_specs import check_view, plain_name
 from racines_envs.evaluation.measures import latency, measure, measure_by_seed
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
@@ -30,7 +30,12 @@ from racines_envs.worlds.making import WorldLike, find_task, make_core, make_pha
 from racines_models import statistics
 from racines_models.devices import on_device
 from racines_models.protocol import Judge
-from racines_models.provenance import code_version, environment, weights_sha256
+from racines_models.provenance import (
+    check_replaces,
+    code_version,
+    environment,
+    weights_sha256,
+)
 
 SCHEMA = "racines.agent-scores/1"
 
@@ -263,8 +268,32 @@ def _weights(agent: Agent, run_dir: Path) -> dict[str, Any] | None:
     return {"sha256": files.get("policy.safetensors", only), "files": files}
 
 
-def write_evaluation(evaluation: Evaluation, scores: Path, picture: Path | None) -> None:
-    """Write the scores JSON and, where wanted, the picture of trajectories."""
+def result_name(run: str, config: EvaluationConfig, usual: EvaluationConfig) -> str:
+    """Return what a run's result is called: as the run, and by what differs from the usual.
+
+    Results of one agent on another view, backend or start set have names of their own.
+    """
+    parts = [run]
+    if config.view != usual.view:
+        parts.append(config.view)
+    if (config.backend, config.generator) != (usual.backend, usual.generator):
+        parts += [config.backend, *([Path(config.generator).stem] if config.generator else [])]
+    if config.sets != usual.sets:
+        parts.append("seed-" + "-".join(map(str, config.sets)))
+    if config.starts != usual.starts:
+        parts.append(f"{config.starts}-starts")
+    return plain_name("-".join(parts))
+
+
+def write_evaluation(
+    evaluation: Evaluation, scores: Path, picture: Path | None, force: bool = True
+) -> None:
+    """Write the scores JSON and, where wanted, the picture of trajectories.
+
+    Raises:
+        RacinesError: without `force`, another result is there.
+    """
+    check_replaces(scores, evaluation.scores, force)
     write_json(scores, evaluation.scores)
     if picture is not None:
         from racines_envs.evaluation.pictures import draw_trajectories

@@ -8,12 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
+from racines_data.files import locked
 from racines_leaderboard.records.experts import FOLDER as EXPERTS
 from racines_leaderboard.records.experts import with_experts
+from racines_leaderboard.records.names import check_unlike
 from racines_leaderboard.records.ranges import check_possible
-from racines_leaderboard.records.schema import check, read_json, sealed, write_record
+from racines_leaderboard.records.schema import KEY, check, read_json, sealed, write_record
 from racines_leaderboard.records.tracks import TRACK, TRACKS, Track
 from racines_leaderboard.submissions.document import find_submission
+from racines_models.provenance import same_result
 
 Record = dict[str, Any]
 TRACK_OF = {f"racines.{track.schema}/1": track for track in TRACKS}
@@ -47,17 +50,20 @@ def made_elsewhere(folders: list[Path], board: str) -> list[Path]:
 
 
 def collect(
-    folders: list[Path], results: Path, submissions: Path, board: str, without: Sequence[Path] = ()
-) -> list[Path]:
+    folders: list[Path], results: Path, submissions: Path, board: str,
+    without: Sequence[Path] = (), force: bool = False,
+) -> list[Path]:  # fmt: skip
     """Write one self-reported record for each scores file in the folders; return their paths.
 
     A record that has been reproduced stays so as long as its scores are the same. Nothing is
     written unless every file is sound and each track stays on one dataset. Files in `without` are
-    left out.
+    left out. The same results may be collected again.
 
     Raises:
         RacinesError: a missing folder or one without scores, a damaged file, a metric that cannot
-            be, or scores made on another dataset than the board's.
+            be, scores made on another dataset than the board's, two of one name, a name that looks
+            like another's on the board, or, without `force`, a record of another result in the
+            place of one.
     """
     records: dict[Path, Record] = {}
     for folder in folders:
@@ -71,11 +77,43 @@ def collect(
             if before.get("tier") == "reproduced" and before["scores"] == record["scores"]:
                 earned = {key: before[key] for key in ("tier", "reproduced") if key in before}
                 record = sealed(record | earned)
+            if place in records:
+                raise RacinesError(f"{path}: another folder has scores of that name: keep one")
             records[place] = record
     one_dataset(records, results, board)
-    for path, record in records.items():
-        write_record(path, record)
+    write_records(records, results, board, force)
     return list(records)
+
+
+def write_records(records: dict[Path, Record], results: Path, board: str, force: bool) -> None:
+    """Write records where they belong, all or none; one process at a time writes to boards.
+
+    Raises:
+        RacinesError: as `collect`, of names, datasets and what is there.
+    """
+    with locked(results):
+        one_dataset(records, results, board)
+        for path, record in records.items():
+            beside = {each.stem for each in (*path.parent.glob("*.json"), *records)
+                      if each.parent == path.parent}  # fmt: skip
+            check_unlike(path.stem, beside, f"{path}: name")
+            if not force and path.is_file():
+                _check_replaces(path, read_json(path, "record"), record)
+        for path, record in records.items():
+            write_record(path, record)
+
+
+def _check_replaces(path: Path, before: Record, record: Record) -> None:
+    """Refuse to put a record in the place of one that says something else."""
+    apart = [key for key in (*before, *record) if key not in ("scores", KEY)]
+    differing = [key for key in dict.fromkeys(apart) if before.get(key) != record.get(key)]
+    if not same_result(before["scores"], record["scores"]):
+        differing.append("scores")
+    if differing:
+        raise RacinesError(
+            f"{path}: holds another result, {before['tier']}; this one is {record['tier']} and "
+            f"differs in {', '.join(differing)}: --force to replace it"
+        )
 
 
 def basis_of(record: Record) -> str | None:

@@ -14,13 +14,14 @@ from racines_envs.agents.trace import TraceAgent
 from racines_envs.cli.settings import phantom_config
 from racines_envs.evaluation.run import EvaluationConfig, evaluate
 from racines_envs.worlds.making import find_task, make_phantom, phantom_recipe
-from racines_leaderboard.board.collect import Record, one_dataset, record_of
-from racines_leaderboard.records.schema import check, write_record
+from racines_leaderboard.board.collect import Record, record_of, write_records
+from racines_leaderboard.records.schema import check
 from racines_leaderboard.records.tracks import GENERATORS, TRACK, TRACKS
 from racines_leaderboard.submissions.confined import session as confined
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_leaderboard.submissions.document import YAML, files_of, find_submission, rescored
 from racines_leaderboard.submissions.intake import check_content
+from racines_leaderboard.submissions.probe import probe
 from racines_models.exchange.predictions.file import Predictions
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
@@ -55,17 +56,18 @@ def find(submissions: Path, name: str) -> Path:
     return found[0]
 
 
-def recompute(folder: Path, ground: Ground, results: Path) -> Record:
+def recompute(folder: Path, ground: Ground, results: Path, force: bool = False) -> Record:
     """Score the artefact in `<submissions>/<track>/<name>`; write a record of tier `recomputed`.
 
-    Graphs run in a confined child; no code of the submitter's runs. Timings are left out: they
-    would be those of the confinement.
+    Graphs run in a confined child; no code of the submitter's runs. The contract is tried first.
+    Timings are left out: they would be those of the confinement.
 
     Raises:
         RacinesError: a submission at fault or without an artefact that can be scored, one made for
-            other data, a file that breaks a limit, or metrics that do not belong on the board.
+            other data, a file that breaks the contract or a limit, metrics that do not belong on
+            the board, or, without `force`, a record of another result in its place.
     """
-    document, scores = recompute_scores(folder, ground)
+    document, scores = recompute_scores(folder, ground, probing=True)
     track, board = TRACK[document["track"]], ground.board
     path = results / board / track.name / f"{document['name']}.json"
     try:
@@ -76,13 +78,17 @@ def recompute(folder: Path, ground: Ground, results: Path) -> Record:
     record = record_of(board, track, document["name"], "recomputed", document, scores)
     check(record, "record", str(path))
     check(record["scores"], track.schema, f"{path}: scores")
-    one_dataset({path: record}, results, board)
-    write_record(path, record)
+    write_records({path: record}, results, board, force)
     return record
 
 
-def recompute_scores(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return a submission's document, and the scores of its artefact; nothing is written."""
+def recompute_scores(
+    folder: Path, ground: Ground, probing: bool = False
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return a submission's document, and the scores of its artefact; nothing is written.
+
+    With `probing` the contract is tried on it first; an audit holds the numbers alone to account.
+    """
     document = find_submission(folder.parents[1], folder.parent.name, folder.name)
     if document is None:
         raise RacinesError(f"{folder}: no submission there")
@@ -95,10 +101,25 @@ def recompute_scores(folder: Path, ground: Ground) -> tuple[dict[str, Any], dict
             check_content(path, artefact["kind"], document["track"], ground.limits)
         elif artefact in artefacts:
             raise RacinesError(f"{path}: lies at its URL: take it in with racines submit --fetch")
+    if probing:
+        _try_contract(folder, document, ground)
     paths = [folder / artefact["path"] for artefact in artefacts]
     make = _generator_scores if document["track"] == GENERATORS.name else _agent_scores
     scores = make(document, artefacts[0]["kind"], paths, ground)
     return document, scores | {"weights": {each["path"]: each["sha256"] for each in artefacts}}
+
+
+def _try_contract(folder: Path, document: dict[str, Any], ground: Ground) -> None:
+    """Try the contract on a board's own data, or at the starts of its own view."""
+    if document["track"] == GENERATORS.name:
+        store = open_store(ground.data)
+        _check_data(document, store.manifest, str(ground.data))
+        probe(folder, document, store, ground.limits)
+        return
+    view = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation").view
+    phantom = phantom_config(ground.settings)
+    world = make_phantom(phantom, "cpu", find_task(view, phantom).anatomy)
+    probe(folder, document, limits=ground.limits, phantom=world, view=view)
 
 
 def _check_data(document: dict[str, Any], here: dict[str, Any], where: str) -> None:

@@ -41,12 +41,14 @@ def leaderboard(
     csv: Annotated[
         Path | None, typer.Option(help="Write every figure of what is shown to this CSV file.")
     ] = None,
+    force: opt.Force = False,
     details: opt.Details = False,
     as_json: opt.AsJson = False,
 ) -> None:
     """Collect scores into a board, or make them again, rank it, and show it.
 
-    With --params, `board` of that file names the board.
+    With --params, `board` of that file names the board. A record of another result stays in its
+    place, unless --force is given; the same may be collected again.
     """
     from racines_data.files import write_atomic
     from racines_leaderboard.board import collect as results_of
@@ -61,7 +63,7 @@ def leaderboard(
         others = results_of.made_elsewhere(collect, board) if params is not None else []
         for path in others:
             say(f"racines: left out {path}: made for another board than {board}", err=True)
-        results_of.collect(collect, results, submissions, board, others)
+        results_of.collect(collect, results, submissions, board, others, force)
     if recompute:
         from racines_leaderboard.board import recompute as scoring
         from racines_leaderboard.submissions.confined.session import Limits
@@ -74,7 +76,7 @@ def leaderboard(
             board, read_params(settings), data, grader, pose, CACHE, Limits(unconfined=unconfined)
         )
         for folder in [scoring.find(submissions, name) for name in recompute]:
-            record = scoring.recompute(folder, ground, results)
+            record = scoring.recompute(folder, ground, results, force)
             say(f"racines: scored again: {record['track']}/{record['name']}", err=True)
     names = [board] if board else results_of.boards(results)
     if not set(names) <= set(results_of.boards(results)) or not names:

@@ -12,6 +12,7 @@ from racines_data.terminal import say, say_json
 def submit(
     source: Annotated[Path, typer.Argument(help="The submission.yaml, or the folder with it.")],
     out: opt.Out = opt.SUBMISSIONS,
+    data: opt.Data = opt.DATA,
     force: opt.Force = False,
     fetch: Annotated[
         bool, typer.Option("--fetch", help="Fetch the artefacts that are at a URL.")
@@ -26,7 +27,11 @@ def submit(
     track: Annotated[str, typer.Option(help="With --new: generators or agents.")] = "generators",
     as_json: opt.AsJson = False,
 ) -> None:
-    """Check a submission and put it in its place; nothing of it is run, nothing half-written."""
+    """Check a submission, try the contract on it, and put it in its place.
+
+    No code of its maker's is run, nothing half-written. Whether images follow their poses shows
+    where the dataset that it names is at --data.
+    """
     if new:
         from racines_leaderboard.submissions.template import write_template
 
@@ -40,18 +45,23 @@ def submit(
 
     limits = Limits(unconfined=unconfined)
     if check:
-        taken = look_at(source, limits)
+        taken = look_at(source, limits, data)
     else:
-        taken = take_in(source, out, replace=force, fetching=fetch, limits=limits)
+        taken = take_in(source, out, replace=force, fetching=fetch, limits=limits, data=data)
     document, again = taken.document, rescored(taken.document)
     if as_json:
         told = {"folder": str(taken.folder), "rescored": [each["path"] for each in again]}
-        told = document | told | {"remote": list(taken.remote)}
+        probed = {"held": sorted(taken.probed.held), "untold": taken.probed.untold}
+        told = document | told | {"remote": list(taken.remote), "contract": probed}
         say_json(told, indent=2)
         return
     say(f"{taken.folder}: sound ({document['name']}, {document['track']}).")
     for name in taken.remote:
         say(f"Left at its URL and not looked into: {name}; --fetch takes it in.")
+    if taken.probed.held:
+        say(f"Contract: {', '.join(sorted(taken.probed.held))} hold.")
+    for clause, reason in taken.probed.untold.items():
+        say(f"Contract, not told: {clause}: {reason}.")
     if again:
         what = ", ".join(f"{each['path']} ({KINDS[each['kind']].told})" for each in again)
         say(f"Scored again: {what}.")

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import yaml
 
 from racines_data.errors import RacinesError
+from racines_leaderboard.records.names import check_hash, check_unlike
 from racines_leaderboard.records.schema import check
 
 if TYPE_CHECKING:
@@ -88,6 +89,14 @@ KINDS = {
     "adapter": Kind("", (GENERATORS, AGENTS), "merged code"),
 }
 YAML = "submission.yaml"
+BLANKS = (
+    "YOUR NAME",
+    "A FEW WORDS FOR THE TABLE",
+    "A FEW SENTENCES.",
+    "IMAGES OR STEPS SEEN",
+    "WHAT IT RAN ON",
+)
+"""What stands in a template to be filled in."""
 PACKAGES = ("racines_data", "racines_models", "racines_envs", "racines_leaderboard")
 GROUPS = ("racines.generators", "racines.agents")
 
@@ -107,25 +116,30 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
 
     Raises:
         RacinesError: a kind of the other track, a name that is no bare file name or stands twice,
-            another ending than the kind's, an adapter that is not merged, no plain choice of what
-            is scored, or a tier that cannot be reached.
+            another ending than the kind's, a digest that is made up or stands twice, an adapter
+            that is not merged, no plain choice of what is scored, or a tier that cannot be reached.
     """
-    seen = {YAML}
+    seen, held = {YAML}, dict[str, str]()
     for i, artefact in enumerate(document["artefacts"]):
         field, kind = f"{where}: artefacts.{i}", KINDS[artefact["kind"]]
         if document["track"] not in kind.tracks:
             raise RacinesError(f"{field}.kind: {artefact['kind']} is none of {document['track']}")
+        content = artefact.get("sha256") or artefact["adapter"]
         if "adapter" in artefact:
-            _check_adapter(artefact["adapter"], f"{field}.adapter")
-            continue
-        name = check_name(artefact["path"], f"{field}.path")
-        if Path(name).suffix != kind.suffix:
-            raise RacinesError(
-                f"{field}.path: {name!r} refused: {artefact['kind']} is a {kind.suffix} file"
-            )
-        if name.lower() in seen:
-            raise RacinesError(f"{field}.path: {name!r} stands twice: one entry a file")
-        seen.add(name.lower())
+            _check_adapter(content, f"{field}.adapter")
+        else:
+            name = check_name(artefact["path"], f"{field}.path")
+            if Path(name).suffix != kind.suffix:
+                raise RacinesError(
+                    f"{field}.path: {name!r} refused: {artefact['kind']} is a {kind.suffix} file"
+                )
+            if name.casefold() in seen:
+                raise RacinesError(f"{field}.path: {name!r} stands twice: one entry a file")
+            seen.add(name.casefold())
+            check_hash(content, f"{field}.sha256")
+        if content in held:
+            raise RacinesError(f"{field}: the same as {held[content]}: one entry an artefact")
+        held[content] = f"artefacts.{i}"
     if files_of(document) and "digest" not in document["dataset"]:
         raise RacinesError(
             f"{where}: dataset.digest: missing: the content or recipe digest of the data"
@@ -142,6 +156,23 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
         raise RacinesError(f"{where}: tier: {tier} needs {needs}")
     if tier == "reproduced" and not merged:
         raise RacinesError(f"{where}: tier: {tier} needs merged code, an adapter")
+
+
+def _check_filled_in(document: dict[str, Any], where: str) -> None:
+    """Refuse what a template left to be filled in, and authors that look alike."""
+    authors = document["authors"]
+    told = {"method": document["method"], "description": document["description"].strip()}
+    told |= {f"training.{key}": value for key, value in document["training"].items()}
+    told |= {f"authors.{i}": name for i, name in enumerate(authors)}
+    for field, value in told.items():
+        if value in BLANKS:
+            raise RacinesError(f"{where}: {field}: {value!r}: fill it in")
+    for i, name in enumerate(authors):
+        check_unlike(name, authors[:i], f"{where}: authors.{i}")
+    if "digest" in document["dataset"]:
+        check_hash(document["dataset"]["digest"], f"{where}: dataset.digest")
+    if len(set(commit := document["code"].get("commit", "ab"))) == 1:
+        raise RacinesError(f"{where}: code.commit: {commit!r} is a placeholder: name the commit")
 
 
 def _check_adapter(target: str, where: str) -> None:
@@ -275,6 +306,8 @@ def _check_text(value: Any, where: str) -> None:
         bad = next((c for c in value if unicodedata.category(c) in CONTROLS), None)
         if bad is not None:
             raise RacinesError(f"{where}: character U+{ord(bad):04X} refused: visible text only")
+        if not unicodedata.is_normalized("NFC", value):
+            raise RacinesError(f"{where}: {value[:80]!r} is not in Unicode's form NFC: write it so")
     elif isinstance(value, float) and not math.isfinite(value):
         raise RacinesError(f"{where}: {value}: give a finite number, or leave it out")
     elif isinstance(value, int) and abs(value) >= 2**63:
@@ -298,6 +331,7 @@ def read_document(path: Path) -> dict[str, Any]:
         )
     check(document, "submission", str(path))
     check_artefacts(document, str(path))
+    _check_filled_in(document, str(path))
     return document
 
 

@@ -24,9 +24,10 @@ import yaml
 from safetensors import SafetensorError, deserialize
 
 from racines_data.errors import RacinesError
-from racines_data.files import swap_folder
+from racines_data.files import locked, swap_folder
 from racines_envs.agents.onnx.policy import read_policy
 from racines_envs.agents.trace import read_trace
+from racines_leaderboard.records.names import check_unlike
 from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.submissions.confined.session import Limits, rehearse
 from racines_leaderboard.submissions.document import (
@@ -39,6 +40,7 @@ from racines_leaderboard.submissions.document import (
     read_bounded,
     read_document,
 )
+from racines_leaderboard.submissions.probe import Probed, matching_store, probe
 from racines_models.exchange.onnx.generator import read_onnx
 
 SECONDS = 60
@@ -97,6 +99,8 @@ class Taken:
     document: dict[str, Any]
     remote: tuple[str, ...]
     """Files that were left at their URL, and not looked into."""
+    probed: Probed
+    """What of the contract holds, and what could not be told."""
 
 
 def take_in(
@@ -107,11 +111,14 @@ def take_in(
     fetching: bool = False,
     opener: Opener = open_https,
     limits: Limits | None = None,
+    data: Path | None = None,
 ) -> Taken:
     """Check a submission, its YAML or the folder with it; copy it to `submissions/<track>/<name>/`.
 
     With `replace` it may take the place of one by the same author. With `fetching`, artefacts that
-    are absent and have a URL are fetched through `opener`. What looks into them has `limits`.
+    are absent and have a URL are fetched through `opener`. What looks into them has `limits`. The
+    contract is tried on them (see `probe`), with the dataset in `data`, if it is the one they name.
+    Processes that take in at the same time put their submissions in place one after the other.
 
     Raises:
         RacinesError: anything at fault; nothing is left behind then.
@@ -122,19 +129,22 @@ def take_in(
     _check_free(target, document, replace, path)
     with _staged(target.parent) as stage:
         remote = _gather(path, document, stage, opener if fetching else None, limits)
+        probed = probe(stage, document, matching_store(data, document), limits)
         text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
         (stage / YAML).write_text(text)
         for each in stage.iterdir():
             each.chmod(0o644)
         stage.chmod(0o755)
-        if target.exists():
-            swap_folder(stage, target)
-        else:
-            os.rename(stage, target)
-    return Taken(target, document, remote)
+        with locked(submissions):
+            _check_free(target, document, replace, path)
+            if target.exists():
+                swap_folder(stage, target)
+            else:
+                os.rename(stage, target)
+    return Taken(target, document, remote, probed)
 
 
-def look_at(source: Path, limits: Limits | None = None) -> Taken:
+def look_at(source: Path, limits: Limits | None = None, data: Path | None = None) -> Taken:
     """Check a submission where it lies, as `take_in` does; nothing is written beside it.
 
     Its name may be taken: what is looked at may be what took it.
@@ -143,14 +153,26 @@ def look_at(source: Path, limits: Limits | None = None) -> Taken:
     document = read_document(path)
     with tempfile.TemporaryDirectory() as folder:
         remote = _gather(path, document, Path(folder), None, limits)
-    return Taken(path.parent, document, remote)
+        probed = probe(Path(folder), document, matching_store(data, document), limits)
+    return Taken(path.parent, document, remote, probed)
 
 
 def _check_free(target: Path, document: dict[str, Any], replace: bool, path: Path) -> None:
-    """Refuse a name that is taken, unless one of its authors replaces it, and links on the way."""
+    """Refuse a name that is taken, unless one of its authors replaces it, and links on the way.
+
+    A name that looks like one that is taken is refused, and a file that was handed in before.
+    """
     for place in (target.parent.parent, target.parent, target):
         if place.is_symlink():
             raise RacinesError(f"{place}: a symbolic link: nothing is written through it")
+    beside = [each.name for each in target.parent.glob("[!.]*")]
+    check_unlike(target.name, beside, f"{path}: name")
+    own = {each["sha256"]: each["path"] for each in files_of(document)}
+    for other in sorted(target.parent.parent.glob(f"*/[!.]*/{YAML}")):
+        for sha256 in own.keys() & _handed_in(other) if other.parent != target else ():
+            there = f"{other.parent.parent.name}/{other.parent.name}"
+            taken = f"handed in as {there} already"
+            raise RacinesError(f"{path}: {own[sha256]}: {taken}: hand in what is your own")
     if not target.exists():
         return
     if not replace:
@@ -163,6 +185,14 @@ def _check_free(target: Path, document: dict[str, Any], replace: bool, path: Pat
         raise RacinesError(
             f"{path}: authors: {target} is by {', '.join(before)}: only one of them replaces it"
         )
+
+
+def _handed_in(path: Path) -> set[str]:
+    """Return the digests of a submission's files; none where it is faulty."""
+    try:
+        return {each["sha256"] for each in files_of(read_document(path))}
+    except RacinesError:
+        return set()
 
 
 def _gather(

@@ -36,6 +36,7 @@ class BaseGenerator(ABC, Generic[C]):
     summary: ClassVar[str]
     source: ClassVar[str]
     stochastic: ClassVar[bool] = False
+    conditional: ClassVar[bool] = True
     limits: ClassVar[tuple[str, ...]] = ()
     holds: ClassVar[tuple[str, ...]] = ()
     """Names of the tensors in `held`, where a method has no networks."""
@@ -108,6 +109,7 @@ class BaseGenerator(ABC, Generic[C]):
     def card(self) -> Card:
         """Describe the fitted generator."""
         told = ("name", "title", "summary", "source", "stochastic", "data", "seed", "limits")
+        told += ("conditional",)
         return Card(
             weights=sum(tensor.numel() for tensor in self.tensors().values()),
             config=dataclasses.asdict(self.config),  # type: ignore[call-overload]

@@ -25,6 +25,7 @@ class MeanImage(BaseGenerator[MeanImageConfig]):
     title = "Mean image"
     summary = "The mean of the training images, the same for every pose."
     source = "a floor of this benchmark"
+    conditional = False
     limits = ("ignores the pose",)
     holds = ("image",)
 

@@ -1,5 +1,6 @@
 """Runs of agents, as the section `agents` of a params file names them."""
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -8,7 +9,9 @@ from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_envs.evaluation.agent_specs import find_entry
+from racines_envs.evaluation.run import EvaluationConfig, result_name
 from racines_leaderboard.cli.command import app
+from tests.leaderboard.graphs import sound_policy
 
 PARAMS = """
 board: tiny
@@ -86,3 +89,49 @@ def test_the_commands_train_and_score_runs_by_name(real_phantom, tmp_path, monke
     run("eval", "agent", "planner", "--name", "ceiling", "--view", "SC")
     scores = json.loads((tmp_path / "envs/runs/scores/ceiling.json").read_text())
     assert scores["agent"] == "ceiling" and scores["task"]["view"] == "SC"
+
+
+def test_a_result_of_another_view_or_start_set_has_a_name_of_its_own():
+    usual = EvaluationConfig(view="SC", starts=5)
+    names = {
+        "ppo": {},
+        "ppo-pl": {"view": "PL"},
+        "ppo-replay": {"backend": "replay"},
+        "ppo-generator-vae-gan": {"backend": "generator", "generator": "models/weights/vae-gan"},
+        "ppo-seed-7": {"seed": 7},
+        "ppo-seed-3-4": {"seeds": (3, 4)},
+        "ppo-pl-9-starts": {"view": "PL", "starts": 9},
+    }
+    for name, changes in names.items():
+        assert result_name("ppo", dataclasses.replace(usual, **changes), usual) == name
+
+
+def test_no_result_is_overwritten_in_silence(real_phantom, tmp_path, monkeypatch):
+    """A file's policy on two views, another file, another policy under the name of one."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "params.yaml").write_text("evaluation: {starts: 3, seeds: [0], latency: 0}\n")
+    for name in ("X.onnx", "y.onnx"):
+        sound_policy(tmp_path / name)
+    folder = tmp_path / "envs/runs/scores"
+
+    def run(*words):
+        done = CliRunner().invoke(app, ["eval", "agent", *words])
+        return str(done.exception or done.output)
+
+    for words in (("X.onnx",), ("X.onnx", "--view", "PL"), ("y.onnx",), ("X.onnx", "--seed", "5")):
+        assert "written" in run(*words)
+    kept = {path.name: path.read_bytes() for path in folder.glob("*.json")}
+    assert set(kept) == {"x.json", "x-pl.json", "y.json", "x-seed-5.json"}
+    views = {name: json.loads(text)["task"]["view"] for name, text in kept.items()}
+    assert views["x.json"] == "SC" and views["x-pl.json"] == "PL"
+    assert "written" in run("X.onnx")  # the same, again
+    assert "--force to replace it" in run("X.onnx", "--name", "x-pl")
+    assert "--force to replace it" in run(
+        "X.onnx", "--starts", "2", "--out", str(folder / "y.json")
+    )
+    sound_policy(tmp_path / "X.onnx", temperature="1.0")
+    assert "--force to replace it" in run("X.onnx")
+    assert (folder / "y.json").read_bytes() == kept["y.json"]
+    assert "written" in run("X.onnx", "--force")
+    (folder / "y.json").write_text("no scores")
+    assert "no scores: --force" in run("y.onnx")

@@ -10,7 +10,7 @@ from racines_data.errors import RacinesError
 from racines_leaderboard.board.collect import collect, read_board
 from racines_leaderboard.board.pages import BEGIN, END, with_tables, write_page
 from racines_leaderboard.board.table import REPORTED, board_tables, plain, show, titled_markdown
-from tests.leaderboard.conftest import agent_scores, generator_scores, write_submission
+from tests.leaderboard.conftest import DIGEST, agent_scores, generator_scores, write_submission
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def test_tables_show_figures_intervals_n_and_the_papers_figures_apart(results):
     assert "80.0 (79.9 – 80.1)" in text
     assert "| – |" in text, "a missing figure is a dash, not a zero"
     assert "self-reported" in text and "100" in text
-    assert "phantom 1.0.0 (simulated), recipe abababababab" in text
+    assert f"phantom 1.0.0 (simulated), recipe {DIGEST[:12]}" in text
     assert "On the true frames the view agrees in 90.0 %" in text
     assert "0.4253" in titled_markdown(tables[1]) and "0.4253" not in text
     assert "75.0 (65.0 – 85.0)" in titled_markdown(tables[3])

@@ -22,7 +22,7 @@ from racines_models.exchange.predictions.file import Task, write_predictions
 from racines_models.sample import take_sample
 from racines_models.scores.scoring import score
 from tests.conftest import TINY
-from tests.leaderboard.conftest import artefact, generator_scores, write_submission
+from tests.leaderboard.conftest import DIGEST, artefact, generator_scores, write_submission
 from tests.leaderboard.graphs import harmful, sound_generator, sound_policy
 from tests.leaderboard.handed_in import CONFIG, inbox, submitted
 
@@ -53,10 +53,13 @@ def test_a_generator_and_its_predictions_get_the_scores_of_the_open_road(ground,
     assert board["generators"][1]["scores"]["metrics"] == wanted
 
 
+TWO = (("a.onnx", 0.02), ("b.onnx", 0.03))
+
+
 def test_two_generators_are_two_seeds_of_one_method(ground, tmp_path):
     digest = open_store(ground.data).manifest["digest"]
     folder = inbox(tmp_path, "in")
-    paths = [sound_generator(folder / name) for name in ("a.onnx", "b.onnx")]
+    paths = [sound_generator(folder / name, speckle) for name, speckle in TWO]
     dataset = {"source": "phantom", "version": "1.0.0", "digest": digest}
     write_submission(folder, *(artefact("generator", path) for path in paths), dataset=dataset)
     taken = take_in(folder, tmp_path / "leaderboard/submissions").folder
@@ -90,9 +93,9 @@ def test_a_policy_and_its_trace_get_the_scores_of_the_open_road(ground, tmp_path
 
 def test_other_data_are_refused(ground, tmp_path):
     folder = submitted(
-        tmp_path, "generator", sound_generator(inbox(tmp_path, "in") / "m.onnx"), "ab" * 32
+        tmp_path, "generator", sound_generator(inbox(tmp_path, "in") / "m.onnx"), DIGEST
     )
-    with pytest.raises(RacinesError, match="mine: dataset.digest: abab.*score it on the data"):
+    with pytest.raises(RacinesError, match=f"mine: dataset.digest: {DIGEST}.*score it on the data"):
         recompute(folder, ground, tmp_path / "results")
     assert not (tmp_path / "results").exists()
 
@@ -103,9 +106,15 @@ def test_other_data_are_refused(ground, tmp_path):
 )
 def test_what_breaks_a_limit_leaves_no_record(ground, tmp_path, how, limit, message):
     digest = open_store(ground.data).manifest["digest"]
-    path = harmful(inbox(tmp_path, "in") / "harm.onnx", how)
-    folder = submitted(tmp_path, "generator", path, digest)
+    folder = tmp_path / "leaderboard/submissions/generators/mine"
+    folder.mkdir(parents=True)
+    entry = artefact("generator", harmful(folder / "harm.onnx", how))
+    dataset = {"source": "phantom", "version": "1.0.0", "digest": digest}
+    write_submission(folder, entry, dataset=dataset, tier="recomputed")
     limited = replace(ground, limits=replace(ground.limits, **limit))
+    with pytest.raises(RacinesError, match=f"harm.onnx: .*{message}"):  # it comes no further
+        take_in(folder, tmp_path / "elsewhere", limits=limited.limits)
+    assert not (tmp_path / "elsewhere").exists()
     with pytest.raises(RacinesError, match=f"harm.onnx: .*{message}"):
         recompute(folder, limited, tmp_path / "results")
     assert not (tmp_path / "results").exists()
@@ -144,7 +153,7 @@ def test_what_cannot_be_scored_again_says_why(ground, tmp_path):
 
 def test_a_file_that_was_changed_in_its_place_is_refused(ground, tmp_path):
     path = sound_generator(inbox(tmp_path, "in") / "m.onnx")
-    folder = submitted(tmp_path, "generator", path, "ab" * 32)
+    folder = submitted(tmp_path, "generator", path, DIGEST)
     (folder / "m.onnx").write_bytes(path.read_bytes() + b"\x00")
     with pytest.raises(RacinesError, match="m.onnx: the file has sha256"):
         recompute(folder, ground, tmp_path / "results")

@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.cli.command import app
-from racines_leaderboard.submissions.document import find_submission
+from racines_leaderboard.submissions.document import BLANKS, find_submission
 from racines_leaderboard.submissions.intake import open_https, take_in
-from tests.leaderboard.conftest import artefact, generator_scores, write_submission
+from tests.leaderboard.conftest import DIGEST, artefact, generator_scores, write_submission
 from tests.leaderboard.graphs import sound_generator
 from tests.leaderboard.submissions.test_submission import Payload
 from tests.waiting import PATIENCE
@@ -172,7 +172,7 @@ def test_a_name_is_taken_once_and_replaced_by_its_author(inbox, tmp_path):
 
 
 def test_it_is_plain_what_is_scored(inbox):
-    (inbox / "more.onnx").write_bytes((inbox / "mine.onnx").read_bytes())
+    sound_generator(inbox / "more.onnx", speckle=0.03)
     one, other = (artefact("generator", inbox / name) for name in ("mine.onnx", "more.onnx"))
     drawn = artefact("predictions", inbox / "p.parquet")
     write_submission(inbox, one, drawn)
@@ -285,6 +285,12 @@ def test_a_template_fits_once_it_is_filled_in(tmp_path):
     (folder / "notes.txt").write_text("left alone")
     assert "submission.yaml" in invoke("submit", "--new", folder)
     path = folder / "submission.yaml"
+    with pytest.raises(RacinesError, match="fill it in"):
+        take_in(folder, tmp_path / "out")
+    text = path.read_text().replace("0" * 64, DIGEST).replace('"0000000"', '"0a1b2c3"')
+    for blank in BLANKS:
+        text = text.replace(blank, "filled in")
+    path.write_text(text)
     taken = take_in(folder, tmp_path / "out")
     assert taken.document["name"] == "my-model"
     assert [each["path"] for each in taken.document["artefacts"]] == ["mine.onnx"]

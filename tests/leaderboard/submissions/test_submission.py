@@ -9,7 +9,7 @@ import pytest
 from racines_data.errors import RacinesError
 from racines_leaderboard.submissions.document import KINDS, find_submission, read_submission
 from tests.conftest import ROOT
-from tests.leaderboard.conftest import ADAPTER, artefact, write_submission
+from tests.leaderboard.conftest import ADAPTER, DIGEST, artefact, write_submission
 
 SAFETENSORS = (2).to_bytes(8, "little") + b"{}"
 
@@ -167,7 +167,7 @@ def test_what_is_no_plain_file_is_refused(tmp_path, spoil):
 
 
 def test_size_and_digest_are_those_claimed(tmp_path):
-    for changes in ({"sha256": "0" * 64}, {"size": 11}):
+    for changes in ({"sha256": DIGEST}, {"size": 11}):
         with pytest.raises(RacinesError, match="the file has sha256 .* and 10 bytes"):
             read_submission(weights(tmp_path, **changes))
     with pytest.raises(RacinesError, match=r"size: 10000000000 is greater"):

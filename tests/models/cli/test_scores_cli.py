@@ -72,7 +72,11 @@ def test_grader_then_generator_then_scores(here):
     assert list(content["weights"]) == ["model.safetensors"]
     assert path.with_suffix(".png").is_file()
 
-    shown = invoke("eval", "generator", "nearest-pose", "--no-grader", "--samples", "8")
+    invoke("eval", "generator", "nearest-pose", "--json")  # the same may be written again
+    fewer = ("eval", "generator", "nearest-pose", "--no-grader", "--samples", "8")
+    before = path.read_bytes()
+    assert "--force to replace it" in refused(*fewer) and path.read_bytes() == before
+    shown = invoke(*fewer, "--force")
     assert "fid" in shown and "view_agreement" not in shown
     assert json.loads(path.read_text())["metrics"]["fid"]["n"] == 8
 
@@ -86,7 +90,16 @@ def test_a_pose_regressor_is_used_where_there_is_one(here, monkeypatch):
     assert regressor.config.width == 0.125 and metrics["training"]["images"] == 96
     assert metrics["seed"] == 3 and metrics["metrics"]["pose_error_mm"]["value"] > 0
     invoke("train", "generator", "nearest-pose", "--json")
-    words = ("eval", "generator", "nearest-pose", "--no-grader", "--samples", "8", "--json")
+    words = (
+        "eval",
+        "generator",
+        "nearest-pose",
+        "--no-grader",
+        "--samples",
+        "8",
+        "--json",
+        "--force",
+    )
     content = json.loads(invoke(*words))
     assert content["extractors"]["pose"]["sha256"] == regressor.sha256
     assert content["metrics"]["pose_error_mm"]["n"] == 8

@@ -23,8 +23,9 @@ class Flat:
     @property
     def card(self):
         return Card(
-            "flat", "Flat", "One ramp of gray.", "a test", False, 1, {}, asdict(self.config), 0
-        )
+            "flat", "Flat", "One ramp of gray.", "a test", False, 1, {}, asdict(self.config), 0,
+            conditional=False,
+        )  # fmt: skip
 
     def fit(self, store, run):
         self.config.level = int(next(store.batches("train", 64, seed=0)).images.float().mean())

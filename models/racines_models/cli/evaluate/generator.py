@@ -27,10 +27,12 @@ def eval_generator(
     params: opt.Params = None,
     profile: opt.Profile = None,
     device: Device = "auto",
+    force: opt.Force = False,
     as_json: opt.AsJson = False,
 ) -> None:
     """Score a generator on held-out poses; write NAME.json and a picture NAME.png.
 
+    Another result that is there stays, unless --force is given; the same may be written again.
     The pose regressor is that of models/runs/pose, if it is there.
     """
     from racines_data.config import fill, section
@@ -41,6 +43,7 @@ def eval_generator(
     from racines_models.judges.grader.model import Grader
     from racines_models.judges.pose.regressor import PoseRegressor
     from racines_models.pictures import pick_columns, write_strip
+    from racines_models.provenance import check_replaces
     from racines_models.registry import open_runs, weights_of
     from racines_models.scores.scoring import ScoresConfig, score, take_turns
 
@@ -71,6 +74,7 @@ def eval_generator(
         )
     content: dict[str, Any] = {**scores.content, "weights": weights_of(name, run) or None}
     content["dataset"]["board"] = values.get("board")
+    check_replaces(out / f"{title}.json", content, force)
     frames = scores.sample.frames
     columns = pick_columns(frames.views, frames.grades, len(store.labels) - 1)
     write_strip(out / f"{title}.png", [frames.images[columns], scores.images[columns]])

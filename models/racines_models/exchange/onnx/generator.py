@@ -46,7 +46,7 @@ MAX_NOISE = 2**18
 MAX_BATCH = 256
 RANGES = {True: ("unit", "float32", "in [-1, 1]"), False: ("gray", "uint8", "gray levels 0-255")}
 """Of images that are floating or not: name in the metadata, element type, gray levels."""
-KEYS = ("schema", "name", "output", "stochastic", "noise", "card")
+KEYS = ("schema", "name", "output", "stochastic", "conditional", "noise", "card")
 BATCH = {"cpu": 8, "cuda": 64}
 """Samples a call, by device type, where the graph leaves the batch free."""
 SLACK = 1e-3
@@ -136,6 +136,10 @@ class OnnxInterface:
     opset: int
     card: dict[str, Any] = field(default_factory=dict)
     """The generator's card, as the file has it; not checked."""
+    stochastic: bool | None = None
+    """Whether the seed changes the image, by metadata or card; None if neither says so."""
+    conditional: bool | None = None
+    """Whether the pose does, likewise."""
 
 
 def read_onnx(path: Path) -> tuple[bytes, OnnxInterface]:
@@ -149,7 +153,15 @@ def read_onnx(path: Path) -> tuple[bytes, OnnxInterface]:
     floating = _output(model.graph, told.get("output"), path)
     name = check_name(told.get("name", path.stem), f"{path}: racines.name")
     card = parsed(told, "card", dict, path) or {}
-    return content, OnnxInterface(name, _noise(told, size, path), floating, batch, opset, card)
+    noise = _noise(told, size, path)
+    says = [_declared(told, card, key, path) for key in ("stochastic", "conditional")]
+    return content, OnnxInterface(name, noise, floating, batch, opset, card, *says)
+
+
+def _declared(told: dict[str, str], card: dict[str, Any], key: str, path: Path) -> bool | None:
+    value = parsed(told, key, bool, path)
+    value = card.get(key) if value is None else value
+    return value if isinstance(value, bool) else None
 
 
 def _inputs(graph: Any, path: Path) -> tuple[int | None, int]:
@@ -238,6 +250,7 @@ def export_generator(generator: Any, path: Path) -> dict[str, Any]:
         "racines.name": card["name"],
         "racines.output": "gray",
         "racines.stochastic": json.dumps(card["stochastic"]),
+        "racines.conditional": json.dumps(card["conditional"]),
         "racines.noise": json.dumps(asdict(module.noise) if module.noise else None),
         "racines.card": json.dumps(card),
     }

@@ -7,10 +7,11 @@ are decoded, and decoded within bounds.
 """
 
 import io
+import json
 import os
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +30,16 @@ from racines_data.records import encode_png
 from racines_data.schema import PARAMETERS
 from racines_data.sources.images import check_png
 from racines_data.store.frames import Batch, FrameStore
+from racines_models.contract import ContractError, check_range, declared
 from racines_models.exchange.naming import check_name, check_size
 from racines_models.provenance import sha256_bytes
-from racines_models.sample import DRAW, Progress, Sample, check_drawn, draw
+from racines_models.sample import DRAW, Progress, Sample, draw
 
 POSES = "racines.poses/1"
 PREDICTIONS = "racines.predictions/1"
 KEYS = ("schema", "dataset", "recipe", "source", "version", "split", "sample", "generator", "text")
+FLAGS = ("stochastic", "conditional")
+"""Metadata keys of what is declared, `true` or `false`, with `racines.` before each."""
 """Metadata keys, each with `racines.` before it."""
 MAX_TEXT = 10_000
 GROUP = 256
@@ -113,6 +117,8 @@ def write_predictions(
         raise RacinesError(f"text: {len(text):,} characters: give at most {MAX_TEXT:,}")
     if text:
         metadata["text"] = text
+    told = asdict(declared(generator))
+    metadata |= {key: json.dumps(told[key]) for key in FLAGS if told[key] is not None}
 
     def columns(seed: int) -> list[Any]:
         images = draw(generator, task.sample.frames, seed, progress).numpy()
@@ -169,6 +175,9 @@ class Predictions:
             self._check_columns(file)
             self.rows: int = file.metadata.num_rows
         self.name = check_name(self.metadata["generator"], f"{self.path}: racines.generator")
+        says = {"true": True, "false": False, None: None}
+        self.stochastic, self.conditional = (says[self.metadata.get(key)] for key in FLAGS)
+        """What the file declares: whether the seed, and whether the pose, changes the image."""
         self.sha256 = sha256_file(self.path)
         told, digest = self.metadata, store.manifest["digest"]
         if told["dataset"] != digest:
@@ -207,9 +216,10 @@ class Predictions:
                 images[place] = torch.from_numpy(decode_gray(pngs(int(i), where), where).copy())
         finder.check_complete()
         try:
-            return check_drawn(images)
-        except RacinesError as error:
-            raise RacinesError(f"{self.path}, seed {seed}: {error}") from error
+            check_range(images)
+        except ContractError as error:
+            raise error.at(f"{self.path}, seed {seed}") from error
+        return images
 
     def _opened(self, *dictionary: str) -> pq.ParquetFile:
         # Pages as they come: no column is read ahead, so memory holds one page and one batch.
@@ -312,8 +322,10 @@ def _read_metadata(raw: dict[bytes, bytes], path: Path) -> dict[str, str]:
             continue
         name = key.decode(errors="replace").removeprefix("racines.")
         where = f"{path}: metadata racines.{name[:80]}"
-        if name not in KEYS:
-            raise RacinesError(f"{where}: unknown; known: {', '.join(KEYS)}")
+        if name not in (*KEYS, *FLAGS):
+            raise RacinesError(f"{where}: unknown; known: {', '.join((*KEYS, *FLAGS))}")
+        if name in FLAGS and value not in (b"true", b"false"):
+            raise RacinesError(f"{where}: {value[:80]!r}: give true or false")
         if len(value) > MAX_TEXT:
             raise RacinesError(f"{where}: over {MAX_TEXT:,} bytes")
         try:
