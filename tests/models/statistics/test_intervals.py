@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from racines_models.intervals import (
+from racines_models.statistics.intervals import (
     Replicates,
     blocks_of,
     combine,

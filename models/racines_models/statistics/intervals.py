@@ -21,7 +21,7 @@ The spread that a training has because units are few is part of both; it is take
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -108,9 +108,11 @@ def mean_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS) -
 def median_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS) -> Replicates:
     """Return the replicates of the median, as `mean_replicates` does of the mean."""
     values = np.atleast_2d(np.asarray(values, np.float64))
-    return set_replicates(
-        [lambda keep, row=row: float(np.nanmedian(row[keep])) for row in values], units, most
-    )
+    medians = [lambda keep, row=row: float(np.nanmedian(row[keep])) for row in values]
+    present = np.isfinite(values)
+    shown = np.unique(np.asarray(units)[present.any(0)])
+    found = set_replicates(medians, units, most)
+    return replace(found, units=len(shown), n=int(present[0].sum()))
 
 
 def set_replicates(

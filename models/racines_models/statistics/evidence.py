@@ -1,0 +1,215 @@
+"""What the scores of a method rest on: the figures of each item, kept beside the scores file.
+
+A metric that is the mean or the median of its items keeps each item of each training and draw; one
+of a whole set, such as FID, keeps its replicates: the value of each training, whole and with each
+block of units left out. Either way the metric's value and interval follow from the file alone, and
+so do those of the difference of two methods and of a score made of several metrics.
+
+The file is one Parquet table in long form:
+
+    metric     string    name, as in the scores file
+    statistic  string    `mean`, `rate`, `median` or `set`
+    training   int16     which training of the method, from 0
+    draw       int16     which set of images of one training, from 0; null for `set`
+    item       int32     a frame's row in the dataset or an episode's place; for `set` how many
+    unit       int32     what was drawn independently (a trajectory, a patient, an episode); for
+                         `set` how many
+    block      int16     for `set` the block of units that is left out, -1 for none; else null
+    value      float64   null where there is no measurement
+
+Items stand in one order for all trainings and draws of a metric.
+"""
+
+import io
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from racines_data.errors import RacinesError
+from racines_data.files import sha256_file, write_atomic
+from racines_models.statistics.intervals import (
+    Interval,
+    Replicates,
+    interval,
+    mean_replicates,
+    median_interval,
+    median_replicates,
+    rate_interval,
+)
+
+STATISTICS = ("mean", "rate", "median", "set")
+SCHEMA = {
+    "metric": pl.String,
+    "statistic": pl.String,
+    "training": pl.Int16,
+    "draw": pl.Int16,
+    "item": pl.Int32,
+    "unit": pl.Int32,
+    "block": pl.Int16,
+    "value": pl.Float64,
+}
+MOST_BYTES = 4 << 20
+"""Largest file that is read."""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """The figures of one metric: of R trainings, D draws and N items, or replicates of a set."""
+
+    statistic: str
+    values: np.ndarray | None = None
+    """(R, D, N), NaN where there is no measurement; None for a `set`."""
+    items: np.ndarray | None = None
+    """(N,)"""
+    units: np.ndarray | None = None
+    """(N,)"""
+    whole: Replicates | None = None
+    """Of a `set`."""
+
+    def replicates(self) -> Replicates:
+        """Return the metric's replicates; items of several draws are one item's."""
+        if self.whole is not None:
+            return self.whole
+        values, units = self._flat()
+        if self.statistic != "median":
+            return mean_replicates(values, units)
+        found = median_replicates(values, units)
+        return replace(found, n=found.n * len(self._units()) // len(units))
+
+    def interval(self, minimum: float = -np.inf, maximum: float = np.inf) -> Interval:
+        """Return the metric's value and interval, cut at the least and the most it can be."""
+        if self.whole is not None:
+            return interval(self.whole, minimum, maximum)
+        values, units = self._flat()
+        if self.statistic == "rate":
+            return rate_interval(values, units)
+        if self.statistic == "median":
+            found = median_interval(values, units)
+            return replace(found, n=found.n * len(self._units()) // len(units))
+        return interval(mean_replicates(values, units), minimum, maximum)
+
+    def _flat(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return (R, M) values and (M,) units: draws averaged, or side by side for a median."""
+        assert self.values is not None
+        if self.statistic == "median":
+            trainings, draws, _ = self.values.shape
+            return self.values.reshape(trainings, -1), np.tile(self._units(), draws)
+        return self.values.mean(1), self._units()
+
+    def _units(self) -> np.ndarray:
+        assert self.units is not None
+        return self.units
+
+
+@dataclass
+class Evidence:
+    """The figures of every metric of one method, by name."""
+
+    figures: dict[str, Figures] = field(default_factory=dict)
+
+    def add(self, metric: str, statistic: str, values: Any, items: Any, units: Any) -> Figures:
+        """Keep the figures of items, (R, D, N) or (D, N) or (N,) values; return them.
+
+        Raises:
+            ValueError: shapes that do not fit, a statistic of no name, a metric that is there.
+        """
+        values = np.asarray(values, np.float64)
+        values = values.reshape((1,) * (3 - values.ndim) + values.shape)
+        items, units = np.asarray(items, np.int32), np.asarray(units, np.int32)
+        if values.ndim != 3 or not (items.shape == units.shape == values.shape[2:]):
+            raise ValueError(f"{metric}: {values.shape} values, {items.shape} items")
+        if statistic not in STATISTICS[:3]:
+            raise ValueError(f"{metric}: statistic {statistic!r}, not of {STATISTICS[:3]}")
+        return self._keep(metric, Figures(statistic, values, items, units))
+
+    def add_set(self, metric: str, replicates: Replicates) -> Figures:
+        """Keep the replicates of a metric of whole sets; return its figures."""
+        return self._keep(metric, Figures("set", whole=replicates))
+
+    def _keep(self, metric: str, figures: Figures) -> Figures:
+        if metric in self.figures:
+            raise ValueError(f"{metric}: its figures are there already")
+        self.figures[metric] = figures
+        return figures
+
+    def write(self, path: Path) -> dict[str, Any]:
+        """Write the file; return its name and sha256 as they stand in the scores."""
+        tables = [_table(name, each) for name, each in self.figures.items()]
+        table = pl.concat(tables) if tables else pl.DataFrame(schema=SCHEMA)
+        out = io.BytesIO()
+        table.write_parquet(out, compression="zstd", compression_level=9, statistics=False)
+        write_atomic(path, out.getvalue())
+        return {"file": path.name, "sha256": sha256_file(path)}
+
+    @classmethod
+    def read(cls, path: Path) -> "Evidence":
+        """Read a file that `write` left.
+
+        Raises:
+            RacinesError: no file, one too large, or one that is no such table.
+        """
+        try:
+            if path.stat().st_size > MOST_BYTES:
+                raise RacinesError(f"{path}: larger than {MOST_BYTES >> 20} MiB; score it again")
+            table = pl.read_parquet(path)
+        except OSError as error:
+            raise RacinesError(f"{path}: no evidence: {error}; score it again") from error
+        except pl.exceptions.PolarsError as error:
+            raise RacinesError(f"{path}: not readable as Parquet: {error}") from error
+        if dict(table.schema) != SCHEMA:
+            raise RacinesError(f"{path}: columns {dict(table.schema)}; expected {SCHEMA}")
+        parts = table.partition_by("metric", maintain_order=True)
+        try:
+            return cls({part["metric"][0]: _figures(part) for part in parts})
+        except (ValueError, TypeError) as error:
+            raise RacinesError(f"{path}: damaged: {error}; score it again") from error
+
+
+def _table(metric: str, figures: Figures) -> pl.DataFrame:
+    """Return the rows of one metric."""
+    columns: dict[str, Any]
+    named: dict[str, Any] = {"metric": metric, "statistic": figures.statistic}
+    if (of_set := figures.whole) is not None:
+        values = np.column_stack([of_set.whole, of_set.without])
+        trainings, blocks = values.shape
+        columns = {"draw": None, "item": of_set.n, "unit": of_set.units}
+        columns |= {"block": np.tile(np.arange(blocks) - 1, trainings)}
+        training = np.repeat(np.arange(trainings), blocks)
+    else:
+        assert figures.values is not None and figures.items is not None
+        values = figures.values
+        trainings, draws, items = values.shape
+        training, draw = np.divmod(np.repeat(np.arange(trainings * draws), items), draws)
+        columns = {"draw": draw, "block": None}
+        columns |= {"item": np.tile(figures.items, trainings * draws)}
+        columns |= {"unit": np.tile(figures._units(), trainings * draws)}
+    columns |= {"training": training, "value": pl.Series(values.ravel()).fill_nan(None)}
+    table = pl.select([pl.lit(each).alias(key) for key, each in (named | columns).items()])
+    return table.select(*SCHEMA).cast(SCHEMA)  # type: ignore[arg-type]
+
+
+def _figures(table: pl.DataFrame) -> Figures:
+    """Return the figures of one metric's rows.
+
+    Raises:
+        ValueError: rows that are missing, doubled or out of order.
+    """
+    metric, statistic = table["metric"][0], table["statistic"][0]
+    if statistic not in STATISTICS or table["statistic"].n_unique() > 1:
+        raise ValueError(f"{metric}: statistic {statistic!r}, not one of {STATISTICS}")
+    trainings = 1 + int(table["training"].to_numpy().max())
+    if statistic == "set":
+        values = table["value"].to_numpy().reshape(trainings, -1)
+        replicates = Replicates(values[:, 0], values[:, 1:], table["unit"][0], table["item"][0])
+        figures = Figures(statistic, whole=replicates)
+    else:
+        draws = 1 + int(table["draw"].to_numpy().max())
+        values = table["value"].fill_null(np.nan).to_numpy().reshape(trainings, draws, -1)
+        first = table.head(values.shape[2])
+        figures = Figures(statistic, values, first["item"].to_numpy(), first["unit"].to_numpy())
+    if not _table(metric, figures).equals(table):
+        raise ValueError(f"{metric}: rows are missing, doubled or out of order")
+    return figures

@@ -1,0 +1,94 @@
+"""The figures of items beside the scores: written, read again, and what follows from them."""
+
+import numpy as np
+import polars as pl
+import pytest
+
+from racines_data.errors import RacinesError
+from racines_models.statistics import Evidence, intervals
+
+RANDOM = np.random.default_rng(0)
+UNITS = np.repeat(np.arange(9), [3, 9, 4, 7, 5, 6, 8, 2, 5])
+N = len(UNITS)
+ITEMS = np.arange(N) * 3
+
+
+def evidence() -> Evidence:
+    kept = Evidence()
+    values = RANDOM.gamma(2.0, 1.0, (3, 2, N))
+    kept.add("ssim", "mean", values, ITEMS, UNITS)
+    kept.add("view_agreement", "rate", values > 0.5, ITEMS, UNITS)
+    holes = values.copy()
+    holes[:, :, UNITS == 4] = np.nan
+    kept.add("pose_error_mm", "median", holes, ITEMS, UNITS)
+    sets = [lambda keep, row=row: float(row[:, keep].mean()) for row in values]
+    kept.add_set("fid", intervals.set_replicates(sets, UNITS))
+    return kept
+
+
+def test_what_is_read_is_what_was_written(tmp_path):
+    kept = evidence()
+    told = kept.write(tmp_path / "a.parquet")
+    read = Evidence.read(tmp_path / "a.parquet")
+    assert list(read.figures) == ["ssim", "view_agreement", "pose_error_mm", "fid"]
+    for name, figures in kept.figures.items():
+        assert read.figures[name].interval() == figures.interval()
+        first, again = figures.replicates(), read.figures[name].replicates()
+        assert (first.whole == again.whole).all() and (first.without == again.without).all()
+        assert (first.units, first.n) == (again.units, again.n)
+    assert told == read.write(tmp_path / "b.parquet") | {"file": "a.parquet"}
+
+
+def test_figures_of_draws_are_one_items_and_those_of_trainings_are_not():
+    kept = evidence()
+    found = kept.figures["ssim"].interval()
+    assert (found.n, found.units, found.trainings) == (N, 9, 3)
+    values = kept.figures["ssim"].values
+    assert values is not None and found.value == pytest.approx(values.mean())
+    median = kept.figures["pose_error_mm"].interval()
+    assert (median.n, median.units) == (N, 8)
+
+
+def test_a_single_set_and_a_single_training():
+    kept = Evidence()
+    kept.add("ssim", "mean", np.arange(N) / N, ITEMS, UNITS)
+    assert kept.figures["ssim"].interval().trainings == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda table: table.head(table.height - 1), "damaged"),
+        (lambda table: table.with_columns(value=pl.col("value").cast(pl.Float32)), "columns"),
+        (lambda table: pl.concat([table, table.tail(3)]), "damaged"),
+        (lambda table: table.sample(fraction=1.0, shuffle=True, seed=1), "damaged"),
+        (lambda table: table.with_columns(statistic=pl.lit("mode")), "statistic"),
+        (lambda table: table.drop("unit"), "columns"),
+    ],
+)
+def test_a_damaged_file_is_refused(tmp_path, change, expected):
+    path = tmp_path / "a.parquet"
+    evidence().write(path)
+    change(pl.read_parquet(path)).write_parquet(path)
+    with pytest.raises(RacinesError, match=expected) as caught:
+        Evidence.read(path)
+    assert str(path) in str(caught.value)
+
+
+def test_a_file_that_is_none_is_refused(tmp_path):
+    with pytest.raises(RacinesError, match="no evidence"):
+        Evidence.read(tmp_path / "none.parquet")
+    (tmp_path / "a.parquet").write_bytes(b"PAR1 not")
+    with pytest.raises(RacinesError, match="not readable"):
+        Evidence.read(tmp_path / "a.parquet")
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    kept = Evidence()
+    with pytest.raises(ValueError, match="values"):
+        kept.add("ssim", "mean", np.zeros(N - 1), ITEMS, UNITS)
+    with pytest.raises(ValueError, match="statistic"):
+        kept.add("ssim", "set", np.zeros(N), ITEMS, UNITS)
+    kept.add("ssim", "mean", np.zeros(N), ITEMS, UNITS)
+    with pytest.raises(ValueError, match="already"):
+        kept.add("ssim", "mean", np.zeros(N), ITEMS, UNITS)
