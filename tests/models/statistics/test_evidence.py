@@ -46,7 +46,7 @@ def test_figures_of_draws_are_one_items_and_those_of_trainings_are_not():
     values = kept.figures["ssim"].values
     assert values is not None and found.value == pytest.approx(values.mean())
     median = kept.figures["pose_error_mm"].interval()
-    assert (median.n, median.units) == (N, 8)
+    assert (median.n, median.units) == (int((UNITS != 4).sum()), 8)
 
 
 def test_a_single_set_and_a_single_training():
