@@ -11,8 +11,9 @@ from racines_data.store.frames import Batch
 from racines_data.views import LABELS
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.expert.sample import Study, System, make_kit
+from tests.leaderboard.conftest import DIGEST
 
-RECIPE = "ab" * 32
+RECIPE = DIGEST
 
 
 class Frames:

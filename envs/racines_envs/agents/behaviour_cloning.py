@@ -30,9 +30,9 @@ from racines_envs.task.actions import ACTIONS, IDLE, ActionTable
 from racines_envs.task.tasks import Task
 from racines_envs.worlds.backends import JudgeLike
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom
-from racines_models import statistics
 from racines_models.protocol import Run
 from racines_models.provenance import dataset_card
+from racines_models.statistics import bootstrap as statistics
 from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.objective import Course, Training, Update
 from racines_models.training.trainer import train

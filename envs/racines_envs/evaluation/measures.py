@@ -14,7 +14,7 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import Episodes
 from racines_envs.task.core import ScanCore
-from racines_models import statistics
+from racines_models.statistics import bootstrap as statistics
 
 RETURN_OF_A_HIT = 50.0
 LEAST, WARM_UP = 50, 10

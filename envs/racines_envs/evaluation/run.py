@@ -27,7 +27,6 @@ from racines_envs.task.starts import evaluation_seeds
 from racines_envs.task.tasks import Task
 from racines_envs.worlds.backends import check_grader, make_grader
 from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
-from racines_models import statistics
 from racines_models.devices import on_device
 from racines_models.protocol import Judge
 from racines_models.provenance import (
@@ -36,6 +35,7 @@ from racines_models.provenance import (
     environment,
     weights_sha256,
 )
+from racines_models.statistics import bootstrap as statistics
 
 SCHEMA = "racines.agent-scores/1"
 

@@ -21,10 +21,10 @@ from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.backends import make_grader
 from racines_envs.worlds.making import WorldLike, find_task, make_core, phantom_recipe
-from racines_models import statistics
 from racines_models.devices import on_device
 from racines_models.protocol import Judge
 from racines_models.provenance import code_version, environment, weights_sha256
+from racines_models.statistics import bootstrap as statistics
 
 SCHEMA = "racines.explanation/1"
 COLUMNS = 6

@@ -34,8 +34,8 @@ from racines_envs.task.rewards import (
 from racines_envs.task.tasks import TERMINATIONS
 from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom, phantom_recipe
-from racines_models import statistics
 from racines_models.devices import on_device
+from racines_models.statistics import bootstrap as statistics
 
 SCHEMA = "racines.agent-rewards/1"
 PAPER = {

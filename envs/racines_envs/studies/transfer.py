@@ -24,8 +24,8 @@ from racines_envs.evaluation.pictures import save
 from racines_envs.evaluation.run import StudyConfig, core_for, reference_steps, start_seeds
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom, phantom_recipe
 from racines_envs.worlds.replay import RecordedWorld
-from racines_models import statistics
 from racines_models.devices import on_device
+from racines_models.statistics import bootstrap as statistics
 
 SCHEMA = "racines.agent-transfer/1"
 COMPARED = ("success_true", "episode_steps", "spl", "final_grade")

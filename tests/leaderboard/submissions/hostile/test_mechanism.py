@@ -238,7 +238,7 @@ def test_the_other_commands_pass_the_option_on(words, monkeypatch):
 
     found = Path("results/board/generators/x.json")
     monkeypatch.setattr(recompute, "find", lambda *_: found)
-    monkeypatch.setattr(recompute, "recompute", lambda folder, ground, results: stop(ground.limits))
+    monkeypatch.setattr(recompute, "recompute", lambda folder, ground, *_: stop(ground.limits))
     monkeypatch.setattr(run, "find_records", lambda *_: [found])
     monkeypatch.setattr(run, "audit", lambda path, bench, quick: stop(bench.places.limits))
     for more in ([], ["--unconfined"]):
