@@ -73,6 +73,8 @@ def test_every_racines_command_takes_the_words_it_is_given(page):
 def _parse(words: list[str]) -> None:
     found, told = typer.main.get_command(app), list(words)
     while hasattr(found, "commands"):
+        if words[0] in {option for each in found.params for option in each.opts}:
+            words.pop(0)  # a switch of the whole program
         found = found.commands[words.pop(0)]
     try:
         found.make_context("racines", words)
