@@ -327,7 +327,7 @@ class CloningLearner(Course):
         def figure(hits: Tensor) -> dict[str, Any]:
             # A mean of each, so that a long trajectory counts as a short one.
             means = torch.bincount(place, hits.double()) / torch.bincount(place)
-            return statistics.mean(means.numpy(), "mean over trajectories")
+            return statistics.figure("mean", means, "mean over trajectories", 0.0, 1.0)
 
         return {
             "epochs": len(self.history),

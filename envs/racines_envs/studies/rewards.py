@@ -220,12 +220,12 @@ def _figures(settled: Settled, config: RewardReportConfig) -> dict[str, Any]:
     hovered = settled.hits + settled.seen  # steps spent in the view, hits or not
     hacked = (settled.total >= config.high) & ~settled.success
     return {
-        "return": statistics.mean(settled.total, None, config.resamples),
-        "success_true": statistics.wilson(settled.success),
-        "success_graded": statistics.wilson(settled.graded),
-        "high_return_without_success": statistics.wilson(hacked),
-        "episode_steps": statistics.mean(settled.steps, "steps", config.resamples),
-        "hovered": statistics.mean(hovered, "steps in the view", config.resamples),
+        "return": statistics.figure("mean", settled.total),
+        "success_true": statistics.figure("rate", settled.success),
+        "success_graded": statistics.figure("rate", settled.graded),
+        "high_return_without_success": statistics.figure("rate", hacked),
+        "episode_steps": statistics.figure("mean", settled.steps, "steps", 0.0),
+        "hovered": statistics.figure("mean", hovered, "steps in the view", 0.0),
     }
 
 

@@ -6,7 +6,6 @@ recordings of no phantom have only their own labels, and the document says so.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from racines_data.errors import RacinesError
 from racines_data.tables import escape, markdown_table
 from racines_envs.agents.rollout import rollout
 from racines_envs.evaluation.agent_specs import Run, common_view
-from racines_envs.evaluation.measures import path_length_score
+from racines_envs.evaluation.measures import METRICS, path_length_score
 from racines_envs.evaluation.pictures import save
 from racines_envs.evaluation.run import StudyConfig, core_for, reference_steps, start_seeds
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom, phantom_recipe
@@ -97,7 +96,7 @@ def transfer(
         "judged_by": judges,
         "cells": [
             {"agent": run.label, "backend": backend}
-            | {"metrics": _metrics(scores[run.label, backend], config.resamples)}
+            | {"metrics": _metrics(scores[run.label, backend])}
             for run in runs
             for backend in backends
         ],
@@ -105,15 +104,13 @@ def transfer(
     }
 
 
-def _metrics(scores: dict[str, np.ndarray], resamples: int) -> dict[str, Any]:
-    mean = partial(statistics.mean, resamples=resamples)
-    success, steps = scores["success_true"], scores["episode_steps"]
+def _metrics(scores: dict[str, np.ndarray]) -> dict[str, Any]:
+    steps = np.where(scores["success_true"], scores["episode_steps"], np.nan)
+    values = {"success_true": scores["success_true"], "steps": steps, **scores}
     return {
-        "success_true": statistics.wilson(success),
-        "steps": mean(steps[success], "steps of the episodes with true success"),
-        "episode_steps": mean(steps, "steps"),
-        "spl": mean(scores["spl"]),
-        "final_grade": mean(scores["final_grade"]),
+        name: statistics.figure(what.statistic, values[name], what.unit, what.least, what.most)
+        for name, what in METRICS.items()
+        if name in values
     }
 
 

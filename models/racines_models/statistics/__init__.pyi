@@ -10,6 +10,7 @@ from .bootstrap import median as median
 from .bootstrap import wilson as wilson
 from .evidence import Evidence as Evidence
 from .evidence import Figures as Figures
+from .evidence import figure as figure
 
 __all__ = [
     "LEVEL",
@@ -18,6 +19,7 @@ __all__ = [
     "Figures",
     "bootstrap_mean",
     "bootstrap_median",
+    "figure",
     "interquartile_mean",
     "jackknife",
     "jackknife_all",
