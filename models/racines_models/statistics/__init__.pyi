@@ -2,10 +2,8 @@ from .bootstrap import LEVEL as LEVEL
 from .bootstrap import Estimate as Estimate
 from .bootstrap import bootstrap_mean as bootstrap_mean
 from .bootstrap import bootstrap_median as bootstrap_median
-from .bootstrap import interquartile_mean as interquartile_mean
 from .bootstrap import jackknife as jackknife
 from .bootstrap import jackknife_all as jackknife_all
-from .bootstrap import mean as mean
 from .bootstrap import median as median
 from .bootstrap import wilson as wilson
 from .evidence import Evidence as Evidence
@@ -20,10 +18,8 @@ __all__ = [
     "bootstrap_mean",
     "bootstrap_median",
     "figure",
-    "interquartile_mean",
     "jackknife",
     "jackknife_all",
-    "mean",
     "median",
     "wilson",
 ]
