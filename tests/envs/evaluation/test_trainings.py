@@ -172,6 +172,8 @@ def test_what_learns_says_so(run, tmp_path):
     assert learns(PPOAgent) and not learns(PlannerAgent) and not learns(RandomAgent)
     sound_policy(tmp_path / "theirs.onnx")
     assert learns(OnnxPolicyAgent(tmp_path / "theirs.onnx"))
+    sound_policy(tmp_path / "rule.onnx", card='{"trained": false}')
+    assert not learns(OnnxPolicyAgent(tmp_path / "rule.onnx"))
     export_run(run, tmp_path / "ours.onnx")
     assert learns(OnnxPolicyAgent(tmp_path / "ours.onnx"))
 
