@@ -32,7 +32,7 @@ from racines_envs.worlds.backends import JudgeLike
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom
 from racines_models.protocol import Run
 from racines_models.provenance import dataset_card
-from racines_models.statistics import bootstrap as statistics
+from racines_models.statistics import evidence
 from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.objective import Course, Training, Update
 from racines_models.training.trainer import train
@@ -327,7 +327,7 @@ class CloningLearner(Course):
         def figure(hits: Tensor) -> dict[str, Any]:
             # A mean of each, so that a long trajectory counts as a short one.
             means = torch.bincount(place, hits.double()) / torch.bincount(place)
-            return statistics.mean(means.numpy(), "mean over trajectories")
+            return evidence.figure("mean", means, "mean over trajectories", 0.0, 1.0)
 
         return {
             "epochs": len(self.history),

@@ -77,6 +77,14 @@ def sees(agent: Agent) -> str:
     return getattr(agent, "sees", agent.observation)
 
 
+def learns(agent: Agent | type[Agent]) -> bool:
+    """Return whether an agent learned by random draws, so that another training ends elsewhere.
+
+    An attribute `trained` says so; of one that has none it is supposed.
+    """
+    return bool(getattr(agent, "trained", True))
+
+
 @dataclass(frozen=True)
 class NoConfig:
     """Nothing to set."""
@@ -90,6 +98,8 @@ class Untrained:
     observation: str = "params"
     origin: ClassVar[str] = ""
     """Where to get one, if not from `train`."""
+    trained: bool = False
+    """See `learns`."""
 
     def attach(self, core: ScanCore) -> None:
         """Keep nothing of the environment."""

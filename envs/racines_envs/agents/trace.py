@@ -169,6 +169,8 @@ class TraceAgent(Untrained):
 
     name: ClassVar[str] = "trace"
     origin: ClassVar[str] = "record one: racines export trace AGENT --out FILE"
+    trained: bool = True
+    """Who acted is not known."""
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)

@@ -34,10 +34,15 @@ def train_agent(
     profile: opt.Profile = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Train an agent into envs/runs/<run>, or --out; options override the settings."""
+    """Train an agent into envs/runs/<run>, or --out; options override the settings.
+
+    With `repeats: N` in its entry, N seeds: the first in that folder, seed n in its seed-<n>.
+    """
     from racines_data.config import fill
     from racines_envs.agents import agent_class
-    from racines_envs.evaluation.agent_specs import find_entry
+    from racines_envs.evaluation.agent_specs import find_entry, read_json
+    from racines_models.protocol import Run
+    from racines_models.training.checkpoint import train_seeds
 
     settings = read_settings(params, profile)
     entry = find_entry(settings, agent, name)
@@ -49,7 +54,12 @@ def train_agent(
     config: Any = fill(cls.Config, entry.settings | chosen, entry.where)
     folder = out or entry.folder
     where = {"phantom": phantom_config(settings), "data": data, "progress": not as_json}
-    cls.train(config, folder, seed=seed_of(settings, seed), resume=resume, **where)
+
+    def fit(one: Run) -> dict[str, Any]:
+        cls.train(config, one.folder, seed=one.seed, resume=one.resume, **where)
+        return read_json(one.folder / "metrics.json")
+
+    train_seeds(fit, Run(folder, seed_of(settings, seed), resume=resume), entry.repeats)
     metrics = (folder / "metrics.json").read_text()
     say_page(metrics if as_json else f"settings, metrics and policy, if any, are in {folder}")
 
@@ -79,6 +89,8 @@ def evaluate_agent(
 ) -> None:
     """Score an agent from fixed starts; options override the settings.
 
+    All trainings of the run are scored, and published ones (envs/weights/<board>/<run>/seed-<n>)
+    of the same settings where the run has none of that seed; of --run FOLDER, those in it.
     The policy is that of envs/runs/<run>, the scores go to envs/runs/scores/<run>.json. Where an
     option asks for another view, backend or start set than the settings do, the name says so:
     <run>-pl.json. Another result that is there stays, unless --force is given.
@@ -91,6 +103,7 @@ def evaluate_agent(
         result_name,
         write_evaluation,
     )
+    from racines_envs.evaluation.trainings import published_run
     from racines_models.cli.output import show_metrics
 
     values = read_settings(params, profile)
@@ -104,7 +117,11 @@ def evaluate_agent(
     usual = fill(EvaluationConfig, stated | given(view=entry.view), "evaluation")
     label = entry.name if name or out else result_name(entry.name, config, usual)
     phantom, board = phantom_config(values), values.get("board")
-    result = evaluate(entry.agent, run or entry.folder, config, phantom, run=label, board=board)
+    published = None if run else published_run(board, entry.name)
+    result = evaluate(
+        entry.agent, run or entry.folder, config, phantom, run=label, board=board,
+        published=published,
+    )  # fmt: skip
     out = out or entry.scores.with_name(f"{label}.json")
     write_evaluation(result, out, picture or out.with_suffix(".png"), force)
     if as_json:
@@ -113,4 +130,10 @@ def evaluate_agent(
         task = result.scores["task"]
         title = f"{result.scores['agent']} on {task['view']} ({task['observation']})"
         show_metrics(title, result.scores["metrics"])
+        if several := result.scores.get("trainings"):
+            say("trainings: " + ", ".join(map(_told, several)))
         say(f"written: {out}")
+
+
+def _told(training: dict[str, Any]) -> str:
+    return f"seed {training['seed']}" + (" (published)" if training["published"] else "")

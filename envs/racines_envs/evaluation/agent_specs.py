@@ -9,6 +9,7 @@ The section `agents` of a params file holds an entry a run, under a name of its 
         view: PL
         observation: image
         encoder: models/runs/encoder
+        repeats: 3                  # trained with three seeds: the first, and the two that follow
 
 The run's name is that of its folder, of its scores and of its row on a board.
 """
@@ -24,7 +25,7 @@ import torch
 
 from racines_data.config import section
 from racines_data.errors import RacinesError
-from racines_envs.agents import Agent, agent_class, load_agent
+from racines_envs.agents import Agent, agent_class, learns, load_agent
 from racines_envs.agents.protocol import FILES
 
 RUNS = Path("envs/runs")
@@ -127,6 +128,8 @@ class Entry:
     """For the agent's `Config`."""
     view: str | None
     """The target view, where the entry names one."""
+    repeats: int = 1
+    """With how many seeds it is trained."""
 
     @property
     def where(self) -> str:
@@ -161,11 +164,16 @@ def find_entry(settings: dict[str, Any], spec: str, name: str | None = None) -> 
         values, agent = values if agent == own else section({}, "agents"), spec
     known = {field.name for field in fields(agent_class(agent).Config)}
     # What learns for a view has it among its settings; for others it is the evaluation's alone.
-    apart = {"agent"} if "view" in known else {"agent", "view"}
+    apart = {"agent", "repeats"} | (set() if "view" in known else {"view"})
     chosen = values.of(*(values.keys() - apart))
     of_file = Path(agent).suffix.lower() in FILES
     called = plain_name(Path(agent).stem) if of_file and spec == agent else own
-    return Entry(name or called or own, agent, chosen, values.get("view"))
+    repeats = values.get("repeats", 1)
+    if not isinstance(repeats, int) or isinstance(repeats, bool) or repeats < 1:
+        raise RacinesError(f"agents.{own}.repeats: {repeats!r}: give 1 or more")
+    if repeats > 1 and not learns(agent_class(agent)):
+        raise RacinesError(f"agents.{own}.repeats: {agent} learns nothing: one run is all it has")
+    return Entry(name or called or own, agent, chosen, values.get("view"), repeats)
 
 
 def plain_name(text: str) -> str:

@@ -1,82 +1,140 @@
 """The figures of a set of episodes, pooled and by start set; and how long one decision takes."""
 
 import time
-from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from scipy import stats
 from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import Episodes
 from racines_envs.task.core import ScanCore
-from racines_models.statistics import bootstrap as statistics
+from racines_models.statistics import Evidence, Figures, median
+from racines_models.statistics.evidence import figure as figure_of
+from racines_models.statistics.intervals import set_replicates
 
 RETURN_OF_A_HIT = 50.0
 LEAST, WARM_UP = 50, 10
 """Decisions: the fewest whose times are worth a median, and those before that are not counted."""
 PAPER_MS = 22.0
 """The paper's: 16 steps in 0.36 s, 22 in 0.42 s and 32 in 0.56 s are 22, 19 and 18 ms a step."""
-Figures = dict[str, dict[str, Any]]
-_OPTIONAL = (("view_position_error", 1e3, "mm"), ("view_rotation_error", 180.0 / np.pi, "degrees"))
-"""What an environment may tell beside: key of its info, factor, unit."""
+Metrics = dict[str, dict[str, Any]]
+Values = Mapping[str, np.ndarray]
+"""By metric, (R, N) of R trainings and N episodes; NaN where there is nothing to measure."""
 
 
-def measure(episodes: Episodes, reference_steps: np.ndarray, resamples: int = 2000) -> Figures:
-    """Return the figures of n episodes.
+class Measured(NamedTuple):
+    """What a metric is of its episodes, its unit, and the least and the most that it can be."""
+
+    statistic: str
+    unit: str | None = None
+    least: float = -np.inf
+    most: float = np.inf
+
+
+_RATE, _GRADE = Measured("rate", None, 0.0, 1.0), Measured("mean", None, 0.0, 10.0)
+_FORCE = Measured("mean", "N", 0.0)
+_MM, _DEGREES = Measured("mean", "mm", 0.0), Measured("mean", "degrees", 0.0, 180.0)
+METRICS = {
+    "success_true": _RATE,
+    "success_graded": _RATE,
+    "steps": Measured("mean", "steps of the episodes with true success", 0.0),
+    "steps_median": Measured("median", "steps", 0.0),
+    "episode_steps": Measured("mean", "steps", 0.0),
+    "spl": Measured("mean", None, 0.0, 1.0),
+    "final_grade": _GRADE,
+    "return": Measured("mean"),
+    "peak_force": _FORCE,
+    "mean_force": _FORCE,
+    "violations": Measured("mean", "refused steps an episode", 0.0),
+    "position_error": _MM,
+    "rotation_error": _DEGREES,
+    "return_without_success": _RATE,
+    "view_position_error": _MM,
+    "view_rotation_error": _DEGREES,
+    "out_of_support": _RATE,
+    "success_grader": _RATE,
+}
+"""Every metric of episodes; the last four where environment or settings have them."""
+MIDDLES = ("episode_steps", "spl", "final_grade", "return")
+"""Those with an interquartile mean beside."""
+_OPTIONAL = (("view_position_error", 1e3), ("view_rotation_error", 180.0 / np.pi))
+"""What an environment may tell beside: key of its info, factor."""
+
+
+def episode_values(trainings: Sequence[Episodes], reference_steps: np.ndarray) -> Values:
+    """Return the figures of the N episodes of each of R trainings.
 
     SPL is the mean of success × l / max(l, steps) (Anderson et al., On Evaluation of Embodied
-    Navigation Agents, 2018) with l the oracle planner's steps from the same start, (n,).
+    Navigation Agents, 2018) with l the oracle planner's steps from the same start, (N,).
     """
-    final = episodes.final
-    success, steps = final["success"], final["steps"]
-    spl = path_length_score(success, steps, reference_steps)
-    violations = final["workspace_hits"] + final["force_hits"]
-    farmed = (final["return"] >= RETURN_OF_A_HIT) & ~success
-
-    mean = partial(statistics.mean, resamples=resamples)
-    figures = {
-        "success_true": statistics.wilson(success),
-        "success_graded": statistics.wilson(final["success_graded"]),
-        "steps": mean(steps[success], "steps of the episodes with true success"),
-        "steps_median": statistics.median(steps[success], "steps", resamples),
-        "episode_steps": mean(steps, "steps"),
-        "spl": mean(spl),
-        "final_grade": mean(final["grade"]),
-        "return": mean(final["return"]),
-        "peak_force": mean(final["peak_force"], "N"),
-        "mean_force": mean(final["mean_force"], "N"),
-        "violations": mean(violations, "refused steps an episode"),
-        "position_error": mean(final["position_error"] * 1e3, "mm"),
-        "rotation_error": mean(np.degrees(final["rotation_error"]), "degrees"),
-        "return_without_success": statistics.wilson(farmed),
+    final = {
+        name: np.stack([each.final[name] for each in trainings]).astype(np.float64)
+        for name in trainings[0].final
     }
-    for name, factor, unit in _OPTIONAL:
-        if name in final:
-            figures[name] = mean(final[name] * factor, unit)
+    success, steps = final["success"] > 0, final["steps"]
+    of_successes = np.where(success, steps, np.nan)
+    values = {
+        "success_true": success,
+        "success_graded": final["success_graded"],
+        "steps": of_successes,
+        "steps_median": of_successes,
+        "episode_steps": steps,
+        "spl": path_length_score(success, steps, reference_steps),
+        "final_grade": final["grade"],
+        "return": final["return"],
+        "peak_force": final["peak_force"],
+        "mean_force": final["mean_force"],
+        "violations": final["workspace_hits"] + final["force_hits"],
+        "position_error": final["position_error"] * 1e3,
+        "rotation_error": np.degrees(final["rotation_error"]),
+        "return_without_success": (final["return"] >= RETURN_OF_A_HIT) & ~success,
+    }
+    values |= {name: final[name] * factor for name, factor in _OPTIONAL if name in final}
     if "out_of_support" in final:
-        figures["out_of_support"] = statistics.wilson(final["out_of_support"])
-    middles = {"episode_steps": steps, "spl": spl}
-    middles |= {"final_grade": final["grade"], "return": final["return"]}
-    for name, values in middles.items():
-        figures[f"{name}_iqm"] = statistics.interquartile_mean(values, None, resamples)
-    return figures
+        values["out_of_support"] = final["out_of_support"]
+    return values
 
 
-def measure_by_seed(
-    episodes: Episodes, reference_steps: np.ndarray, seeds: Sequence[int], resamples: int = 2000
-) -> dict[str, Figures]:
-    """Return the figures of each start set; the episodes stand in the order of the sets."""
-    each = {}
-    parts = np.split(np.arange(len(reference_steps)), len(seeds))
-    for seed, rows in zip(seeds, parts, strict=True):
-        final = {name: values[rows] for name, values in episodes.final.items()}
-        each[str(seed)] = measure(replace(episodes, final=final), reference_steps[rows], resamples)
-    return each
+def measure(values: Values) -> tuple[Metrics, Evidence]:
+    """Return the metrics of episodes, and the evidence that they follow from.
+
+    Items are the episodes' places, and the start of each is a unit of its own. What a training has
+    no measurement of, such as the steps of successes where there is none, has no value.
+    """
+    evidence, metrics = Evidence(), {}
+    places = np.arange(next(iter(values.values())).shape[1])
+
+    def tell(name: str, figures: Figures, what: Measured) -> None:
+        found = figures.interval(what.least, what.most)
+        metrics[name] = found.to_json(what.unit)
+
+    for name, each in values.items():
+        what = METRICS[name]
+        if np.isfinite(each).any(1).all():
+            figures = evidence.add(name, what.statistic, each[:, None], places, places)
+            tell(name, figures, what)
+        else:
+            metrics[name] = figure_of(what.statistic, [], what.unit)
+    for name in MIDDLES:
+        middles = [
+            lambda keep, row=row: float(stats.trim_mean(row[keep], 0.25)) for row in values[name]
+        ]
+        kept = evidence.add_set(f"{name}_iqm", set_replicates(middles, places))
+        tell(f"{name}_iqm", kept, METRICS[name]._replace(unit=None))
+    return metrics, evidence
+
+
+def measure_by_seed(values: Values, seeds: Sequence[int]) -> dict[str, Metrics]:
+    """Return the metrics of each start set; the episodes stand in the order of the sets."""
+    parts = {name: np.split(each, len(seeds), axis=1) for name, each in values.items()}
+    rows = range(len(seeds))
+    each_set = [{name: part[row] for name, part in parts.items()} for row in rows]
+    return {str(seed): measure(own)[0] for seed, own in zip(seeds, each_set, strict=True)}
 
 
 def path_length_score(
@@ -109,7 +167,7 @@ def latency(
         observation = core.step(agent.act(observation, core.decision_seeds())).observation
         bool(core.state.done)  # waits for the device
         times.append((time.perf_counter() - began) * 1e3)
-    figure = statistics.median(np.asarray(times[WARM_UP:]), "ms", resamples)
+    figure = median(np.asarray(times[WARM_UP:]), "ms", resamples)
     figure["settings"] |= {
         "interval": f"percentile bootstrap over decisions, {resamples} resamples",
         "batch": 1,

@@ -11,16 +11,17 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.files import write_json
+from racines_data.files import sha256_file, write_atomic, write_json
 from racines_data.world import World
-from racines_envs.agents import load_agent, sees
+from racines_envs.agents import learns, load_agent, sees
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
-from racines_envs.agents.protocol import Agent
+from racines_envs.agents.protocol import FILES, Agent
 from racines_envs.agents.rollout import Episodes, rollout
 from racines_envs.agents.trace import TraceAgent, circumstances, read_trace, write_trace
 from racines_envs.evaluation.agent_specs import check_view, plain_name
-from racines_envs.evaluation.measures import latency, measure, measure_by_seed
+from racines_envs.evaluation.measures import episode_values, latency, measure, measure_by_seed
+from racines_envs.evaluation.trainings import Training, find_trainings
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
@@ -33,9 +34,10 @@ from racines_models.provenance import (
     check_replaces,
     code_version,
     environment,
-    weights_sha256,
+    sha256_bytes,
 )
-from racines_models.statistics import bootstrap as statistics
+from racines_models.statistics import Evidence
+from racines_models.training.checkpoint import PREFIX
 
 SCHEMA = "racines.agent-scores/1"
 
@@ -51,7 +53,7 @@ class StudyConfig:
     seeds: tuple[int, ...] = (0, 1, 2)
     """Name the start sets."""
     resamples: int = 2000
-    """Bootstrap resamples of each interval."""
+    """Bootstrap resamples of times and of correlations."""
     device: str = "cpu"
 
     @property
@@ -96,9 +98,10 @@ class EvaluationConfig(StudyConfig):
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Scores of one agent, and the episodes they were taken from."""
+    """Scores of one agent, what they follow from, and the episodes of its first training."""
 
     scores: dict[str, Any]
+    evidence: Evidence
     episodes: Episodes
     core: ScanCore
     pictured: int
@@ -117,44 +120,72 @@ class Prepared(NamedTuple):
 def evaluate(
     name: str, run_dir: Path, config: EvaluationConfig, phantom: WorldLike = None,
     grader: Judge | None = None, agent: Agent | None = None, run: str | None = None,
-    board: str | None = None,
+    board: str | None = None, published: Path | None = None,
 ) -> Evaluation:  # fmt: skip
     """Run the agent that lies in `run_dir` and score it; all episodes of all sets at once.
+
+    Each of its trainings (see `trainings`) acts from the same starts, one after the other; those in
+    the folder `published` count as well.
 
     `name` is a registered agent, `module:Class`, `FILE.onnx`, or a trace, `FILE.json`; `run_dir`,
     what its training left, is not read for agents without weights. A `phantom` is the shared one by
     default; a `grader` and an `agent` that are open already stand for those that settings and name
-    say. The scores call it `run`, or else by the agent's name, and tell the `board` they are for.
+    say, the agent for one training. The scores call it `run`, or else by the agent's name, and tell
+    the `board` they are for.
 
     Raises:
-        RacinesError: unknown names, missing weights, an agent that was trained for another view, or
-            a trace that was recorded elsewhere.
+        RacinesError: unknown names, missing weights, an agent that was trained for another view,
+            trainings that do not belong together, or a trace that was recorded elsewhere.
     """
     began = time.perf_counter()
     config = on_device(config)
+    trainings = [Training(Path(run_dir))]
+    given = agent is not None or Path(name).suffix.lower() in FILES
     agent, core, seeds, grader = prepare(name, run_dir, config, phantom, grader, agent)
-    episodes = rollout(core, agent, seeds.to(core.device))
-    if isinstance(agent, TraceAgent):
-        agent.check_ended(episodes)
+    if learns(agent) and not given:
+        trainings = find_trainings(run_dir, published)
+    acted = [_act(agent, core, seeds, grader)]
+    for training in trainings[1:]:
+        other = load_agent(name, training.folder, config.device)
+        check_view(other, config.view, name, training.folder)
+        acted.append(_act(other, _alike(core, other, config, len(seeds)), seeds, grader))
     steps = reference_steps(config.view, seeds, core.phantom, config.device)
-    metrics = measure(episodes, steps, config.resamples)
-    if grader is not None:  # is asked about the last image of each episode
-        p, g = grader.probabilities_and_grade(core.picture())
-        hit = (p[:, core.task.target] >= core.rewards.probability) & (g >= core.rewards.grade)
-        metrics["success_grader"] = statistics.wilson(hit.cpu().numpy())
+    values = episode_values([episodes for episodes, _ in acted], steps)
+    if grader is not None:
+        values = {**values, "success_grader": np.stack([hits for _, hits in acted])}
+    metrics, evidence = measure(values)
     if config.latency and not isinstance(agent, TraceAgent):
-        alone = core_for(  # what draws its images is not loaded again
-            agent, config.view, 1, backend=core.images, reward=core.reward, phantom=core.phantom,
-            grader=core.grader, device=config.device,
-        )  # fmt: skip
+        alone = _alike(core, agent, config, 1)
         timed = latency(alone, agent, seeds.to(core.device), config.latency, config.resamples)
         metrics["latency"] = timed
-    by_seed = measure_by_seed(episodes, steps, config.sets, config.resamples)
-    scores = _document(run_dir, config, core, agent, {"metrics": metrics, "by_seed": by_seed})
+    by_seed = measure_by_seed(values, config.sets)
+    scores = _document(trainings, config, core, agent, {"metrics": metrics, "by_seed": by_seed})
     scores |= {"extractors": _extractors(agent, grader), "agent": run or agent.name}
     scores |= {"board": board} if board else {}
     scores["seconds"] = time.perf_counter() - began
-    return Evaluation(scores, episodes, core, config.pictured)
+    return Evaluation(scores, evidence, acted[0][0], core, config.pictured)
+
+
+def _act(
+    agent: Agent, core: ScanCore, seeds: Tensor, grader: Judge | None
+) -> tuple[Episodes, np.ndarray]:
+    """Return an agent's n episodes, and (n,) whether the grader sees a hit in the last images."""
+    episodes = rollout(core, agent, seeds.to(core.device))
+    if isinstance(agent, TraceAgent):
+        agent.check_ended(episodes)
+    if grader is None:
+        return episodes, np.full(len(seeds), np.nan)
+    p, g = grader.probabilities_and_grade(core.picture())
+    hit = (p[:, core.task.target] >= core.rewards.probability) & (g >= core.rewards.grade)
+    return episodes, hit.cpu().numpy().astype(np.float64)
+
+
+def _alike(core: ScanCore, agent: Agent, config: EvaluationConfig, rows: int) -> ScanCore:
+    """Return another environment of the same; what draws its images is not loaded again."""
+    return core_for(
+        agent, config.view, rows, backend=core.images, reward=core.reward, phantom=core.phantom,
+        grader=core.grader, device=config.device,
+    )  # fmt: skip
 
 
 def prepare(
@@ -233,8 +264,10 @@ def _shown(agent: Agent) -> str:
 
 
 def _document(
-    run_dir: Path, config: EvaluationConfig, core: ScanCore, agent: Agent, figures: dict[str, Any]
-) -> dict[str, Any]:
+    trainings: Sequence[Training], config: EvaluationConfig, core: ScanCore, agent: Agent,
+    figures: dict[str, Any],
+) -> dict[str, Any]:  # fmt: skip
+    several = [{"seed": each.seed, "published": each.published} for each in trainings]
     return {
         "schema": SCHEMA,
         "agent": agent.name,
@@ -251,21 +284,29 @@ def _document(
         "phantom": phantom_recipe(core.phantom),
         **figures,
         "seeds": list(config.sets),
-        "weights": _weights(agent, run_dir),
+        "runs": len(trainings),
+        "trained": learns(agent),
+        **({"trainings": several} if len(several) > 1 else {}),
+        "weights": _weights(agent, trainings),
         "code": code_version(),
         "environment": environment(str(core.device)),
     }
 
 
-def _weights(agent: Agent, run_dir: Path) -> dict[str, Any] | None:
-    """Return the hashes of an agent's files and the one that stands for all, if one does."""
-    files = weights_sha256(run_dir) if hasattr(agent, "view") and run_dir.is_dir() else {}
+def _weights(agent: Agent, trainings: Sequence[Training]) -> dict[str, Any] | None:
+    """Return the hashes of all trainings' files, and that of the first one's policy."""
+    files = trainings[0].files if hasattr(agent, "view") else {}
     if isinstance(agent, (OnnxPolicyAgent, TraceAgent)):
         files = {agent.path.name: agent.sha256}
     if not files:
         return None
     only = next(iter(files.values())) if len(files) == 1 else None
-    return {"sha256": files.get("policy.safetensors", only), "files": files}
+    further = {
+        f"{PREFIX}{each.seed}/{name}": sha256
+        for each in trainings[1:]
+        for name, sha256 in each.files.items()
+    }
+    return {"sha256": files.get("policy.safetensors", only), "files": files | further}
 
 
 def result_name(run: str, config: EvaluationConfig, usual: EvaluationConfig) -> str:
@@ -288,12 +329,21 @@ def result_name(run: str, config: EvaluationConfig, usual: EvaluationConfig) -> 
 def write_evaluation(
     evaluation: Evaluation, scores: Path, picture: Path | None, force: bool = True
 ) -> None:
-    """Write the scores JSON and, where wanted, the picture of trajectories.
+    """Write the scores JSON, the evidence beside it (.parquet) and, where wanted, the picture.
+
+    The scores name the evidence by its hash, which they are given here.
 
     Raises:
-        RacinesError: without `force`, another result is there.
+        RacinesError: without `force`, another result is there, or a file that is no evidence of it.
     """
+    kept, content = scores.with_suffix(".parquet"), evaluation.evidence.to_bytes()
+    told = {"file": kept.name, "sha256": sha256_bytes(content)}
+    evaluation.scores["evidence"] = told
     check_replaces(scores, evaluation.scores, force)
+    if not force and kept.is_file() and sha256_file(kept) != told["sha256"]:
+        raise RacinesError(f"{kept}: is there and is not what these scores rest on: --force")
+    # First what the scores name: cut short, they never name a file that is not there.
+    write_atomic(kept, content)
     write_json(scores, evaluation.scores)
     if picture is not None:
         from racines_envs.evaluation.pictures import draw_trajectories

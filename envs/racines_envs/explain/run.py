@@ -24,7 +24,7 @@ from racines_envs.worlds.making import WorldLike, find_task, make_core, phantom_
 from racines_models.devices import on_device
 from racines_models.protocol import Judge
 from racines_models.provenance import code_version, environment, weights_sha256
-from racines_models.statistics import bootstrap as statistics
+from racines_models.statistics import evidence
 
 SCHEMA = "racines.explanation/1"
 COLUMNS = 6
@@ -62,8 +62,6 @@ class ExplainConfig:
     """Whose hits end an episode."""
     grader: str = ""
     """Run folder of a grader that is explained beside the policy; none if empty."""
-    resamples: int = 2000
-    """Bootstrap resamples of each interval."""
     device: str = "cpu"
 
 
@@ -200,7 +198,7 @@ class _Question:
         change = self._wanted(full - black).abs()
         relative = (error.abs() / change.clamp_min(1e-6)).cpu().numpy()
         unit = "|sum of the attributions - change of the output| / change"
-        figure = statistics.median(relative, unit, self.config.resamples)
+        figure = evidence.figure("median", relative, unit, 0.0, units=self._rows())
         probability = self._wanted(full.softmax(-1) if self.logits else full)
         return maps, probability, {"completeness_error": figure}
 
@@ -240,9 +238,13 @@ class _Question:
 
     def _mean(self, values: np.ndarray) -> dict[str, Any]:
         """Return the mean over episodes of their mean images: images of one episode are alike."""
-        row = self.frames.row.cpu().numpy()
+        row = self._rows()
         episodes = np.array([values[row == r].mean() for r in np.unique(row)])
-        return statistics.mean(episodes, None, self.config.resamples) | {"images": len(values)}
+        return evidence.figure("mean", episodes) | {"images": len(values)}
+
+    def _rows(self) -> np.ndarray:
+        """Return the (n,) episodes of the images."""
+        return self.frames.row.cpu().numpy()
 
 
 def write_explanation(explanation: Explanation, folder: Path, pictures: int = 4) -> None:

@@ -35,7 +35,7 @@ from racines_envs.task.tasks import TERMINATIONS
 from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom, phantom_recipe
 from racines_models.devices import on_device
-from racines_models.statistics import bootstrap as statistics
+from racines_models.statistics import evidence
 
 SCHEMA = "racines.agent-rewards/1"
 PAPER = {
@@ -220,12 +220,12 @@ def _figures(settled: Settled, config: RewardReportConfig) -> dict[str, Any]:
     hovered = settled.hits + settled.seen  # steps spent in the view, hits or not
     hacked = (settled.total >= config.high) & ~settled.success
     return {
-        "return": statistics.mean(settled.total, None, config.resamples),
-        "success_true": statistics.wilson(settled.success),
-        "success_graded": statistics.wilson(settled.graded),
-        "high_return_without_success": statistics.wilson(hacked),
-        "episode_steps": statistics.mean(settled.steps, "steps", config.resamples),
-        "hovered": statistics.mean(hovered, "steps in the view", config.resamples),
+        "return": evidence.figure("mean", settled.total),
+        "success_true": evidence.figure("rate", settled.success),
+        "success_graded": evidence.figure("rate", settled.graded),
+        "high_return_without_success": evidence.figure("rate", hacked),
+        "episode_steps": evidence.figure("mean", settled.steps, "steps", 0.0),
+        "hovered": evidence.figure("mean", hovered, "steps in the view", 0.0),
     }
 
 

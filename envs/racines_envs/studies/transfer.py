@@ -6,7 +6,6 @@ recordings of no phantom have only their own labels, and the document says so.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -19,13 +18,13 @@ from racines_data.errors import RacinesError
 from racines_data.tables import escape, markdown_table
 from racines_envs.agents.rollout import rollout
 from racines_envs.evaluation.agent_specs import Run, common_view
-from racines_envs.evaluation.measures import path_length_score
+from racines_envs.evaluation.measures import METRICS, path_length_score
 from racines_envs.evaluation.pictures import save
 from racines_envs.evaluation.run import StudyConfig, core_for, reference_steps, start_seeds
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom, phantom_recipe
 from racines_envs.worlds.replay import RecordedWorld
 from racines_models.devices import on_device
-from racines_models.statistics import bootstrap as statistics
+from racines_models.statistics import LEVEL, evidence
 
 SCHEMA = "racines.agent-transfer/1"
 COMPARED = ("success_true", "episode_steps", "spl", "final_grade")
@@ -97,7 +96,7 @@ def transfer(
         "judged_by": judges,
         "cells": [
             {"agent": run.label, "backend": backend}
-            | {"metrics": _metrics(scores[run.label, backend], config.resamples)}
+            | {"metrics": _metrics(scores[run.label, backend])}
             for run in runs
             for backend in backends
         ],
@@ -105,15 +104,13 @@ def transfer(
     }
 
 
-def _metrics(scores: dict[str, np.ndarray], resamples: int) -> dict[str, Any]:
-    mean = partial(statistics.mean, resamples=resamples)
-    success, steps = scores["success_true"], scores["episode_steps"]
+def _metrics(scores: dict[str, np.ndarray]) -> dict[str, Any]:
+    steps = np.where(scores["success_true"], scores["episode_steps"], np.nan)
+    values = {"success_true": scores["success_true"], "steps": steps, **scores}
     return {
-        "success_true": statistics.wilson(success),
-        "steps": mean(steps[success], "steps of the episodes with true success"),
-        "episode_steps": mean(steps, "steps"),
-        "spl": mean(scores["spl"]),
-        "final_grade": mean(scores["final_grade"]),
+        name: evidence.figure(what.statistic, values[name], what.unit, what.least, what.most)
+        for name, what in METRICS.items()
+        if name in values
     }
 
 
@@ -187,7 +184,7 @@ def _figure(value: float, drawn: np.ndarray, agents: int) -> dict[str, Any]:
     defined = drawn[np.isfinite(drawn)]
     figure: dict[str, Any] = {"value": None, "low": None, "high": None, "n": agents}
     if np.isfinite(value):
-        low, high = np.quantile(defined, [0.5 - statistics.LEVEL / 2, 0.5 + statistics.LEVEL / 2])
+        low, high = np.quantile(defined, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2])
         figure |= {"value": value, "low": float(low), "high": float(high)}
     settings = {
         "interval": f"percentile bootstrap over starts, {len(drawn)} resamples",

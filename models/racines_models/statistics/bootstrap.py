@@ -153,35 +153,16 @@ def wilson(hits: np.ndarray) -> dict[str, Any]:
     return {"value": rate, "low": low, "high": high, "n": n, "settings": {"interval": "Wilson"}}
 
 
-def mean(values: np.ndarray, unit: str | None = None, resamples: int = 2000) -> dict[str, Any]:
-    """Return the mean of (n,) values with a percentile bootstrap interval over episodes."""
-    return _bootstrap(values, lambda x: x.mean(-1), unit, resamples)
-
-
-def interquartile_mean(
-    values: np.ndarray, unit: str | None = None, resamples: int = 2000
-) -> dict[str, Any]:
-    """Return the mean of the middle half (IQM; Agarwal et al., 2021) with a bootstrap interval."""
-    return _bootstrap(values, lambda x: stats.trim_mean(x, 0.25, axis=-1), unit, resamples)
-
-
 def median(values: np.ndarray, unit: str | None = None, resamples: int = 2000) -> dict[str, Any]:
-    """Return the median of (n,) values with a percentile bootstrap interval over episodes."""
-    return _bootstrap(values, lambda x: np.median(x, -1), unit, resamples)
-
-
-def _bootstrap(
-    values: np.ndarray, statistic: Callable[[np.ndarray], Any], unit: str | None, resamples: int
-) -> dict[str, Any]:
+    """Return the median of (n,) times with a percentile bootstrap interval over them."""
     values = np.asarray(values, np.float64)
     n = len(values)
     figure: dict[str, Any] = {"value": None, "low": None, "high": None, "n": n}
     if n:
-        figure["value"] = float(statistic(values))
+        figure["value"] = float(np.median(values))
     if n > 1:
         drawn = values[np.random.default_rng(0).integers(0, n, (resamples, n))]
-        figure["low"], figure["high"] = _interval(statistic(drawn))
+        figure["low"], figure["high"] = _interval(np.median(drawn, -1))
     if unit is not None:
         figure["unit"] = unit
-    method = f"percentile bootstrap over episodes, {resamples} resamples"
-    return figure | {"settings": {"interval": method}}
+    return figure | {"settings": {"interval": f"percentile bootstrap, {resamples} resamples"}}

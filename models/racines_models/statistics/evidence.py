@@ -87,7 +87,7 @@ class Figures:
         if self.statistic == "rate":
             return rate_interval(values, units)
         if self.statistic == "median":
-            found = median_interval(values, units)
+            found = median_interval(values, units, minimum, maximum)
             return replace(found, n=found.n * len(self._units()) // len(units))
         return interval(mean_replicates(values, units), minimum, maximum)
 
@@ -102,6 +102,26 @@ class Figures:
     def _units(self) -> np.ndarray:
         assert self.units is not None
         return self.units
+
+
+def figure(
+    statistic: str,
+    values: Any,
+    unit: str | None = None,
+    minimum: float = -np.inf,
+    maximum: float = np.inf,
+    units: Any = None,
+) -> dict[str, Any]:
+    """Return a `mean`, `rate` or `median` of (N,) values, each of its own unit if none are given.
+
+    As it stands in a scores file; NaN is an absent measurement, and of none there is no value.
+    """
+    values = np.asarray(values, np.float64)
+    if not np.isfinite(values).any():
+        return {"value": None, "low": None, "high": None, "n": 0} | ({"unit": unit} if unit else {})
+    places = np.arange(len(values))
+    figures = Figures(statistic, values[None, None], places, places if units is None else units)
+    return figures.interval(minimum, maximum).to_json(unit)
 
 
 @dataclass
@@ -135,13 +155,17 @@ class Evidence:
         self.figures[metric] = figures
         return figures
 
-    def write(self, path: Path) -> dict[str, Any]:
-        """Write the file; return its name and sha256 as they stand in the scores."""
+    def to_bytes(self) -> bytes:
+        """Return the file's content; the same figures give the same bytes."""
         tables = [_table(name, each) for name, each in self.figures.items()]
         table = pl.concat(tables) if tables else pl.DataFrame(schema=SCHEMA)
         out = io.BytesIO()
         table.write_parquet(out, compression="zstd", compression_level=9, statistics=False)
-        write_atomic(path, out.getvalue())
+        return out.getvalue()
+
+    def write(self, path: Path) -> dict[str, Any]:
+        """Write the file; return its name and sha256 as they stand in the scores."""
+        write_atomic(path, self.to_bytes())
         return {"file": path.name, "sha256": sha256_file(path)}
 
     @classmethod

@@ -21,7 +21,7 @@ The spread that a training has because units are few is part of both; it is take
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -108,11 +108,21 @@ def mean_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS) -
 def median_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS) -> Replicates:
     """Return the replicates of the median, as `mean_replicates` does of the mean."""
     values = np.atleast_2d(np.asarray(values, np.float64))
-    medians = [lambda keep, row=row: float(np.nanmedian(row[keep])) for row in values]
     present = np.isfinite(values)
+    if not present.any(1).all():
+        raise ValueError("no values to estimate from")
+    medians = [lambda keep, row=row: _median(row[keep]) for row in values]
     shown = np.unique(np.asarray(units)[present.any(0)])
     found = set_replicates(medians, units, most)
-    return replace(found, units=len(shown), n=int(present[0].sum()))
+    # Without a block that has all values of a training there is no median of it.
+    without = found.without[:, np.isfinite(found.without).all(0)]
+    return _checked(found.whole, without, len(shown), int(present[0].sum()))
+
+
+def _median(values: np.ndarray) -> float:
+    """Return the median of what is present, NaN of nothing."""
+    present = values[np.isfinite(values)]
+    return float(np.median(present)) if len(present) else float("nan")
 
 
 def set_replicates(
@@ -156,7 +166,9 @@ def rate_interval(hits: np.ndarray, units: np.ndarray) -> Interval:
     return interval(replicates, 0.0, 1.0)
 
 
-def median_interval(values: np.ndarray, units: np.ndarray) -> Interval:
+def median_interval(
+    values: np.ndarray, units: np.ndarray, minimum: float = -np.inf, maximum: float = np.inf
+) -> Interval:
     """Return the interval of the median of (R, N) or (N,) values, each training's taken apart."""
     values = np.atleast_2d(np.asarray(values, np.float64))
     replicates = median_replicates(values, units)
@@ -170,7 +182,8 @@ def median_interval(values: np.ndarray, units: np.ndarray) -> Interval:
         shares_at = np.clip([0.5 - reach[1], 0.5 + reach[0]], 0.0, 1.0)
         low, high = np.nanquantile(values, shares_at, axis=1).mean(1)
         ends = max(value - low, 0.0), max(high - value, 0.0)
-    return _joined(replicates, value, ends, _of_trainings(replicates), "Woodruff")
+    spread = _of_trainings(replicates)
+    return _joined(replicates, value, ends, spread, "Woodruff", minimum, maximum)
 
 
 def difference(first: Replicates, second: Replicates) -> Interval:

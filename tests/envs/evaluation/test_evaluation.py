@@ -13,7 +13,8 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.hill_climber import HillClimberAgent
 from racines_envs.agents.random import RandomAgent
 from racines_envs.agents.rollout import Episodes
-from racines_envs.evaluation.run import EvaluationConfig, evaluate, measure, write_evaluation
+from racines_envs.evaluation.measures import episode_values, measure
+from racines_envs.evaluation.run import EvaluationConfig, evaluate, write_evaluation
 from racines_envs.task.starts import evaluation_seeds
 from racines_models import statistics
 
@@ -26,19 +27,6 @@ def test_wilsons_interval_is_the_papers():
         figure = statistics.wilson(np.arange(400) < hits)
         values = [figure[key] for key in ("value", "low", "high")]
         assert values == pytest.approx(expected, abs=6e-4) and figure["n"] == 400
-
-
-def test_intervals_of_few_and_of_none():
-    assert statistics.mean(np.array([]))["value"] is None
-    assert statistics.wilson(np.array([], bool))["n"] == 0
-    one = statistics.mean(np.array([3.0]))
-    assert (one["value"], one["low"], one["n"]) == (3.0, None, 1)
-    many = statistics.mean(np.random.default_rng(0).normal(5, 1, 400))
-    assert many["low"] < 5 < many["high"] and many["high"] - many["low"] == pytest.approx(
-        2 * 1.96 / 20, rel=0.15
-    )
-    values = np.array([-1000.0, 1, 2, 3, 4, 5, 6, 1000])
-    assert statistics.interquartile_mean(values)["value"] == pytest.approx(3.5)
 
 
 def test_the_figures_by_hand():
@@ -57,7 +45,7 @@ def test_the_figures_by_hand():
     }
     paths = np.zeros((2, 4, 3))
     episodes = Episodes(final, paths, paths[..., 0], torch.zeros(4, 12), torch.zeros(4))
-    figures = measure(episodes, np.array([12, 20, 20, 20]))
+    figures, _ = measure(episode_values([episodes], np.array([12, 20, 20, 20])))
     value = {name: figure["value"] for name, figure in figures.items()}
     assert value["success_true"] == 0.5 and figures["success_true"]["n"] == 4
     assert value["success_graded"] == 0.25

@@ -28,7 +28,7 @@ from racines_envs.explain.run import ExplainConfig, explain, write_explanation
 from tests.conftest import command
 from tests.envs.fakes import FakePhantom
 
-SMALL = ExplainConfig(starts=2, every=3, frames=2, steps=8, random_maps=1, resamples=50)
+SMALL = ExplainConfig(starts=2, every=3, frames=2, steps=8, random_maps=1)
 SECTOR = torch.zeros(128, 128, dtype=torch.bool)
 SECTOR[10:110, 20:108] = True
 PATCH = (slice(40, 60), slice(50, 70))

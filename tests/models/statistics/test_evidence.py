@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from racines_data.errors import RacinesError
-from racines_models.statistics import Evidence, intervals
+from racines_models.statistics import Evidence, figure, intervals
 
 RANDOM = np.random.default_rng(0)
 UNITS = np.repeat(np.arange(9), [3, 9, 4, 7, 5, 6, 8, 2, 5])
@@ -47,6 +47,18 @@ def test_figures_of_draws_are_one_items_and_those_of_trainings_are_not():
     assert values is not None and found.value == pytest.approx(values.mean())
     median = kept.figures["pose_error_mm"].interval()
     assert (median.n, median.units) == (int((UNITS != 4).sum()), 8)
+
+
+def test_a_figure_of_few_values_stands_as_in_a_scores_file():
+    values = np.array([1.0, 4.0, np.nan, 2.0])
+    kept = Evidence().add("steps", "mean", values, np.arange(4), np.arange(4))
+    found = figure("mean", values, "steps", 0.0)
+    assert found == kept.interval(0.0).to_json("steps") and found["n"] == 3 and found["low"] == 0
+    assert figure("rate", [True, False])["value"] == 0.5
+    assert figure("mean", values, units=[1, 1, 1, 2])["settings"]["units"] == 2
+    none = {"value": None, "low": None, "high": None, "n": 0}
+    assert figure("mean", []) == none == figure("rate", [np.nan])
+    assert figure("median", [], "steps") == none | {"unit": "steps"}
 
 
 def test_a_single_set_and_a_single_training():

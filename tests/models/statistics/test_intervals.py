@@ -135,6 +135,22 @@ def test_a_score_of_several_metrics_has_replicates_too():
         combine(lambda x: x.mean(0), [a, short])
 
 
+def test_a_median_keeps_its_range_and_survives_blocks_that_empty_a_training():
+    """One training succeeded once, the others twice: leaving that unit out leaves it no median."""
+    steps = np.full((3, 8), np.nan)
+    steps[0, 2], steps[1, [1, 2]], steps[2, [2, 5]] = 4.0, [9.0, 11.0], [40.0, 44.0]
+    found = median_replicates(steps, np.arange(8))
+    assert (
+        found.value == pytest.approx((4.0 + 10.0 + 42.0) / 3) and np.isfinite(found.without).all()
+    )
+    assert (found.units, found.n) == (3, 1)
+    assert median_interval(steps, np.arange(8)).low < 0.0
+    held = median_interval(steps, np.arange(8), 0.0, 50.0)
+    assert (held.low, held.high) == (0.0, 50.0)
+    with pytest.raises(ValueError, match="no values"):
+        median_replicates(np.full((1, 4), np.nan), np.arange(4))
+
+
 def test_a_median_inverts_the_interval_of_the_share_below():
     rng = np.random.default_rng(1)
     values = rng.normal(0, 1, 4000)

@@ -135,6 +135,8 @@ class OnnxPolicyAgent(Untrained):
         self.sha256 = sha256_bytes(content)
         """Hash of the file."""
         self.observation = self.interface.observation
+        # Whoever made it learned it, unless the card says that it did not.
+        self.trained = self.interface.card.get("trained") is not False
         if self.interface.view is not None:
             self.view = self.interface.view
         self._session = opener(content, str(self.path), str(device))
