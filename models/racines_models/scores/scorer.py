@@ -102,8 +102,9 @@ class Scorer:
             rows = evenly(len(truth), PRDC_FRAMES)
             near = [metrics.Neighbourhoods(truth[rows], each[rows]).figures for each in drawn]
             found |= self._of_sets(near, self.sample.trajectory[rows.numpy()])
-            told |= dict.fromkeys(("precision", "recall", "coverage"), (SHARE, {}))
-            told["density"] = (AMOUNT, {})
+            shares = ("precision", "recall", "coverage")
+            told |= dict.fromkeys(shares, (SHARE, metrics.PRDC_SETTINGS))
+            told["density"] = (AMOUNT, metrics.PRDC_SETTINGS)
         return {
             f"{key}{suffix}": self._of_set(f"{key}{suffix}", each, ends, features=name, **settings)
             for key, each in found.items()

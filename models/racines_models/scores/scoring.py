@@ -25,8 +25,7 @@ from racines_models.statistics import Evidence
 SCHEMA = "racines.generator-scores/1"
 NOTES = [
     "FID is biased upwards by small n: compare only figures of equal n, extractor and dataset.",
-    "Intervals are over trajectories and trainings; none is given for one trajectory, and those of "
-    "one training say nothing of another.",
+    "Intervals are over trajectories and trainings; those of one training say nothing of another.",
 ]
 
 
