@@ -245,8 +245,8 @@ class Scorer:
             rule = {"rule": metric.rule} if metric.rule else {}
             told = ((metric.minimum, metric.maximum), metric.unit or None)
             if metric.features:
-                pairs = [_measured(metric, *pair) for pair in self._pairs(extractor)]
-                found = self._of_sets(pairs, self.sample.trajectory)[metric.name]
+                measured = [_measured(metric, *pair) for pair in self._pairs(extractor)]
+                found = self._of_sets(measured, self.sample.trajectory)[metric.name]
                 if not np.isfinite([*found.whole, *found.without.ravel()]).all():
                     raise RacinesError(f"metric {metric.name!r}: its value is not finite")
                 figures[metric.name] = self._of_set(metric.name, found, *told, **rule)
