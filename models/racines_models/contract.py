@@ -61,12 +61,14 @@ class Declared:
     """Whether the seed changes the image."""
     conditional: bool | None
     """Whether the pose changes the image."""
+    trained: bool | None = None
+    """Whether another training of it would end elsewhere."""
 
 
 def declared(source: Any) -> Declared:
     """Return what a generator's card, or the metadata of its file, declare."""
     told = getattr(source, "card", None) or getattr(source, "interface", source)
-    values = (getattr(told, key, None) for key in ("stochastic", "conditional"))
+    values = (getattr(told, key, None) for key in ("stochastic", "conditional", "trained"))
     return Declared(*(value if isinstance(value, bool) else None for value in values))
 
 

@@ -52,6 +52,8 @@ class Card:
     """Known weaknesses, one sentence each."""
     conditional: bool = True
     """Whether the pose changes the image."""
+    trained: bool = True
+    """Whether it learns by random draws, so that another training of it ends elsewhere."""
 
 
 @runtime_checkable

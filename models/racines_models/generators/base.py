@@ -37,6 +37,7 @@ class BaseGenerator(ABC, Generic[C]):
     source: ClassVar[str]
     stochastic: ClassVar[bool] = False
     conditional: ClassVar[bool] = True
+    trained: ClassVar[bool] = True
     limits: ClassVar[tuple[str, ...]] = ()
     holds: ClassVar[tuple[str, ...]] = ()
     """Names of the tensors in `held`, where a method has no networks."""
@@ -109,7 +110,7 @@ class BaseGenerator(ABC, Generic[C]):
     def card(self) -> Card:
         """Describe the fitted generator."""
         told = ("name", "title", "summary", "source", "stochastic", "data", "seed", "limits")
-        told += ("conditional",)
+        told += ("conditional", "trained")
         return Card(
             weights=sum(tensor.numel() for tensor in self.tensors().values()),
             config=dataclasses.asdict(self.config),  # type: ignore[call-overload]

@@ -26,6 +26,7 @@ class MeanImage(BaseGenerator[MeanImageConfig]):
     summary = "The mean of the training images, the same for every pose."
     source = "a floor of this benchmark"
     conditional = False
+    trained = False
     limits = ("ignores the pose",)
     holds = ("image",)
 

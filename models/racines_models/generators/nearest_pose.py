@@ -46,6 +46,7 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
     title = "Nearest pose"
     summary = "The training image whose probe pose is nearest."
     source = "a floor of this benchmark (under a split by frames it would win)"
+    trained = False
     limits = ("draws nothing new", "jumps between neighbouring training frames")
     holds = ("keys", "images")
 

@@ -35,6 +35,7 @@ class NoiseCeiling(BaseGenerator[NoiseCeilingConfig]):
     summary = "The phantom scanned again at the same pose, with new electronic noise."
     source = "a ceiling of this benchmark"
     stochastic = True
+    trained = False
     limits = ("exists for simulated data only", "has seen no frame: it holds the scene itself")
     holds = ("phantom_version",)
 

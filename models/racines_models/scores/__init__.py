@@ -1,7 +1,8 @@
 """Scores of a generator on held-out poses: each number with n, an interval and its provenance.
 
-`scoring` is the way in; `metrics` and `diversity` hold the metrics, `features` the networks behind
-the distances, and `plugin` what a metric of another package is.
+`scoring` is the way in, `scorer` makes the figures of one sample; `metrics` and `diversity` hold
+the metrics, `features` the networks behind the distances, and `plugin` what a metric of another
+package is.
 """
 
 import lazy_loader

@@ -16,8 +16,11 @@ The file is one Parquet table in long form:
                          `set` how many
     block      int16     for `set` the block of units that is left out, -1 for none; else null
     value      float64   null where there is no measurement
+    minimum    float64   the least that the metric can be, at which its interval is cut; null: none
+    maximum    float64   the most, likewise
 
-Items stand in one order for all trainings and draws of a metric.
+Items stand in one order for all trainings and draws of a metric. The same figures are the same
+bytes.
 """
 
 import io
@@ -29,11 +32,13 @@ import numpy as np
 import polars as pl
 
 from racines_data.errors import RacinesError
-from racines_data.files import sha256_file, write_atomic
+from racines_data.files import locked, sha256_file, write_atomic, write_json
+from racines_models.provenance import check_replaces, sha256_bytes
 from racines_models.statistics.intervals import (
     Interval,
     Replicates,
     interval,
+    mean_interval,
     mean_replicates,
     median_interval,
     median_replicates,
@@ -50,7 +55,10 @@ SCHEMA = {
     "unit": pl.Int32,
     "block": pl.Int16,
     "value": pl.Float64,
+    "minimum": pl.Float64,
+    "maximum": pl.Float64,
 }
+ENDS = ("minimum", "maximum")
 MOST_BYTES = 4 << 20
 """Largest file that is read."""
 
@@ -68,6 +76,10 @@ class Figures:
     """(N,)"""
     whole: Replicates | None = None
     """Of a `set`."""
+    minimum: float = -np.inf
+    """The least that the metric can be."""
+    maximum: float = np.inf
+    """The most."""
 
     def replicates(self) -> Replicates:
         """Return the metric's replicates; items of several draws are one item's."""
@@ -81,6 +93,7 @@ class Figures:
 
     def interval(self, minimum: float = -np.inf, maximum: float = np.inf) -> Interval:
         """Return the metric's value and interval, cut at the least and the most it can be."""
+        minimum, maximum = max(minimum, self.minimum), min(maximum, self.maximum)
         if self.whole is not None:
             return interval(self.whole, minimum, maximum)
         values, units = self._flat()
@@ -89,7 +102,7 @@ class Figures:
         if self.statistic == "median":
             found = median_interval(values, units, minimum, maximum)
             return replace(found, n=found.n * len(self._units()) // len(units))
-        return interval(mean_replicates(values, units), minimum, maximum)
+        return mean_interval(values, units, minimum, maximum)
 
     def _flat(self) -> tuple[np.ndarray, np.ndarray]:
         """Return (R, M) values and (M,) units: draws averaged, or side by side for a median."""
@@ -130,8 +143,20 @@ class Evidence:
 
     figures: dict[str, Figures] = field(default_factory=dict)
 
-    def add(self, metric: str, statistic: str, values: Any, items: Any, units: Any) -> Figures:
+    def add(
+        self,
+        metric: str,
+        statistic: str,
+        values: Any,
+        items: Any,
+        units: Any,
+        minimum: float = -np.inf,
+        maximum: float = np.inf,
+    ) -> Figures:
         """Keep the figures of items, (R, D, N) or (D, N) or (N,) values; return them.
+
+        The interval is cut at `minimum` and `maximum`, the least and the most the metric can be; a
+        rate's at 0 and 1.
 
         Raises:
             ValueError: shapes that do not fit, a statistic of no name, a metric that is there.
@@ -143,11 +168,19 @@ class Evidence:
             raise ValueError(f"{metric}: {values.shape} values, {items.shape} items")
         if statistic not in STATISTICS[:3]:
             raise ValueError(f"{metric}: statistic {statistic!r}, not of {STATISTICS[:3]}")
-        return self._keep(metric, Figures(statistic, values, items, units))
+        ends = (0.0, 1.0) if statistic == "rate" else (minimum, maximum)
+        return self._keep(metric, Figures(statistic, values, items, units, None, *ends))
 
-    def add_set(self, metric: str, replicates: Replicates) -> Figures:
+    def add_set(
+        self,
+        metric: str,
+        replicates: Replicates,
+        minimum: float = -np.inf,
+        maximum: float = np.inf,
+    ) -> Figures:
         """Keep the replicates of a metric of whole sets; return its figures."""
-        return self._keep(metric, Figures("set", whole=replicates))
+        figures = Figures("set", whole=replicates, minimum=minimum, maximum=maximum)
+        return self._keep(metric, figures)
 
     def _keep(self, metric: str, figures: Figures) -> Figures:
         if metric in self.figures:
@@ -192,6 +225,29 @@ class Evidence:
             raise RacinesError(f"{path}: damaged: {error}; score it again") from error
 
 
+def write_scores(
+    path: Path, scores: dict[str, Any], evidence: Evidence, force: bool = False
+) -> dict[str, Any]:
+    """Write scores, and what they rest on beside them in `<name>.parquet`; return the scores.
+
+    They name that file by its hash. It is written first: scores never name what is not there.
+
+    Raises:
+        RacinesError: without `force`, another result is there, or a file that is no part of it.
+    """
+    beside, content = path.with_suffix(".parquet"), evidence.to_bytes()
+    told = {"file": beside.name, "sha256": sha256_bytes(content)}
+    scores = scores | {"evidence": told}
+    with locked(path.parent):
+        check_replaces(path, scores, force)
+        if not force and beside.exists() and sha256_file(beside) != told["sha256"]:
+            reason = f"is there, and is not what {path.name} is to rest on"
+            raise RacinesError(f"{beside}: {reason}: --force to replace it, or write elsewhere")
+        write_atomic(beside, content)
+        write_json(path, scores)
+    return scores
+
+
 def _table(metric: str, figures: Figures) -> pl.DataFrame:
     """Return the rows of one metric."""
     columns: dict[str, Any]
@@ -211,6 +267,9 @@ def _table(metric: str, figures: Figures) -> pl.DataFrame:
         columns |= {"item": np.tile(figures.items, trainings * draws)}
         columns |= {"unit": np.tile(figures._units(), trainings * draws)}
     columns |= {"training": training, "value": pl.Series(values.ravel()).fill_nan(None)}
+    for key in ENDS:
+        end = getattr(figures, key)
+        columns[key] = float(end) if np.isfinite(end) else None
     table = pl.select([pl.lit(each).alias(key) for key, each in (named | columns).items()])
     return table.select(*SCHEMA).cast(SCHEMA)  # type: ignore[arg-type]
 
@@ -225,15 +284,17 @@ def _figures(table: pl.DataFrame) -> Figures:
     if statistic not in STATISTICS or table["statistic"].n_unique() > 1:
         raise ValueError(f"{metric}: statistic {statistic!r}, not one of {STATISTICS}")
     trainings = 1 + int(table["training"].to_numpy().max())
+    ends = {key: table[key][0] for key in ENDS if table[key][0] is not None}
     if statistic == "set":
         values = table["value"].to_numpy().reshape(trainings, -1)
         replicates = Replicates(values[:, 0], values[:, 1:], table["unit"][0], table["item"][0])
-        figures = Figures(statistic, whole=replicates)
+        figures = Figures(statistic, whole=replicates, **ends)
     else:
         draws = 1 + int(table["draw"].to_numpy().max())
         values = table["value"].fill_null(np.nan).to_numpy().reshape(trainings, draws, -1)
         first = table.head(values.shape[2])
-        figures = Figures(statistic, values, first["item"].to_numpy(), first["unit"].to_numpy())
+        items, units = (first[key].to_numpy() for key in ("item", "unit"))
+        figures = Figures(statistic, values, items, units, **ends)
     if not _table(metric, figures).equals(table):
         raise ValueError(f"{metric}: rows are missing, doubled or out of order")
     return figures

@@ -20,7 +20,7 @@ a score made of them.
 The spread that a training has because units are few is part of both; it is taken off the second.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,9 +98,8 @@ def mean_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS) -
     sums = np.where(present, values, 0.0) @ one_hot
     counts = present.astype(np.float64) @ one_hot
     total, count = sums.sum(1, keepdims=True), counts.sum(1, keepdims=True)
-    used = (counts.sum(0) > 0) & ((count - counts) > 0).all(0)
-    with np.errstate(invalid="ignore"):
-        without = ((total - sums) / (count - counts))[:, used]
+    used = _used(counts)
+    without = (total - sums[:, used]) / (count - counts[:, used])
     shown = np.unique(np.asarray(units)[present.any(0)])
     return _checked(total[:, 0] / count[:, 0], without, len(shown), int(present[0].sum()))
 
@@ -108,21 +107,20 @@ def mean_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS) -
 def median_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS) -> Replicates:
     """Return the replicates of the median, as `mean_replicates` does of the mean."""
     values = np.atleast_2d(np.asarray(values, np.float64))
+    # What is to be left out, and what of a sparse metric cannot be, is the same for its mean.
+    means, blocks = mean_replicates(values, units, most), blocks_of(units, most)
     present = np.isfinite(values)
-    if not present.any(1).all():
-        raise ValueError("no values to estimate from")
-    medians = [lambda keep, row=row: _median(row[keep]) for row in values]
-    shown = np.unique(np.asarray(units)[present.any(0)])
-    found = set_replicates(medians, units, most)
-    # Without a block that has all values of a training there is no median of it.
-    without = found.without[:, np.isfinite(found.without).all(0)]
-    return _checked(found.whole, without, len(shown), int(present[0].sum()))
+    kept = [blocks != block for block in _used(present @ np.eye(blocks.max() + 1)[blocks])]
+    rows = [np.where(shown, row, np.nan) for row, shown in zip(values, present, strict=True)]
+    whole = np.array([np.nanmedian(row) for row in rows])
+    without = np.array([[np.nanmedian(row[keep]) for keep in kept] for row in rows])
+    return _checked(whole, without.reshape(len(rows), -1), means.units, means.n)
 
 
-def _median(values: np.ndarray) -> float:
-    """Return the median of what is present, NaN of nothing."""
-    present = values[np.isfinite(values)]
-    return float(np.median(present)) if len(present) else float("nan")
+def _used(counts: np.ndarray) -> np.ndarray:
+    """Return which of B blocks hold values and leave some; of (R, B) counts of values."""
+    left = counts.sum(1, keepdims=True) - counts
+    return np.flatnonzero((counts.sum(0) > 0) & (left > 0).all(0))
 
 
 def set_replicates(
@@ -132,13 +130,28 @@ def set_replicates(
 
     Each takes a (N,) boolean mask of the items to keep.
     """
+    named = [lambda keep, each=each: {"": each(keep)} for each in statistics]
+    return set_replicates_all(named, units, most)[""]
+
+
+def set_replicates_all(
+    statistics: Sequence[Callable[[np.ndarray], Mapping[str, float]]],
+    units: np.ndarray,
+    most: int = BLOCKS,
+) -> dict[str, Replicates]:
+    """Return the replicates of several statistics that are computed together, by name."""
     blocks = blocks_of(units, most)
-    every = np.ones(len(blocks), bool)
-    whole = np.array([statistic(every) for statistic in statistics])
     count = int(blocks.max()) + 1
     masks = [blocks != block for block in range(count if count > 1 else 0)]
-    without = np.array([[statistic(mask) for mask in masks] for statistic in statistics])
-    return _checked(whole, without.reshape(len(whole), -1), len(np.unique(units)), len(blocks))
+    # A set of one item has no spread, and so no distance to another.
+    masks = [np.ones(len(blocks), bool), *(mask for mask in masks if mask.sum() > 1)]
+    found = [[statistic(mask) for mask in masks] for statistic in statistics]
+    replicates = {}
+    for name in found[0][0]:
+        values = np.array([[each[name] for each in row] for row in found], np.float64)
+        several = values[:, 0], values[:, 1:], len(np.unique(units)), len(blocks)
+        replicates[name] = _checked(*several)
+    return replicates
 
 
 def _checked(whole: np.ndarray, without: np.ndarray, units: int, n: int) -> Replicates:
@@ -153,6 +166,13 @@ def interval(replicates: Replicates, minimum: float = -np.inf, maximum: float = 
     ends = _of_units(replicates)
     spread = _of_trainings(replicates)
     return _joined(replicates, value, ends, spread, "pseudo-values", minimum, maximum)
+
+
+def mean_interval(
+    values: np.ndarray, units: np.ndarray, minimum: float = -np.inf, maximum: float = np.inf
+) -> Interval:
+    """Return the interval of the mean of (R, N) or (N,) values, NaN where there is none."""
+    return interval(mean_replicates(values, units), minimum, maximum)
 
 
 def rate_interval(hits: np.ndarray, units: np.ndarray) -> Interval:

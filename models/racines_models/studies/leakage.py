@@ -27,7 +27,7 @@ from racines_models.judges.pose.training import pose_errors
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.sample import Progress, Sample, spread_sample
 from racines_models.scores import metrics
-from racines_models.statistics import bootstrap_mean
+from racines_models.statistics import mean_interval
 
 SCHEMA = "racines.leakage/1"
 CHUNK = 256
@@ -44,7 +44,7 @@ class LeakageConfig:
     seed: int = 0
     """Draws the random split of frames."""
     resamples: int = 1000
-    """Bootstrap resamples, by trajectory."""
+    """Of no effect, as intervals leave trajectories out; read, since older files say it."""
 
 
 class Retrieval(NamedTuple):
@@ -103,8 +103,8 @@ def measure_leakage(
         "dataset": dataset_card(store),
         "seed": config.seed,
         "sample": sample.digest,
-        "splits": {name: _summary(each, config) for name, each in retrievals.items()},
-        "gain": _means(gain, sample, config),  # what the frame split adds, frame by frame
+        "splits": {name: _summary(each) for name, each in retrievals.items()},
+        "gain": _means(gain, sample),  # what the frame split adds, frame by frame
         "leaks": leaks_json(find_leaks(store)),
         "settings": {
             "metres_per_radian": NearestPoseConfig().metres_per_radian,
@@ -145,7 +145,7 @@ def _retrieve(
     return Retrieval(sample, len(train), found.images, values)
 
 
-def _summary(retrieval: Retrieval, config: LeakageConfig) -> dict[str, Any]:
+def _summary(retrieval: Retrieval) -> dict[str, Any]:
     figures = retrieval.figures
 
     def median(name: str) -> float | None:
@@ -154,7 +154,7 @@ def _summary(retrieval: Retrieval, config: LeakageConfig) -> dict[str, Any]:
 
     return {
         "train": retrieval.train,
-        **_means(figures, retrieval.sample, config),
+        **_means(figures, retrieval.sample),
         "position_mm": median("position"),
         "rotation_deg": median("rotation"),
         "same_trajectory": float(figures["same_trajectory"].mean()),
@@ -162,12 +162,9 @@ def _summary(retrieval: Retrieval, config: LeakageConfig) -> dict[str, Any]:
     }
 
 
-def _means(
-    figures: dict[str, np.ndarray], sample: Sample, config: LeakageConfig
-) -> dict[str, dict[str, Any]]:
-    """Return the means of SSIM and PSNR with intervals by trajectory."""
-    clusters, resamples = sample.trajectory, config.resamples
+def _means(figures: dict[str, np.ndarray], sample: Sample) -> dict[str, dict[str, Any]]:
+    """Return the means of SSIM and PSNR, or of their differences, with intervals."""
     return {
-        name: bootstrap_mean(figures[name], clusters, resamples=resamples).to_json(unit)
+        name: mean_interval(figures[name], sample.trajectory).to_json(unit)
         for name, unit in UNITS.items()
     }

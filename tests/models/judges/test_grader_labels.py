@@ -68,11 +68,11 @@ def test_a_grader_refuses_a_dataset_of_other_views(organ, folder):
     with pytest.raises(RacinesError, match=r"KLX.*A4C.*train a grader"):
         examine(grader, heart)
     sample = take_sample(heart, "test", 8)
-    judge = Scorer(ScoresConfig(resamples=10), heart, sample, [sample.frames.images], None, None)
+    judge = Scorer(ScoresConfig(), heart, sample, [sample.frames.images], None, None)
     with pytest.raises(RacinesError, match="the dataset has A4C"):
         judge.agreement(grader)
     mine = take_sample(organ, "test", 8)
-    judge = Scorer(ScoresConfig(resamples=10), organ, mine, [mine.frames.images], None, None)
+    judge = Scorer(ScoresConfig(), organ, mine, [mine.frames.images], None, None)
     assert judge.agreement(grader)["view_agreement"]["n"] == 8
 
 

@@ -103,7 +103,7 @@ def test_the_report_has_the_grade_error_of_each_view(trained, store):
     assert figures["PL"]["mae"]["value"] == pytest.approx(np.abs(difference).mean(), abs=1e-4)
     assert figures["PL"]["bias"]["value"] == pytest.approx(difference.mean(), abs=1e-4)
     assert figures["PL"]["bias"]["low"] < figures["PL"]["bias"]["high"]
-    assert figures["PL"]["mae"]["settings"]["trajectories"] == 6
+    assert figures["PL"]["mae"]["settings"]["units"] == 6
 
 
 def test_the_plots_lie_beside_the_metrics(trained):

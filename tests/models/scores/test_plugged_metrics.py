@@ -5,9 +5,9 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_models.sample import take_sample
-from racines_models.scores import scoring as module
+from racines_models.scores import scorer as module
 from racines_models.scores.plugin import Metric
-from racines_models.scores.scoring import Scorer, ScoresConfig
+from racines_models.scores.scorer import Scorer, ScoresConfig
 from tests.models.labelled import LabelledStore
 
 
@@ -32,7 +32,7 @@ def judge() -> Scorer:
     store = LabelledStore()
     sample = take_sample(store, "test", 12)
     darker = [(sample.frames.images // 2), torch.zeros_like(sample.frames.images)]
-    return Scorer(ScoresConfig(resamples=20, blocks=3), store, sample, darker)
+    return Scorer(ScoresConfig(), store, sample, darker)
 
 
 def plug(monkeypatch: pytest.MonkeyPatch, *metrics: Metric) -> None:

@@ -12,7 +12,7 @@ from racines_models.scores import scoring
 from racines_models.scores.features import features_of_sets, reference_features
 from racines_models.scores.metrics import psnr, ssim
 from racines_models.scores.scoring import ScoresConfig, score
-from racines_models.statistics import bootstrap_mean
+from racines_models.statistics import mean_interval
 from tests.models.labelled import LabelledStore, Replay
 
 
@@ -50,7 +50,7 @@ def test_every_number_has_n_an_interval_and_its_settings(labelled, coarse):
     for name in ("ssim", "psnr", "fid", "kid"):
         metric = content["metrics"][name]
         assert metric["low"] < metric["value"] < metric["high"], name
-        assert metric["n"] == COUNT and metric["settings"]["trajectories"] == 6
+        assert metric["n"] == COUNT and metric["settings"]["units"] == 6
     assert content["dataset"]["digest"] == labelled.manifest["digest"]
     assert content["dataset"]["split"] == "test"
     assert content["extractors"]["inception"]["id"] == "coarse"
@@ -259,10 +259,10 @@ def test_the_strip_shows_the_best_of_each_view(labelled, tmp_path):
     assert np.array_equal(drawn[130:, :128], strip[0].numpy() // 2)
 
 
-def test_intervals_of_scores_resample_trajectories(labelled, coarse):
+def test_intervals_of_scores_leave_out_trajectories(labelled, coarse):
     scores = score(Replay(labelled, 0.2), labelled, QUICK, "replay")
     values = psnr(scores.images, scores.sample.frames.images).double().numpy()
-    expected = bootstrap_mean(values, scores.sample.trajectory)
+    expected = mean_interval(values, scores.sample.trajectory)
     metric = scores.content["metrics"]["psnr"]
     assert (metric["low"], metric["high"]) == (expected.low, expected.high)
 

@@ -14,7 +14,7 @@ from racines_models.scores import diversity, scoring
 from racines_models.scores.diversity import FRAMES, scanned_again, spread
 from racines_models.scores.metrics import Neighbourhoods
 from racines_models.scores.scoring import ScoresConfig, score
-from racines_models.statistics import bootstrap_median
+from racines_models.statistics import median_interval
 from tests.models.labelled import LabelledStore, Replay
 from tests.models.scores.test_scores import COUNT, QUICK, Coarse, Noise
 
@@ -71,11 +71,13 @@ def test_poses_are_told_as_medians_beside_those_of_the_truth():
     metrics = content["metrics"]
     sample = take_sample(labelled, "test", COUNT)
     errors = np.where(sample.frames.index.numpy() % 3 == 0, 10.0, 0.0)
-    expected = bootstrap_median(errors, sample.trajectory)
+    expected = median_interval(errors, sample.trajectory)
     told = metrics["pose_error_mm"]
     assert told["value"] == pytest.approx(expected.value, abs=1e-3)
     assert told["high"] == pytest.approx(expected.high, abs=1e-3)
-    assert told["n"] == COUNT and told["unit"] == "mm" and "median" in told["settings"]["interval"]
+    assert (
+        told["n"] == COUNT and told["unit"] == "mm" and "Woodruff" in told["settings"]["interval"]
+    )
     assert metrics["pose_error_mm_truth"]["value"] == pytest.approx(0.0, abs=1e-3)
     assert metrics["pose_error_deg"]["value"] < 0.1
     assert 0 < metrics["pose_error_mm_view"]["n"] == int((sample.frames.views != 5).sum()) < COUNT

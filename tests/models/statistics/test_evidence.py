@@ -61,6 +61,22 @@ def test_a_figure_of_few_values_stands_as_in_a_scores_file():
     assert figure("median", [], "steps") == none | {"unit": "steps"}
 
 
+def test_an_interval_is_cut_at_the_ends_that_the_file_keeps(tmp_path):
+    kept, values = Evidence(), np.where(UNITS == 2, 0.4, 0.99)
+    kept.add("share", "mean", values, ITEMS, UNITS, 0.0, 1.0)
+    kept.add("error", "median", np.where(UNITS > 4, 0.0, values), ITEMS, UNITS, 0.1)
+    kept.add_set(
+        "fid", intervals.set_replicates([lambda keep: values[keep].mean()], UNITS), 0.8, 0.95
+    )
+    kept.add("any", "mean", values, ITEMS, UNITS)
+    kept.write(tmp_path / "a.parquet")
+    read = Evidence.read(tmp_path / "a.parquet").figures
+    assert read["share"].interval().high == 1.0 < read["any"].interval().high
+    assert read["error"].interval().low == 0.1
+    assert (read["fid"].interval().low, read["fid"].interval().high) == (0.8, 0.95)
+    assert read["share"].interval(maximum=0.97).high == 0.97, "the narrower of the two"
+
+
 def test_a_single_set_and_a_single_training():
     kept = Evidence()
     kept.add("ssim", "mean", np.arange(N) / N, ITEMS, UNITS)

@@ -81,20 +81,30 @@ class Drawn:
 
 
 def test_runs_and_drawing_seeds_take_turns():
-    a, b, still = Drawn(True), Drawn(True), Drawn(False)
+    a, b, c, still = Drawn(True), Drawn(True), Drawn(True), Drawn(False)
     assert take_turns([a], (7, 8)) == [(a, 7), (a, 8)]
     assert take_turns([a, b], (7,)) == [(a, 7), (b, 8)]
-    assert take_turns([a, b], (0, 1, 2)) == [(a, 0), (b, 1), (a, 2)]
+    # One more than before: with sets of one training only, its interval would be of another n.
+    assert take_turns([a, b], (0, 1, 2)) == [(a, 0), (b, 1), (a, 2), (b, 3)]
+    assert take_turns([a, b, c], (0, 1, 2)) == [(a, 0), (b, 1), (c, 2)]
+    assert take_turns([still, still], (0, 1, 2)) == [(still, 0), (still, 1)]
     assert take_turns([still], (0, 1, 2)) == [(still, 0)], "the same images thrice say nothing new"
 
 
-def test_a_figure_is_the_mean_over_sets_which_it_names(store):
+def test_a_figure_is_the_mean_over_trainings_which_it_names(store):
     frames = store.take(store.split_indices("test"))
     sample = Sample(frames, torch.arange(len(frames.index)).numpy() // 4)
     black = torch.zeros_like(frames.images)
-    judge = Scorer(ScoresConfig(resamples=10), store, sample, [frames.images, black])
-    psnr = judge.likeness()["psnr"]
+    sets = [frames.images, black]
+    psnr = Scorer(ScoresConfig(), store, sample, sets, runs=2).likeness()["psnr"]
     assert psnr["settings"]["by_set"][0] == 100.0 > psnr["settings"]["by_set"][1]
     assert psnr["value"] == pytest.approx(sum(psnr["settings"]["by_set"]) / 2)
-    judge.drawn.pop()
-    assert "by_set" not in judge.likeness()["psnr"]["settings"]
+    assert psnr["settings"]["trainings"] == 2
+    # Two sets of one training are one value; which each is, the evidence says.
+    one = Scorer(ScoresConfig(), store, sample, sets)
+    told = one.likeness()["psnr"]
+    assert told["value"] == pytest.approx(psnr["value"]) and told["settings"]["trainings"] == 1
+    assert "by_set" not in told["settings"]
+    assert one.evidence.figures["psnr"].values.shape == (1, 2, len(frames.index))
+    with pytest.raises(ValueError, match="3 sets of 2 trainings"):
+        Scorer(ScoresConfig(), store, sample, [*sets, black], runs=2)

@@ -32,20 +32,20 @@ def eval_generator(
 ) -> None:
     """Score a generator on held-out poses; write NAME.json and a picture NAME.png.
 
+    NAME.parquet has the figures of every frame, from which those in NAME.json follow.
     Another result that is there stays, unless --force is given; the same may be written again.
     The pose regressor is that of models/runs/pose, if it is there.
     """
     from racines_data.config import fill, section
-    from racines_data.files import write_json
     from racines_data.progress import image_counter
     from racines_data.store.frames import open_store
     from racines_models.cli.output import metrics_table, tell
     from racines_models.judges.grader.model import Grader
     from racines_models.judges.pose.regressor import PoseRegressor
     from racines_models.pictures import pick_columns, write_strip
-    from racines_models.provenance import check_replaces
     from racines_models.registry import open_runs, weights_of
     from racines_models.scores.scoring import ScoresConfig, score, take_turns
+    from racines_models.statistics import write_scores
 
     values = read_settings(params, profile)
     settings = section(values, "scores") | given(split=split, samples=samples)
@@ -56,6 +56,9 @@ def eval_generator(
     judge = None if no_grader or grader is None else Grader.load(grader, device)
     runs: Any = open_runs(name, run, device=device, store=store, split=config.split)
     title: str = runs[0].name
+    written = out / f"{title}.json"
+    if Path(name).resolve() == written.with_suffix(".parquet").resolve():
+        raise RacinesError(f"{name}: the scores would replace it: write elsewhere with --out")
     pose = None if no_pose else pose or (opt.POSE if opt.POSE.is_dir() else None)
     regressor = None if pose is None else PoseRegressor.load(pose, device)
     total = min(config.samples, len(store.split_indices(config.split)))
@@ -74,10 +77,9 @@ def eval_generator(
         )
     content: dict[str, Any] = {**scores.content, "weights": weights_of(name, run) or None}
     content["dataset"]["board"] = values.get("board")
-    check_replaces(out / f"{title}.json", content, force)
+    content = write_scores(written, content, scores.evidence, force)
     frames = scores.sample.frames
     columns = pick_columns(frames.views, frames.grades, len(store.labels) - 1)
     write_strip(out / f"{title}.png", [frames.images[columns], scores.images[columns]])
-    write_json(out / f"{title}.json", content)
     table = metrics_table(f"{title}, {config.split} split", content["metrics"])
-    tell(content, as_json, table, f"{out / title}.json, {out / title}.png")
+    tell(content, as_json, table, f"{written}, .parquet, .png")

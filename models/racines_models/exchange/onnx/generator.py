@@ -141,6 +141,11 @@ class OnnxInterface:
     conditional: bool | None = None
     """Whether the pose does, likewise."""
 
+    @property
+    def trained(self) -> bool | None:
+        """Whether another training of it would end elsewhere, by the card; None: untold."""
+        return self.card.get("trained")
+
 
 def read_onnx(path: Path) -> tuple[bytes, OnnxInterface]:
     """Return a file's bytes and what it says, if it meets the interface; nothing is run.

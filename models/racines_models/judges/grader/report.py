@@ -14,11 +14,19 @@ from torch import Tensor
 from racines_data.store.frames import Batch, FrameStore
 from racines_data.views import LABELS, RANDOM_LABEL
 from racines_models.judges.grader.model import Grader, Reading
-from racines_models.statistics import bootstrap_mean, jackknife
+from racines_models.statistics import (
+    Interval,
+    interval,
+    mean_interval,
+    rate_interval,
+    set_replicates,
+)
 
 CLOSE = 1.0
 """Grades that differ by no more agree."""
 UNIT = "grades of 10"
+MOST = 10.0
+"""The best grade, and so the largest error of one."""
 BINS = 15
 """Bins of equal width in confidence."""
 LIMIT = 10.0
@@ -32,11 +40,19 @@ class Comparison(NamedTuple):
     """(N,) float64, NaN where the truth is unknown or the figure does not apply."""
     rule: str
     unit: str | None = None
+    statistic: str = "rate"
+    """`rate` of frames, or `mean` of amounts from 0 to `MOST`."""
 
     def mean(self, trajectory: np.ndarray) -> dict[str, Any]:
         """Return the figure as JSON, with its interval by (N,) trajectories."""
-        estimate = bootstrap_mean(self.values.numpy(), trajectory)
-        return estimate.to_json(self.unit, rule=self.rule)
+        values = self.values.numpy()
+        rate = self.statistic == "rate"
+        found = rate_interval(values, trajectory) if rate else _error(values, trajectory)
+        return found.to_json(self.unit, rule=self.rule)
+
+
+def _error(values: np.ndarray, trajectory: np.ndarray) -> Interval:
+    return mean_interval(values, trajectory, 0.0, MOST)
 
 
 def compare(
@@ -57,8 +73,8 @@ def compare(
     compared = {
         "view_agreement": Comparison(right, same),
         "grade_agreement": Comparison(close, f"{near}, frames of a view"),
-        "grade_error": Comparison(of_view, f"{apart}, frames of a view", UNIT),
-        "grade_error_all": Comparison(error, f"{apart}, all frames", UNIT),
+        "grade_error": Comparison(of_view, f"{apart}, frames of a view", UNIT, "mean"),
+        "grade_error_all": Comparison(error, f"{apart}, all frames", UNIT, "mean"),
     }
     return {k: each for k, each in compared.items() if bool(each.values.isfinite().any())}
 
@@ -117,13 +133,13 @@ def _by_view(
         shown = frames.views == index
         if bool(shown.any()):
             right = compared["view_agreement"].values[shown].numpy()
-            views[name] = bootstrap_mean(right, trajectory[shown.numpy()]).to_json()
+            views[name] = rate_interval(right, trajectory[shown.numpy()]).to_json()
         chosen = (shown & graded).numpy()
         if chosen.any() and name != store.labels[-1]:
             signed, clusters = difference[chosen], trajectory[chosen]
             errors[name] = {
-                "mae": bootstrap_mean(np.abs(signed), clusters).to_json(UNIT),
-                "bias": bootstrap_mean(signed, clusters).to_json(UNIT),
+                "mae": _error(np.abs(signed), clusters).to_json(UNIT),
+                "bias": mean_interval(signed, clusters, -MOST, MOST).to_json(UNIT),
             }
     return {"views": views, "grades": errors}
 
@@ -199,5 +215,5 @@ def calibration_error(probabilities: Tensor, views: Tensor, trajectory: np.ndarr
     def error(kept: np.ndarray) -> float:
         return reliability(probabilities[kept], views[kept]).error
 
-    estimate = jackknife(error, trajectory[known], minimum=0.0)
-    return estimate.to_json(bins=BINS, rule="mean gap of confidence and accuracy over bins")
+    found = interval(set_replicates([error], trajectory[known]), 0.0, 1.0)
+    return found.to_json(bins=BINS, rule="mean gap of confidence and accuracy over bins")

@@ -16,12 +16,14 @@ from racines_models.devices import resolve_device
 from racines_models.judges.pose.regressor import PoseConfig, PoseNetwork, PoseRegressor
 from racines_models.protocol import Run
 from racines_models.provenance import code_version, dataset_card, environment
-from racines_models.statistics import bootstrap_median
+from racines_models.statistics import median_interval
 from racines_models.training.augmentation import augment
 from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.objective import TrainBatch, Update
 from racines_models.training.trainer import train
 
+LARGEST = {"mm": float("inf"), "deg": 180.0}
+"""Error of a pose, by unit."""
 BETA = 0.1
 """Where the loss turns from square to straight, in standard deviations of a target."""
 
@@ -101,7 +103,8 @@ def report(regressor: PoseRegressor, store: FrameStore, split: str = "test") -> 
     for suffix, chosen in (("", torch.ones_like(of_view)), ("_view", of_view)):
         for unit, values in zip(("mm", "deg"), errors, strict=True):
             if bool(chosen.any()):
-                median = bootstrap_median(values[chosen].numpy(), trajectory[chosen.numpy()])
+                found = values[chosen].numpy(), trajectory[chosen.numpy()]
+                median = median_interval(*found, 0.0, LARGEST[unit])
                 metrics[f"pose_error_{unit}{suffix}"] = median.to_json(unit)
     return {"split": split, "metrics": metrics}
 
