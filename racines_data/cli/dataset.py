@@ -8,7 +8,7 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_data.errors import RacinesError
-from racines_data.manifest import CARD, PICTURES, default_root, read_manifest
+from racines_data.manifest import CARD, PICTURES, default_root, digest_note, read_manifest
 
 if TYPE_CHECKING:
     from racines_data.hub.push import Push
@@ -156,7 +156,9 @@ def pull(
         keys = ("source", "version", "digest", "counts")
         typer.echo(json.dumps({"root": str(root), **{key: manifest[key] for key in keys}}))
     else:
-        typer.echo(f"{root}: {manifest['source']} {manifest['version']}, digests hold")
+        note = digest_note(manifest)
+        told = f"{manifest['source']} {manifest['version']}, digests hold"
+        typer.echo(f"{root}: {told}" + (f" ({note})" if note else ""))
 
 
 def sheet(
