@@ -82,7 +82,7 @@ class Figures:
     def interval(self, minimum: float = -np.inf, maximum: float = np.inf) -> Interval:
         """Return the metric's value and interval, cut at the least and the most it can be."""
         if self.whole is not None:
-            return interval(self.whole, minimum, maximum)
+            return interval(self.whole, minimum, maximum, "set")
         values, units = self._flat()
         if self.statistic == "rate":
             return rate_interval(values, units)

@@ -10,7 +10,11 @@ a score made of them.
     units       pseudo-values of the delete-one-unit jackknife (Tukey, 1958), their mean with a t
                 interval that is corrected for their skewness by Hall's transformation (Hall, On the
                 removal of skewness by transformation, 1992)
-    a rate      of 0 or 1 in every unit has no spread: Wilson's interval with units as trials
+                fewer than 30 units look less skewed than what they come from: their skewness is
+                raised, and the interval reaches at least as far as Student's t
+    a rate      Wilson's interval with as many trials as give the variance between units, and t for
+                z (Franco et al., Comparative study of confidence intervals for proportions in
+                complex sample surveys, 2019); of 0 or 1 in every unit, units are the trials
     a median    inverts the interval of the share below it (Woodruff, 1952), which the jackknife of
                 the median itself does not survive
     trainings   Student's t on the spread of their values
@@ -26,6 +30,8 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
+
+from racines_models.statistics.levels import nominal
 
 LEVEL = 0.95
 """Nominal coverage of every interval."""
@@ -78,7 +84,13 @@ class Interval:
         if unit is not None:
             described["unit"] = unit
         counts = {"units": self.units, "trainings": self.trainings}
-        return described | {"settings": settings | {"interval": self.method} | counts}
+        level = {} if self.low is None else {"level": self.level}
+        return described | {"settings": settings | {"interval": self.method} | level | counts}
+
+    @property
+    def level(self) -> float:
+        """The nominal level, or the coverage measured of intervals like this where it is less."""
+        return nominal(self.kind, self.units, self.trainings)
 
 
 def blocks_of(units: np.ndarray, most: int = BLOCKS) -> np.ndarray:

@@ -153,7 +153,7 @@ class Simulation:
         yield "episodes", rate_interval(sweeps > self._sweep_limit, np.arange(units))
         yield "median", median_interval(pose, unit)
         yield "difference", difference(found, other)
-        yield "frames as units", interval(mean_replicates(ssim, np.arange(len(unit)), len(unit)))
+        yield "frames as units", interval(mean_replicates(ssim, np.arange(len(unit))))
 
     def sets(self, units: int, trainings: int, study: int) -> Iterator[tuple[str, Interval]]:
         """Yield the interval of each kind of whole sets of one study."""
