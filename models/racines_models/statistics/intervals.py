@@ -199,12 +199,13 @@ def median_interval(values: np.ndarray, units: np.ndarray) -> Interval:
     value, ends = replicates.value, None
     middles = np.nanmedian(values, axis=1, keepdims=True)
     below = np.where(np.isfinite(values), values <= middles, np.nan)
-    reaches = [_of_units(mean_replicates(row, units)) for row in below]
-    if None not in reaches:
+    found = [_of_units(mean_replicates(row, units)) for row in below]
+    reaches = [each for each in found if each is not None]
+    if len(reaches) == len(values):
         # Of each training about its own median: they are of the same units, so their errors agree.
         shares = np.clip([(0.5 - up, 0.5 + down) for down, up in reaches], 0.0, 1.0)
-        found = [np.nanquantile(*each) for each in zip(values, shares, strict=True)]
-        low, high = np.mean(found, axis=0)
+        at = [np.nanquantile(*each) for each in zip(values, shares, strict=True)]
+        low, high = np.mean(at, axis=0)
         ends = max(value - low, 0.0), max(high - value, 0.0)
     spread = _of_trainings(replicates)
     return _joined(replicates, "median", ends, (spread, spread), "Woodruff")

@@ -1,7 +1,7 @@
 """The command `racines study coverage`. Heavy imports stand inside, so that --help is instant."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -61,19 +61,25 @@ def coverage(
     from racines_models.studies.coverage.simulation import CoverageConfig, Simulation
 
     began = time.perf_counter()
-    chosen = given(studies=studies, set_studies=set_studies, frames=frames, embedded=embedded)
-    config = CoverageConfig(**chosen, seed=seed, **({"units": tuple(units)} if units else {}))
-    anchors, store = study.read_anchors(scores), open_store(data)
+    chosen: Any = given(
+        studies=studies,
+        set_studies=set_studies,
+        frames=frames,
+        embedded=embedded,
+        units=tuple(units) if units else None,
+    )
+    config = CoverageConfig(**chosen, seed=seed)
+    store, anchors = open_store(data), study.read_anchors(scores)
     folders = {name: runs / generator_class(name).name for name in (generator, against)}
-    methods = [open_runs(name, folder, device=device) for name, folder in folders.items()]
+    first, second = (open_runs(name, folder, device=device) for name, folder in folders.items())
     weights = {name: weights_of(name, folder) for name, folder in folders.items()}
     extractor = InceptionFeatures(device)
     regressor = PoseRegressor.load(pose or Path("models/weights/pose"), device)
     size = config.frames, config.embedded
     with progress_bar(not as_json) as bar:
-        task = bar.add_task("images", total=images_drawn(store, size, sum(map(len, methods))))
+        task = bar.add_task("images", total=images_drawn(store, size, len(first) + len(second)))
         population = measure(
-            store, *methods, extractor, regressor, size, [weights], cache,
+            store, first, second, extractor, regressor, size, [weights], cache,
             lambda count: bar.advance(task, count),
         )  # fmt: skip
         population = population.project(config.dimensions, seed)

@@ -119,11 +119,11 @@ def measure(
         held = _measure(sample, (first, second), extractor, pose, embedded, progress)
         if path is not None:
             write_atomic(path, save(held))
-    methods = (
+    one, two = (
         Method({f: held[f"{side}.{f}"].numpy() for f in FIGURES}, held[f"{side}.features"])
         for side in ("first", "second")
     )
-    return Population(unit, embedded, held["truth"], *methods)
+    return Population(unit, embedded, held["truth"], one, two)
 
 
 def images_drawn(store: FrameStore, size: tuple[int, int], sets: int) -> int:

@@ -97,9 +97,9 @@ def rows_file(folder: Path, population: Population, config: CoverageConfig, of: 
     for name in ("studies", "set_studies", "units", "trainings"):
         del kept[name]
     told = [kept, sorted(of.items()), probe()]
-    arrays = [population.truth, population.first.features, population.second.features]
+    arrays: list[Any] = [population.truth]
     for method in (population.first, population.second):
-        arrays += method.figures.values()
+        arrays += [method.features, *method.figures.values()]
     seen = [hashlib.sha256(np.ascontiguousarray(each).data).hexdigest() for each in arrays]
     return folder / f"coverage-{sha256_bytes(repr([told, seen]).encode())[:24]}.parquet"
 
@@ -272,7 +272,8 @@ def draw_coverage(content: dict[str, Any]) -> bytes:
                 axes.plot(units, [r["coverage"] for r in mine], style, label=kind, markersize=3)
             axes.axhspan(0.93, 0.97, color="0.5", alpha=0.2, linewidth=0)
             axes.set(xscale="log", xlabel="units", title=f"{count} training{'s'[: count > 1]}")
-            axes.set_xticks(units, [str(each) for each in units])
+            ticks = sorted({row["units"] for row in rows})
+            axes.set_xticks(ticks, [str(each) for each in ticks])
             axes.minorticks_off()
         panels[0].set_ylabel("intervals that hold the value")
         panels[-1].legend(fontsize=6)

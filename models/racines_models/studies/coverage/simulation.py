@@ -96,8 +96,8 @@ class Trainings:
         deviations = self.deviations[:, items]
         if proportions is None:
             return (self.centre[items] + (deviations[0] if self.own else 0.0))[None]
-        proportions = proportions / max(len(deviations) - 1, 1) ** 0.5
-        return self.centre[items] + np.tensordot(proportions, deviations, 1)
+        share = np.asarray(proportions / max(len(deviations) - 1, 1) ** 0.5)
+        return self.centre[items] + np.tensordot(share, deviations, 1)
 
 
 class Simulation:
@@ -233,7 +233,7 @@ def _gather(places: list[np.ndarray], picks: np.ndarray) -> tuple[np.ndarray, np
 def _sweeps(values: np.ndarray, unit: np.ndarray) -> np.ndarray:
     """Return the (R, U) means of (R, N) values over the units."""
     starts = np.flatnonzero(np.diff(unit, prepend=-1))
-    return np.add.reduceat(values, starts, axis=1) / np.diff([*starts, len(unit)])
+    return np.add.reduceat(values, starts, axis=1) / np.diff(starts, append=len(unit))
 
 
 def _fid(truth: Tensor, drawn: Tensor, scale: float, keep: np.ndarray) -> float:
