@@ -84,12 +84,15 @@ class Interval:
         if unit is not None:
             described["unit"] = unit
         counts = {"units": self.units, "trainings": self.trainings}
-        level = {} if self.low is None else {"level": self.level}
+        level = {} if self.low is None or self.level is None else {"level": self.level}
         return described | {"settings": settings | {"interval": self.method} | level | counts}
 
     @property
-    def level(self) -> float:
-        """The nominal level, or the coverage measured of intervals like this where it is less."""
+    def level(self) -> float | None:
+        """The nominal level, or the coverage measured of intervals like this where it is less.
+
+        None where none was measured.
+        """
         return nominal(self.kind, self.units, self.trainings)
 
 

@@ -14,8 +14,10 @@ KEPT = 0.93
 """An interval that covers so often or more is printed with its nominal level."""
 
 
-def nominal(kind: str, units: int, trainings: int) -> float:
+def nominal(kind: str, units: int, trainings: int) -> float | None:
     """Return the level of an interval of a kind of so many units and trainings.
+
+    None where nothing was measured: there is no table.
 
     What was measured of the largest studies that are no larger counts, below the smallest that of
     those; of several trainings, what was measured of several.
@@ -24,6 +26,8 @@ def nominal(kind: str, units: int, trainings: int) -> float:
         KeyError: a kind that was not studied.
     """
     table = _table()
+    if table is None:
+        return None
     rows = table["coverage"][kind]
     most = max(row["trainings"] for row in rows)
     rows = [row for row in rows if row["trainings"] == (1 if trainings < 2 else most)]
@@ -37,5 +41,5 @@ def _units(row: dict[str, Any]) -> int:
 
 
 @lru_cache(maxsize=1)
-def _table() -> dict[str, Any]:
-    return json.loads(TABLE.read_text())
+def _table() -> dict[str, Any] | None:
+    return json.loads(TABLE.read_text()) if TABLE.is_file() else None

@@ -203,6 +203,22 @@ def test_a_level_is_the_nominal_one_or_what_was_measured(monkeypatch):
     assert "level" not in Interval(1.0, None, None, 1, 1, 1, "none").to_json()["settings"]
 
 
+def test_a_table_does_not_stand_without_its_report(monkeypatch, tmp_path):
+    assert levels.TABLE.is_file() == REPORT.is_file()
+    monkeypatch.setattr(levels, "TABLE", tmp_path / "coverage.json")
+    levels._table.cache_clear()
+    try:
+        assert levels.nominal("mean", 30, 3) is None
+        told = Interval(1.0, 0.5, 1.5, 1, 1, 1, "some").to_json()
+        assert "level" not in told["settings"]
+    finally:
+        levels._table.cache_clear()
+
+
+measured_once = pytest.mark.skipif(not REPORT.is_file(), reason="the study has not been run")
+
+
+@measured_once
 def test_the_table_is_that_of_the_committed_report():
     report = json.loads(REPORT.read_text())
     assert json.loads(levels.TABLE.read_text()) == report["levels"]
@@ -215,6 +231,7 @@ def test_the_table_is_that_of_the_committed_report():
         assert 0.5 < levels.nominal(kind, 30, 3) <= 0.95
 
 
+@measured_once
 def test_the_committed_report_is_of_the_intervals_as_they_are():
     """Where the method of an interval changes, `racines study coverage` is to be run again."""
     report = json.loads(REPORT.read_text())
