@@ -1,7 +1,8 @@
 """Digests: of files, of a dataset's content, and of the recipe that made it.
 
-The *content* digest is of what the rows say (pixels, numbers, splits), not of how files pack it,
-so that another PNG or Parquet library leaves it alone. Each file has its own sha256 besides.
+The *content* digest is of what the rows say (source, pixels, numbers, splits), not of how files
+pack it, so that another PNG or Parquet library leaves it alone. Each file has its own sha256
+besides.
 """
 
 import hashlib
@@ -20,6 +21,7 @@ from racines_data.files import sampled_sha256, sha256_file, write_atomic
 from racines_data.manifest import (
     CARD,
     CROISSANT,
+    DIGEST_VERSION,
     MANIFEST,
     MULTI_PHANTOM,
     PICTURES,
@@ -58,9 +60,17 @@ def trajectory_digest(trajectory: Trajectory) -> str:
     return digest.hexdigest()
 
 
-def content_digest(rows: Iterable[tuple[str, str, str]]) -> str:
-    """Return the digest of a dataset from (split, trajectory id, trajectory digest) in order."""
+def content_digest(
+    rows: Iterable[tuple[str, str, str]], source: str, version: int = DIGEST_VERSION
+) -> str:
+    """Return the digest of a dataset from (split, trajectory id, trajectory digest) in order.
+
+    Version 1, of older datasets, leaves the source out.
+    """
     digest = hashlib.sha256()
+    if version > 1:
+        head = {"digest": version, "source": source}
+        digest.update(canonical_json(head).encode() + b"\n")
     for row in rows:
         digest.update(canonical_json(row).encode() + b"\n")
     return digest.hexdigest()

@@ -7,7 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from racines_data.errors import RacinesError
-from racines_data.manifest import CARD, ROOT_VARIABLE, default_root, describe, read_manifest
+from racines_data.manifest import (
+    CARD,
+    ROOT_VARIABLE,
+    default_root,
+    describe,
+    digest_note,
+    read_manifest,
+)
 
 if TYPE_CHECKING:
     from datasets import Dataset, DatasetDict, IterableDataset, IterableDatasetDict
@@ -56,5 +63,6 @@ def load(
     checked_shards(folder, manifest, config, split, CARD, verify=verify)
     loaded = datasets.load_dataset(str(folder), config, split=split, streaming=streaming)
     for part in loaded.values() if isinstance(loaded, dict) else [loaded]:
-        part.info.description = describe(manifest, config)
+        note = digest_note(manifest)
+        part.info.description = describe(manifest, config) + (f"; {note}" if note else "")
     return loaded

@@ -19,6 +19,9 @@ MULTI_PHANTOM = "multi_phantom"  # the config of many simulated hearts
 DEFAULT_ROOT = Path("data/racines")
 ROOT_VARIABLE = "RACINES_DATA"
 VERIFY_VARIABLE = "RACINES_VERIFY"  # hash every file again, as `racines --verify` does
+DIGEST_VERSION = 2
+"""What a content digest is of. 1: splits, ids and trajectories; 2: the source as well, so that
+frames of a simulator cannot be passed off as recorded ones. A manifest that names none has 1."""
 STORES = ("frames", MULTI_PHANTOM)  # configs with a store; `sessions` are rows of `frames`
 
 
@@ -44,9 +47,27 @@ def read_manifest(root: Path) -> dict[str, Any]:
         manifest = json.loads(path.read_text())
         for key in ("source", "version", "digest", "recipe_digest", "files", "counts"):
             manifest[key]
+        version = digest_version(manifest)
     except (ValueError, KeyError, TypeError) as error:
         raise RacinesError(f"{path}: damaged ({error}); {rebuild_hint({})}") from error
+    if version not in range(1, DIGEST_VERSION + 1):
+        raise RacinesError(
+            f"{path}: digest_version {version!r} is unknown here, where {DIGEST_VERSION} is the "
+            "newest: update racines"
+        )
     return manifest
+
+
+def digest_version(manifest: Mapping[str, Any]) -> int:
+    """Return what the content digest of a dataset is of; see `DIGEST_VERSION`."""
+    return manifest.get("digest_version", 1)
+
+
+def digest_note(manifest: Mapping[str, Any]) -> str:
+    """Return what to say beside the content digest of an older dataset; nothing of a new one."""
+    if digest_version(manifest) == DIGEST_VERSION:
+        return ""
+    return f"digest version {digest_version(manifest)}, which leaves the source out"
 
 
 def config_digest(manifest: Mapping[str, Any], config: str = "frames") -> str:

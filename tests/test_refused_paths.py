@@ -88,6 +88,7 @@ NEEDED = {
     "study leakage": "--data {}",
     "study conditioning": "mean-image --data {}",
     "study floor": "--data {}",
+    "study coverage": "--data {}",
     "study ablation": "--params {}",
     "study rewards": "--params {}",
     "study transfer": "--params {}",

@@ -26,7 +26,7 @@ from racines_data.card.pictures import write_pictures
 from racines_data.digest import content_digest, recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.files import naming, sha256_file, write_once
-from racines_data.manifest import CARD, MANIFEST, MULTI_PHANTOM, REPORT, store_name
+from racines_data.manifest import CARD, DIGEST_VERSION, MANIFEST, MULTI_PHANTOM, REPORT, store_name
 from racines_data.progress import progress_bar
 from racines_data.schema import PARAMETERS, SPLITS, trajectory_features
 from racines_data.sources.base import Finding, Source, Unit, has_poses, labels_of_source, own_card
@@ -123,7 +123,8 @@ def write_dataset(
         "source": source.name,
         "version": source.version,
         "tag": f"{source.name}-v{source.version}",
-        "digest": _digest(rows),
+        "digest": _digest(rows, source.name),
+        "digest_version": DIGEST_VERSION,
         "recipe_digest": recipe_digest(recipe),
         "recipe": recipe,
         "labels": list(labels_of_source(source)),
@@ -144,7 +145,7 @@ def write_dataset(
         paths = _write_part(final, many, shards, progress)
         manifest["configs"][many.config] = {split: others for split, (others, _) in paths.items()}
         canonical = _write_canonical(final, many.tables(), f"canonical/{many.config}")
-        manifest[MULTI_PHANTOM] = {**_count_hearts(many.rows), "canonical": canonical}
+        manifest[MULTI_PHANTOM] = {**_count_hearts(many.rows, source.name), "canonical": canonical}
     _write_report(final / REPORT, source.report)
     write_pictures(final, manifest)
     (final / CARD).write_text(write_card(manifest))
@@ -254,8 +255,10 @@ def _write_canonical(
     return list(chosen.values())
 
 
-def _digest(rows: Sequence[dict[str, Any]]) -> str:
-    return content_digest((row["split"], row["trajectory"], row["digest"]) for row in rows)
+def _digest(rows: Sequence[dict[str, Any]], source: str) -> str:
+    return content_digest(
+        ((row["split"], row["trajectory"], row["digest"]) for row in rows), source
+    )
 
 
 def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -270,12 +273,12 @@ def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _count_hearts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def _count_hearts(rows: Sequence[dict[str, Any]], source: str) -> dict[str, Any]:
     def counts(rows: Sequence[dict[str, Any]]) -> dict[str, int]:
         return {"hearts": len({row["session"] for row in rows}), **_size(rows)}
 
     splits = {split: counts(chosen) for split, chosen in _by_split(rows).items()}
-    return {**counts(rows), "splits": splits, "digest": _digest(rows)}
+    return {**counts(rows), "splits": splits, "digest": _digest(rows, source)}
 
 
 def _by_split(rows: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:

@@ -41,10 +41,11 @@ test = racines_data.load(version="{version}", split="test")
 batch = next(store.batches("train", batch_size=64, seed=0))
 ```"""
 _DIGESTS = """\
-The *content* digest is of the pixels, numbers and splits; it is equal for rebuilds on one platform.
-The *recipe* digest is of what they are made from: source, version, settings, seed, inputs. The
-frames in `canonical/` tell whether a rebuild on another processor is the same version: within one
-gray level. `manifest.json` has the sha256 of every file, which `racines data validate` checks."""
+The *content* digest is of source, pixels, numbers and splits; it is equal for rebuilds on one
+platform. The *recipe* digest is of what they are made from: source, version, settings, seed,
+inputs. The frames in `canonical/` tell whether a rebuild on another processor is the same version:
+they differ by no more than was measured between processors. `manifest.json` has the sha256 of every
+file, which `racines data validate` checks."""
 
 
 def _as_text(manifest: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_data.errors import RacinesError
-from racines_data.manifest import CARD, PICTURES, default_root, read_manifest
+from racines_data.manifest import CARD, PICTURES, default_root, digest_note, read_manifest
 from racines_data.terminal import say, say_json
 
 if TYPE_CHECKING:
@@ -154,7 +154,9 @@ def pull(
         keys = ("source", "version", "digest", "counts")
         say_json({"root": str(root), **{key: manifest[key] for key in keys}})
     else:
-        say(f"{root}: {manifest['source']} {manifest['version']}, digests hold")
+        note = digest_note(manifest)
+        told = f"{manifest['source']} {manifest['version']}, digests hold"
+        say(f"{root}: {told}" + (f" ({note})" if note else ""))
 
 
 def sheet(

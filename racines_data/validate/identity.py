@@ -23,7 +23,15 @@ from racines_data.digest import content_digest, recipe_digest, refuse_strays
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.geometry import geodesic, parameters_to_pose
-from racines_data.manifest import CARD, MULTI_PHANTOM, config_digest, describe, read_manifest
+from racines_data.manifest import (
+    CARD,
+    MULTI_PHANTOM,
+    config_digest,
+    describe,
+    digest_note,
+    digest_version,
+    read_manifest,
+)
 from racines_data.schema import SPLITS
 from racines_data.sources.gate.numbers import runs_on
 from racines_data.validate.canonical import compare
@@ -104,12 +112,16 @@ def check_counts(survey: Survey, manifest: dict[str, Any]) -> str:
 
 
 def check_content(survey: Survey, manifest: dict[str, Any]) -> str:
-    """Check the content digest."""
+    """Check the rows' source and the content digest, which older datasets have without it."""
+    sources = sorted({sweep.source for sweep in survey.sweeps})
+    if sources != [manifest["source"]]:
+        raise RacinesError(f"the rows are of {', '.join(sources)}, recorded {manifest['source']}")
     rows = ((sweep.split, sweep.id, sweep.digest) for sweep in survey.sweeps)
     wanted = config_digest(manifest, survey.config)
-    if content_digest(rows) != wanted:
+    if content_digest(rows, manifest["source"], digest_version(manifest)) != wanted:
         raise RacinesError("the rows do not have the recorded content digest")
-    return wanted[:16]
+    note = digest_note(manifest)
+    return wanted[:16] + (f" ({note})" if note else "")
 
 
 def check_splits(survey: Survey, root: Path, manifest: dict[str, Any]) -> str:
@@ -213,6 +225,8 @@ def same_version(root: Path, other: Path) -> str:
     found = compare(*frames)
     if not (found.holds if one["source"] == "phantom" else found.levels <= 1):
         raise RacinesError(f"canonical frames differ from those of {other} by {found}")
+    if digest_version(one) != digest_version(two):
+        return f"same recipe; the digests are of two versions, canonical frames differ by {found}"
     return f"same recipe; content differs, canonical frames by {found}"
 
 

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from racines_data.errors import RacinesError
-from racines_data.manifest import MULTI_PHANTOM, manifest_labels, read_manifest
+from racines_data.manifest import MULTI_PHANTOM, digest_version, manifest_labels, read_manifest
 from racines_data.sources.gate.bounds import manifest_bounds
 from racines_data.store.frames import FrameStore
 from racines_data.tables import console_table
@@ -172,6 +172,7 @@ def to_json(result: Validation) -> dict[str, Any]:
     return {
         "schema": "racines.validation/1",
         **{key: result.manifest[key] for key in keys},
+        "digest_version": digest_version(result.manifest),
         "ok": result.ok,
         "checks": [dataclasses.asdict(check) for check in result.checks],
         "statistics": parameters,

@@ -5,6 +5,7 @@
 A trajectory may cross shards: it belongs to the shard in which it begins.
 """
 
+import json
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -64,6 +65,7 @@ class CheckedSweep:
     id: str
     session: str
     target_view: str
+    source: str
     phantom: int | None
     digest: str
     parameters: np.ndarray  # (T, 12) float32, NaN where absent
@@ -206,12 +208,19 @@ def _sweep(
     return CheckedSweep(
         split=piece.split,
         **{name: getattr(trajectory, name) for name in _KEPT},
+        source=_source(rows),
         digest=trajectory_digest(trajectory),
         predicted=np.stack([c.fill_null(np.nan).to_numpy() for c in predicted], -1),
         hashes=np.frombuffer(b"".join(hashes), "<u8"),
         signatures=signatures(trajectory.images),
         faults=tuple(faults),
     )
+
+
+def _source(rows: pa.Table) -> str:
+    """Return the source that the rows name; their schema has its names, and lists of them."""
+    names = json.loads((rows.schema.metadata or {})[b"huggingface"])["info"]["features"]["source"]
+    return names["names"][rows["source"][0].as_py()]
 
 
 def _check_rows(

@@ -73,7 +73,7 @@ def test_digests_are_those_on_record():
         "d18e8faf4e092e0d6f3acc24cde494e27cbd81342e9f781545e21c938062614e"
     )
     rows = [("train", "t0", "ab"), ("test", "t1", "cd")]
-    assert content_digest(rows) == (
+    assert content_digest(rows, "phantom", version=1) == (
         "89686b1cc4d516b232ff8844f4278a48bda4aa8f5b2e125b6759e76b0c1b2df1"
     )
 
@@ -81,7 +81,19 @@ def test_digests_are_those_on_record():
 def test_a_datasets_digest_knows_splits_and_order():
     rows = [("train", "t0", "ab"), ("test", "t1", "cd")]
     moved = [("test", "t0", "ab"), ("test", "t1", "cd")]
-    assert len({content_digest(each) for each in (rows, moved, rows[::-1], rows[:1])}) == 4
+    each = (rows, moved, rows[::-1], rows[:1])
+    assert len({content_digest(r, "phantom", v) for r in each for v in (1, 2)}) == 8
+
+
+def test_a_datasets_digest_knows_its_source_since_version_2():
+    rows = [("train", "t0", "ab"), ("test", "t1", "cd")]
+    names = "phantom", "release", "tracked", ""
+    assert len({content_digest(rows, name) for name in names}) == 4
+    assert len({content_digest(rows, name, version=1) for name in names}) == 1
+    # A row cannot be written so that it reads as the head of another source.
+    assert content_digest([('{"digest":2,', "a", "b"), *rows], "phantom", 1) not in (
+        content_digest(rows, name) for name in names
+    )
 
 
 def test_json_is_one_text_for_equal_values_and_refuses_what_is_none():

@@ -13,11 +13,13 @@ import pyarrow.parquet as pq
 import pytest
 
 import racines_data
-from racines_data.digest import check_files
+from racines_data.card.markdown import write_card
+from racines_data.digest import check_files, content_digest
 from racines_data.errors import RacinesError
 from racines_data.files import sampled_sha256, sha256_file
 from racines_data.hub.push import plan_push
 from racines_data.manifest import VERIFY_VARIABLE, read_manifest
+from racines_data.schema import SOURCES
 from racines_data.validate.run import validate
 from tests.conftest import command
 
@@ -273,3 +275,93 @@ def test_a_shard_that_is_not_sealed_is_not_loaded(copy: Path):
     (copy / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(RacinesError, match=f"{name} of config 'frames' not among the files"):
         racines_data.load(root=copy)
+
+
+# --- the source -----------------------------------------------------------------------------------
+
+
+def relabel(root: Path, **changes) -> None:
+    """Give the dataset another manifest and the card that goes with it, all sealed anew."""
+    rewrite(root, lambda manifest: manifest.update(changes))
+    (root / "README.md").write_text(write_card(read_manifest(root)))
+    rewrite(root, lambda manifest: None)
+
+
+def name_source(root: Path, source: str) -> None:
+    """Say in every row that it is of another source."""
+    configs = read_manifest(root)["configs"]
+    for name in {
+        name for part in ("frames", "sessions") for s in configs[part].values() for name in s
+    }:
+        table = pq.read_table(root / name)
+        place = table.schema.get_field_index("source")
+        value = pa.scalar(SOURCES.index(source), table.schema.field(place).type)
+        named = pa.repeat(value, len(table))
+        pq.write_table(table.set_column(place, table.schema.field(place), named), root / name)
+
+
+def make_old(root: Path) -> str:
+    """Turn a dataset into one from before sources were digested; return its digest."""
+    rows = [
+        (row["split"], row["trajectory"], row["digest"])
+        for split in read_manifest(root)["configs"]["trajectories"].values()
+        for name in split
+        for row in pq.read_table(root / name).to_pylist()
+    ]
+    digest = content_digest(rows, "", version=1)
+    rewrite(root, lambda manifest: manifest.pop("digest_version"))
+    relabel(root, digest=digest)
+    return digest
+
+
+def content(root: Path) -> tuple[bool, str]:
+    (check,) = (check for check in validate(root).checks if check.name == "content")
+    return check.ok, check.detail
+
+
+def test_simulated_frames_passed_off_as_recorded_ones_have_not_that_digest(copy: Path):
+    assert read_manifest(copy)["digest_version"] == 2 and content(copy)[0]
+    relabel(copy, source="release")
+    assert content(copy) == (False, "the rows are of phantom, recorded release")
+    name_source(copy, "release")
+    rewrite(copy, lambda manifest: None)
+    assert content(copy) == (False, "the rows do not have the recorded content digest")
+    with pytest.raises(RacinesError, match="not pushed: the rows do not have"):
+        plan_push(copy, REPO)
+
+
+def test_an_older_dataset_is_read_and_named_as_such(copy: Path):
+    digest = make_old(copy)
+    assert not [check for check in validate(copy).checks if check.binding and not check.ok]
+    note = "digest version 1, which leaves the source out"
+    assert content(copy) == (True, f"{digest[:16]} ({note})")
+    loaded = racines_data.load(root=copy, split="test")
+    assert loaded.info.description.endswith(f"{digest}; {note}")
+    assert len(racines_data.open_store(copy)) == 200
+    plan_push(copy, REPO)
+
+
+def test_a_new_dataset_is_not_named_so(built: Path):
+    assert "digest version" not in racines_data.load(root=built, split="test").info.description
+    assert "digest version" not in content(built)[1]
+
+
+def test_a_digest_cannot_be_called_older_than_it_is(copy: Path):
+    rewrite(copy, lambda manifest: manifest.pop("digest_version"))
+    assert content(copy) == (False, "the rows do not have the recorded content digest")
+
+
+@pytest.mark.parametrize("version", [0, 3, "2", None, 1.5])
+def test_a_digest_of_an_unknown_version_is_refused(copy: Path, version):
+    manifest = read_manifest(copy) | {"digest_version": version}
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(
+        RacinesError, match=f"digest_version {version!r} is unknown.*update racines"
+    ):
+        racines_data.load(root=copy)
+
+
+def test_builds_with_digests_of_two_versions_are_compared_by_their_frames(built: Path, copy: Path):
+    make_old(copy)
+    check = validate(built, against=copy).checks[-1]
+    assert check.ok and "the digests are of two versions" in check.detail

@@ -53,6 +53,7 @@ COMMANDS = {
     "study gallery": "racines_models.cli.study.gallery:gallery",
     "study realism": "racines_models.cli.study.realism:realism",
     "study ablation": "racines_models.cli.study.comparisons:ablation",
+    "study coverage": "racines_models.cli.study.coverage:coverage",
     "study floor": "racines_models.cli.study.comparisons:floor",
     "study leakage": "racines_models.cli.study.comparisons:leakage",
     "study conditioning": "racines_models.cli.study.comparisons:conditioning",

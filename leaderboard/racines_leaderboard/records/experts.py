@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
+from racines_data.files import locked
 from racines_leaderboard.records.schema import check, read_json, write_record
 
 EXPERT = "expert"
@@ -28,12 +29,23 @@ METRICS = {"expert_view": "view_agreement", "expert_grade": "grade_agreement"}
 def publish(report: dict[str, Any], results: Path, board: str) -> list[Path]:
     """Write an expert study's agreement with the truth into a board; return the files.
 
+    One process at a time writes to boards: what is checked is what is there at the writing.
+
     Raises:
         RacinesError: the raters are no experts, or a generator has no scores on the board, or
             scores of another dataset or other weights.
     """
     if report["kind"] != EXPERT:
         raise RacinesError(f"{report['remark']} A board takes ratings of experts alone")
+    with locked(results):
+        records = _records(report, results, board)
+        for path, record in records.items():
+            write_record(path, record)
+    return list(records)
+
+
+def _records(report: dict[str, Any], results: Path, board: str) -> dict[Path, dict[str, Any]]:
+    """Return the records of a study's generators by file; `publish` says what is refused."""
     records = {}
     for name in report["systems"]:
         if name in (OVERALL, TRUE_FRAMES):
@@ -48,9 +60,7 @@ def publish(report: dict[str, Any], results: Path, board: str) -> list[Path]:
         records[path] = record
     if not records:
         raise RacinesError("the study has no generator's images, so a board has no row for it")
-    for path, record in records.items():
-        write_record(path, record)
-    return list(records)
+    return records
 
 
 def with_experts(records: list[dict[str, Any]], folder: Path) -> list[dict[str, Any]]:

@@ -95,7 +95,7 @@ class Figures:
         """Return the metric's value and interval, cut at the least and the most it can be."""
         minimum, maximum = max(minimum, self.minimum), min(maximum, self.maximum)
         if self.whole is not None:
-            return interval(self.whole, minimum, maximum)
+            return interval(self.whole, minimum, maximum, "set")
         values, units = self._flat()
         if self.statistic == "rate":
             return rate_interval(values, units)

@@ -10,7 +10,11 @@ a score made of them.
     units       pseudo-values of the delete-one-unit jackknife (Tukey, 1958), their mean with a t
                 interval that is corrected for their skewness by Hall's transformation (Hall, On the
                 removal of skewness by transformation, 1992)
-    a rate      of 0 or 1 in every unit has no spread: Wilson's interval with units as trials
+                fewer than 30 units look less skewed than what they come from: their skewness is
+                raised, and the interval reaches at least as far as Student's t
+    a rate      Wilson's interval with as many trials as give the variance between units, and t for
+                z (Franco et al., Comparative study of confidence intervals for proportions in
+                complex sample surveys, 2019); of 0 or 1 in every unit, units are the trials
     a median    inverts the interval of the share below it (Woodruff, 1952), which the jackknife of
                 the median itself does not survive
     trainings   Student's t on the spread of their values
@@ -27,10 +31,14 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from racines_models.statistics.levels import nominal
+
 LEVEL = 0.95
 """Nominal coverage of every interval."""
 BLOCKS = 40
 """Most blocks of units that are left out in turn."""
+FEW = 30
+"""Below so many units an interval reaches at least as far as Student's t on either side."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +75,8 @@ class Interval:
     units: int
     trainings: int
     method: str
+    kind: str = "mean"
+    """Of what: a kind of the coverage study, by which the level is known."""
 
     def to_json(self, unit: str | None = None, **settings: Any) -> dict[str, Any]:
         """Return the interval as it stands in a scores file."""
@@ -74,7 +84,16 @@ class Interval:
         if unit is not None:
             described["unit"] = unit
         counts = {"units": self.units, "trainings": self.trainings}
-        return described | {"settings": settings | {"interval": self.method} | counts}
+        level = {} if self.low is None or self.level is None else {"level": self.level}
+        return described | {"settings": settings | {"interval": self.method} | level | counts}
+
+    @property
+    def level(self) -> float | None:
+        """The nominal level, or the coverage measured of intervals like this where it is less.
+
+        None where none was measured.
+        """
+        return nominal(self.kind, self.units, self.trainings)
 
 
 def blocks_of(units: np.ndarray, most: int = BLOCKS) -> np.ndarray:
@@ -160,12 +179,15 @@ def _checked(whole: np.ndarray, without: np.ndarray, units: int, n: int) -> Repl
     return Replicates(whole, without, units, n)
 
 
-def interval(replicates: Replicates, minimum: float = -np.inf, maximum: float = np.inf) -> Interval:
+def interval(
+    replicates: Replicates,
+    minimum: float = -np.inf,
+    maximum: float = np.inf,
+    kind: str = "mean",
+) -> Interval:
     """Return the interval of a statistic, cut at the least and the most that it can be."""
-    value = replicates.value
-    ends = _of_units(replicates)
-    spread = _of_trainings(replicates)
-    return _joined(replicates, value, ends, spread, "pseudo-values", minimum, maximum)
+    ends, spread = _of_units(replicates), _of_trainings(replicates)
+    return _joined(replicates, kind, ends, (spread, spread), "pseudo-values", minimum, maximum)
 
 
 def mean_interval(
@@ -178,12 +200,29 @@ def mean_interval(
 def rate_interval(hits: np.ndarray, units: np.ndarray) -> Interval:
     """Return the interval of a rate of (R, N) or (N,) booleans, NaN where not asked."""
     replicates = mean_replicates(np.asarray(hits, np.float64), units)
-    value = replicates.value
+    value, pseudo = replicates.value, replicates.pseudo()
     if value in (0.0, 1.0):
-        low, high = wilson_ends(value, replicates.units)
-        kind = f"Wilson, {replicates.units} units as trials"
-        return _joined(replicates, value, (value - low, high - value), 0.0, kind, 0.0, 1.0)
-    return interval(replicates, 0.0, 1.0)
+        reach = _wilson_reach(value, replicates.units)
+        told = f"Wilson, {replicates.units} units as trials"
+        return _joined(replicates, "rate", reach, (0.0, 0.0), told, 0.0, 1.0)
+    of_units = None
+    if len(pseudo) > 1:
+        error = float(pseudo.var(ddof=1)) / len(pseudo)
+        t = float(stats.t.ppf(0.5 + LEVEL / 2, len(pseudo) - 1))
+        of_units = _wilson_reach(value, value * (1.0 - value) / error, t) if error else (0.0, 0.0)
+    variance, freedom = _variance_of_trainings(replicates)
+    of_trainings = (0.0, 0.0)
+    if variance:
+        t = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
+        of_trainings = _wilson_reach(value, value * (1.0 - value) / variance, t)
+    told = "Wilson, trials as many as units tell"
+    return _joined(replicates, "rate", of_units, of_trainings, told, 0.0, 1.0)
+
+
+def _wilson_reach(rate: float, n: float, z: float | None = None) -> tuple[float, float]:
+    """Return how far Wilson's interval reaches below and above a rate."""
+    low, high = wilson_ends(rate, n, z)
+    return rate - low, high - rate
 
 
 def median_interval(
@@ -195,18 +234,19 @@ def median_interval(
     value, ends = replicates.value, None
     middles = np.nanmedian(values, axis=1, keepdims=True)
     below = np.where(np.isfinite(values), values <= middles, np.nan)
-    shares = mean_replicates(below, units)
-    reach = _of_units(shares)
-    if reach is not None:
-        # The same shares of every training, about its own median.
-        shares_at = np.clip([0.5 - reach[1], 0.5 + reach[0]], 0.0, 1.0)
-        low, high = np.nanquantile(values, shares_at, axis=1).mean(1)
+    found = [_of_units(mean_replicates(row, units)) for row in below]
+    reaches = [each for each in found if each is not None]
+    if len(reaches) == len(values):
+        # Of each training about its own median: they are of the same units, so their errors agree.
+        shares = np.clip([(0.5 - up, 0.5 + down) for down, up in reaches], 0.0, 1.0)
+        at = [np.nanquantile(*each) for each in zip(values, shares, strict=True)]
+        low, high = np.mean(at, axis=0)
         ends = max(value - low, 0.0), max(high - value, 0.0)
     spread = _of_trainings(replicates)
-    return _joined(replicates, value, ends, spread, "Woodruff", minimum, maximum)
+    return _joined(replicates, "median", ends, (spread, spread), "Woodruff", minimum, maximum)
 
 
-def difference(first: Replicates, second: Replicates) -> Interval:
+def difference(first: Replicates, second: Replicates, kind: str = "difference") -> Interval:
     """Return the interval of first - second on the same units; trainings are independent.
 
     Raises:
@@ -226,7 +266,8 @@ def difference(first: Replicates, second: Replicates) -> Interval:
     squares = sum(each**2 / freedom for each, freedom in trained)
     freedom = variance**2 / squares if squares else 1.0
     spread = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * np.sqrt(variance)
-    return _joined(apart, apart.value, _of_units(apart), float(spread), "paired pseudo-values")
+    spread = float(spread), float(spread)
+    return _joined(apart, kind, _of_units(apart), spread, "paired pseudo-values")
 
 
 def combine(
@@ -268,8 +309,13 @@ def _of_units(replicates: Replicates) -> tuple[float, float] | None:
     if error <= 1e-12 * max(1.0, abs(replicates.value)):
         return 0.0, 0.0
     t = float(stats.t.ppf(0.5 + LEVEL / 2, count - 1))
-    skewness = float(stats.skew(pseudo)) / np.sqrt(count)
-    return error * _hall(t, skewness), -error * _hall(-t, skewness)
+    skewness = float(stats.skew(pseudo, bias=False)) / np.sqrt(count) if count > 2 else 0.0
+    if count >= FEW:
+        return error * _hall(t, skewness), -error * _hall(-t, skewness)
+    # Few units rarely hold the far end of a tail: they look less skewed than what they come from.
+    skewness *= 1.0 + 4.0 / count
+    reaches = error * _hall(t, skewness), -error * _hall(-t, skewness)
+    return max(reaches[0], error * t), max(reaches[1], error * t)
 
 
 def _hall(x: float, g: float) -> float:
@@ -300,21 +346,21 @@ def _variance_of_trainings(replicates: Replicates) -> tuple[float, int]:
 
 def _joined(
     replicates: Replicates,
-    value: float,
-    ends: tuple[float, float] | None,
-    spread: float,
     kind: str,
+    ends: tuple[float, float] | None,
+    spread: tuple[float, float],
+    how: str,
     minimum: float = -np.inf,
     maximum: float = np.inf,
 ) -> Interval:
-    trainings = len(replicates.whole)
+    value, trainings = replicates.value, len(replicates.whole)
     if ends is None and trainings < 2:
         low = high = None
     else:
         below, above = ends or (0.0, 0.0)
-        low = max(value - float(np.hypot(below, spread)), minimum)
-        high = min(value + float(np.hypot(above, spread)), maximum)
-    method = f"{kind} over {replicates.units} units" + (
+        low = max(value - float(np.hypot(below, spread[0])), minimum)
+        high = min(value + float(np.hypot(above, spread[1])), maximum)
+    method = f"{how} over {replicates.units} units" + (
         f", t over {trainings} trainings" if trainings > 1 else ""
     )
-    return Interval(value, low, high, replicates.n, replicates.units, trainings, method)
+    return Interval(value, low, high, replicates.n, replicates.units, trainings, method, kind)

@@ -44,6 +44,7 @@ def sweep(name: str, split: str, signature: np.ndarray, **changes) -> CheckedSwe
         id=name,
         session="s",
         target_view="A4C",
+        source="phantom",
         phantom=0,
         digest=name,
         parameters=parameters,
