@@ -1,5 +1,6 @@
 """Generators by entry point of the group `racines.generators`, `module:Class`, or file."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -78,10 +79,15 @@ def open_generator(
     return predictions
 
 
-def open_runs(spec: str, folder: Path | str | None = None, **opened: Any) -> list[ImageSource]:
-    """Return the generator that a spec names (see `open_generator`), then its further seeds."""
+def open_runs(
+    spec: str, folder: Path | str | None = None, published: Sequence[Path] = (), **opened: Any
+) -> list[ImageSource]:
+    """Return the generator that a spec names (see `open_generator`), then its further seeds.
+
+    First those of its run, then those in `published` folders.
+    """
     first = open_generator(spec, folder, **opened)
-    further = () if is_file(spec) else repeat_folders(run_folder(spec, folder))
+    further = () if is_file(spec) else (*repeat_folders(run_folder(spec, folder)), *published)
     return [first, *(open_generator(spec, each, **opened) for each in further)]
 
 
@@ -95,12 +101,14 @@ def run_folder(spec: str, folder: Path | str | None = None) -> Path:
     return RUNS / generator_class(spec).name if folder is None else Path(folder)
 
 
-def weights_of(spec: str, folder: Path | str | None = None) -> dict[str, str]:
+def weights_of(
+    spec: str, folder: Path | str | None = None, published: Sequence[Path] = ()
+) -> dict[str, str]:
     """Return the SHA-256 of the file, or of the weights in the run's folder, by file name."""
     if is_file(spec):
         return {Path(spec).name: sha256_file(Path(spec))}
     first = run_folder(spec, folder)
     hashes = weights_sha256(first)
-    for each in repeat_folders(first):
+    for each in (*repeat_folders(first), *published):
         hashes |= {f"{each.name}/{file}": told for file, told in weights_sha256(each).items()}
     return hashes
