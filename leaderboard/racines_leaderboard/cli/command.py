@@ -29,6 +29,7 @@ GROUPS = {
     "eval": "Score a generator, a grader or an agent.",
     "study": "Questions that a table or a picture answers.",
     "export": "Hand a generator, an agent, or what they answer to a program outside.",
+    "board": "What a board holds its records to, and what its order depends on.",
     "expert": "A blinded study: experts say which view an image shows, and how good it is.",
 }
 COMMANDS = {
@@ -69,6 +70,8 @@ COMMANDS = {
     "export poses": "racines_models.cli.export:export_poses",
     "export predictions": "racines_models.cli.export:export_predictions",
     "export trace": "racines_envs.cli.episodes:export_trace",
+    "board pin": "racines_leaderboard.cli.pins:pin",
+    "board weightings": "racines_leaderboard.cli.pins:weightings",
     "expert sample": "racines_leaderboard.cli.expert:sample",
     "expert rate": "racines_leaderboard.cli.expert:rate",
     "expert score": "racines_leaderboard.cli.expert:score",
