@@ -4,7 +4,6 @@ A board is a folder `results/<board>/{generators,agents}/<name>.json`, one recor
 figures that it rests on beside it, `<name>.parquet`, and the board's own file, `board.json`.
 """
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,7 +13,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import locked, write_atomic
 from racines_leaderboard.board.evidence import evidence_path, read_evidence
 from racines_leaderboard.board.standing import with_standing
-from racines_leaderboard.board.verdicts import forget_verdicts, read_verdicts
+from racines_leaderboard.board.verdicts import read_verdicts, with_verdict
 from racines_leaderboard.records.experts import FOLDER as EXPERTS
 from racines_leaderboard.records.experts import with_experts
 from racines_leaderboard.records.names import check_unlike
@@ -51,9 +50,7 @@ def read_board(results: Path, board: str) -> dict[str, list[Record]]:
         for path in sorted((results / board / track.name).glob("*.json")):
             record = read_record(path, board, track)
             check_fits(record["scores"], track, pin, str(path))
-            verdict = told.of(record)
-            about = {"verdict": verdict} if verdict else {}
-            records.append(with_standing(record, path, track, pin) | about)
+            records.append(with_standing(with_verdict(record, told), path, track, pin))
     content["generators"] = with_experts(content["generators"], results / board / EXPERTS)
     return content
 
@@ -139,11 +136,6 @@ def write_records(
             for table in folder.glob("*.parquet"):
                 if not table.with_suffix(".json").is_file():
                     tables.setdefault(table, None)
-        changed = [
-            record
-            for path, record in records.items()
-            if not path.is_file() or json.loads(path.read_text()) != record
-        ]
         with _undone_on_error([*records, *tables]):
             for path, content in tables.items():
                 if content is None:
@@ -152,7 +144,6 @@ def write_records(
                     write_atomic(path, content)
             for path, record in records.items():
                 write_record(path, record)
-        forget_verdicts(results, board, changed)
 
 
 @contextmanager

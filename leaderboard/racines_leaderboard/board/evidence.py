@@ -44,21 +44,15 @@ def read_evidence(
     """Read the evidence beside scores; refuse what the scores do not follow from.
 
     Raises:
-        RacinesError: as `evidence_path`; a damaged file; a ranked metric that it lacks; a value
-            that is not the scores'; trainings or items that are not the scores' or the board's.
+        RacinesError: as `evidence_path`; a damaged file; a ranked metric that it lacks; a value or
+            an interval that is not the scores'; other trainings, or other items than the board's.
     """
     beside = evidence_path(path, scores)
     if beside is None:
         return None
     evidence = Evidence.read(beside)
     for name, figures in evidence.figures.items():
-        value = figures.replicates().value
-        told = (scores["metrics"].get(name) or {}).get("value")
-        if told is None or not abs(told - value) <= CLOSE * max(1.0, abs(value)):
-            raise RacinesError(
-                f"{path}: metrics.{name}.value: {told}; {beside.name} has {value:.6g}; score it "
-                "again"
-            )
+        _check_figures(path, name, scores["metrics"].get(name), figures)
     part = anchored(scores, track, pin)
     for name in track.ranked_by:
         valued = (scores["metrics"].get(name) or {}).get("value") is not None
@@ -80,6 +74,21 @@ def read_evidence(
                 "it on the board's"
             )
     return evidence
+
+
+def _check_figures(path: Path, name: str, metric: Any, figures: Figures) -> None:
+    """Refuse a metric whose value or interval is not that of its figures."""
+    found = figures.interval().to_json()
+    for key in ("value", "low", "high", "n"):
+        told, wanted = (metric or {}).get(key), found[key]
+        if told is None or wanted is None:
+            same = told is wanted
+        else:
+            same = abs(told - wanted) <= CLOSE * max(1.0, abs(wanted))
+        if not same:
+            raise RacinesError(
+                f"{path}: metrics.{name}.{key}: {told}; its evidence has {wanted}; score it again"
+            )
 
 
 def items_sha256(figures: Figures) -> str:

@@ -22,6 +22,8 @@ from racines_leaderboard.records.schema import check
 from racines_leaderboard.records.tracks import AGENTS, GENERATORS, TRACKS, Track
 from racines_models.provenance import SPEEDS, result_sha256
 
+OPTIONAL = ("diversity",)
+"""Metrics that a sound record may lack: predictions of one seed say nothing of it."""
 Found = dict[Path, dict[str, Any]]
 """Scores by the file that they were read from."""
 
@@ -162,7 +164,7 @@ def _metrics(documents: list[dict[str, Any]]) -> list[str]:
     """Return the metrics that all have, but for speeds and those of installed packages."""
     from racines_models.scores.plugin import installed_metrics
 
-    others = {*SPEEDS, *(metric.name for metric in installed_metrics())}
+    others = {*SPEEDS, *OPTIONAL, *(metric.name for metric in installed_metrics())}
     named = [name for name in documents[0]["metrics"] if name not in others]
     return [name for name in named if all(name in each["metrics"] for each in documents)]
 
@@ -171,13 +173,7 @@ def _anchors(track: Track, both: Found) -> Pin:
     """Return the anchors of two scores, and the items that they rest on."""
     ((zero, first), (one, second)), values = both.items(), {}
     for column in track.ranked_columns():
-        metrics = [each["metrics"].get(column.key) or {} for each in (first, second)]
-        ends = [metric.get("value") for metric in metrics]
-        for path, end in zip((zero, one), ends, strict=True):
-            if end is None:
-                raise RacinesError(
-                    f"{path}: metrics.{column.key}: no value to anchor at: score it with the judges"
-                )
+        ends = [_value(path, scores, column.key) for path, scores in both.items()]
         if not column.improves(ends[1], ends[0]):
             raise RacinesError(
                 f"{one}: metrics.{column.key}.value: {ends[1]:g} is no better than the "
@@ -194,6 +190,13 @@ def _anchors(track: Track, both: Found) -> Pin:
         raise RacinesError(f"{one}: its evidence is of other items than {zero}: score both alike")
     told = {"items": items.pop()} if items else {}
     return told | {"anchors": {"zero": entries[0], "one": entries[1], "values": values}}
+
+
+def _value(path: Path, scores: dict[str, Any], key: str) -> float:
+    value = (scores["metrics"].get(key) or {}).get("value")
+    if value is None:
+        raise RacinesError(f"{path}: metrics.{key}: no value to anchor at: score it with judges")
+    return value
 
 
 def _changes(before: Any, after: Any, place: str = "") -> Iterator[str]:
