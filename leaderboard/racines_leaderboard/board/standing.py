@@ -14,6 +14,7 @@ from racines_data.errors import RacinesError
 from racines_leaderboard.board.evidence import distinct_trainings, read_evidence
 from racines_leaderboard.records.pins import Pin, anchored
 from racines_leaderboard.records.tracks import TRACK, TRAININGS, Track
+from racines_models.statistics import Evidence
 from racines_models.statistics.intervals import (
     Interval,
     Replicates,
@@ -79,7 +80,8 @@ def with_standing(record: Record, path: Path, track: Track, pin: Pin | None) -> 
     """
     if pin is None:
         return record
-    return record | {"standing": _standing(record, path, track, pin)}
+    evidence = read_evidence(path, record["scores"], track, pin)
+    return record | {"standing": standing(record, evidence, track, pin)}
 
 
 def standing_of(record: Record) -> Standing:
@@ -87,9 +89,13 @@ def standing_of(record: Record) -> Standing:
     return record.get("standing") or Standing(trainings=record["scores"].get("runs"))
 
 
-def _standing(record: Record, path: Path, track: Track, pin: Pin) -> Standing:
+def standing(record: Record, evidence: Evidence | None, track: Track, pin: Pin) -> Standing:
+    """Return how a record stands between a board's anchors.
+
+    Raises:
+        RacinesError: a ranked metric without an anchor, or figures on units of their own.
+    """
     scores = record["scores"]
-    evidence = read_evidence(path, scores, track, pin)
     part, trainings = anchored(scores, track, pin), scores.get("runs")
     if part is None:
         return Standing(trainings=trainings)
@@ -107,7 +113,8 @@ def _standing(record: Record, path: Path, track: Track, pin: Pin) -> Standing:
     try:
         found = combine(lambda each: anchor(each, track, values).mean(0), figures)
     except ValueError as error:
-        raise RacinesError(f"{path.with_suffix('.parquet')}: {error}; score it again") from error
+        name = record["name"]
+        raise RacinesError(f"{name}: evidence: {error}; score it again") from error
     trainings, why = len(found.whole), ""
     if scores.get("trained", True):
         if trainings < TRAININGS:
