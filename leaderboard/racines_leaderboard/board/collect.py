@@ -156,7 +156,7 @@ def _undone_on_error(paths: Sequence[Path]) -> Iterator[None]:
         for path, content in before.items():
             if content is None:
                 path.unlink(missing_ok=True)
-            elif path.read_bytes() != content:
+            elif not path.is_file() or path.read_bytes() != content:
                 write_atomic(path, content)
         raise
 

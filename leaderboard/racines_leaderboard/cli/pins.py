@@ -1,4 +1,4 @@
-"""The commands `racines board pin` and `racines board weightings`."""
+"""The commands `racines board pin` and `racines study weightings`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -41,22 +41,24 @@ def pin(
 def weightings(
     board: Board,
     results: opt.Results = opt.RESULTS,
-    markdown: Annotated[bool, typer.Option("--markdown", help="Print as Markdown.")] = False,
+    markdown: Annotated[
+        Path | None, typer.Option(help="Write the tables to this file as well.")
+    ] = None,
     as_json: opt.AsJson = False,
 ) -> None:
     """Show how the order of a board's systems changes under other weights of the metrics.
 
     By values alone, without intervals: every difference counts.
     """
+    from racines_data.files import write_atomic
     from racines_leaderboard.board.table import show, titled_markdown
     from racines_leaderboard.board.weightings import orders, tables
 
     if as_json:
         say_json(orders(results, board), indent=2)
         return
-    for table in tables(results, board):
-        if not markdown:
-            show(table, console())
-            continue
-        for line in titled_markdown(table).split("\n"):
-            say(line)
+    made = tables(results, board)
+    if markdown is not None:
+        write_atomic(markdown, "\n\n".join(titled_markdown(table) for table in made) + "\n")
+    for table in made:
+        show(table, console())
