@@ -51,6 +51,12 @@ def same_result(a: Any, b: Any) -> bool:
     return _lasting(a) == _lasting(b)
 
 
+def result_sha256(scores: Any) -> str:
+    """Return the SHA-256 of what a document of scores says, equal where `same_result` holds."""
+    text = json.dumps(_lasting(scores), sort_keys=True, separators=(",", ":"))
+    return sha256_bytes(text.encode())
+
+
 def _lasting(scores: Any) -> Any:
     """Return what does not change when the same is measured again, as JSON gives it back."""
     kept = {key: value for key, value in dict(scores).items() if key not in PASSING}

@@ -1,17 +1,23 @@
 """Results: taking scores into a board, and reading a board back.
 
-A board is a folder `results/<board>/{generators,agents}/<name>.json`, one record a system.
+A board is a folder `results/<board>/{generators,agents}/<name>.json`, one record a system, with the
+figures that it rests on beside it, `<name>.parquet`, and the board's own file, `board.json`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
-from racines_data.files import locked
+from racines_data.files import locked, write_atomic
+from racines_leaderboard.board.evidence import evidence_path, read_evidence
+from racines_leaderboard.board.standing import with_standing
+from racines_leaderboard.board.verdicts import read_verdicts, with_verdict
 from racines_leaderboard.records.experts import FOLDER as EXPERTS
 from racines_leaderboard.records.experts import with_experts
 from racines_leaderboard.records.names import check_unlike
+from racines_leaderboard.records.pins import check_fits, read_pin, recipe_of
 from racines_leaderboard.records.ranges import check_possible
 from racines_leaderboard.records.schema import KEY, check, read_json, sealed, write_record
 from racines_leaderboard.records.tracks import TRACK, TRACKS, Track
@@ -29,11 +35,22 @@ def boards(results: Path) -> list[str]:
 
 
 def read_board(results: Path, board: str) -> dict[str, list[Record]]:
-    """Read the records of a board by track; generators with what experts say of them."""
-    content = {}
+    """Read the records of a board by track, as they may stand on it.
+
+    Those of a pinned board say how they stand, those of generators what experts say of them, those
+    that were audited what came out.
+
+    Raises:
+        RacinesError: a damaged record, one in another's place, or one that does not fit the board.
+    """
+    content, pin = {}, read_pin(results, board)
+    told = read_verdicts(results, board)
     for track in TRACKS:
-        paths = sorted((results / board / track.name).glob("*.json"))
-        content[track.name] = [read_record(path, board, track) for path in paths]
+        content[track.name] = records = []
+        for path in sorted((results / board / track.name).glob("*.json")):
+            record = read_record(path, board, track)
+            check_fits(record["scores"], track, pin, str(path))
+            records.append(with_standing(with_verdict(record, told), path, track, pin))
     content["generators"] = with_experts(content["generators"], results / board / EXPERTS)
     return content
 
@@ -42,7 +59,7 @@ def made_elsewhere(folders: list[Path], board: str) -> list[Path]:
     """Return the scores files that were made for another board, as another profile leaves them."""
     others = []
     for path in (path for folder in folders for path in sorted(folder.glob("*.json"))):
-        scores, _ = _read_scores(path)
+        scores, _ = read_scores(path)
         made_for = scores.get("board") or (scores.get("dataset") or {}).get("board")
         if made_for not in (None, board):
             others.append(path)
@@ -56,22 +73,28 @@ def collect(
     """Write one self-reported record for each scores file in the folders; return their paths.
 
     A record that has been reproduced stays so as long as its scores are the same. Nothing is
-    written unless every file is sound and each track stays on one dataset. Files in `without` are
-    left out. The same results may be collected again.
+    written unless every file is sound, fits what the board is pinned to, and each track stays on
+    one dataset. Files in `without` are left out. The evidence of scores is copied beside their
+    record. The same results may be collected again.
 
     Raises:
         RacinesError: a missing folder or one without scores, a damaged file, a metric that cannot
-            be, scores made on another dataset than the board's, two of one name, a name that looks
-            like another's on the board, or, without `force`, a record of another result in the
-            place of one.
+            be, evidence that the scores do not follow from, scores of other data, judges, metrics
+            or starts than the board's, two of one name, a name that looks like another's on the
+            board, or, without `force`, a record of another result in the place of one.
     """
     records: dict[Path, Record] = {}
+    evidence: dict[Path, bytes] = {}
+    pin = read_pin(results, board)
     for folder in folders:
         paths = sorted(folder.glob("*.json"))
         if not paths:
             raise RacinesError(f"{folder}: no scores; run `racines eval` first")
         for path in (path for path in paths if path not in without):
             record = _record(path, submissions, board)
+            track = TRACK[record["track"]]
+            check_fits(record["scores"], track, pin, str(path))
+            read_evidence(path, record["scores"], track, pin)
             place = results / board / record["track"] / f"{record['name']}.json"
             before = read_json(place, "record") if place.is_file() else {}
             if before.get("tier") == "reproduced" and before["scores"] == record["scores"]:
@@ -80,17 +103,26 @@ def collect(
             if place in records:
                 raise RacinesError(f"{path}: another folder has scores of that name: keep one")
             records[place] = record
+            if (beside := evidence_path(path, record["scores"])) is not None:
+                evidence[place] = beside.read_bytes()
     one_dataset(records, results, board)
-    write_records(records, results, board, force)
+    write_records(records, results, board, force, evidence)
     return list(records)
 
 
-def write_records(records: dict[Path, Record], results: Path, board: str, force: bool) -> None:
+def write_records(
+    records: dict[Path, Record], results: Path, board: str, force: bool,
+    evidence: Mapping[Path, bytes] | None = None,
+) -> None:  # fmt: skip
     """Write records where they belong, all or none; one process at a time writes to boards.
 
+    `evidence` has the content of the file beside a record, by the record's path. What lies beside
+    a record that has none, or none any more, is removed.
+
     Raises:
-        RacinesError: as `collect`, of names, datasets and what is there.
+        RacinesError: as `collect`, of names, what the board is pinned to, and what is there.
     """
+    evidence = evidence or {}
     with locked(results):
         one_dataset(records, results, board)
         for path, record in records.items():
@@ -99,8 +131,34 @@ def write_records(records: dict[Path, Record], results: Path, board: str, force:
             check_unlike(path.stem, beside, f"{path}: name")
             if not force and path.is_file():
                 _check_replaces(path, read_json(path, "record"), record)
-        for path, record in records.items():
-            write_record(path, record)
+        tables = {path.with_suffix(".parquet"): evidence.get(path) for path in records}
+        for folder in {path.parent for path in records}:
+            for table in folder.glob("*.parquet"):
+                if not table.with_suffix(".json").is_file():
+                    tables.setdefault(table, None)
+        with _undone_on_error([*records, *tables]):
+            for path, content in tables.items():
+                if content is None:
+                    path.unlink(missing_ok=True)
+                else:
+                    write_atomic(path, content)
+            for path, record in records.items():
+                write_record(path, record)
+
+
+@contextmanager
+def _undone_on_error(paths: Sequence[Path]) -> Iterator[None]:
+    """Put files back as they were, if writing them ends early: with a full disk, or by hand."""
+    before = {path: path.read_bytes() if path.is_file() else None for path in paths}
+    try:
+        yield
+    except BaseException:
+        for path, content in before.items():
+            if content is None:
+                path.unlink(missing_ok=True)
+            elif not path.is_file() or path.read_bytes() != content:
+                write_atomic(path, content)
+        raise
 
 
 def _check_replaces(path: Path, before: Record, record: Record) -> None:
@@ -118,8 +176,7 @@ def _check_replaces(path: Path, before: Record, record: Record) -> None:
 
 def basis_of(record: Record) -> str | None:
     """Return the recipe digest of the dataset, or the phantom, that a result rests on."""
-    scores = record["scores"]
-    return (scores.get("dataset") or scores.get("phantom") or {}).get("recipe_digest")
+    return recipe_of(record["scores"])
 
 
 def record_of(
@@ -131,7 +188,7 @@ def record_of(
 
 
 def _record(path: Path, submissions: Path, board: str) -> Record:
-    scores, track = _read_scores(path)
+    scores, track = read_scores(path)
     name = scores[track.subject]
     if name != path.stem:
         raise RacinesError(f"{path}: {track.subject}: {name!r} differs from the file's name")
@@ -142,7 +199,8 @@ def _record(path: Path, submissions: Path, board: str) -> Record:
     return record
 
 
-def _read_scores(path: Path) -> tuple[dict[str, Any], Track]:
+def read_scores(path: Path) -> tuple[dict[str, Any], Track]:
+    """Read a scores file and tell its track; refuse what no scoring can have made."""
     declared = read_json(path, "any")["schema"]
     track = TRACK_OF.get(declared)
     if track is None:
@@ -160,16 +218,22 @@ def read_record(path: Path, board: str, track: Track) -> Record:
             raise RacinesError(f"{path}: {key}: {record[key]!r}, expected {value!r} by its place")
     check(record["scores"], track.schema, f"{path}: scores")
     check_possible(record["scores"], f"{path}: scores")
+    evidence_path(path, record["scores"])
     return record
 
 
 def one_dataset(new: dict[Path, Record], results: Path, board: str) -> None:
-    """Check that each track of a board rests on one recipe once new records are written."""
-    kept = {
-        results / board / name / f"{record['name']}.json": record
-        for name, records in read_board(results, board).items()
-        for record in records
-    }
+    """Check that a board is whole once new records are written.
+
+    All fit what it is pinned to, and each track rests on one recipe, pinned or not.
+    """
+    pin, kept = read_pin(results, board), {}
+    for track in TRACKS:
+        for path in sorted((results / board / track.name).glob("*.json")):
+            if path not in new:
+                kept[path] = read_record(path, board, track)
+    for path, record in (kept | new).items():
+        check_fits(record["scores"], TRACK[record["track"]], pin, str(path))
     seen: dict[str, dict[str, Path]] = {track.name: {} for track in TRACKS}
     for path, record in (kept | new).items():
         if (digest := basis_of(record)) is not None:

@@ -14,9 +14,14 @@ from racines_data.escape import visible
 from racines_data.files import write_atomic
 from racines_data.tables import escape
 from racines_leaderboard.board.collect import boards, read_board
-from racines_leaderboard.board.rank import Ranked, Record, metric_of, rankings
-from racines_leaderboard.board.table import board_tables, titled_markdown
-from racines_leaderboard.records.tracks import TRACKS, Column, Track
+from racines_leaderboard.board.rank import SCORE, Ranked, Record, rankings
+from racines_leaderboard.board.table import (
+    board_tables,
+    shown_columns,
+    shown_metric,
+    titled_markdown,
+)
+from racines_leaderboard.records.tracks import PERCENT, TRACKS, Column, Track
 
 BEGIN = "<!-- leaderboard {board}: written by `racines leaderboard --readme` -->"
 END = "<!-- end of leaderboard -->"
@@ -67,7 +72,7 @@ def with_tables(text: str, results: Path, where: str) -> str:
 def _write_chart(path: Path, track: Track, records: list[Record]) -> bool:
     """Draw the results of a track, a panel a figure; return False where there is none to draw."""
     ranking = rankings(track, records)
-    columns = [c for c in track.columns if any(metric_of(r.record, c.key) for r in ranking)]
+    columns = shown_columns((SCORE, *track.columns), ranking)
     if not columns:
         return False
     down = -(-len(columns) // PANELS_A_ROW)
@@ -79,7 +84,8 @@ def _write_chart(path: Path, track: Track, records: list[Record]) -> bool:
         axis.set_visible(False)
     for axis, column in zip(axes.flat, columns, strict=False):
         panel(axis, column, ranking)
-    canvas.suptitle(f"{track.name.capitalize()}: best at the top; bars are 95 % intervals", size=10)
+    top = "best at the top; " if SCORE in columns else ""
+    canvas.suptitle(f"{track.name.capitalize()}: {top}bars are {PERCENT} intervals", size=10)
     image = io.BytesIO()
     canvas.savefig(image, format="png", dpi=130)
     write_atomic(path, image.getvalue())
@@ -87,9 +93,9 @@ def _write_chart(path: Path, track: Track, records: list[Record]) -> bool:
 
 
 def panel(axis: Axes, column: Column, ranking: Sequence[Ranked]) -> None:
-    """Draw one figure of N results, a line each, as dots with their 95 % intervals."""
+    """Draw one figure of N results, a line each, as dots with their intervals."""
     for row, ranked in enumerate(ranking):
-        metric = metric_of(ranked.record, column.key)
+        metric = shown_metric(ranked.record, column)
         if metric is None:
             continue
         value = metric["value"] * column.scale

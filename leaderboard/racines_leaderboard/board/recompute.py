@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,6 +27,7 @@ from racines_models.exchange.predictions.file import Predictions
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.scores.scoring import ScoresConfig, score
+from racines_models.statistics import Evidence
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,14 @@ class Ground:
     cache: Path | None = None
     """Keeps what is computed of the reference alone."""
     limits: Limits = field(default_factory=Limits)
+    kept: list[Evidence] | None = None
+    """Takes what the scores rest on, where it is wanted."""
+
+    def keep(self, made: Any) -> None:
+        """Keep the evidence of scores that were made, if they have any."""
+        evidence = getattr(made, "evidence", None)
+        if self.kept is not None and evidence is not None:
+            self.kept.append(evidence)
 
 
 def find(submissions: Path, name: str) -> Path:
@@ -67,7 +77,8 @@ def recompute(folder: Path, ground: Ground, results: Path, force: bool = False) 
             other data, a file that breaks the contract or a limit, metrics that do not belong on
             the board, or, without `force`, a record of another result in its place.
     """
-    document, scores = recompute_scores(folder, ground, probing=True)
+    kept: list[Evidence] = []
+    document, scores = recompute_scores(folder, dataclasses.replace(ground, kept=kept), True)
     track, board = TRACK[document["track"]], ground.board
     path = results / board / track.name / f"{document['name']}.json"
     try:
@@ -75,11 +86,21 @@ def recompute(folder: Path, ground: Ground, results: Path, force: bool = False) 
         scores = json.loads(json.dumps(scores, allow_nan=False))
     except ValueError as error:
         raise RacinesError(f"{path}: a figure is not finite: {error}") from error
+    tables = {}
+    for evidence in kept:
+        scores["evidence"], tables[path] = _written(evidence, document["name"])
     record = record_of(board, track, document["name"], "recomputed", document, scores)
     check(record, "record", str(path))
     check(record["scores"], track.schema, f"{path}: scores")
-    write_records({path: record}, results, board, force)
+    write_records({path: record}, results, board, force, tables)
     return record
+
+
+def _written(evidence: Evidence, name: str) -> tuple[dict[str, Any], bytes]:
+    """Return what scores say of their evidence, and the content of its file."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, f"{name}.parquet")
+        return evidence.write(path), path.read_bytes()
 
 
 def recompute_scores(
@@ -157,7 +178,7 @@ def score_on(
     ground: Ground, store: FrameStore, config: ScoresConfig, sources: Sequence[Any], name: str
 ) -> dict[str, Any]:
     """Return the scores of generators by a ground's judges, without their speed."""
-    return score(
+    made = score(
         sources,
         store,
         dataclasses.replace(config, speed=False),
@@ -165,7 +186,9 @@ def score_on(
         grader=None if ground.grader is None else Grader.load(ground.grader, "cpu"),
         pose=None if ground.pose is None else PoseRegressor.load(ground.pose, "cpu"),
         cache=ground.cache,
-    ).content
+    )
+    ground.keep(made)
+    return made.content
 
 
 def _agent_scores(
@@ -180,5 +203,6 @@ def _agent_scores(
     phantom = phantom_config(ground.settings)
     phantom = make_phantom(phantom, "cpu", find_task(view, phantom).anatomy)
     _check_data(document, phantom_recipe(phantom) or {}, f"the phantom of board {ground.board}")
-    scores = evaluate("", path.parent, config, phantom, agent=agent).scores
-    return scores | {"agent": document["name"]}
+    made = evaluate("", path.parent, config, phantom, agent=agent)
+    ground.keep(made)
+    return made.scores | {"agent": document["name"]}

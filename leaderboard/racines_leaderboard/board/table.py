@@ -13,8 +13,20 @@ from rich.table import Table as RichTable
 
 from racines_data.tables import console_table, csv_table, escape, markdown_table
 from racines_data.terminal import shown_text
-from racines_leaderboard.board.rank import Ranked, Record, by_task, metric_of, rank, rankings, tied
-from racines_leaderboard.records.tracks import TRACKS, Column, Track, board_tracks
+from racines_leaderboard.board.rank import (
+    SCORE,
+    Ranked,
+    Record,
+    by_task,
+    metric_of,
+    rank,
+    rankings,
+    score_metric,
+    tied,
+    unpinned,
+)
+from racines_leaderboard.board.verdicts import verdict_of
+from racines_leaderboard.records.tracks import PERCENT, TRACKS, Column, Track, board_tracks
 
 REPORTED = "reported in the paper, on other data"
 
@@ -79,6 +91,9 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
     return {
         track.name: [
             {"rank": ranked.place, "name": ranked.record["name"], "tier": ranked.record["tier"]}
+            | {"score": score_metric(ranked.record), "unplaced": ranked.standing.why or None}
+            | {key: getattr(ranked.standing, key) for key in ("trainings", "units")}
+            | {"verdict": verdict_of(ranked.record) or None}
             | ({"task": ranked.record["scores"]["task"]} if track.name == "agents" else {})
             | {"metrics": ranked.record["scores"]["metrics"]}
             | ({"expert": ranked.record["expert"]} if "expert" in ranked.record else {})
@@ -89,22 +104,35 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
 
 
 _OF_METRIC = ("value", "low", "high", "n")
-CSV_HEAD = ("board", "track", "task", "place", "name", "tier", "method", "figure", *_OF_METRIC)
+_STANDING = ("unplaced", "trainings", "units", "verdict")
+CSV_HEAD = (
+    *("board", "track", "task", "place", "name", "tier", "method", "figure"),
+    *_OF_METRIC,
+    *_STANDING,
+)
 
 
 def board_csv(contents: dict[str, dict[str, list[Record]]]) -> str:
-    """Return boards by name as one CSV file, a line a figure of a result, in the order of ranks."""
+    """Return boards by name as one CSV file, a line a figure of a result, in the order of scores.
+
+    The score, where there is one, is the first of its figures.
+    """
     lines = []
     for board, content in contents.items():
         for track in TRACKS:
             for task, records in by_task(content[track.name]).items():
-                for place, record in ((r.place, r.record) for r in rank(track, records)):
+                for ranked in rank(track, records):
+                    record, standing, place = ranked.record, ranked.standing, ranked.place
                     method = (record["submission"] or {}).get("method")
                     about = (board, track.name, task, place, record["name"], record["tier"], method)
+                    stands = (standing.why or None, standing.trainings, standing.units)
+                    score = score_metric(record)
+                    figures = {"score": score} if score is not None else {}
                     lines += [
-                        (*about, figure, *(metric.get(key) for key in _OF_METRIC))
-                        for figure, metric in record["scores"]["metrics"].items()
-                    ]
+                        (*about, figure, *(metric.get(key) for key in _OF_METRIC), *stands,
+                         verdict_of(record) or None)
+                        for figure, metric in (figures | record["scores"]["metrics"]).items()
+                    ]  # fmt: skip
     return csv_table(CSV_HEAD, lines)
 
 
@@ -115,7 +143,7 @@ def published() -> dict[str, Any]:
 
 
 def _cell(record: Record, column: Column, usual_n: int) -> str:
-    """Return a metric with its 95 % interval; with its n where that is not the row's."""
+    """Return a metric with its interval; with its n where that is not the row's."""
     metric = shown_metric(record, column)
     if metric is None:
         return "–"
@@ -140,22 +168,49 @@ def ranked_tables(
 
 def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     """Return one ranking as a table, with what there is to say of it; `ranking` holds a result."""
-    columns = shown_columns(track.columns, ranking)
-    agents, rows, shared = track.name == "agents", [], tied(ranking)
-    for place, record in ((each.place, each.record) for each in ranking):
+    columns = shown_columns((SCORE, *track.columns), ranking)
+    agents, shared = track.name == "agents", tied(ranking)
+    counted = [(head, key) for head, key in (("Trainings", "trainings"), ("Units", "units"))
+               if any(getattr(each.standing, key) for each in ranking)]  # fmt: skip
+    judged = any(verdict_of(each.record) for each in ranking)
+    rows = []
+    for ranked in ranking:
+        record, standing = ranked.record, ranked.standing
         counts = [m["n"] for c in columns if (m := shown_metric(record, c))]
         usual = max(counts, key=counts.count, default=0)
-        system = [f"{place or '–'}{'=' if place in shared else ''}", record["name"]]
+        system = [place_of(ranked, shared), record["name"]]
         if agents:  # older records do not tell what an agent goes by
             system.append(record["scores"].get("sees", record["scores"]["task"]["observation"]))
         cells = [_cell(record, column, usual) for column in columns]
-        rows.append((*system, *cells, f"{usual:,}", record["tier"]))
-    sees = ("Sees",) if agents else ()
-    head = ("#", "System", *sees, *(column.title for column in columns), "n", "Tier")
-    intervals = f"In brackets: 95 % intervals. n: {track.counted}."
-    basis = " ".join([intervals, *_basis(ranking[0].record)])
-    notes = tuple(filter(None, (track.rule, basis, *_notes(ranking))))
+        cells += [f"{getattr(standing, key) or '–'}" for _, key in counted]
+        verdict = [verdict_of(record) or "–"] if judged else []
+        rows.append((*system, *cells, f"{usual:,}", *verdict, record["tier"]))
+    sees, verdict = ("Sees",) if agents else (), ("Verdict",) if judged else ()
+    titles = (*(column.title for column in columns), *(head for head, _ in counted))
+    head = ("#", "System", *sees, *titles, "n", *verdict, "Tier")
+    counts = f"In brackets: {PERCENT} intervals. n: {track.counted}."
+    units = f" Units: {track.unit}." if any(key == "units" for _, key in counted) else ""
+    basis = " ".join([counts + units, *_basis(ranking[0].record)])
+    rule = no_anchors(ranking[0].record) if unpinned(ranking) else track.rule
+    notes = tuple(filter(None, (rule, basis, *_notes(ranking))))
     return Table(title, head, tuple(rows), notes)
+
+
+def place_of(ranked: Ranked, shared: set[int]) -> str:
+    """Return a place, marked where several share it; or why there is none."""
+    if ranked.place is None:
+        return ranked.standing.why
+    return f"{ranked.place}{'=' if ranked.place in shared else ''}"
+
+
+def no_anchors(record: Record) -> str:
+    """Say why nothing is ranked beside a record."""
+    board = record.get("board", "BOARD")
+    track = "task" if "agent" in record["scores"] else "board"
+    return (
+        f"Nothing is ranked: this {track} has no anchors, rows are in the order of names. "
+        f"`racines board pin {board}` pins the board to those that are on it."
+    )
 
 
 def shown_metric(record: Record, column: Column) -> dict[str, Any] | None:

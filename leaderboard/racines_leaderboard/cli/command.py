@@ -29,6 +29,7 @@ GROUPS = {
     "eval": "Score a generator, a grader or an agent.",
     "study": "Questions that a table or a picture answers.",
     "export": "Hand a generator, an agent, or what they answer to a program outside.",
+    "board": "What a board holds its records to.",
     "expert": "A blinded study: experts say which view an image shows, and how good it is.",
 }
 COMMANDS = {
@@ -63,6 +64,7 @@ COMMANDS = {
     "study forces": "racines_envs.cli.study:forces",
     "study speed": "racines_envs.cli.study:speed",
     "study determinism": "racines_leaderboard.cli.audit:determinism",
+    "study weightings": "racines_leaderboard.cli.pins:weightings",
     "study processors": "racines_leaderboard.cli.processors:processors",
     "export generator": "racines_models.cli.export:export_generator",
     "export agent": "racines_envs.cli.episodes:export_agent",
@@ -70,6 +72,7 @@ COMMANDS = {
     "export poses": "racines_models.cli.export:export_poses",
     "export predictions": "racines_models.cli.export:export_predictions",
     "export trace": "racines_envs.cli.episodes:export_trace",
+    "board pin": "racines_leaderboard.cli.pins:pin",
     "expert sample": "racines_leaderboard.cli.expert:sample",
     "expert rate": "racines_leaderboard.cli.expert:rate",
     "expert score": "racines_leaderboard.cli.expert:score",

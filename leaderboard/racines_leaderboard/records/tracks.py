@@ -1,4 +1,4 @@
-"""The two tracks: which metrics they show, in which direction they are good, how they rank.
+"""The two tracks: which metrics they show, in which direction they are good, which ones rank.
 
 Installed packages add columns: each metric of the group `racines.metrics` is one, and so is each
 `Column` of the group `racines.columns`. They are shown where a result fills them, and never rank.
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from racines_data.plugins import Plugins
+from racines_models.statistics import LEVEL
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,10 @@ class Column:
         arrow = {"higher": " ↑", "lower": " ↓", "none": ""}[self.better]
         return f"{self.label}{f' ({self.unit})' if self.unit else ''}{arrow}"
 
+    def improves(self, first: float, second: float) -> bool:
+        """Return whether the first value is better than the second."""
+        return first > second if self.better == "higher" else first < second
+
 
 @dataclass(frozen=True)
 class Track:
@@ -46,15 +51,34 @@ class Track:
     """Key of the system's name in the scores file."""
     columns: tuple[Column, ...]
     ranked_by: tuple[str, ...]
-    """Keys of the columns that decide the rank."""
-    mean_rank: bool
-    """Rank by the mean of the ranks in `ranked_by`; otherwise by each in turn."""
+    """Keys of the columns that the score is the mean of, each between the board's anchors."""
+    anchors: tuple[str, str]
+    """Names of the methods whose metrics are 0 and 1."""
+    bounds: tuple[str, ...]
+    """Methods that stand on the board without a place."""
     rule: str
     counted: str
     """What n counts."""
+    unit: str
+    """What was drawn independently, which intervals resample."""
     details: tuple[Column, ...] = ()
     """Further metrics, for a second table."""
 
+    def ranked_columns(self) -> list[Column]:
+        """Return the columns of `ranked_by`."""
+        columns = {column.key: column for column in self.columns}
+        return [columns[key] for key in self.ranked_by]
+
+
+PERCENT = f"{100 * LEVEL:g} %"
+"""Nominal coverage of the intervals, as captions say it."""
+TRAININGS = 3
+"""Fewest trainings with which a trained system takes a place."""
+_PLACES = (
+    f"Ahead is who has the higher score, with a paired {PERCENT} interval of the difference that "
+    "leaves out 0; a place is 1 and how many are ahead, shared places are marked =. Bounds, a "
+    f"trained system of fewer than {TRAININGS} trainings, and one without evidence have no place."
+)
 
 GENERATORS = Track(
     name="generators",
@@ -72,14 +96,14 @@ GENERATORS = Track(
         Column("expert_grade", "Expert, grade", "higher", 1, 100.0, "%"),
     ),
     ranked_by=("ssim", "psnr", "fid", "kid", "pose_error_mm"),
-    mean_rank=True,
+    anchors=("mean-image", "noise-ceiling"),
+    bounds=("mean-image", "noise-ceiling", "nearest-pose"),
     rule=(
-        "Ranked by the mean of the ranks in SSIM, PSNR, FID, KID and pose error (mm): two figures "
-        "of likeness to the frame at the same pose, two of likeness of the whole set, one of what "
-        "the image says of the pose. A missing figure ranks last. Within the interval of the best "
-        "of a group, figures share a rank; equal means share a place, marked =."
+        "Score: the mean of SSIM, PSNR, FID, KID and pose error (mm), each from 0 at mean-image to "
+        f"1 at noise-ceiling, whose figures are fixed for the board. {_PLACES}"
     ),
     counted="frames of the test split",
+    unit="trajectories",
     details=(
         Column("ms_ssim", "MS-SSIM", "higher"),
         Column("fid_grader", "FID, grader", "lower", 2),
@@ -110,15 +134,15 @@ AGENTS = Track(
         Column("violations", "Violations", "lower", 1),
         Column("return", "Return", "none", 1),
     ),
-    ranked_by=("success_true", "steps", "final_grade"),
-    mean_rank=False,
+    ranked_by=("success_true", "spl", "final_grade"),
+    anchors=("random", "planner"),
+    bounds=(),
     rule=(
-        "Ranked by true success, then steps, then final grade; the return is shown and never "
-        "ranks. Within the interval of the best of a group, figures are tied, and the next figure "
-        "decides; a shared place is marked =. What goes by the truth or by nothing is a bound and "
-        "has no rank."
+        "Score: the mean of true success, SPL and final grade, each from 0 at random to 1 at "
+        f"planner, whose figures are fixed for the task; the return never ranks. {_PLACES}"
     ),
     counted="episodes from the fixed starts",
+    unit="starts",
 )
 
 TRACKS = (GENERATORS, AGENTS)

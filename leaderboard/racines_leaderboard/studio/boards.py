@@ -3,6 +3,7 @@
 What was not offered raises a `RacinesError`.
 """
 
+import itertools
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +13,10 @@ from matplotlib.figure import Figure
 
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.pages import panel
-from racines_leaderboard.board.rank import SHOWN, Ranked, Record, by_task, rank
+from racines_leaderboard.board.rank import SCORE, SHOWN, Ranked, Record, by_task, rank
 from racines_leaderboard.board.table import Table, ranked_tables, reported_table, shown_columns
-from racines_leaderboard.records.tracks import TIERS, TRACK, Column, Track, board_tracks
+from racines_leaderboard.board.verdicts import verdict_of
+from racines_leaderboard.records.tracks import PERCENT, TIERS, TRACK, Column, Track, board_tracks
 from racines_leaderboard.studio import html
 from racines_leaderboard.studio.html import cut, drawn, element, link, note, text
 from racines_leaderboard.studio.inputs import choice, choices
@@ -31,7 +33,8 @@ SHORT = 16
 _contents: Shared[dict[str, list[Record]]] = Shared(16)
 _charts: Shared[bytes] = Shared(256)
 _INTERVAL = re.compile(r"(?P<value>\S+) \((?P<between>.+)\)(?P<n>, n = [\d,]+)?")
-_CSS = dict.fromkeys(("", "#", "Sees", "Tier"), "rc-text") | {"System": "rc-text rc-name"}
+_WORDS = ("", "#", "Sees", "Verdict", "Tier")
+_CSS = dict.fromkeys(_WORDS, "rc-text") | {"System": "rc-text rc-name"}
 """Of the columns that hold words; the others hold numbers."""
 
 
@@ -111,7 +114,9 @@ def track_of(wanted: Selection) -> Track:
 
 def _content(results: Path, board: str) -> dict[str, list[Record]]:
     """Read a board, again only after one of its files has changed."""
-    files = sorted((results / board).glob("*/*.json"))
+    folder = results / board
+    found = (folder.glob(pattern) for pattern in ("*.json", "*/*.json", "*/*.parquet"))
+    files = sorted(itertools.chain(*found))
     stamps = tuple((path, path.stat().st_mtime_ns, path.stat().st_size) for path in files)
     known = choice(board, boards(results), "board")
     return _contents.get((results, known, stamps), lambda: read_board(results, known))
@@ -150,12 +155,12 @@ def _cell(content: str) -> str:
 
 
 def charts_html(results: Path, wanted: Selection) -> str:
-    """Return one chart a figure of a selection: dots with 95 % intervals, best at the top."""
+    """Return one chart a figure of a selection: dots with intervals, in the tables' order."""
     track = track_of(wanted)
     ranking = _Frozen(_once(ranked_groups(results, wanted)))
     columns = (*track.columns, *(track.details if wanted.details else ()))
     metrics = [column for column in columns if column.value is None]  # what a metric is behind
-    shown = shown_columns(metrics, ranking)
+    shown = shown_columns([SCORE, *metrics], ranking)
     charts = [element(_chart(column, ranking), column.title) for column in shown]
     return f'<div class="rc-grid">{"".join(charts)}</div>'
 
@@ -199,6 +204,7 @@ def _facts(record: Record) -> list[tuple[str, str]]:
     return [
         ("Board", text(record["board"])),
         ("Tier", text(record["tier"])),
+        ("Verdict", text(verdict_of(record))),
         ("Method", text(submission.get("method", ""))),
         ("Description", text(submission.get("description", ""), 1500)),
         ("Authors", text(", ".join(submission.get("authors", [])))),
@@ -242,5 +248,5 @@ def _figures(record: Record) -> str:
         between = "–" if None in ends else " – ".join(f"{end:.4g}" for end in ends)
         how = (metric.get("settings") or {}).get("interval", "")
         rows.append((name, f"{metric['value']:.4g}", between, f"{metric['n']:,}", how))
-    head = ("Figure", "Value", "95 %", "n", "Interval by")
+    head = ("Figure", "Value", PERCENT, "n", "Interval by")
     return html.table(head, rows, ("rc-text", "", "", "", "rc-text"))

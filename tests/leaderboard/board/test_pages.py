@@ -1,16 +1,30 @@
+import csv
 import dataclasses
 import io
+import json
 import re
 
 import pytest
 from PIL import Image
 from rich.console import Console
+from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.board.collect import collect, read_board
 from racines_leaderboard.board.pages import BEGIN, END, with_tables, write_page
-from racines_leaderboard.board.table import REPORTED, board_tables, plain, show, titled_markdown
+from racines_leaderboard.board.table import (
+    REPORTED,
+    board_csv,
+    board_tables,
+    plain,
+    show,
+    titled_markdown,
+)
+from racines_leaderboard.cli.command import app
+from racines_leaderboard.records.schema import seal_of
+from racines_leaderboard.studio.boards import Selection, charts_html, names, tables_html
 from tests.leaderboard.conftest import DIGEST, agent_scores, generator_scores, write_submission
+from tests.leaderboard.evidence import generator, pinned
 
 
 @pytest.fixture
@@ -39,7 +53,7 @@ def test_tables_show_figures_intervals_n_and_the_papers_figures_apart(results):
         "phantom-smoke · agents · SC from the image, phantom backend",
         f"agents · {REPORTED}",
     ]
-    assert tables[0].rows[0][:2] == ("1", "vae-gan")
+    assert tables[0].rows[1][:2] == ("no anchors", "vae-gan"), "in the order of names"
     assert "SSIM ↑" in tables[0].head and "FID ↓" in tables[0].head
     text = titled_markdown(tables[0])
     assert "80.0 (79.9 – 80.1)" in text
@@ -94,17 +108,17 @@ def test_a_narrow_terminal_gets_a_column_a_system(results):
     out = io.StringIO()
     table = board_tables("phantom-smoke", read_board(results, "phantom-smoke"))[0]
     show(table, Console(file=out, width=60))
-    assert re.search(r"System +vae-gan +mean-image", out.getvalue())
+    assert re.search(r"System +mean-image +vae-gan", out.getvalue())
     assert "(79.9–80.1)" in out.getvalue()
 
 
-def test_plain_data_is_in_ranked_order(results):
+def test_plain_data_has_every_figure(results):
     data = plain(read_board(results, "phantom-smoke"))
     assert [(r["rank"], r["name"]) for r in data["generators"]] == [
-        (1, "vae-gan"),
-        (2, "mean-image"),
+        (None, "mean-image"),
+        (None, "vae-gan"),
     ]
-    assert data["generators"][0]["metrics"]["fid"]["value"] == 80.0
+    assert data["generators"][1]["metrics"]["fid"]["value"] == 80.0
 
 
 def test_the_page_names_boards_and_draws_charts(results, tmp_path):
@@ -139,3 +153,89 @@ def test_a_readme_without_marks_is_refused(results, text):
 def test_a_readme_of_an_unknown_board_is_refused(results):
     with pytest.raises(RacinesError, match="board 'other' has no results"):
         with_tables(f"{BEGIN.format(board='other')}\n{END}", results, "README.md")
+
+
+@pytest.fixture
+def ranked(tmp_path):
+    """A pinned board, one of whose records was audited."""
+    results = pinned(tmp_path)
+    for name, quality, seed in (("good", 0.8, 1), ("poor", 0.3, 2)):
+        generator(tmp_path / "new", name, quality, seed)
+    generator(tmp_path / "new", "once", 0.9, trainings=1)
+    collect([tmp_path / "new"], results, tmp_path, "b")
+    record = json.loads((results / "b/generators/good.json").read_text())
+    said = {"generators/good": {"verdict": "not verified", "record": seal_of(record)}}
+    (results / "b/audit.json").write_text(json.dumps({"verdicts": said}))
+    return results
+
+
+def test_every_road_out_shows_score_place_trainings_units_and_verdict(ranked, tmp_path):
+    content = read_board(ranked, "b")
+    score = {r["name"]: r["standing"].score for r in content["generators"]}["good"]
+    shown = f"{score.value:.3f} ({score.low:.3f} – {score.high:.3f})"
+    table = board_tables("b", content)[0]
+    rows = {row[1]: dict(zip(table.head, row, strict=True)) for row in table.rows}
+    assert (
+        rows["good"] | {"#": "1", "Score ↑": shown, "Trainings": "3", "Units": "8"} == rows["good"]
+    )
+    assert rows["good"]["Verdict"] == "not verified" and rows["poor"]["Verdict"] == "–"
+    assert (rows["poor"]["#"], rows["once"]["#"], rows["once"]["Trainings"]) == (
+        *("2", "one training"),
+        "1",
+    )
+    assert "fixed for the board" in table.notes[0] and "Units: trajectories." in table.notes[1]
+    write_page(tmp_path / "L.md", ranked)
+    assert shown in (tmp_path / "L.md").read_text()
+    text = with_tables(f"{BEGIN.format(board='b')}\n{END}", ranked, "README.md")
+    assert shown in text and "not verified" in text
+    data = {row["name"]: row for row in plain(content)["generators"]}
+    assert data["good"]["rank"] == 1 and data["good"]["score"]["value"] == score.value
+    assert (data["once"]["rank"], data["once"]["unplaced"]) == (None, "one training")
+    lines = list(csv.DictReader(io.StringIO(board_csv({"b": content}))))
+    (line,) = [each for each in lines if each["name"] == "good" and each["figure"] == "score"]
+    assert (line["place"], line["trainings"], line["units"]) == ("1", "3", "8")
+    assert float(line["low"]) == score.low and line["verdict"] == "not verified"
+    wanted = Selection("b", "generators")
+    page = tables_html(ranked, wanted)
+    assert f'{score.value:.3f}<span class="rc-between">{score.low:.3f} – {score.high:.3f}' in page
+    assert "one training" in page and "not verified" in page
+    assert names(ranked, wanted)[1:3] == ["once", "good"]
+    assert "Score ↑" in charts_html(ranked, wanted)
+
+
+def test_the_studio_reads_a_board_again_when_its_own_file_changes(ranked):
+    wanted = Selection("b", "generators")
+    before = tables_html(ranked, wanted)
+    (ranked / "b/audit.json").unlink()
+    assert "not verified" in before and "not verified" not in tables_html(ranked, wanted)
+    (ranked / "b/board.json").unlink()
+    assert "Nothing is ranked" in tables_html(ranked, wanted)
+
+
+def test_captions_say_the_level_of_the_intervals(ranked, monkeypatch):
+    from racines_leaderboard.board import table as tables
+
+    monkeypatch.setattr(tables, "PERCENT", "90 %")
+    assert "90 % intervals" in board_tables("b", read_board(ranked, "b"))[0].notes[1]
+
+
+def test_other_weights_give_other_orders(tmp_path):
+    results = pinned(tmp_path)
+    sharp = {"ssim": 0.2, "psnr": 0.2, "fid": 0.7, "kid": 0.7, "pose_error_mm": 0.7}
+    alike = {"ssim": 0.9, "psnr": 0.9, "fid": 0.4, "kid": 0.4, "pose_error_mm": 0.6}
+    for name, quality in (("sharp", sharp), ("alike", alike)):
+        generator(tmp_path / "new", name, quality, seed=1)
+    collect([tmp_path / "new"], results, tmp_path, "b")
+    words = ["study", "weightings", "b", "--results", str(results)]
+    done = CliRunner().invoke(app, [*words, "--json"])
+    assert done.exit_code == 0, done.output
+    rows = json.loads(done.stdout)["generators"]
+    assert {name: row["places"] for name, row in rows.items()} == {
+        "alike": {"score": 1, "likeness": 1, "distribution": 2, "median": 2, "mean of ranks": 2},
+        "sharp": {"score": 2, "likeness": 2, "distribution": 1, "median": 1, "mean of ranks": 1},
+    }
+    shown = CliRunner().invoke(app, [*words, "--markdown", str(tmp_path / "w.md")])
+    assert shown.exit_code == 0 and "| alike | 0.6" in (tmp_path / "w.md").read_text()
+    (results / "b/board.json").unlink()
+    again = json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)["generators"]
+    assert again == rows, "an unpinned board takes its own anchors"

@@ -2,12 +2,14 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import yaml
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
 from racines_data.store.frames import open_store
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
@@ -21,8 +23,10 @@ from racines_models.exchange.onnx.generator import OnnxGenerator
 from racines_models.exchange.predictions.file import Task, write_predictions
 from racines_models.sample import take_sample
 from racines_models.scores.scoring import score
+from racines_models.statistics import Evidence
 from tests.conftest import TINY
 from tests.leaderboard.conftest import DIGEST, artefact, generator_scores, write_submission
+from tests.leaderboard.evidence import evidence
 from tests.leaderboard.graphs import harmful, sound_generator, sound_policy
 from tests.leaderboard.handed_in import CONFIG, inbox, submitted
 
@@ -51,6 +55,26 @@ def test_a_generator_and_its_predictions_get_the_scores_of_the_open_road(ground,
     board = read_board(tmp_path / "results", "tiny")
     assert [record["name"] for record in board["generators"]] == ["drawn", "mine"]
     assert board["generators"][1]["scores"]["metrics"] == wanted
+
+
+def test_what_recomputed_scores_rest_on_lies_beside_their_record(ground, tmp_path, monkeypatch):
+    figures, real = evidence(("ssim",), 0.5), module.score
+
+    def scored(*words, **named):
+        content = real(*words, **named).content
+        content["metrics"]["ssim"] = figures.figures["ssim"].interval(-1.0, 1.0).to_json()
+        return SimpleNamespace(content=content, evidence=figures)
+
+    monkeypatch.setattr(module, "score", scored)
+    path = sound_generator(inbox(tmp_path, "one") / "mine.onnx")
+    digest = open_store(ground.data).manifest["digest"]
+    folder = submitted(tmp_path, "generator", path, digest)
+    record = recompute(folder, ground, tmp_path / "results")
+    beside = tmp_path / "results/tiny/generators/mine.parquet"
+    told = {"file": "mine.parquet", "sha256": sha256_file(beside)}
+    assert record["scores"]["evidence"] == told
+    assert read_board(tmp_path / "results", "tiny")["generators"] == [record]
+    assert list(Evidence.read(beside).figures) == ["ssim"]
 
 
 TWO = (("a.onnx", 0.02), ("b.onnx", 0.03))
