@@ -190,7 +190,7 @@ def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     head = ("#", "System", *sees, *titles, "n", *verdict, "Tier")
     counts = f"In brackets: {PERCENT} intervals. n: {track.counted}."
     units = f" Units: {track.unit}." if any(key == "units" for _, key in counted) else ""
-    basis = " ".join([counts + units, *_basis(ranking[0].record)])
+    basis = " ".join([counts + units, *_basis([each.record for each in ranking])])
     rule = no_anchors(ranking[0].record) if unpinned(ranking) else track.rule
     notes = tuple(filter(None, (rule, basis, *_notes(ranking))))
     return Table(title, head, tuple(rows), notes)
@@ -241,8 +241,10 @@ def _notes(ranking: list[Ranked]) -> Iterator[str]:
         yield " ".join(notes)
 
 
-def _basis(record: Record) -> Iterator[str]:
+def _basis(records: list[Record]) -> Iterator[str]:
     """Say what data the results rest on, and how right the judges are on the true images."""
+    judged = (each for each in records if metric_of(each, "view_agreement_truth"))
+    record = next(judged, records[0])
     data = record["scores"].get("dataset") or record["scores"].get("phantom")
     if data:
         source = data.get("source", "phantom")
