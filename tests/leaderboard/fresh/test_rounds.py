@@ -223,8 +223,8 @@ def test_errors_never_show_a_nonce(results, tmp_path):
 
 def test_seeds_follow_from_nonce_board_round_and_purpose():
     secret = Secret("tiny", 1, NONCE)
-    others = [secret.seed("starts/0"), Secret("tiny", 2, NONCE).seed("poses"),
-              Secret("large", 1, NONCE).seed("poses"), Secret("tiny", 1, OTHER).seed("poses")]  # fmt: skip
+    beside = (Secret("tiny", 2, NONCE), Secret("large", 1, NONCE), Secret("tiny", 1, OTHER))
+    others = [secret.seed("starts/0"), *(each.seed("poses") for each in beside)]
     seeds = {secret.seed("poses"), *others}
     assert len(seeds) == 5 and all(0 <= seed < 2**62 for seed in seeds)
     assert secret.seed("poses") == Secret("tiny", 1, NONCE).seed("poses")
