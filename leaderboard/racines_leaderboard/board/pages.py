@@ -16,6 +16,7 @@ from racines_data.tables import escape
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.rank import Ranked, Record, metric_of, rankings
 from racines_leaderboard.board.table import board_tables, titled_markdown
+from racines_leaderboard.fresh.flags import flag_notes
 from racines_leaderboard.records.tracks import TRACKS, Column, Track
 
 BEGIN = "<!-- leaderboard {board}: written by `racines leaderboard --readme` -->"
@@ -33,8 +34,10 @@ PANELS_A_ROW = 5
 
 def _tables(results: Path, board: str, details: bool = False) -> str:
     """Return the tables of a board as Markdown, with `details` also of the further figures."""
-    tables = board_tables(board, read_board(results, board), details)
-    return "\n\n".join(titled_markdown(table) for table in tables)
+    content = read_board(results, board)
+    flags = [escape(note) for note in flag_notes(results / board, content)]
+    tables = board_tables(board, content, details)
+    return "\n\n".join([*(titled_markdown(table) for table in tables), *flags])
 
 
 def write_page(page: Path, results: Path) -> None:

@@ -56,6 +56,7 @@ def leaderboard(
     from racines_leaderboard.board import collect as results_of
     from racines_leaderboard.board.pages import with_tables, write_page
     from racines_leaderboard.board.table import board_csv, board_tables, plain, published, show
+    from racines_leaderboard.fresh.flags import flag_notes
 
     if params is not None:
         board = _board_of(params, board)
@@ -94,6 +95,8 @@ def leaderboard(
     for name, records in content.items():
         for table in board_tables(name, records, details):
             show(table, shown)
+        for note in flag_notes(results / name, records):
+            say(note)
 
 
 def score_again(

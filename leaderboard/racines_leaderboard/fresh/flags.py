@@ -132,3 +132,10 @@ def flags_of(board_folder: Path, track: str, name: str) -> list[str]:
         if weights != document["weights"]:
             return [*document["flags"], "fresh draws are of an earlier file"]
     return document["flags"]
+
+
+def flag_notes(board_folder: Path, content: dict[str, list[dict[str, Any]]]) -> list[str]:
+    """Return a line on each flagged entry of a board, for below its tables; records by track."""
+    named = [(track, record["name"]) for track, records in content.items() for record in records]
+    flagged = {key: flags for key in named if (flags := flags_of(board_folder, *key))}
+    return [f"Flagged, {track}/{name}: {told(each)}." for (track, name), each in flagged.items()]

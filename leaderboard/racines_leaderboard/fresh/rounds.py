@@ -22,9 +22,9 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import locked, naming, write_json
-from racines_leaderboard.board.collect import boards
 from racines_leaderboard.records.names import made_up
 from racines_leaderboard.records.schema import read_json
+from racines_leaderboard.records.tracks import TRACKS
 
 HISTORY = "secrets.json"
 """Beside a board's results."""
@@ -157,7 +157,8 @@ def commit(results: Path, board: str, nonce: bytes, today: str, out: Path | None
         RacinesError: an unknown board, a round that is open, a nonce that can be guessed or served
             before, or a file in the results or a git checkout, where it would be published.
     """
-    if board not in boards(results):
+    records = (path for track in TRACKS for path in (results / board / track.name).glob("*.json"))
+    if next(records, None) is None:
         raise RacinesError(f"{results}: no results of {board}: collect some first")
     with locked(results):
         rounds = read_history(results, board)

@@ -20,8 +20,10 @@ from racines_envs.cli.settings import phantom_config
 from racines_envs.evaluation.run import EvaluationConfig, record_trace
 from racines_envs.worlds.making import make_phantom, phantom_recipe
 from racines_leaderboard.board import recompute as module
+from racines_leaderboard.board.pages import write_page
 from racines_leaderboard.board.recompute import Ground, recompute
 from racines_leaderboard.cli.command import app
+from racines_leaderboard.fresh import draws
 from racines_leaderboard.fresh.compare import Side
 from racines_leaderboard.fresh.draws import draw_in_secret
 from racines_leaderboard.fresh.flags import flags_in, flags_of
@@ -86,6 +88,7 @@ def ground(data, tmp_path, monkeypatch):
 @pytest.fixture
 def quick(ground, monkeypatch):
     """The same ground, where files are believed: confinement and probe have their own tests."""
+    monkeypatch.setattr(draws, "SCANS", 6)
     monkeypatch.setattr(module, "_try_contract", lambda *_: None)
     monkeypatch.setattr(module, "check_content", lambda *_: None)
     monkeypatch.setattr(module.confined, "ConfinedGenerator", lambda path, _: OnnxGenerator(path))
@@ -134,6 +137,8 @@ def test_a_lookup_of_the_truth_is_flagged(quick, store, tmp_path):
     assert told["copies"]["value"] == 1.0
     assert flags_of(tmp_path / "results/tiny", "generators", "mine") == told["flags"]
     assert flags_of(tmp_path / "results/tiny", "generators", "another") == []
+    write_page(tmp_path / "page.md", tmp_path / "results")
+    assert "Flagged, generators/mine: too good: nearer" in (tmp_path / "page.md").read_text()
 
 
 def test_a_lookup_that_hides_in_noise_is_flagged(quick, store, tmp_path):
@@ -246,7 +251,7 @@ def test_a_policy_starts_afresh_and_a_trace_cannot(quick, tmp_path):
     digest = recipe["recipe_digest"]
     told = drawn(quick, tmp_path, ("policy", path), digest=digest)
     assert told["flags"] == [] and told["basis"] == {"n": 12, "units": 12, "digest": None}
-    figure = told["figures"]["final_grade"]
+    figure = told["figures"]["peak_force"]
     assert figure["public"] != figure["secret"] and figure["secret"]["n"] == 12
     trace = inbox(tmp_path, "two") / "trace.json"
     config = EvaluationConfig(starts=4, latency=0)
