@@ -242,3 +242,25 @@ def lookup_generator(path: Path, parameters: Any, images: Any, noise: float = 0.
         helper.make_node("Clip", ["hidden", "least", "most"], ["images"]),
     ]
     return save(path, nodes, inputs, made, values, **about, output="unit", stochastic="true")
+
+
+def lookup_policy(path: Path, seen: Any, actions: Any) -> Path:
+    """Write a policy that knows what to do where it was told, (M, 9) and (M,), and nowhere else."""
+    params = helper.make_tensor_value_info("params", TensorProto.FLOAT, ["B", 9])
+    logits = helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["B", 13])
+    values = [constant("table", np.asarray(seen)[None], np.float32), constant("one", [1])]
+    values += [constant("told", np.eye(13)[np.asarray(actions)], np.float32)]
+    values += [constant("last", [2]), constant("near", 1e-9, np.float32)]
+    values += [constant("always", np.eye(13)[:1], np.float32)]
+    nodes = [
+        helper.make_node("Unsqueeze", ["params", "one"], ["rows"]),
+        helper.make_node("Sub", ["rows", "table"], ["apart"]),
+        helper.make_node("Mul", ["apart", "apart"], ["squares"]),
+        helper.make_node("ReduceSum", ["squares", "last"], ["distance"], keepdims=0),
+        helper.make_node("ArgMin", ["distance"], ["nearest"], axis=1, keepdims=0),
+        helper.make_node("ReduceMin", ["distance", "one"], ["least"], keepdims=1),
+        helper.make_node("Less", ["least", "near"], ["known"]),
+        helper.make_node("Gather", ["told", "nearest"], ["wanted"], axis=0),
+        helper.make_node("Where", ["known", "wanted", "always"], ["logits"]),
+    ]
+    return save(path, nodes, [params], logits, values, name="lookup")
