@@ -106,6 +106,8 @@ NEEDED = {
     "explain": "--params {}",
     "submit": "{}",
     "leaderboard": "--results {}",
+    "board commit-secret": "tiny --results {}",
+    "board reveal": "tiny --secret {}",
     "audit": "mine --results {}",
 }
 """What a command needs beside the path, `{}`, that it reads first."""

@@ -99,6 +99,13 @@ Unconfined = Annotated[
         help="Open others' files even where the kernel cannot confine: trust their author.",
     ),
 ]
+Secret = Annotated[
+    Path | None,
+    typer.Option(
+        help="Nonce of a round of fresh draws: the file of commit-secret, or, once it is revealed, "
+        "secrets.json of the board."
+    ),
+]
 Board = Annotated[str | None, typer.Option(help="Only this board.")]
 
 

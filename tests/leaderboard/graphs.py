@@ -203,3 +203,64 @@ def sound_policy(path: Path, **told: str) -> Path:
         name="line",
         **told,
     )
+
+
+def lookup_generator(path: Path, parameters: Any, images: Any, noise: float = 0.0) -> Path:
+    """Write a generator that looks frames up by the nearest pose: a table of (N, 12) and images.
+
+    With `noise`, so many gray levels of it hide that its images are copies.
+    """
+    table = np.asarray(parameters, np.float32)
+    values = [constant("table", np.nan_to_num(table)[None], np.float32), constant("one", [1])]
+    values += [constant("frames", images, np.uint8), constant("last", [2])]
+    nodes = [
+        helper.make_node("Unsqueeze", ["parameters", "one"], ["rows"]),
+        helper.make_node("Sub", ["rows", "table"], ["apart"]),
+        helper.make_node("Mul", ["apart", "apart"], ["squares"]),
+        helper.make_node("ReduceSum", ["squares", "last"], ["distance"], keepdims=0),
+        helper.make_node("ArgMin", ["distance"], ["nearest"], axis=1, keepdims=0),
+    ]
+    inputs = [helper.make_tensor_value_info("parameters", TensorProto.FLOAT, ["B", 12])]
+    about = {"name": "lookup", "conditional": "true"}
+    kind = TensorProto.FLOAT if noise else TensorProto.UINT8
+    made = helper.make_tensor_value_info("images", kind, ["B", 128, 128])
+    if not noise:
+        nodes += [helper.make_node("Gather", ["frames", "nearest"], ["images"], axis=0)]
+        return save(path, nodes, inputs, made, values, **about, output="gray", stochastic="false")
+    inputs += [helper.make_tensor_value_info("noise", TensorProto.FLOAT, ["B", 128 * 128])]
+    values += [constant("square", [-1, 128, 128]), constant("scale", 1 / 127.5, np.float32)]
+    values += [constant("least", -1.0, np.float32), constant("most", 1.0, np.float32)]
+    values += [constant("level", noise / 127.5, np.float32)]
+    nodes += [
+        helper.make_node("Gather", ["frames", "nearest"], ["found"], axis=0),
+        helper.make_node("Cast", ["found"], ["gray"], to=TensorProto.FLOAT),
+        helper.make_node("Mul", ["gray", "scale"], ["scaled"]),
+        helper.make_node("Add", ["scaled", "least"], ["unit"]),
+        helper.make_node("Mul", ["noise", "level"], ["small"]),
+        helper.make_node("Reshape", ["small", "square"], ["speckle"]),
+        helper.make_node("Add", ["unit", "speckle"], ["hidden"]),
+        helper.make_node("Clip", ["hidden", "least", "most"], ["images"]),
+    ]
+    return save(path, nodes, inputs, made, values, **about, output="unit", stochastic="true")
+
+
+def lookup_policy(path: Path, seen: Any, actions: Any) -> Path:
+    """Write a policy that knows what to do where it was told, (M, 9) and (M,), and nowhere else."""
+    params = helper.make_tensor_value_info("params", TensorProto.FLOAT, ["B", 9])
+    logits = helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["B", 13])
+    values = [constant("table", np.asarray(seen)[None], np.float32), constant("one", [1])]
+    values += [constant("told", np.eye(13)[np.asarray(actions)], np.float32)]
+    values += [constant("last", [2]), constant("near", 1e-9, np.float32)]
+    values += [constant("always", np.eye(13)[:1], np.float32)]
+    nodes = [
+        helper.make_node("Unsqueeze", ["params", "one"], ["rows"]),
+        helper.make_node("Sub", ["rows", "table"], ["apart"]),
+        helper.make_node("Mul", ["apart", "apart"], ["squares"]),
+        helper.make_node("ReduceSum", ["squares", "last"], ["distance"], keepdims=0),
+        helper.make_node("ArgMin", ["distance"], ["nearest"], axis=1, keepdims=0),
+        helper.make_node("ReduceMin", ["distance", "one"], ["least"], keepdims=1),
+        helper.make_node("Less", ["least", "near"], ["known"]),
+        helper.make_node("Gather", ["told", "nearest"], ["wanted"], axis=0),
+        helper.make_node("Where", ["known", "wanted", "always"], ["logits"]),
+    ]
+    return save(path, nodes, [params], logits, values, name="lookup")

@@ -21,6 +21,7 @@ from racines_leaderboard.board.table import (
     shown_metric,
     titled_markdown,
 )
+from racines_leaderboard.fresh.flags import flag_notes
 from racines_leaderboard.records.tracks import PERCENT, TRACKS, Column, Track
 
 BEGIN = "<!-- leaderboard {board}: written by `racines leaderboard --readme` -->"
@@ -38,8 +39,10 @@ PANELS_A_ROW = 5
 
 def _tables(results: Path, board: str, details: bool = False) -> str:
     """Return the tables of a board as Markdown, with `details` also of the further figures."""
-    tables = board_tables(board, read_board(results, board), details)
-    return "\n\n".join(titled_markdown(table) for table in tables)
+    content = read_board(results, board)
+    flags = [escape(note) for note in flag_notes(results / board, content)]
+    tables = board_tables(board, content, details)
+    return "\n\n".join([*(titled_markdown(table) for table in tables), *flags])
 
 
 def write_page(page: Path, results: Path) -> None:

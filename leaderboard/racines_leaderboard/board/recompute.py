@@ -110,6 +110,21 @@ def recompute_scores(
 
     With `probing` the contract is tried on it first; an audit holds the numbers alone to account.
     """
+    document, artefacts = rescorable(folder, ground)
+    if probing:
+        _try_contract(folder, document, ground)
+    paths = [folder / artefact["path"] for artefact in artefacts]
+    make = _generator_scores if document["track"] == GENERATORS.name else agent_scores
+    scores = make(document, artefacts[0]["kind"], paths, ground)
+    return document, scores | {"weights": {each["path"]: each["sha256"] for each in artefacts}}
+
+
+def rescorable(folder: Path, ground: Ground) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Return a submission's document and the artefacts that scores are made of, looked into.
+
+    Raises:
+        RacinesError: no submission, one at fault, or nothing there that can be scored again.
+    """
     document = find_submission(folder.parents[1], folder.parent.name, folder.name)
     if document is None:
         raise RacinesError(f"{folder}: no submission there")
@@ -122,12 +137,7 @@ def recompute_scores(
             check_content(path, artefact["kind"], document["track"], ground.limits)
         elif artefact in artefacts:
             raise RacinesError(f"{path}: lies at its URL: take it in with racines submit --fetch")
-    if probing:
-        _try_contract(folder, document, ground)
-    paths = [folder / artefact["path"] for artefact in artefacts]
-    make = _generator_scores if document["track"] == GENERATORS.name else _agent_scores
-    scores = make(document, artefacts[0]["kind"], paths, ground)
-    return document, scores | {"weights": {each["path"]: each["sha256"] for each in artefacts}}
+    return document, artefacts
 
 
 def _try_contract(folder: Path, document: dict[str, Any], ground: Ground) -> None:
@@ -156,28 +166,44 @@ def _check_data(document: dict[str, Any], here: dict[str, Any], where: str) -> N
 
 
 def _generator_scores(
-    document: dict[str, Any], kind: str, paths: list[Path], ground: Ground
+    document: dict[str, Any], kind: str, paths: Sequence[Path], ground: Ground
 ) -> dict[str, Any]:
     store = open_store(ground.data)
-    _check_data(document, store.manifest, str(ground.data))
     config = fill(ScoresConfig, section(ground.settings, "scores"), "scores")
-    opened = [
-        Predictions(path, store, config.split)
-        if kind == "predictions"
-        else confined.ConfinedGenerator(path, ground.limits)
-        for path in paths
-    ]
-    if ground.grader is not None and not ground.grader.is_dir():
-        raise RacinesError(f"{ground.grader}: no grader; run: racines train grader")
+    opened = open_sources(document, kind, paths, ground, store, config.split)
     scores = score_on(ground, store, config, opened, document["name"])
     scores["dataset"]["board"] = ground.board
     return scores
 
 
+def open_sources(
+    document: dict[str, Any], kind: str, paths: Sequence[Path], ground: Ground, store: FrameStore,
+    split: str,
+) -> list[Any]:  # fmt: skip
+    """Return what draws a submission's images, one for each of its trainings, confined.
+
+    Raises:
+        RacinesError: it was made for other data, or a judge that is asked for is not here.
+    """
+    _check_data(document, store.manifest, str(ground.data))
+    if ground.grader is not None and not ground.grader.is_dir():
+        raise RacinesError(f"{ground.grader}: no grader; run: racines train grader")
+    return [
+        Predictions(path, store, split)
+        if kind == "predictions"
+        else confined.ConfinedGenerator(path, ground.limits)
+        for path in paths
+    ]
+
+
 def score_on(
-    ground: Ground, store: FrameStore, config: ScoresConfig, sources: Sequence[Any], name: str
-) -> dict[str, Any]:
-    """Return the scores of generators by a ground's judges, without their speed."""
+    ground: Ground, store: FrameStore, config: ScoresConfig, sources: Sequence[Any], name: str,
+    seeds: Sequence[int] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the scores of generators by a ground's judges, without their speed.
+
+    They draw with `seeds`, or else with those of the config.
+    """
     made = score(
         sources,
         store,
@@ -185,21 +211,30 @@ def score_on(
         name,
         grader=None if ground.grader is None else Grader.load(ground.grader, "cpu"),
         pose=None if ground.pose is None else PoseRegressor.load(ground.pose, "cpu"),
+        seeds=seeds,
         cache=ground.cache,
     )
     ground.keep(made)
     return made.content
 
 
-def _agent_scores(
-    document: dict[str, Any], kind: str, paths: list[Path], ground: Ground
-) -> dict[str, Any]:
+def agent_scores(
+    document: dict[str, Any], kind: str, paths: Sequence[Path], ground: Ground,
+    sets: tuple[int, ...] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the scores of a submission's policy or trace from a ground's start sets, or others.
+
+    Raises:
+        RacinesError: it was made for another phantom, or a trace for other starts.
+    """
     path, traced = paths[0], kind == "trace"
     agent: Any = TraceAgent(path) if traced else confined.ConfinedPolicyAgent(path, ground.limits)
     config = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation")
     judge = str(ground.grader) if ground.grader is not None and config.grader else ""
     view = getattr(agent, "view", config.view)
     config = dataclasses.replace(config, view=view, grader=judge, latency=0, device="cpu")
+    if sets is not None:
+        config = dataclasses.replace(config, seed=None, seeds=sets)
     phantom = phantom_config(ground.settings)
     phantom = make_phantom(phantom, "cpu", find_task(view, phantom).anatomy)
     _check_data(document, phantom_recipe(phantom) or {}, f"the phantom of board {ground.board}")

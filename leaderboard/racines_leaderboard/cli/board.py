@@ -31,6 +31,7 @@ def leaderboard(
     results: opt.Results = opt.RESULTS,
     submissions: opt.Submissions = opt.SUBMISSIONS,
     params: opt.Params = None,
+    secret: opt.Secret = None,
     unconfined: opt.Unconfined = False,
     markdown: Annotated[
         Path | None, typer.Option(help="Write all boards to this file, charts beside the results.")
@@ -48,12 +49,14 @@ def leaderboard(
     """Collect scores into a board, or make them again, rank it, and show it.
 
     With --params, `board` of that file names the board. A record of another result stays in its
-    place, unless --force is given; the same may be collected again.
+    place, unless --force is given; the same may be collected again. With --secret, what is scored
+    again is also scored on fresh draws, beside its record, and what does not fit is told.
     """
     from racines_data.files import write_atomic
     from racines_leaderboard.board import collect as results_of
     from racines_leaderboard.board.pages import with_tables, write_page
     from racines_leaderboard.board.table import board_csv, board_tables, plain, published, show
+    from racines_leaderboard.fresh.flags import flag_notes
 
     if params is not None:
         board = _board_of(params, board)
@@ -64,20 +67,13 @@ def leaderboard(
         for path in others:
             say(f"racines: left out {path}: made for another board than {board}", err=True)
         results_of.collect(collect, results, submissions, board, others, force)
+    if secret is not None and not recompute:
+        raise typer.BadParameter("--secret goes with --recompute: name what is to be drawn")
     if recompute:
-        from racines_leaderboard.board import recompute as scoring
-        from racines_leaderboard.submissions.confined.session import Limits
-
-        settings = params or Path("params.yaml")
-        board = _board_of(settings, board)
-        grader = None if no_grader else opt.GRADER
-        pose = opt.POSE if opt.POSE.is_dir() else None
-        ground = scoring.Ground(
-            board, read_params(settings), data, grader, pose, CACHE, Limits(unconfined=unconfined)
-        )
-        for folder in [scoring.find(submissions, name) for name in recompute]:
-            record = scoring.recompute(folder, ground, results, force)
-            say(f"racines: scored again: {record['track']}/{record['name']}", err=True)
+        board = score_again(
+            recompute, board, params, data, no_grader, results, submissions, unconfined, force,
+            secret,
+        )  # fmt: skip
     names = [board] if board else results_of.boards(results)
     if not set(names) <= set(results_of.boards(results)) or not names:
         raise RacinesError(f"{results}: no results of {board or 'any board'}")
@@ -99,6 +95,36 @@ def leaderboard(
     for name, records in content.items():
         for table in board_tables(name, records, details):
             show(table, shown)
+        for note in flag_notes(results / name, records):
+            say(note)
+
+
+def score_again(
+    names: list[str], board: str | None, params: Path | None, data: Path, no_grader: bool,
+    results: Path, submissions: Path, unconfined: bool, force: bool, secret: Path | None,
+) -> str:  # fmt: skip
+    """Score submissions again on the board that settings name, and in secret; return the board."""
+    from racines_leaderboard.board import recompute as scoring
+    from racines_leaderboard.cli.secret import today
+    from racines_leaderboard.fresh import draw_in_secret, read_secret
+    from racines_leaderboard.submissions.confined.session import Limits
+
+    settings = params or Path("params.yaml")
+    board = _board_of(settings, board)
+    grader = None if no_grader else opt.GRADER
+    pose = opt.POSE if opt.POSE.is_dir() else None
+    limits = Limits(unconfined=unconfined)
+    ground = scoring.Ground(board, read_params(settings), data, grader, pose, CACHE, limits)
+    opened = None if secret is None else read_secret(secret, results, board)
+    for folder in [scoring.find(submissions, name) for name in names]:
+        record = scoring.recompute(folder, ground, results, force)
+        told = f"{record['track']}/{record['name']}"
+        say(f"racines: scored again: {told}", err=True)
+        if opened is not None:
+            drawn = draw_in_secret(folder, ground, results, opened, today(), force, True)
+            flags = "; ".join(drawn["flags"]) or "no flag"
+            say(f"racines: drawn in secret, round {drawn['round']}: {told}: {flags}", err=True)
+    return board
 
 
 def _board_of(params: Path, board: str | None) -> str:

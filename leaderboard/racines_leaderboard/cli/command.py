@@ -29,7 +29,7 @@ GROUPS = {
     "eval": "Score a generator, a grader or an agent.",
     "study": "Questions that a table or a picture answers.",
     "export": "Hand a generator, an agent, or what they answer to a program outside.",
-    "board": "What a board holds its records to.",
+    "board": "What a board holds its records to, and its rounds of fresh draws.",
     "expert": "A blinded study: experts say which view an image shows, and how good it is.",
 }
 COMMANDS = {
@@ -81,6 +81,8 @@ COMMANDS = {
     "explain": "racines_envs.cli.episodes:explain",
     "submit": "racines_leaderboard.cli.submit:submit",
     "leaderboard": "racines_leaderboard.cli.board:leaderboard",
+    "board commit-secret": "racines_leaderboard.cli.secret:commit_secret",
+    "board reveal": "racines_leaderboard.cli.secret:reveal",
     "audit": "racines_leaderboard.cli.audit:audit",
     "studio": "racines_leaderboard.cli.studio:studio",
 }

@@ -23,6 +23,13 @@ def submit(
     new: Annotated[
         bool, typer.Option("--new", help="Write a submission.yaml to fill in, and stop.")
     ] = False,
+    recompute: Annotated[
+        bool, typer.Option("--recompute", help="Then score it again, into the board of --params.")
+    ] = False,
+    secret: opt.Secret = None,
+    params: opt.Params = None,
+    no_grader: opt.NoGrader = False,
+    results: opt.Results = opt.RESULTS,
     unconfined: opt.Unconfined = False,
     track: Annotated[str, typer.Option(help="With --new: generators or agents.")] = "generators",
     as_json: opt.AsJson = False,
@@ -30,7 +37,8 @@ def submit(
     """Check a submission, try the contract on it, and put it in its place.
 
     No code of its maker's is run, nothing half-written. Whether images follow their poses shows
-    where the dataset that it names is at --data.
+    where the dataset that it names is at --data. With --recompute it is scored again at once, with
+    --secret also on fresh draws, as `racines leaderboard --recompute` does.
     """
     if new:
         from racines_leaderboard.submissions.template import write_template
@@ -39,6 +47,10 @@ def submit(
         return
     if check and (force or fetch):
         raise typer.BadParameter("--check copies nothing: leave out --force and --fetch")
+    if check and recompute:
+        raise typer.BadParameter("--check copies nothing: score it again without it")
+    if secret is not None and not recompute:
+        raise typer.BadParameter("--secret goes with --recompute")
     from racines_leaderboard.submissions.confined.session import Limits
     from racines_leaderboard.submissions.document import KINDS, rescored
     from racines_leaderboard.submissions.intake import look_at, take_in
@@ -49,6 +61,11 @@ def submit(
     else:
         taken = take_in(source, out, replace=force, fetching=fetch, limits=limits, data=data)
     document, again = taken.document, rescored(taken.document)
+    if recompute:
+        from racines_leaderboard.cli.board import score_again
+
+        name = f"{document['track']}/{document['name']}"
+        score_again([name], None, params, data, no_grader, results, out, unconfined, force, secret)
     if as_json:
         told = {"folder": str(taken.folder), "rescored": [each["path"] for each in again]}
         probed = {"held": sorted(taken.probed.held), "untold": taken.probed.untold}
@@ -66,7 +83,8 @@ def submit(
         what = ", ".join(f"{each['path']} ({KINDS[each['kind']].told})" for each in again)
         say(f"Scored again: {what}.")
         place = f"{document['track']}/{document['name']}"
-        say(f"Next: racines leaderboard --recompute {place}")
+        if not recompute:
+            say(f"Next: racines leaderboard --recompute {place}")
     else:
         say(
             "Nothing here can be scored again: scores stay self-reported until it is trained again."
