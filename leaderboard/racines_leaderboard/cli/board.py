@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.config import read_params
+from racines_data.config import fill, read_params, section
 from racines_data.errors import RacinesError
 from racines_data.terminal import console, say, say_json
 
@@ -108,11 +108,13 @@ def score_again(
     from racines_leaderboard.cli.secret import today
     from racines_leaderboard.fresh import draw_in_secret, read_secret
     from racines_leaderboard.submissions.confined.session import Limits
+    from racines_models.scores.scoring import ScoresConfig
 
     settings = params or Path("params.yaml")
     board = _board_of(settings, board)
-    grader = None if no_grader else opt.GRADER
-    pose = opt.POSE if opt.POSE.is_dir() else None
+    told = fill(ScoresConfig, section(read_params(settings), "scores"), "scores")
+    grader, pose = None if no_grader else Path(told.grader), Path(told.pose)
+    pose = pose if pose.is_dir() else None
     limits = Limits(unconfined=unconfined)
     ground = scoring.Ground(board, read_params(settings), data, grader, pose, CACHE, limits)
     opened = None if secret is None else read_secret(secret, results, board)

@@ -53,6 +53,11 @@ class ScoresConfig:
     kid_subsets: int = 100
     speed: bool = True
     """Measure images a second at batch 1 and 64."""
+    grader: str = "models/runs/grader"
+    """Run folder of the grader that judges. A board's is published, so that all are judged alike
+    wherever they are scored."""
+    pose: str = "models/runs/pose"
+    """Run folder of the pose regressor; none if it is not there."""
 
 
 @dataclass

@@ -17,7 +17,7 @@ def eval_generator(
     ],
     data: opt.Data = opt.DATA,
     run: opt.Trained = None,
-    grader: opt.Grader = opt.GRADER,
+    grader: opt.Grader = None,
     no_grader: opt.NoGrader = False,
     pose: opt.Pose = None,
     no_pose: opt.NoPose = False,
@@ -34,7 +34,9 @@ def eval_generator(
 
     NAME.parquet has the figures of every frame, from which those in NAME.json follow.
     Another result that is there stays, unless --force is given; the same may be written again.
-    The pose regressor is that of models/runs/pose, if it is there.
+    Judges are those of the settings, models/runs/grader and models/runs/pose by default; a pose
+    regressor that is not there is left out. Published trainings of the board count as the run's
+    (models/weights/<board>/NAME/seed-<n>); of --run FOLDER, those in it.
     """
     from racines_data.config import fill, section
     from racines_data.progress import image_counter
@@ -43,23 +45,29 @@ def eval_generator(
     from racines_models.judges.grader.model import Grader
     from racines_models.judges.pose.regressor import PoseRegressor
     from racines_models.pictures import pick_columns, write_strip
-    from racines_models.registry import open_runs, weights_of
+    from racines_models.registry import is_file, open_runs, run_folder, weights_of
     from racines_models.scores.scoring import ScoresConfig, score, take_turns
     from racines_models.statistics import write_scores
+    from racines_models.training.published import published_seeds
 
     values = read_settings(params, profile)
     settings = section(values, "scores") | given(split=split, samples=samples)
     config = fill(ScoresConfig, settings, "scores")
     store = open_store(data)
-    if not no_grader and not (grader and grader.is_dir()):
+    grader = grader or Path(config.grader)
+    if not no_grader and not grader.is_dir():
         raise RacinesError(f"{grader}: no grader; run: racines train grader, or give --no-grader")
-    judge = None if no_grader or grader is None else Grader.load(grader, device)
-    runs: Any = open_runs(name, run, device=device, store=store, split=config.split)
+    judge = None if no_grader else Grader.load(grader, device)
+    further: list[Path] = []
+    if run is None and not is_file(name):
+        further = published_seeds(values.get("board"), run_folder(name))
+    runs: Any = open_runs(name, run, further, device=device, store=store, split=config.split)
     title: str = runs[0].name
     written = out / f"{title}.json"
     if Path(name).resolve() == written.with_suffix(".parquet").resolve():
         raise RacinesError(f"{name}: the scores would replace it: write elsewhere with --out")
-    pose = None if no_pose else pose or (opt.POSE if opt.POSE.is_dir() else None)
+    usual = Path(config.pose)
+    pose = None if no_pose else pose or (usual if usual.is_dir() else None)
     regressor = None if pose is None else PoseRegressor.load(pose, device)
     total = min(config.samples, len(store.split_indices(config.split)))
     total *= 1 + 2 * len(take_turns(runs, config.seeds))
@@ -75,7 +83,7 @@ def eval_generator(
             device=device,
             progress=advance,
         )
-    content: dict[str, Any] = {**scores.content, "weights": weights_of(name, run) or None}
+    content: dict[str, Any] = {**scores.content, "weights": weights_of(name, run, further) or None}
     content["dataset"]["board"] = values.get("board")
     content = write_scores(written, content, scores.evidence, force)
     frames = scores.sample.frames
