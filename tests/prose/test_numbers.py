@@ -54,9 +54,9 @@ def draw(template: str, root: Path) -> str:
         ("{results/studied#seconds - results/study#seconds:.2f}", "7.66"),
         ("{max(results/study,studied#seconds)}", "20"),
         ("{median(results/stud*#seconds):.2f}", "16.17"),
-        ("{len(results/study#tables.*.rows.*)}", "2"),
+        ("{len(results/study#tables.*.columns)}", "2"),
         ("{results/studied#none:.1f}", "–"),
-        ("{python/racines_data.schema#IMAGE_SIZE}", "128"),
+        ("{python/racines_data.imaging#IMAGE_SIZE}", "128"),
     ],
 )
 def test_a_template_draws_what_the_files_say(repository: Path, template: str, shown: str):
