@@ -43,8 +43,9 @@ batch = next(store.batches("train", batch_size=64, seed=0))
 _DIGESTS = """\
 The *content* digest is of the pixels, numbers and splits; it is equal for rebuilds on one platform.
 The *recipe* digest is of what they are made from: source, version, settings, seed, inputs. The
-frames in `canonical/` tell whether a rebuild on another processor is the same version: within one
-gray level. `manifest.json` has the sha256 of every file, which `racines data validate` checks."""
+frames in `canonical/` tell whether a rebuild on another processor is the same version: within the
+tolerance of `racines data validate --against`. `manifest.json` has the sha256 of every file, which
+`racines data validate` checks."""
 
 
 def _as_text(manifest: Mapping[str, Any]) -> dict[str, Any]:

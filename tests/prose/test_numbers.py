@@ -1,12 +1,16 @@
 """Figures in prose come from result files, and what has no marker is declared."""
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
 
 import pytest
 
+from racines_data.card.markdown import write_card
 from racines_data.escape import visible
+from racines_data.manifest import read_manifest
+from racines_data.sources.base import SOURCES
 from tests.data.test_escape import rendered
 from tests.prose import claims, markers
 from tests.prose.markers import MARKER, PLACES, ROOT, NoFigure, evaluate, redraw, redrawn
@@ -158,6 +162,18 @@ def test_a_new_claim_without_a_marker_is_found(line: str):
     page = ROOT / "docs" / "index.md"
     found, _ = claims.unmarked("docs/index.md", page.read_text() + f"\n{line}\n")
     assert found and found[0].context == line
+
+
+def test_a_dataset_card_says_no_number_of_its_own(tiny_root: Path):
+    """Its figures are those of the manifest, which the build counts; the sources' texts have none."""
+    for source in ("phantom", "release", "cactus", "tracked"):
+        for field, text in dataclasses.asdict(SOURCES.load(source).card).items():
+            assert not claims.claims(str(text)), (source, field)
+    manifest = read_manifest(tiny_root)
+    bare = {k: v for k, v in manifest.items() if k not in ("statistics", "realism", "pictures")}
+    own = claims.claims(write_card(bare))
+    counted = {f"{count:,}" for count in manifest["counts"].values() if isinstance(count, int)}
+    assert not [claim for claim in own if claim.text.split()[0] not in counted]
 
 
 def test_what_is_no_claim_is_left_alone():
