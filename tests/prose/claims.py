@@ -32,7 +32,8 @@ CLAIM = re.compile(
 )
 """A number with a unit, alone or with others, or one with decimals."""
 HIDDEN = re.compile(
-    r"^```.*?^```[^\n]*$|^(?: {4}|\t)[^\n]*$|``.+?``|`[^`]*`|<!--.*?-->|\]\([^)]*\)|https?://\S+|\bDOI 10\.\S+"
+    r"^```.*?^```[^\n]*$|^(?: {4}|\t)[^\n]*$|``.+?``|`[^`]*`|<!--.*?-->|\]\([^)]*\)|https?://\S+"
+    r"|\bDOI 10\.\S+"
     r"|\b\d+\.\d+\.\d+\S*|95 % (?:bootstrap )?intervals?|\b(?:Python|CC BY|Croissant|RAI) \d\S*",
     re.MULTILINE | re.DOTALL,
 )

@@ -165,7 +165,7 @@ def test_a_new_claim_without_a_marker_is_found(line: str):
 
 
 def test_a_dataset_card_says_no_number_of_its_own(tiny_root: Path):
-    """Its figures are those of the manifest, which the build counts; the sources' texts have none."""
+    """Its figures are the manifest's, which the build counts; the sources' texts have none."""
     for source in ("phantom", "release", "cactus", "tracked"):
         for field, text in dataclasses.asdict(SOURCES.load(source).card).items():
             assert not claims.claims(str(text)), (source, field)
