@@ -11,7 +11,7 @@ READY := $(VENV)/.ready
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 TESTS := OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs
 
-.PHONY: help repro studio test test-docs test-fast test-instruction-sets test-exports mutants lint types bench docs clean
+.PHONY: help repro studio test test-docs test-fast test-instruction-sets test-exports mutants lint types bench docs docs-numbers clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -68,6 +68,9 @@ studio: $(READY) ## show boards, study and data in a browser, at http://127.0.0.
 
 docs: $(READY) ## build the pages under docs/ into site/
 	NO_MKDOCS_2_WARNING=1 mkdocs build --strict -q
+
+docs-numbers: $(READY) ## draw the figures in README, docs/ and CHANGELOG anew from the committed results
+	python -m tests.prose
 
 clean: ## remove what the pipeline and the tools made, the DVC cache included; keeps .venv
 	git clean -fdXq data models/runs envs/runs

@@ -44,7 +44,7 @@ _DIGESTS = """\
 The *content* digest is of source, pixels, numbers and splits; it is equal for rebuilds on one
 platform. The *recipe* digest is of what they are made from: source, version, settings, seed,
 inputs. The frames in `canonical/` tell whether a rebuild on another processor is the same version:
-they differ by no more than was measured between processors. `manifest.json` has the sha256 of every
+within the tolerance of `racines data validate --against`. `manifest.json` has the sha256 of every
 file, which `racines data validate` checks."""
 
 

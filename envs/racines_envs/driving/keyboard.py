@@ -14,6 +14,7 @@ import torch
 from PIL import Image
 
 from racines_data.errors import RacinesError
+from racines_data.escape import visible
 from racines_data.files import image_bytes, write_atomic
 from racines_envs.apis.rendering import IMAGE, History, compose, describe
 from racines_envs.recordings.episodes import CoreRecorder
@@ -115,7 +116,7 @@ def screen(drive: Drive, columns: int, rows: int, true_colour: bool = True) -> s
 
     A narrow terminal shows the ultrasound image alone. Lines end as a raw terminal wants them.
     """
-    words = [line[: columns - 1] for line in drive.words()]
+    words = [visible(line)[: columns - 1] for line in drive.words()]
     room = max(4, rows - len(words) - 1)
     picture = drive.picture()
     picture = picture[:320] if columns >= WIDE else picture[:320, :IMAGE]

@@ -66,9 +66,10 @@ def _range(limits: tuple[float, float], scale: float = 1.0) -> str:
 def main() -> None:
     """Print the tables of all organs."""
     from racines_data.phantom import PhantomConfig, shared_phantom
+    from racines_data.terminal import say_page
 
     for anatomy in organs():
-        print(task_tables(anatomy, shared_phantom(PhantomConfig(anatomy=anatomy))), end="\n\n")
+        say_page(task_tables(anatomy, shared_phantom(PhantomConfig(anatomy=anatomy))) + "\n")
 
 
 if __name__ == "__main__":

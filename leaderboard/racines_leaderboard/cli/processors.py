@@ -1,11 +1,8 @@
 """The command `racines study processors`: does every processor draw the same phantom?"""
 
-import json
-
-import typer
-
 from racines_data.cli import options as opt
 from racines_data.errors import RacinesError
+from racines_data.terminal import say_json, say_page
 
 
 def processors(out: opt.OwnOutFile = None, as_json: opt.AsJson = False) -> None:
@@ -22,7 +19,10 @@ def processors(out: opt.OwnOutFile = None, as_json: opt.AsJson = False) -> None:
     report = study.compare_all(found, here)
     if out is not None:
         study.write_record(found.with_drawing(here), out)
-    typer.echo(json.dumps(report) if as_json else study.processors_markdown(report))
+    if as_json:
+        say_json(report)
+    else:
+        say_page(study.processors_markdown(report))
     if not report["holds"]:
         limit = report["tolerance"]
         raise RacinesError(

@@ -1,0 +1,1 @@
+"""Figures in prose: where they come from, and which have no origin (`make docs-numbers`)."""
