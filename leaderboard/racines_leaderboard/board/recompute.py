@@ -25,7 +25,7 @@ from racines_leaderboard.submissions.probe import probe
 from racines_models.exchange.predictions.file import Predictions
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
-from racines_models.scores.scoring import ScoresConfig, score
+from racines_models.scores.scoring import Scores, ScoresConfig, score
 
 
 @dataclass(frozen=True)
@@ -157,6 +157,13 @@ def score_on(
     ground: Ground, store: FrameStore, config: ScoresConfig, sources: Sequence[Any], name: str
 ) -> dict[str, Any]:
     """Return the scores of generators by a ground's judges, without their speed."""
+    return scored_on(ground, store, config, sources, name).content
+
+
+def scored_on(
+    ground: Ground, store: FrameStore, config: ScoresConfig, sources: Sequence[Any], name: str
+) -> Scores:
+    """Return the same with what the scores rest on."""
     return score(
         sources,
         store,
@@ -165,7 +172,7 @@ def score_on(
         grader=None if ground.grader is None else Grader.load(ground.grader, "cpu"),
         pose=None if ground.pose is None else PoseRegressor.load(ground.pose, "cpu"),
         cache=ground.cache,
-    ).content
+    )
 
 
 def _agent_scores(
