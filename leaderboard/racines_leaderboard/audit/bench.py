@@ -15,6 +15,7 @@ from racines_data.manifest import MANIFEST
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.evaluation.run import EvaluationConfig
 from racines_leaderboard.board.collect import Record, basis_of
+from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_models.sample import Sample, take_sample
 from racines_models.scores import scoring
@@ -22,6 +23,8 @@ from racines_models.scores.scoring import ScoresConfig
 
 JUDGES = {"grader": "grader.safetensors", "pose": "model.safetensors"}
 """File of a judge's weights in its folder."""
+PINS = "board.json"
+"""What a board is pinned to, in its folder."""
 KINDS = {key: key for key in JUDGES} | {"guide": "grader"}
 """What judge an extractor of a record is; a guide is the grader that an agent goes by."""
 
@@ -108,6 +111,20 @@ class Bench:
     def store(self) -> FrameStore | None:
         """The dataset here, if there is one."""
         return open_store(self.data) if self.data.is_dir() else None
+
+    @functools.cached_property
+    def pins(self) -> dict[str, Any]:
+        """What the board's own file pins by track; nothing where there is none.
+
+        Raises:
+            RacinesError: a damaged file.
+        """
+        path = self.places.results / self.board / PINS
+        return read_json(path, "any") if path.is_file() else {}
+
+    def pinned(self, track: str, kind: str) -> str | None:
+        """Return the sha256 of the judge of a kind that the board is pinned to, if it is."""
+        return self.pins.get(track, {}).get("judges", {}).get(kind)
 
     def data_for(self, record: Record) -> FrameStore | None:
         """Return the dataset here if it is of the recipe that a record rests on."""

@@ -39,6 +39,8 @@ from racines_models.scores.scoring import take_turns
 
 MACHINE = ("torch", "cpu", "threads", "device")
 """What floating point depends on, of an environment."""
+CEILING, LIKENESS = "noise-ceiling", {"ssim": 1.0, "psnr": 100.0}
+"""The truth drawn again, and what is measured frame by frame against the truth, with its most."""
 JUDGED = {
     "inception": re.compile(r"fid|kid|precision|recall|density|coverage"),
     "grader": re.compile(r"(fid|kid|precision|recall|density|coverage|success)_grader"
@@ -214,11 +216,34 @@ def judges(record: Record, bench: Bench, peers: list[Record]) -> Iterator[Verdic
         yield verdict
 
 
+def beyond_truth(record: Record, peers: list[Record]) -> Iterator[Verdict]:
+    """Say of images nearer to the truth than the truth drawn again that scores alone cannot tell.
+
+    A simulator draws the same pose twice with other noise; nobody who has not seen the frames comes
+    nearer to them than that.
+    """
+    metrics, name = record["scores"]["metrics"], record["name"]
+    drawn_again = next((peer for peer in peers if peer["name"] == CEILING), None)
+    if record["track"] != "generators" or name == CEILING:
+        return
+    for key, most in LIKENESS.items():
+        value, low = metrics[key]["value"], metrics[key]["low"]
+        ceiling = drawn_again["scores"]["metrics"][key]["high"] if drawn_again else None
+        above = None not in (ceiling, value) and (value if low is None else low) > ceiling
+        if value == most or above:
+            least = most if ceiling is None else ceiling
+            reason = "nearer to the truth than the truth drawn again: fresh draws would tell"
+            yield unknown(f"truth.{key}", reason, value, least)
+
+
 def _judge(kind: str, sha256: str | None, record: Record, bench: Bench) -> Verdict:
     subject = f"extractors.{kind}"
     if kind not in KINDS:
         return fails(subject, "an extractor unknown to this code", sha256)
     judge = KINDS[kind]
+    pinned = bench.pinned(record["track"], judge)
+    if pinned is not None and pinned != sha256:
+        return fails(subject, "the board is pinned to another", sha256, pinned)
     if folder := bench.judge(judge, sha256):
         return holds(subject, f"the weights in {folder}", sha256, sha256)
     own = (record["scores"].get("dataset") or {}).get("recipe_digest")

@@ -144,6 +144,7 @@ def _check(path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
     others = [_read(other, bench) for other in sorted(path.parent.glob("*.json")) if other != path]
     peers = [other for other in others if not isinstance(other, Report)]
     yield from claims.judges(record, bench, peers)
+    yield from claims.beyond_truth(record, peers)
     yield from weights.check_weights(record, bench)
     yield from weights.check_content(record, bench)
     yield from check_metrics(record, bench)

@@ -6,99 +6,24 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 import yaml
 from typer.testing import CliRunner
 
 from racines_data.store.frames import open_store
-from racines_data.views import LABELS
-from racines_envs.agents.onnx.policy import OnnxPolicyAgent
-from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
-from racines_envs.worlds.making import make_phantom, phantom_recipe
 from racines_leaderboard.audit.bench import Bench, Places
 from racines_leaderboard.audit.numbers import HALF, compare_numbers
 from racines_leaderboard.audit.run import audit, retrain
 from racines_leaderboard.audit.verdicts import FAILS, HOLDS, UNKNOWN, Report
-from racines_leaderboard.board.collect import collect
-from racines_leaderboard.board.recompute import recompute
 from racines_leaderboard.cli.command import app
 from racines_leaderboard.records.schema import check, sealed
 from racines_leaderboard.records.verdicts import NOT_VERIFIED
 from racines_models.exchange.onnx.generator import OnnxGenerator
 from racines_models.exchange.predictions.file import Task, write_predictions
-from racines_models.generators.mean_image import MeanImage
-from racines_models.judges.grader.model import Grader, GraderConfig
-from racines_models.protocol import Run
-from racines_models.registry import weights_of
 from racines_models.sample import take_sample
 from racines_models.scores.scoring import score
+from tests.leaderboard.audit.conftest import SUBMISSIONS, record_a_trace
 from tests.leaderboard.conftest import artefact
-from tests.leaderboard.graphs import sound_generator, sound_policy
-from tests.leaderboard.handed_in import CONFIG, inbox, submitted
-
-RESULTS, SUBMISSIONS = Path("leaderboard/results"), Path("leaderboard/submissions")
-
-
-@pytest.fixture
-def drawn(ground) -> Path:
-    """The record of a predictions file that was handed in and scored."""
-    store, root = open_store(ground.data), Path.cwd()
-    generator = OnnxGenerator(sound_generator(inbox(root, "made") / "mine.onnx"))
-    path = inbox(root, "in") / "drawn.parquet"
-    task = Task(store, take_sample(store, "test", 16), "test", (0,))
-    write_predictions(path, task, generator, "stripes")
-    folder = submitted(root, "predictions", path, store.manifest["digest"])
-    recompute(folder, ground, RESULTS)
-    return RESULTS / "tiny/generators/mine.json"
-
-
-@pytest.fixture
-def steered(ground) -> Path:
-    """The record of a trace that was handed in and scored."""
-    trace = record_a_trace((0, 1, 2), inbox(Path.cwd(), "steered") / "trace.json")
-    recipe: Any = phantom_recipe(make_phantom(None))
-    folder = submitted(Path.cwd(), "trace", trace, recipe["recipe_digest"])
-    recompute(folder, ground, RESULTS)
-    return RESULTS / "tiny/agents/mine.json"
-
-
-@pytest.fixture
-def merged(ground) -> Path:
-    """The record of merged code, collected from the scores of its run."""
-    store, runs = open_store(ground.data), Path("models/runs")
-    generator = MeanImage()
-    generator.fit(store, Run(runs / "mean-image", progress=False))
-    scores = score(generator, store, CONFIG, "mean-image").content
-    scores |= {"weights": weights_of("mean-image", runs / "mean-image")}
-    scores["dataset"]["board"] = "tiny"
-    (runs / "scores").mkdir()
-    (runs / "scores/mean-image.json").write_text(json.dumps(scores))
-    (path,) = collect([runs / "scores"], RESULTS, SUBMISSIONS, "tiny")
-    return path
-
-
-@pytest.fixture
-def climbed(ground) -> Path:
-    """The record of an agent that goes by the grader which judges its last images."""
-    torch.manual_seed(0)
-    settings = GraderConfig(input_size=32, width=0.125)
-    folder = Path("models/runs/grader")
-    folder.mkdir(parents=True)
-    Grader(Grader.build(settings, len(LABELS)), settings).save(folder)
-    config = EvaluationConfig(starts=4, grader=str(folder), latency=0)
-    scores = evaluate("hill-climber", Path("envs/runs/hill-climber"), config).scores
-    Path("envs/runs/scores").mkdir(parents=True)
-    Path("envs/runs/scores/hill-climber.json").write_text(json.dumps(scores))
-    (path,) = collect([Path("envs/runs/scores")], RESULTS, SUBMISSIONS, "tiny")
-    return path
-
-
-def record_a_trace(seeds: tuple[int, ...], path: Path) -> Path:
-    agent = OnnxPolicyAgent(sound_policy(path.with_name("policy.onnx")))
-    config = EvaluationConfig(starts=4, seeds=seeds, latency=0)
-    record_trace("", Path.cwd(), config, path, make_phantom(None), agent=agent)
-    path.with_name("policy.onnx").unlink()
-    return path
+from tests.leaderboard.handed_in import CONFIG, inbox
 
 
 def audited(path: Path, quick: bool = False) -> Report:
