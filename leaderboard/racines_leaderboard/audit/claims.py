@@ -61,7 +61,7 @@ def check_claims(record: Record, bench: Bench) -> Iterator[Verdict]:
     yield from _names(record)
     yield _submission(record, bench)
     yield equal("code.version", code["version"], version("racines"), "the package here")
-    if commit := code.get("commit"):
+    if (commit := code.get("commit")) is not None:
         yield _commit(commit)
     if others := differing(record["scores"]["environment"], environment()):
         reason = f"made elsewhere ({', '.join(others)} differ): numbers are held within tolerance"
@@ -134,6 +134,8 @@ def _submission(record: Record, bench: Bench) -> Verdict:
 
 def _commit(commit: str) -> Verdict:
     """Say whether a commit is part of this checkout's past."""
+    if not re.fullmatch(r"[0-9a-f]{7,64}", str(commit)):
+        return fails("code.commit", "it names no commit", commit)
     words = ["git", "merge-base", "--is-ancestor", commit, "HEAD"]
     try:
         done = subprocess.run(words, cwd=Path(__file__).parent, capture_output=True, timeout=10)
@@ -194,14 +196,22 @@ def dataset(record: Record, bench: Bench) -> Iterator[Verdict]:
         yield equal("dataset.sample", claimed["sample"], bench.sample.digest, reason)
 
 
+def judge_of(metric: str) -> str | None:
+    """Return the extractor that a metric rests on; None if it needs none, or is a plug-in's."""
+    return next((one for one, keys in JUDGED.items() if keys.fullmatch(metric)), None)
+
+
 def judges(record: Record, bench: Bench, peers: list[Record]) -> Iterator[Verdict]:
     """Check that the extractors are the benchmark's own; where they are not here, the board's."""
     named = record["scores"].get("extractors", {})
     for key, metric in record["scores"]["metrics"].items():
-        judge = next((one for one, keys in JUDGED.items() if keys.fullmatch(key)), None)
+        judge = judge_of(key)
         if judge is not None and judge not in named and metric["value"] is not None:
             yield fails(f"extractors.{judge}", f"{key} rests on it, and the record names none")
-    for kind, claimed in record["scores"].get("extractors", {}).items():
+    for kind, claimed in named.items():
+        if not isinstance(claimed, dict):
+            yield fails(f"extractors.{kind}", "it says nothing of itself", claimed)
+            continue
         if kind == "inception":
             reason = "weights, layer, resizer and range here"
             yield equal(f"extractors.{kind}", claimed, bench.inception, reason)

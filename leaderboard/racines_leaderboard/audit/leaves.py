@@ -24,14 +24,14 @@ INFORMATIVE = {
 }
 """Leaves that no rank, tier or verdict rests on, and why. Those of a submission must still be
 those of its `submission.yaml`."""
+NUMBERS = r"(metrics|by_seed\.[^.]+)\.[^.]+\.(value|low|high|n)"
 ELSEWHERE = (
-    r"(metrics|by_seed\.[^.]+)\.[^.]+\.(value|low|high|n)",
     r"(extractors|weights|evidence)(\..+)?",
     r"dataset\.(digest|board)|board|code\.version|agent|generator",
 )
 """Leaves of scores that have a check of their own."""
 OF_TRAININGS = (
-    r"runs|(seeds|trainings)(\..+)?|metrics\.[^.]+\.settings\.(interval|units|trainings|trajectories|by_set)"
+    r"runs|(seeds|trainings)(\..+)?|(metrics|by_seed\.[^.]+)\.[^.]+\.settings\.(interval|units|trainings|trajectories|by_set)"
     r"(\..+)?"
 )
 """Those that differ where some of the trainings were made again; the evidence tells them."""
@@ -73,9 +73,9 @@ def compare_leaves(
     unmade = set(record["scores"]["metrics"]) - set(made["metrics"])
     for place in dict.fromkeys((*claimed, *here)):
         metric = place.split(".")[1] if place.startswith("metrics.") else None
-        if _elsewhere(place, partly) or (metric in unmade) or (metric in added):
-            continue
         stated, found = claimed.get(place, MISSING), here.get(place, MISSING)
+        if _elsewhere(place, partly, stated) or (metric in unmade) or (metric in added):
+            continue
         if same(stated, found, bounds.get(metric or "", 0.0)):
             equal += 1
         else:
@@ -89,10 +89,12 @@ def compare_leaves(
         yield holds("scores", f"{equal} further leaves are as they are when it is made again")
 
 
-def _elsewhere(place: str, partly: bool) -> bool:
+def _elsewhere(place: str, partly: bool, stated: Any) -> bool:
     if informative(f"scores.{place}") or (partly and re.fullmatch(OF_TRAININGS, place)):
         return True
-    return any(re.fullmatch(pattern, place) for pattern in ELSEWHERE)
+    if stated is MISSING and re.fullmatch(NUMBERS, place):
+        return False
+    return any(re.fullmatch(pattern, place) for pattern in (NUMBERS, *ELSEWHERE))
 
 
 def same(stated: Any, found: Any, bound: float = 0.0) -> bool:

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from racines_leaderboard.audit.bench import Bench
-from racines_leaderboard.audit.claims import differing
+from racines_leaderboard.audit.claims import differing, judge_of
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
 from racines_leaderboard.board.collect import Record
-from racines_leaderboard.records.ranges import CLOSE, ENDS, faults
+from racines_leaderboard.records.ranges import CLOSE, ENDS, RANGES, faults
 from racines_leaderboard.records.tracks import TRACK
 from racines_models.scores import diversity
 from racines_models.scores.scoring import PRDC_FRAMES
@@ -139,7 +139,7 @@ def _methods(record: Record, bench: Bench) -> Iterator[Verdict]:
         if bench.data_for(record) is not None:
             wanted |= {"blocks": min(bench.scores.blocks, len(np.unique(bench.sample.trajectory)))}
     metrics = record["scores"]["metrics"].values()
-    methods = " ".join(metric.get("settings", {}).get("interval", "") for metric in metrics)
+    methods = " ".join(str(metric.get("settings", {}).get("interval", "")) for metric in metrics)
     for key, number in wanted.items():
         if stated := {int(each) for each in re.findall(rf"(\d+) {key}", methods)}:
             yield equal(f"intervals.{key}", sorted(stated), [number], "the board's settings")
@@ -171,12 +171,13 @@ def compare_numbers(record: Record, made: dict[str, Any], tier: str) -> Iterator
                 yield told(subject, "a time: it depends on the machine", claimed["value"])
             elif here is not None:
                 yield from _numbers(subject, key, claimed, here, tier, record["track"])
-            elif key == "success_grader" and not extractors:
-                reason = "the record does not say which grader saw it"
-                yield unknown(subject, reason, claimed["value"])
+            elif (judge := judge_of(key)) and judge not in made.get("extractors", {}):
+                yield unknown(subject, f"its {judge} is not here", claimed["value"])
+            elif any(re.fullmatch(name, key) for name in RANGES):
+                yield fails(subject, "there is none when it is made again", claimed["value"])
             else:
-                reason = "its judge is not here, or its road does not draw again"
-                yield unknown(subject, reason, claimed["value"])
+                reason = "a metric of a package that is not here"
+                yield unknown(f"package.{subject}", reason, claimed["value"])
     for kind, claimed in extractors.items():
         if kind in made.get("extractors", {}):
             same = claimed == made["extractors"][kind]

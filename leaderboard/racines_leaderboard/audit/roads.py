@@ -101,7 +101,8 @@ def _ground(record: Record, bench: Bench) -> Ground:
 
 def _judge(record: Record, bench: Bench, extractor: str) -> Path | None:
     card = record["scores"].get("extractors", {}).get(extractor, {})
-    return bench.judge(KINDS[extractor], card.get("sha256"))
+    sha256 = card.get("sha256") if isinstance(card, dict) else None
+    return bench.judge(KINDS[extractor], sha256)
 
 
 def _generator(record: Record, bench: Bench) -> Road | str:

@@ -85,6 +85,9 @@ def _artefact(record: Record, name: str, sha256: str, bench: Bench) -> Iterator[
         yield unknown(subject, f"{path} is not here", sha256)
     else:
         yield equal(subject, sha256, sha256_file(path), f"the file {path}")
+        (told,) = (each for each in files_of(record["submission"]) if each["path"] == name)
+        place = f"submission.artefacts.{name}.size"
+        yield equal(place, told["size"], path.stat().st_size, f"the file {path}")
 
 
 def _file(record: Record, name: str, sha256: str, bench: Bench) -> Iterator[Verdict]:

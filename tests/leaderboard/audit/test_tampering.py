@@ -62,7 +62,8 @@ WAYS: dict[str, Callable[[Record], None]] = {
     "another rule": lambda r: metric(r)["settings"].update(window="none"),
     "another range of gray": lambda r: metric(r)["settings"].update(data_range=1.0),
     "a metric left out": lambda r: r["scores"]["metrics"].pop("recall"),
-    "a metric invented": lambda r: r["scores"]["metrics"].update(realism=copy.copy(metric(r))),
+    "a metric invented": lambda r: r["scores"]["metrics"].update(copies_truth=metric(r) | {}),
+    "a judge's word invented": lambda r: r["scores"]["metrics"].update(grade_error=metric(r)),
     "other seeds": tell(scores, seeds=[7]),
     "more runs": tell(scores, runs=3),
     "other notes": tell(scores, notes=["The best there is."]),
@@ -109,6 +110,19 @@ def test_no_way_of_tampering_holds_sealed_again_or_not(held):
                 passed.append((how, said[:4], report.verdict))
     assert not passed
     assert len(WAYS) >= 24
+
+
+def test_a_metric_that_nothing_here_makes_is_not_verified(held):
+    report = held.changed(lambda r: r["scores"]["metrics"].update(realism=metric(r)))
+    assert report.verdict == "not verified"
+    assert [each.subject for each in report.open] == ["package.metrics.realism"]
+
+
+def test_a_commit_that_is_an_option_of_git(held):
+    for commit in ("--help", 5, "HEAD"):
+        assert "code.commit" in wrong(
+            held.changed(tell(lambda r: scores(r)["code"], commit=commit))
+        )
 
 
 def test_a_seal_that_is_gone_tells_nothing_and_hides_nothing(held):
