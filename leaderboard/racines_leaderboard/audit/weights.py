@@ -9,7 +9,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_envs.agents.trace import read_trace
 from racines_leaderboard.audit.bench import Bench
-from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, unknown
+from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
 from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.submissions.document import files_of, rescored
 from racines_models.exchange.predictions.file import Predictions
@@ -85,9 +85,9 @@ def _artefact(record: Record, name: str, sha256: str, bench: Bench) -> Iterator[
         yield unknown(subject, f"{path} is not here", sha256)
     else:
         yield equal(subject, sha256, sha256_file(path), f"the file {path}")
-        (told,) = (each for each in files_of(record["submission"]) if each["path"] == name)
+        (entry,) = (each for each in files_of(record["submission"]) if each["path"] == name)
         place = f"submission.artefacts.{name}.size"
-        yield equal(place, told["size"], path.stat().st_size, f"the file {path}")
+        yield equal(place, entry["size"], path.stat().st_size, f"the file {path}")
 
 
 def _file(record: Record, name: str, sha256: str, bench: Bench) -> Iterator[Verdict]:
@@ -101,7 +101,9 @@ def _file(record: Record, name: str, sha256: str, bench: Bench) -> Iterator[Verd
             return
     copied = published(record, bench)
     if copied is None or name not in copied:
-        yield unknown(subject, f"no {path} with these weights", sha256)
+        # Of further trainings it is told elsewhere whether they can be made again.
+        say = told if "/" in name else unknown
+        yield say(subject, f"no {path} with these weights", sha256)
         return
     copy, made_of = bench.places.weights / record["name"] / name, copied[name].get("made_of")
     half, stated = f"{subject}.half_precision", copied[name]["sha256"]

@@ -62,7 +62,7 @@ WAYS: dict[str, Callable[[Record], None]] = {
     "another rule": lambda r: metric(r)["settings"].update(window="none"),
     "another range of gray": lambda r: metric(r)["settings"].update(data_range=1.0),
     "a metric left out": lambda r: r["scores"]["metrics"].pop("recall"),
-    "a metric invented": lambda r: r["scores"]["metrics"].update(copies_truth=metric(r) | {}),
+    "a metric invented": lambda r: r["scores"]["metrics"].update(violations=metric(r)),
     "a judge's word invented": lambda r: r["scores"]["metrics"].update(grade_error=metric(r)),
     "other seeds": tell(scores, seeds=[7]),
     "more runs": tell(scores, runs=3),
