@@ -3,6 +3,8 @@
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -182,7 +184,9 @@ def test_the_truth_handed_in_never_holds(ground):
     store, root = open_store(ground.data), Path.cwd()
     sample = take_sample(store, "test", 16)
     path = inbox(root, "in") / "drawn.parquet"
-    write_predictions(path, Task(store, sample, "test", (0,)), Replay(store), "truth")
+    truth: Any = Replay(store)
+    truth.card = SimpleNamespace(stochastic=False, conditional=True)
+    write_predictions(path, Task(store, sample, "test", (0,)), truth, "truth")
     folder = submitted(root, "predictions", path, store.manifest["digest"])
     recompute(folder, ground, RESULTS)
     found = audit(RESULTS / "tiny/generators/mine.json", Bench("tiny", Places()))
