@@ -78,9 +78,11 @@ def _names(record: Record) -> Iterator[Verdict]:
     """Check that scores say they are of this record's system and board."""
     scores, subject = record["scores"], TRACK[record["track"]].subject
     yield equal(f"scores.{subject}", scores[subject], record["name"], "the record's name")
-    for place, part in (("board", scores), ("dataset.board", scores.get("dataset") or {})):
-        if part.get("board") is not None:
-            yield equal(f"scores.{place}", part["board"], record["board"], "the record's board")
+    data, generator = scores.get("dataset") or {}, record["track"] == "generators"
+    for place, part, must in (("board", scores, False), ("dataset.board", data, generator)):
+        if must or "board" in part:
+            stated = part.get("board")
+            yield equal(f"scores.{place}", stated, record["board"], "the record's board")
     for name, made_for in ((document := record["submission"]) or {}).get("dataset", {}).items():
         data = scores.get("dataset") or {"source": "phantom"} | (scores.get("phantom") or {})
         ours = [data.get(name)] + [data.get("recipe_digest")] * (name == "digest")
@@ -97,8 +99,10 @@ def _adapter(record: Record, adapter: str) -> Verdict:
     name = record["scores"].get("submission", record["name"])
     try:
         one, other = (agent_class if agents else generator_class)(name), _loaded(adapter)
-    except (RacinesError, ImportError, AttributeError) as error:
+    except RacinesError as error:
         return unknown("submission.adapter", f"not here: {error}", adapter)
+    except (ImportError, AttributeError) as error:
+        return fails("submission.adapter", f"there is no such class: {error}", adapter)
     here = f"{one.__module__}:{one.__qualname__}"
     return tell(one is other, "submission.adapter", "the class of that name here", adapter, here)
 

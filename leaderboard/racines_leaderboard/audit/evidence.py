@@ -15,6 +15,7 @@ import numpy as np
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_leaderboard.audit.bench import Bench
+from racines_leaderboard.audit.numbers import starts_of
 from racines_leaderboard.audit.verdicts import (
     FAILS,
     RETRAINABLE,
@@ -103,9 +104,8 @@ def _of_items(key: str, figures: Figures, record: Record, bench: Bench) -> Itera
         return
     subject, items = f"evidence.{key}.items", figures.items.tolist()
     if record["track"] == "agents":
-        starts = record["scores"]["task"]["start_set"]
-        if isinstance(starts, dict):
-            episodes = set(range(len(starts["seeds"]) * starts["starts"]))
+        if starts := starts_of(record):
+            episodes = set(range(starts[0] * starts[1]))
             right = set(items) <= episodes and len(set(items)) == len(items)
             yield tell(right, subject, "each an episode from the starts, once")
         return

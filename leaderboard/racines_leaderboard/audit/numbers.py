@@ -115,11 +115,17 @@ def _counts(
     return counts
 
 
+def starts_of(record: Record) -> tuple[int, int] | None:
+    """Return how many start sets an agent's record names, of how many starts; None if none."""
+    told = record["scores"]["task"]["start_set"]
+    seeds, starts = (told.get(k) if isinstance(told, dict) else None for k in ("seeds", "starts"))
+    return (len(seeds), starts) if isinstance(seeds, list) and isinstance(starts, int) else None
+
+
 def _episodes(record: Record, place: str, metrics: dict[str, Any]) -> dict[str, tuple[int, str]]:
-    starts = record["scores"]["task"]["start_set"]
-    if not isinstance(starts, dict):
+    if (starts := starts_of(record)) is None:
         return {}
-    n = (len(starts["seeds"]) if place == "metrics" else 1) * starts["starts"]
+    n = (starts[0] if place == "metrics" else 1) * starts[1]
     successes = round((metrics["success_true"]["value"] or 0.0) * n)
     counts: dict[str, tuple[int, str]] = dict.fromkeys(metrics, (n, "episodes from the start sets"))
     for key in counts.keys() & {"steps", "steps_median"}:

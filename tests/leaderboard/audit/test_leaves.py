@@ -62,10 +62,17 @@ class Held:
 
 def parent(record: Any, place: str) -> tuple[Any, Any]:
     """Return the container of a leaf, and its key there."""
-    *way, last = place.split(".")
-    for key in way:
-        record = record[int(key) if isinstance(record, list) else key]
-    return record, int(last) if isinstance(record, list) else last
+    words = place.split(".")
+    while True:
+        # Names of files have dots of their own.
+        count = 1
+        while isinstance(record, dict) and ".".join(words[:count]) not in record:
+            count += 1
+        key, words = ".".join(words[:count]), words[count:]
+        step = int(key) if isinstance(record, list) else key
+        if not words:
+            return record, step
+        record = record[step]
 
 
 def other(value: Any) -> Any:
