@@ -1,5 +1,6 @@
 """Claims on what scores rest on: seal, names, code, machine; data, judges, task, seeds."""
 
+import functools
 import importlib
 import json
 import re
@@ -62,7 +63,7 @@ def check_claims(record: Record, bench: Bench) -> Iterator[Verdict]:
     yield _submission(record, bench)
     yield equal("code.version", code["version"], version("racines"), "the package here")
     if (commit := code.get("commit")) is not None:
-        yield _commit(commit)
+        yield _commit(str(commit))
     if others := differing(record["scores"]["environment"], environment()):
         reason = f"made elsewhere ({', '.join(others)} differ): numbers are held within tolerance"
         yield told("environment", reason)
@@ -136,9 +137,10 @@ def _submission(record: Record, bench: Bench) -> Verdict:
     return equal("submission", digest_of(held), digest_of(here), reason)
 
 
+@functools.cache
 def _commit(commit: str) -> Verdict:
     """Say whether a commit is part of this checkout's past."""
-    if not re.fullmatch(r"[0-9a-f]{7,64}", str(commit)):
+    if not re.fullmatch(r"[0-9a-f]{7,64}", commit):
         return fails("code.commit", "it names no commit", commit)
     words = ["git", "merge-base", "--is-ancestor", commit, "HEAD"]
     try:

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 import torch
+import yaml
 
 from racines_data.files import sha256_file
 from racines_data.store.frames import open_store
@@ -73,12 +74,12 @@ def merged(ground) -> Path:
 @pytest.fixture
 def climbed(ground) -> Path:
     """The record of an agent that goes by the grader which judges its last images."""
-    torch.manual_seed(0)
-    settings = GraderConfig(input_size=32, width=0.125)
-    folder = Path("models/runs/grader")
-    folder.mkdir(parents=True)
-    Grader(Grader.build(settings, len(LABELS)), settings).save(folder)
-    config = EvaluationConfig(starts=4, grader=str(folder), latency=0)
+    folder = a_grader(Path("models/runs/grader"))
+    return climb(EvaluationConfig(starts=4, grader=str(folder), latency=0))
+
+
+def climb(config: EvaluationConfig) -> Path:
+    """Leave the record of a hill-climber that goes by the grader of its evaluation."""
     scores = evaluate("hill-climber", Path("envs/runs/hill-climber"), config).scores
     Path("envs/runs/scores").mkdir(parents=True)
     Path("envs/runs/scores/hill-climber.json").write_text(json.dumps(scores))
@@ -102,6 +103,15 @@ def handed_in(ground) -> Path:
     folder = submitted(root, "generator", path, store.manifest["digest"])
     recompute(folder, ground, RESULTS)
     return RESULTS / "tiny/generators/mine.json"
+
+
+def a_grader(folder: Path) -> Path:
+    """Leave an untrained grader in a folder."""
+    torch.manual_seed(0)
+    settings = GraderConfig(input_size=32, width=0.125)
+    folder.mkdir(parents=True)
+    Grader(Grader.build(settings, len(LABELS)), settings).save(folder)
+    return folder
 
 
 def a_pose_regressor(folder: Path) -> Path:
@@ -140,8 +150,13 @@ def judged(ground) -> Path:
 
 
 @pytest.fixture
-def guided(climbed) -> Path:
-    """The record of an agent on a board that is pinned to its grader."""
-    pin("agents", grader=Path("models/runs/grader"))
+def guided(ground) -> Path:
+    """The record of an agent on a board of one start set that is pinned to its grader."""
+    settings = yaml.safe_load(Path("params.yaml").read_text())
+    settings["evaluation"]["seeds"] = [0]
+    Path("params.yaml").write_text(yaml.safe_dump(settings))
+    grader = a_grader(Path("models/runs/grader"))
+    path = climb(EvaluationConfig(starts=4, seeds=(0,), grader=str(grader), latency=0))
+    pin("agents", grader=grader)
     Path("envs/runs/scores/hill-climber.json").unlink()
-    return climbed
+    return path
