@@ -2,6 +2,7 @@
 
 import contextlib
 import functools
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,11 @@ from racines_data.build.dataset import recipe_of
 from racines_data.config import PROFILES, fill, read_params, section
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
+from racines_data.manifest import MANIFEST
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.evaluation.run import EvaluationConfig
 from racines_leaderboard.board.collect import Record, basis_of
+from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_models.sample import Sample, take_sample
 from racines_models.scores import scoring
@@ -20,6 +23,8 @@ from racines_models.scores.scoring import ScoresConfig
 
 JUDGES = {"grader": "grader.safetensors", "pose": "model.safetensors"}
 """File of a judge's weights in its folder."""
+PINS = "board.json"
+"""What a board is pinned to, in its folder."""
 KINDS = {key: key for key in JUDGES} | {"guide": "grader"}
 """What judge an extractor of a record is; a guide is the grader that an agent goes by."""
 
@@ -31,6 +36,7 @@ class Places:
     results: Path = Path("leaderboard/results")
     submissions: Path = Path("leaderboard/submissions")
     data: Path = Path("data/racines")
+    """Where a board's dataset is looked for first; then in `further`, then beside it."""
     params: Path = Path("params.yaml")
     """Settings of its own board; those of other boards are packaged."""
     runs: Path = Path("models/runs")
@@ -43,6 +49,8 @@ class Places:
     judges: dict[str, Path] = field(default_factory=dict)
     """Folders of a grader and a pose regressor, before those in `runs` and `weights`."""
     limits: Limits = field(default_factory=Limits)
+    further: tuple[Path, ...] = ()
+    """More folders of datasets."""
 
 
 class Bench:
@@ -51,7 +59,7 @@ class Bench:
     def __init__(self, board: str, places: Places) -> None:
         self.board, self.places = board, places
         self.no_settings = f"no settings of board {board} here: give --params"
-        self.no_data = f"no dataset of its recipe in {places.data}"
+        self.no_data = f"no dataset of its recipe in {places.data}, nor beside it"
 
     @functools.cached_property
     def settings(self) -> dict[str, Any] | None:
@@ -79,9 +87,44 @@ class Bench:
         return None
 
     @functools.cached_property
+    def profile(self) -> str | None:
+        """The packaged profile that is for the board; None if it has a params file of its own."""
+        every = (name for name in PROFILES if read_params(profile=name).get("board") == self.board)
+        return next(every, None)
+
+    @functools.cached_property
+    def data(self) -> Path:
+        """The folder of the board's dataset: the one of its recipe, or else the first."""
+        places = self.places
+        beside = sorted(path.parent for path in places.data.parent.glob(f"*/{MANIFEST}"))
+        folders = [places.data, *places.further, *beside]
+        return next((each for each in folders if self._is_of_recipe(each)), places.data)
+
+    def _is_of_recipe(self, folder: Path) -> bool:
+        try:
+            told = json.loads((folder / MANIFEST).read_text())
+        except (OSError, ValueError):
+            return False
+        return self.recipe is not None and told.get("recipe_digest") == self.recipe
+
+    @functools.cached_property
     def store(self) -> FrameStore | None:
         """The dataset here, if there is one."""
-        return open_store(self.places.data) if self.places.data.is_dir() else None
+        return open_store(self.data) if self.data.is_dir() else None
+
+    @functools.cached_property
+    def pins(self) -> dict[str, Any]:
+        """What the board's own file pins by track; nothing where there is none.
+
+        Raises:
+            RacinesError: a damaged file.
+        """
+        path = self.places.results / self.board / PINS
+        return read_json(path, "any") if path.is_file() else {}
+
+    def pinned(self, track: str, kind: str) -> str | None:
+        """Return the sha256 of the judge of a kind that the board is pinned to, if it is."""
+        return self.pins.get(track, {}).get("judges", {}).get(kind)
 
     def data_for(self, record: Record) -> FrameStore | None:
         """Return the dataset here if it is of the recipe that a record rests on."""

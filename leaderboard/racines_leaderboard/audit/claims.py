@@ -1,6 +1,9 @@
-"""Claims on what scores rest on: seal, code and machine; data, judges, task, seeds; weights."""
+"""Claims on what scores rest on: seal, names, code, machine; data, judges, task, seeds."""
 
+import functools
+import importlib
 import json
+import re
 import subprocess
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -12,20 +15,40 @@ from typing import Any
 from racines_data.digest import recipe_digest as digest_of
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_envs.agents.trace import read_trace
+from racines_envs.agents import agent_class
 from racines_envs.cli.settings import phantom_config
 from racines_envs.worlds.making import find_task, phantom_recipe
 from racines_leaderboard.audit.bench import JUDGES, KINDS, Bench
-from racines_leaderboard.audit.verdicts import UNKNOWN, Verdict, equal, fails, holds, tell, unknown
-from racines_leaderboard.board.collect import Record, basis_of
+from racines_leaderboard.audit.verdicts import (
+    UNKNOWN,
+    Verdict,
+    equal,
+    fails,
+    holds,
+    tell,
+    told,
+    unknown,
+)
+from racines_leaderboard.audit.weights import data_of
+from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.schema import KEY, seal_of
-from racines_leaderboard.submissions.document import files_of, find_submission, rescored
-from racines_models.exchange.predictions.file import Predictions
+from racines_leaderboard.records.tracks import TRACK
+from racines_leaderboard.submissions.document import find_submission
 from racines_models.provenance import environment
+from racines_models.registry import generator_class
 from racines_models.scores.scoring import take_turns
 
 MACHINE = ("torch", "cpu", "threads", "device")
 """What floating point depends on, of an environment."""
+CEILING, LIKENESS = "noise-ceiling", {"ssim": 1.0, "psnr": 100.0}
+"""The truth drawn again, and what is measured frame by frame against the truth, with its most."""
+JUDGED = {
+    "inception": re.compile(r"fid|kid|precision|recall|density|coverage"),
+    "grader": re.compile(r"(fid|kid|precision|recall|density|coverage|success)_grader"
+                         r"|(view|grade)_agreement(_truth)?|grade_error(_all)?(_truth)?"),
+    "pose": re.compile(r"pose_error_.+"),
+}  # fmt: skip
+"""The metrics that rest on each judge."""
 
 
 def check_claims(record: Record, bench: Bench) -> Iterator[Verdict]:
@@ -35,20 +58,61 @@ def check_claims(record: Record, bench: Bench) -> Iterator[Verdict]:
         reason = "the sha256 of the record as it was written; another one means that it was edited"
         yield equal("seal", record[KEY], seal_of(record), reason)
     else:
-        yield unknown("seal", "the record has no seal: racines audit --seal gives one")
+        yield told("seal", "the record has no seal: racines audit --seal gives one")
+    yield from _names(record)
     yield _submission(record, bench)
     yield equal("code.version", code["version"], version("racines"), "the package here")
-    if commit := code.get("commit"):
-        yield _commit(commit)
+    if (commit := code.get("commit")) is not None:
+        yield _commit(str(commit))
     if others := differing(record["scores"]["environment"], environment()):
         reason = f"made elsewhere ({', '.join(others)} differ): numbers are held within tolerance"
-        yield unknown("environment", reason)
+        yield told("environment", reason)
     else:
         yield holds("environment", f"as here: {', '.join(MACHINE)}")
     folder = bench.places.runs if record["track"] == "generators" else bench.places.agents
     path = folder / "scores" / f"{record['name']}.json"
     if record["tier"] == "self-reported" and path.is_file():
         yield from _scores_file(record, path, bench)
+
+
+def _names(record: Record) -> Iterator[Verdict]:
+    """Check that scores say they are of this record's system and board."""
+    scores, subject = record["scores"], TRACK[record["track"]].subject
+    yield equal(f"scores.{subject}", scores[subject], record["name"], "the record's name")
+    data, generator = scores.get("dataset") or {}, record["track"] == "generators"
+    for place, part, must in (("board", scores, False), ("dataset.board", data, generator)):
+        if must or "board" in part:
+            stated = part.get("board")
+            yield equal(f"scores.{place}", stated, record["board"], "the record's board")
+    for name, made_for in ((document := record["submission"]) or {}).get("dataset", {}).items():
+        data = scores.get("dataset") or {"source": "phantom"} | (scores.get("phantom") or {})
+        ours = [data.get(name)] + [data.get("recipe_digest")] * (name == "digest")
+        place = f"submission.dataset.{name}"
+        yield tell(made_for in ours, place, "what it was scored on", made_for, data.get(name))
+    for artefact in (document or {}).get("artefacts", []):
+        if "adapter" in artefact:
+            yield _adapter(record, artefact["adapter"])
+
+
+def _adapter(record: Record, adapter: str) -> Verdict:
+    """Check that the class which a submission names is the one that is scored here."""
+    agents = record["track"] == "agents"
+    name = record["scores"].get("submission", record["name"])
+    try:
+        one, other = (agent_class if agents else generator_class)(name), _loaded(adapter)
+    except RacinesError as error:
+        return unknown("submission.adapter", f"not here: {error}", adapter)
+    except (ImportError, AttributeError) as error:
+        return fails("submission.adapter", f"there is no such class: {error}", adapter)
+    here = f"{one.__module__}:{one.__qualname__}"
+    return tell(one is other, "submission.adapter", "the class of that name here", adapter, here)
+
+
+def _loaded(adapter: str) -> Any:
+    module, _, name = adapter.partition(":")
+    if module.split(".")[0] not in {"racines_models", "racines_envs"}:
+        raise RacinesError(f"{adapter}: code of another package is not imported")
+    return getattr(importlib.import_module(module), name)
 
 
 def _submission(record: Record, bench: Bench) -> Verdict:
@@ -60,7 +124,7 @@ def _submission(record: Record, bench: Bench) -> Verdict:
     except RacinesError as error:
         return fails("submission", str(error))
     if held is None and here is None:
-        return unknown("submission", f"nobody submitted {name}: it has scores alone")
+        return told("submission", f"nobody submitted {name}: it has scores alone")
     if held is None or here is None:
         where = "the record holds none" if held is None else f"none in {bench.places.submissions}"
         return fails("submission", f"of {name}: {where}: collect its scores again")
@@ -73,18 +137,21 @@ def _submission(record: Record, bench: Bench) -> Verdict:
     return equal("submission", digest_of(held), digest_of(here), reason)
 
 
+@functools.cache
 def _commit(commit: str) -> Verdict:
     """Say whether a commit is part of this checkout's past."""
+    if not re.fullmatch(r"[0-9a-f]{7,64}", commit):
+        return fails("code.commit", "it names no commit", commit)
     words = ["git", "merge-base", "--is-ancestor", commit, "HEAD"]
     try:
         done = subprocess.run(words, cwd=Path(__file__).parent, capture_output=True, timeout=10)
     except (OSError, subprocess.SubprocessError):
-        return unknown("code.commit", "no git here", commit)
+        return told("code.commit", "no git here", commit)
     if done.returncode == 0:
         return holds("code.commit", "this checkout's own, or one before it", commit)
     other = done.returncode == 1
     reason = "a commit of another branch" if other else "no such commit in this checkout"
-    return unknown("code.commit", reason, commit)
+    return told("code.commit", reason, commit)
 
 
 def differing(claimed: dict[str, Any], here: dict[str, Any]) -> list[str]:
@@ -120,24 +187,37 @@ def dataset(record: Record, bench: Bench) -> Iterator[Verdict]:
     yield equal("dataset.split", claimed["split"], bench.scores.split, "scores.split")
     store = bench.data_for(record)
     if store is None:
-        reason = f"no dataset of that recipe in {bench.places.data}"
+        reason = f"no dataset of that recipe in {bench.data}"
         keys = [key for key in ("source", "version", "digest", "sample") if key in claimed]
         yield from (unknown(f"dataset.{key}", reason, claimed[key]) for key in keys)
         return
-    here, reason = store.manifest, f"the manifest of {bench.places.data}"
+    here, reason = store.manifest, f"the manifest of {bench.data}"
     for key in ("source", "version"):
         yield equal(f"dataset.{key}", claimed[key], here[key], reason)
     built = "the same recipe, built elsewhere: a few pixels differ"
-    say, reason = (holds, reason) if claimed["digest"] == here["digest"] else (unknown, built)
+    say, reason = (holds, reason) if claimed["digest"] == here["digest"] else (told, built)
     yield say("dataset.digest", reason, claimed["digest"], here["digest"])
     if "sample" in claimed:
         reason = f"digest of the rows of {bench.scores.samples:,} frames at most"
         yield equal("dataset.sample", claimed["sample"], bench.sample.digest, reason)
 
 
+def judge_of(metric: str) -> str | None:
+    """Return the extractor that a metric rests on; None if it needs none, or is a plug-in's."""
+    return next((one for one, keys in JUDGED.items() if keys.fullmatch(metric)), None)
+
+
 def judges(record: Record, bench: Bench, peers: list[Record]) -> Iterator[Verdict]:
     """Check that the extractors are the benchmark's own; where they are not here, the board's."""
-    for kind, claimed in record["scores"].get("extractors", {}).items():
+    named = record["scores"].get("extractors", {})
+    for key, metric in record["scores"]["metrics"].items():
+        judge = judge_of(key)
+        if judge is not None and judge not in named and metric["value"] is not None:
+            yield fails(f"extractors.{judge}", f"{key} rests on it, and the record names none")
+    for kind, claimed in named.items():
+        if not isinstance(claimed, dict):
+            yield fails(f"extractors.{kind}", "it says nothing of itself", claimed)
+            continue
         if kind == "inception":
             reason = "weights, layer, resizer and range here"
             yield equal(f"extractors.{kind}", claimed, bench.inception, reason)
@@ -152,11 +232,34 @@ def judges(record: Record, bench: Bench, peers: list[Record]) -> Iterator[Verdic
         yield verdict
 
 
+def beyond_truth(record: Record, peers: list[Record]) -> Iterator[Verdict]:
+    """Say of images nearer to the truth than the truth drawn again that scores alone cannot tell.
+
+    A simulator draws the same pose twice with other noise; nobody who has not seen the frames comes
+    nearer to them than that.
+    """
+    metrics, name = record["scores"]["metrics"], record["name"]
+    drawn_again = next((peer for peer in peers if peer["name"] == CEILING), None)
+    if record["track"] != "generators" or name == CEILING:
+        return
+    for key, most in LIKENESS.items():
+        value, low = metrics[key]["value"], metrics[key]["low"]
+        ceiling = drawn_again["scores"]["metrics"][key]["high"] if drawn_again else None
+        above = None not in (ceiling, value) and (value if low is None else low) > ceiling
+        if value == most or above:
+            least = most if ceiling is None else ceiling
+            reason = "nearer to the truth than the truth drawn again: fresh draws would tell"
+            yield unknown(f"truth.{key}", reason, value, least)
+
+
 def _judge(kind: str, sha256: str | None, record: Record, bench: Bench) -> Verdict:
     subject = f"extractors.{kind}"
     if kind not in KINDS:
-        return unknown(subject, "an extractor unknown to this code", sha256)
+        return fails(subject, "an extractor unknown to this code", sha256)
     judge = KINDS[kind]
+    pinned = bench.pinned(record["track"], judge)
+    if pinned is not None and pinned != sha256:
+        return fails(subject, "the board is pinned to another", sha256, pinned)
     if folder := bench.judge(judge, sha256):
         return holds(subject, f"the weights in {folder}", sha256, sha256)
     own = (record["scores"].get("dataset") or {}).get("recipe_digest")
@@ -206,132 +309,3 @@ def task(record: Record, bench: Bench) -> Iterator[Verdict]:
     reason = "the start sets of the board's settings"
     yield equal("task.start_set", claimed["start_set"], starts, reason)
     yield equal("seeds", scores["seeds"], starts["seeds"], reason)
-
-
-def named(record: Record) -> dict[str, str]:
-    """Return the sha256 of each file of weights that a record names."""
-    weights = record["scores"]["weights"] or {}
-    return dict(weights.get("files", weights))
-
-
-def submitted(record: Record) -> bool:
-    """Return whether a record's scores are made of artefacts that lie in its submission."""
-    document = record["submission"] or {}
-    return document.get("schema") == "racines.submission/2" and bool(rescored(document))
-
-
-def submission_of(record: Record, bench: Bench) -> Path:
-    """Return the folder of a record's submission."""
-    return bench.places.submissions / record["track"] / record["name"]
-
-
-def run_of(record: Record, bench: Bench) -> Path:
-    """Return a merged system's run, or of an agent the published one where it alone holds."""
-    if record["track"] == "generators":
-        return bench.places.runs / record["name"]
-    run, kept = (place / record["name"] for place in (bench.places.agents, bench.places.policies))
-    claimed = named(record)
-    return kept if claimed and not _holds(run, claimed) and _holds(kept, claimed) else run
-
-
-def _holds(folder: Path, claimed: dict[str, str]) -> bool:
-    files = [(folder / name, sha256) for name, sha256 in claimed.items()]
-    return all(path.is_file() and sha256_file(path) == sha256 for path, sha256 in files)
-
-
-def check_weights(record: Record, bench: Bench) -> Iterator[Verdict]:
-    """Check every file that a record names: an artefact, or weights of merged code."""
-    claimed = named(record)
-    if not claimed:
-        yield holds("weights", "it names none: it learns nothing")
-    check = _artefact if submitted(record) else _file
-    for name, sha256 in claimed.items():
-        yield from check(record, name, sha256, bench)
-
-
-def _artefact(record: Record, name: str, sha256: str, bench: Bench) -> Iterator[Verdict]:
-    subject, path = f"weights.{name}", submission_of(record, bench) / name
-    handed_in = {file["path"]: file["sha256"] for file in files_of(record["submission"])}
-    if handed_in.get(name) != sha256:
-        reason = "another than the submission in the record says"
-        yield fails(subject, reason, sha256, handed_in.get(name))
-    elif path.is_symlink() or not path.is_file():
-        yield unknown(subject, f"{path} is not here", sha256)
-    else:
-        yield equal(subject, sha256, sha256_file(path), f"the file {path}")
-
-
-def _file(record: Record, name: str, sha256: str, bench: Bench) -> Iterator[Verdict]:
-    subject, path = f"weights.{name}", run_of(record, bench) / name
-    if path.is_file():
-        here = sha256_file(path)
-        same = here == sha256
-        if same or data_of(path.parent) in (None, basis_of(record)):
-            trained = "" if same else ", trained on these data"
-            yield tell(same, subject, f"the file {path}{trained}", sha256, here)
-            return
-    copied = published(record, bench)
-    if copied is None or name not in copied:
-        yield unknown(subject, f"no {path} with these weights", sha256)
-        return
-    copy, made_of = bench.places.weights / record["name"] / name, copied[name].get("made_of")
-    half, stated = f"{subject}.half_precision", copied[name]["sha256"]
-    if not copy.is_file():
-        yield fails(half, f"{copy} is missing", stated)
-        return
-    yield equal(half, stated, sha256_file(copy), f"the file {copy}")
-    if made_of != sha256 and made_of is not None:
-        yield fails(subject, f"{copy} was made of other weights", sha256, made_of)
-    else:
-        reason = f"only their half-precision copy is here, {copy}; its scores are held to theirs"
-        yield unknown(subject, reason, sha256, made_of)
-
-
-def published(record: Record, bench: Bench) -> dict[str, Any] | None:
-    """Return what is said of the half-precision files of a record's weights, if they lie here."""
-    described = bench.places.weights / record["name"] / "config.json"
-    there = described.is_file() and record["track"] == "generators"
-    if not there or data_of(described.parent) != basis_of(record):
-        return None
-    return json.loads(described.read_text()).get("weights_files", {}).get("files")
-
-
-def data_of(folder: Path) -> str | None:
-    """Return the recipe digest of what the weights in a folder were trained on, if it is told."""
-    try:
-        content = json.loads((folder / "config.json").read_text())
-    except (OSError, ValueError):
-        return None
-    data = content.get("data") or content.get("dataset") or content.get("environment") or {}
-    return (data.get("phantom") or data).get("recipe_digest")
-
-
-def check_content(record: Record, bench: Bench) -> Iterator[Verdict]:
-    """Check what an artefact says that it was made for: data and frames, or starts and task."""
-    if not submitted(record):
-        return
-    for artefact in rescored(record["submission"]):
-        path = submission_of(record, bench) / artefact["path"]
-        check = {"predictions": _predictions, "trace": _trace}.get(artefact["kind"])
-        try:
-            if check is not None:
-                yield from check(f"artefacts.{artefact['path']}", path, record, bench)
-        except RacinesError as error:
-            yield fails(f"artefacts.{artefact['path']}", str(error))
-
-
-def _predictions(subject: str, path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
-    dataset, store = record["scores"]["dataset"], bench.data_for(record)
-    if store is None:
-        yield unknown(f"{subject}.dataset", bench.no_data)
-        return
-    metadata = Predictions(path, store, dataset["split"]).metadata
-    reason = "drawn of the frames that the record names"
-    yield equal(f"{subject}.sample", dataset.get("sample"), metadata["sample"], reason)
-
-
-def _trace(subject: str, path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
-    recorded, task = read_trace(path).told, record["scores"]["task"]
-    reason = "recorded on what the record names"
-    for key in ("start_set", "backend", "reward"):
-        yield equal(f"{subject}.{key}", task[key], recorded[key], reason)

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from racines_leaderboard.audit.bench import Bench
-from racines_leaderboard.audit.claims import differing
-from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, unknown
+from racines_leaderboard.audit.claims import differing, judge_of
+from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
 from racines_leaderboard.board.collect import Record
-from racines_leaderboard.records.ranges import CLOSE, ENDS, faults
+from racines_leaderboard.records.ranges import CLOSE, ENDS, RANGES, faults
 from racines_leaderboard.records.tracks import TRACK
 from racines_models.scores import diversity
 from racines_models.scores.scoring import PRDC_FRAMES
@@ -115,11 +115,17 @@ def _counts(
     return counts
 
 
+def starts_of(record: Record) -> tuple[int, int] | None:
+    """Return how many start sets an agent's record names, of how many starts; None if none."""
+    told = record["scores"]["task"]["start_set"]
+    seeds, starts = (told.get(k) if isinstance(told, dict) else None for k in ("seeds", "starts"))
+    return (len(seeds), starts) if isinstance(seeds, list) and isinstance(starts, int) else None
+
+
 def _episodes(record: Record, place: str, metrics: dict[str, Any]) -> dict[str, tuple[int, str]]:
-    starts = record["scores"]["task"]["start_set"]
-    if not isinstance(starts, dict):
+    if (starts := starts_of(record)) is None:
         return {}
-    n = (len(starts["seeds"]) if place == "metrics" else 1) * starts["starts"]
+    n = (starts[0] if place == "metrics" else 1) * starts[1]
     successes = round((metrics["success_true"]["value"] or 0.0) * n)
     counts: dict[str, tuple[int, str]] = dict.fromkeys(metrics, (n, "episodes from the start sets"))
     for key in counts.keys() & {"steps", "steps_median"}:
@@ -139,7 +145,7 @@ def _methods(record: Record, bench: Bench) -> Iterator[Verdict]:
         if bench.data_for(record) is not None:
             wanted |= {"blocks": min(bench.scores.blocks, len(np.unique(bench.sample.trajectory)))}
     metrics = record["scores"]["metrics"].values()
-    methods = " ".join(metric.get("settings", {}).get("interval", "") for metric in metrics)
+    methods = " ".join(str(metric.get("settings", {}).get("interval", "")) for metric in metrics)
     for key, number in wanted.items():
         if stated := {int(each) for each in re.findall(rf"(\d+) {key}", methods)}:
             yield equal(f"intervals.{key}", sorted(stated), [number], "the board's settings")
@@ -155,8 +161,6 @@ def agreement(record: Record, made: dict[str, Any], road: str) -> str:
         return HALF
     scores = record["scores"]
     same = not differing(scores["environment"], made["environment"])
-    if record["track"] == "generators":
-        same &= scores["dataset"]["digest"] == made["dataset"]["digest"]
     there, here = scores["metrics"], made["metrics"]
     both = [key for key in CONTINUOUS if key in there and key in here]
     exact = [key for key in both if there[key]["value"] == here[key]["value"]]
@@ -170,15 +174,16 @@ def compare_numbers(record: Record, made: dict[str, Any], tier: str) -> Iterator
         for key, claimed in metrics.items():
             subject, here = f"{place}.{key}", there.get(place, {}).get(key)
             if TIMED.fullmatch(key):
-                yield unknown(subject, "a time: it depends on the machine", claimed["value"])
+                yield told(subject, "a time: it depends on the machine", claimed["value"])
             elif here is not None:
                 yield from _numbers(subject, key, claimed, here, tier, record["track"])
-            elif key == "success_grader" and not extractors:
-                reason = "the record does not say which grader saw it"
-                yield unknown(subject, reason, claimed["value"])
+            elif (judge := judge_of(key)) and judge not in made.get("extractors", {}):
+                yield unknown(subject, f"its {judge} is not here", claimed["value"])
+            elif any(re.fullmatch(name, key) for name in RANGES):
+                yield fails(subject, "there is none when it is made again", claimed["value"])
             else:
-                reason = "its judge is not here, or its road does not draw again"
-                yield unknown(subject, reason, claimed["value"])
+                reason = "a metric of a package that is not here"
+                yield unknown(f"package.{subject}", reason, claimed["value"])
     for kind, claimed in extractors.items():
         if kind in made.get("extractors", {}):
             same = claimed == made["extractors"][kind]
@@ -188,7 +193,7 @@ def compare_numbers(record: Record, made: dict[str, Any], tier: str) -> Iterator
 def _numbers(
     subject: str, key: str, claimed: dict[str, Any], here: dict[str, Any], tier: str, track: str
 ) -> Iterator[Verdict]:
-    allowed, doubtful = _bounds(key, claimed, tier, track)
+    allowed, doubtful = bounds_of(key, here, tier, track)
     for number in NUMBERS:
         stated, value = claimed[number], here[number]
         bound = 0.0 if number == "n" or tier == BITWISE else allowed
@@ -204,13 +209,22 @@ def _numbers(
         yield dataclasses.replace(verdict, tolerance=bound)
 
 
-def _bounds(key: str, claimed: dict[str, Any], tier: str, track: str) -> tuple[float, float]:
-    """Return the difference that passes, and the larger one that half precision leaves open."""
+def bounds_of(key: str, here: dict[str, Any], tier: str, track: str) -> tuple[float, float]:
+    """Return the difference that passes, and the larger one that half precision leaves open.
+
+    Both go by what was made again, so that no claim widens what it is held to.
+    """
     ranks, doubtful = key in TRACK[track].ranked_by, 0.0
-    size = max(1.0, abs(claimed["value"] or 0.0))
-    bound = PRIMARY if ranks else size * max(OTHERS, ITEMS / max(claimed["n"], 1))
-    if tier == HALF and None not in (claimed["low"], claimed["high"]):
-        width = claimed["high"] - claimed["low"]
+    size = max(1.0, abs(here["value"] or 0.0))
+    bound = PRIMARY if ranks else size * max(OTHERS, ITEMS / max(here["n"], 1))
+    if tier == HALF and None not in (here["low"], here["high"]):
+        width = here["high"] - here["low"]
         bound = max(bound, SHARE * width / 2)
         doubtful = 0.0 if ranks else width / 2
     return bound, doubtful
+
+
+def bounds_by_metric(made: dict[str, Any], tier: str, track: str) -> dict[str, float]:
+    """Return the difference that passes of each metric; none where all is to be equal."""
+    metrics = made["metrics"].items()
+    return {key: bounds_of(key, here, tier, track)[0] for key, here in metrics if tier != BITWISE}

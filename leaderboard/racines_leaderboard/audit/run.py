@@ -5,61 +5,80 @@ if the new one lies within the old one's 95 % interval. Where all metrics that r
 record's tier becomes `reproduced`, and what came out is kept in it.
 """
 
-import dataclasses
-import json
-import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from racines_data.config import fill, section
 from racines_data.errors import RacinesError
-from racines_envs.agents import agent_class, load_agent
-from racines_envs.cli.settings import phantom_config
-from racines_envs.evaluation.agent_specs import find_entry
-from racines_envs.evaluation.run import evaluate
-from racines_envs.worlds.backends import make_grader
-from racines_leaderboard.audit import claims
-from racines_leaderboard.audit.bench import KINDS, Bench
-from racines_leaderboard.audit.numbers import HALF, agreement, check_metrics, compare_numbers
+from racines_leaderboard.audit import claims, weights
+from racines_leaderboard.audit.bench import Bench
+from racines_leaderboard.audit.evidence import (
+    check_evidence,
+    compare_evidence,
+    further_trainings,
+    read_evidence,
+)
+from racines_leaderboard.audit.leaves import compare_leaves
+from racines_leaderboard.audit.numbers import (
+    BITWISE,
+    agreement,
+    bounds_by_metric,
+    check_metrics,
+    compare_numbers,
+)
+from racines_leaderboard.audit.remedies import remedies
+from racines_leaderboard.audit.roads import Made, Road, find_road, score_agent, score_fitted
+from racines_leaderboard.audit.tier import check_reproduced, check_tier, tier_of
 from racines_leaderboard.audit.verdicts import (
     SKIPPED,
+    UNKNOWN,
     Report,
     Verdict,
     equal,
     fails,
     holds,
+    told,
     unknown,
 )
 from racines_leaderboard.board.collect import Record, read_record
-from racines_leaderboard.board.recompute import Ground, recompute_scores, score_on
 from racines_leaderboard.records.schema import sealed, write_record
 from racines_leaderboard.records.tracks import TRACK
-from racines_models.protocol import Run
-from racines_models.provenance import weights_sha256
-from racines_models.registry import generator_class, open_runs, weights_of
-from racines_models.training.checkpoint import train_seeds
+from racines_models.statistics import Evidence
+
+Finder = Callable[[Record, Bench], Road | str]
 
 
-def audit(path: Path, bench: Bench, quick: bool = False) -> Report:
-    """Audit a record, `<results>/<board>/<track>/<name>.json`; `quick` recomputes no number."""
+def audit(path: Path, bench: Bench, quick: bool = False, find: Finder = find_road) -> Report:
+    """Audit a record, `<results>/<board>/<track>/<name>.json`.
+
+    Args:
+        path: The record.
+        bench: Its board's settings, data and judges.
+        quick: Recompute no number. What was not recomputed never holds.
+        find: Says how its numbers are made again; one that keeps them serves several audits.
+    """
     record = _read(path, bench)
     if isinstance(record, Report):
         return record
     verdicts = [holds("record", "fits its schema, and stands where it says")]
     verdicts += _check(path, record, bench)
+    evidence, named = read_evidence(record, path)
+    verdicts += [named] if named is not None else []
+    if evidence is not None:
+        verdicts += check_evidence(record, evidence, bench)
     how: dict[str, Any] = {}
     if quick:
         verdicts += [
             Verdict(f"metrics.{key}", SKIPPED, "--quick recomputes no number", metric["value"])
             for key, metric in record["scores"]["metrics"].items()
         ]
+        verdicts += check_reproduced(record, None, "", "")
     else:
-        numbers, how = _recomputed(record, bench)
+        numbers, how = _recomputed(record, bench, evidence, find)
         settled = {each.subject for each in numbers}
         verdicts = [each for each in verdicts if each.subject not in settled] + numbers
-    return _report(record, verdicts, how)
+    return _report(record, bench, verdicts, how, quick)
 
 
 def retrain(path: Path, bench: Bench, into: Path) -> Report:
@@ -70,22 +89,29 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
     record = _read(path, bench)
     if isinstance(record, Report):
         return record
-    verdicts = list(_check(path, record, bench))
+    # The weights that were scored then need not be here: others are made.
+    verdicts = [
+        told(each.subject, each.reason, each.claimed, each.found)
+        if each.verdict == UNKNOWN and each.subject.startswith("weights.")
+        else each
+        for each in _check(path, record, bench)
+    ]
     not_merged = "its code is not merged: only its artefacts can be scored again"
-    if reason := not_merged if claims.submitted(record) else bench.lacks_for(record):
-        return _report(record, [*verdicts, unknown("reproduced", reason)], {})
+    if reason := not_merged if weights.submitted(record) else bench.lacks_for(record):
+        return _report(record, bench, [*verdicts, unknown("reproduced", reason)], {})
     folder = into / bench.board / record["track"] / record["name"]
     if record["track"] == "generators":
-        scores = score_fitted(record, bench, folder)
+        again = score_fitted(record, bench, folder)
     else:
-        scores = score_agent(record, bench, folder, train=True)
-    made = json.loads(json.dumps(scores))
+        again = score_agent(record, bench, folder, train=True)
+    made = again.scores
     how = {"road": "trained again", "agreement": "interval", "from": "another training"}
-    report = _report(record, [*verdicts, *_within(record, made)], how)
+    report = _report(record, bench, [*verdicts, *_within(record, made)], how)
     if report.holds:
         keys = ("seeds", "metrics", "weights", "code", "environment")
         earned = {"tier": "reproduced", "reproduced": {key: made[key] for key in keys}}
         write_record(path, sealed(record | earned))
+        return replace(report, tier="reproduced")
     return report
 
 
@@ -98,14 +124,18 @@ def _read(path: Path, bench: Bench) -> Record | Report:
         return Report(bench.board, track.name, path.stem, "", (fails("record", str(error)),))
 
 
-def _report(record: Record, verdicts: list[Verdict], how: dict[str, Any]) -> Report:
-    track, name, tier = (record[key] for key in ("track", "name", "tier"))
-    return Report(record["board"], track, name, tier, tuple(verdicts), how)
+def _report(
+    record: Record, bench: Bench, verdicts: list[Verdict], how: dict[str, Any], quick: bool = False
+) -> Report:
+    track, name = record["track"], record["name"]
+    report = Report(record["board"], track, name, tier_of(record), tuple(verdicts), how)
+    return replace(report, remedies=tuple(remedies(record, bench, report, quick)))
 
 
 def _check(path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
     """Give the verdicts that need no scoring; the other records of the track have a say."""
     yield from claims.check_claims(record, bench)
+    yield from check_tier(record)
     if record["track"] == "generators":
         yield from claims.dataset(record, bench)
         yield from claims.drawing_seeds(record, bench)
@@ -114,30 +144,77 @@ def _check(path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
     others = [_read(other, bench) for other in sorted(path.parent.glob("*.json")) if other != path]
     peers = [other for other in others if not isinstance(other, Report)]
     yield from claims.judges(record, bench, peers)
-    yield from claims.check_weights(record, bench)
-    yield from claims.check_content(record, bench)
+    yield from claims.beyond_truth(record, peers)
+    yield from weights.check_weights(record, bench)
+    yield from weights.check_content(record, bench)
     yield from check_metrics(record, bench)
 
 
-def _recomputed(record: Record, bench: Bench) -> tuple[list[Verdict], dict[str, Any]]:
+def _recomputed(
+    record: Record, bench: Bench, evidence: Evidence | None, find: Finder
+) -> tuple[list[Verdict], dict[str, Any]]:
     """Recompute the numbers of a record; return a verdict a number, and how it was done."""
-    road = find_road(record, bench)
+    road = find(record, bench)
     if isinstance(road, str):
         claimed = record["scores"]["metrics"].items()
-        return [unknown(f"metrics.{key}", road, each["value"]) for key, each in claimed], {}
+        verdicts = [unknown(f"metrics.{key}", road, each["value"]) for key, each in claimed]
+        return verdicts + list(check_reproduced(record, None, "", "")), {}
     try:
-        made = json.loads(json.dumps(road.score()))
+        made = Made.of(road.score())
     except RacinesError as error:
         return [fails("metrics", f"made from {road.source}: {error}")], {"road": road.name}
-    tier = agreement(record, made, road.name)
-    verdicts = list(compare_numbers(record, made, tier))
+    again = made.scores
+    tier = agreement(record, again, road.name)
+    bounds = bounds_by_metric(again, tier, record["track"])
+    partly = road.trainings is not None
+    verdicts = list(compare_leaves(record, again, bounds, partly))
+    if partly:
+        verdicts += _of_first(record, evidence, made)
+        verdicts += further_trainings(record, evidence, bench)
+    else:
+        verdicts += compare_numbers(record, again, tier)
+        verdicts += _digest(record, again, tier)
+    verdicts += _each_item(record, evidence, made, bounds)
     if road.name == "fitted":
         verdicts += [
-            equal(f"claims.{name}", sha256, made["weights"].get(name), road.source)
-            for name, sha256 in claims.named(record).items()
+            equal(f"claims.{name}", sha256, again["weights"].get(name), road.source)
+            for name, sha256 in weights.named(record).items()
         ]
+    verdicts += check_reproduced(record, again, road.name, tier)
     how = {"road": road.name, "agreement": tier, "from": road.source}
-    return verdicts, how | {"environment": made["environment"]}
+    return verdicts, how | {"environment": again["environment"]}
+
+
+def _digest(record: Record, made: dict[str, Any], tier: str) -> Iterator[Verdict]:
+    """Say of another content digest what equal numbers on a machine of the same name tell."""
+    if tier != BITWISE or record["track"] != "generators":
+        return
+    claimed, here = (each["dataset"]["digest"] for each in (record["scores"], made))
+    reason = "its numbers are those of the data here to the last bit, on such a machine"
+    yield equal("dataset.digest", claimed, here, reason)
+
+
+def _of_first(record: Record, evidence: Evidence | None, made: Made) -> Iterator[Verdict]:
+    """Say of each metric of several trainings what the first one, made again, tells of it."""
+    for key, metric in record["scores"]["metrics"].items():
+        kept = evidence is not None and key in evidence.figures
+        if not kept or made.evidence is None or key not in made.evidence.figures:
+            reason = "of several trainings one is here, and no figures of each to compare it by"
+            yield unknown(f"metrics.{key}", reason, metric["value"])
+
+
+def _each_item(
+    record: Record, evidence: Evidence | None, made: Made, bounds: dict[str, float]
+) -> Iterator[Verdict]:
+    if evidence is None:
+        return
+    if made.evidence is None:
+        yield unknown("evidence", "the scorer hands on no figures of each item")
+        return
+    yield from compare_evidence(record, evidence, made.evidence, bounds)
+    for key in TRACK[record["track"]].ranked_by:
+        if key in evidence.figures and key not in made.evidence.figures:
+            yield unknown(f"evidence.{key}.each", "not made here")
 
 
 def _within(record: Record, made: dict[str, Any]) -> Iterator[Verdict]:
@@ -145,7 +222,8 @@ def _within(record: Record, made: dict[str, Any]) -> Iterator[Verdict]:
     for key, claimed in record["scores"]["metrics"].items():
         here, subject = made["metrics"].get(key), f"reproduced.{key}"
         if here is None or here["value"] is None or claimed["low"] is None:
-            yield unknown(subject, "no interval, or not made here", claimed["value"])
+            say = unknown if key in TRACK[record["track"]].ranked_by else told
+            yield say(subject, "no interval, or not made here", claimed["value"])
             continue
         both = claimed["value"], here["value"]
         inside = claimed["low"] <= here["value"] <= claimed["high"]
@@ -155,133 +233,7 @@ def _within(record: Record, made: dict[str, Any]) -> Iterator[Verdict]:
             yield say(subject, f"in its {interval}", *both)
         else:
             where = "inside" if inside else "outside"
-            yield unknown(subject, f"does not rank: {where} its {interval}", *both)
-
-
-@dataclass(frozen=True)
-class Road:
-    """How the numbers of a record are recomputed: from which files, and how near they must come.
-
-    artefacts       the submitted files, confined as by `racines leaderboard --recompute`
-    run             the weights that the record names, in the folder of their run
-    fitted          a method that does not train: fitted again on the data
-    half precision  the published copy of the weights that the record names
-    no weights      an agent that learns nothing
-    """
-
-    name: str
-    source: str
-    """From what, in words."""
-    score: Callable[[], dict[str, Any]]
-
-
-def find_road(record: Record, bench: Bench) -> Road | str:
-    """Return the best way to recompute a record's numbers, or why there is none."""
-    if lacking := bench.lacks_for(record):
-        return lacking
-    if claims.submitted(record):
-        on, folder = _ground(record, bench), claims.submission_of(record, bench)
-        source = f"the artefacts in {folder}"
-        return Road("artefacts", source, lambda: recompute_scores(folder, on)[1])
-    return (_generator if record["track"] == "generators" else _agent)(record, bench)
-
-
-def _ground(record: Record, bench: Bench) -> Ground:
-    """Return the board's ground with the judges that a record names, where they are here."""
-    places = bench.places
-    return Ground(
-        bench.board,
-        bench.settings or {},
-        places.data,
-        grader=_judge(record, bench, "grader"),
-        pose=_judge(record, bench, "pose"),
-        cache=places.runs / "scores" / "reference",
-        limits=places.limits,
-    )
-
-
-def _judge(record: Record, bench: Bench, extractor: str) -> Path | None:
-    card = record["scores"].get("extractors", {}).get(extractor, {})
-    return bench.judge(KINDS[extractor], card.get("sha256"))
-
-
-def _generator(record: Record, bench: Bench) -> Road | str:
-    name, folder = record["name"], claims.run_of(record, bench)
-    try:
-        cls = generator_class(name)
-    except RacinesError:
-        return f"{name} is no registered generator, and has no artefact that can be scored again"
-    if folder.is_dir() and weights_of(name, folder) == claims.named(record):
-        return Road("run", f"the weights in {folder}", lambda: score_run(record, bench, folder))
-    if "training" not in {each.name for each in dataclasses.fields(cls.Config)}:
-        source = "it does not train: fitted again on the data"
-        return Road("fitted", source, lambda: score_fitted(record, bench))
-    copies = claims.published(record, bench)
-    if copies is not None and set(copies) == set(claims.named(record)):
-        copy = bench.places.weights / name
-        source = f"the half-precision copy of the weights, {copy}"
-        return Road(HALF, source, lambda: score_run(record, bench, copy))
-    return f"no weights of it here: neither {folder} nor a published copy; --retrain trains anew"
-
-
-def score_fitted(record: Record, bench: Bench, folder: Path | None = None) -> dict[str, Any]:
-    """Fit a merged generator by the board's settings and return its scores.
-
-    The run is kept in `folder` and, if it was cut short, goes on there; None keeps nothing.
-    """
-    assert bench.settings is not None and bench.store is not None
-    store, name, cls = bench.store, record["name"], generator_class(record["name"])
-    settings = section(bench.settings, "generators").get(name) or {}
-    config: Any = fill(cls.Config, settings, f"generators.{name}")
-    repeats = getattr(getattr(config, "training", None), "repeats", 1)
-    with tempfile.TemporaryDirectory() as aside:
-        place = Path(aside) / name if folder is None else folder
-        run = Run(place, bench.settings.get("seed", 0), "cpu", progress=False)
-        train_seeds(lambda one: cls(config).fit(store, one), run, repeats)
-        return score_run(record, bench, place)
-
-
-def score_run(record: Record, bench: Bench, folder: Path) -> dict[str, Any]:
-    """Return the scores of the generator in a run's folder, by the judges that a record names."""
-    assert bench.store is not None
-    name = record["name"]
-    opened = open_runs(name, folder, device="cpu")
-    scores = score_on(_ground(record, bench), bench.store, bench.scores, opened, name)
-    return scores | {"weights": weights_of(name, folder)}
-
-
-def _agent(record: Record, bench: Bench) -> Road | str:
-    folder, claimed = claims.run_of(record, bench), claims.named(record)
-    if "guide" in record["scores"].get("extractors", {}) and not _judge(record, bench, "guide"):
-        return "the grader that it goes by is not here"
-    if not claimed:
-        return Road("no weights", "it learns nothing", lambda: score_agent(record, bench, folder))
-    if folder.is_dir() and weights_sha256(folder) == claimed:
-        return Road("run", f"the policy in {folder}", lambda: score_agent(record, bench, folder))
-    return f"no policy of it in {folder}; --retrain trains anew"
-
-
-def score_agent(record: Record, bench: Bench, folder: Path, train: bool = False) -> dict[str, Any]:
-    """Return the scores of a merged agent, its policy in a folder, by the board's settings.
-
-    With `train`, what learns is trained there first; a run that was killed goes on. The graders
-    that had a say are those that the record names.
-    """
-    assert bench.settings is not None
-    entry, view = find_entry(bench.settings, record["name"]), record["scores"]["task"]["view"]
-    phantom = phantom_config(bench.settings)
-    if train and claims.named(record):
-        cls, seed = agent_class(entry.agent), bench.settings.get("seed", 0)
-        own: Any = fill(cls.Config, entry.settings, entry.where)
-        data = bench.places.data
-        cls.train(own, folder, seed=seed, phantom=phantom, data=data, progress=False)
-    judge, guide = (_judge(record, bench, kind) for kind in ("grader", "guide"))
-    settings = {"view": view, "grader": str(judge or ""), "latency": 0, "device": "cpu"}
-    config = dataclasses.replace(bench.evaluation, **settings)
-    agent: Any = load_agent(entry.agent, folder, config.device)
-    if guide is not None:
-        agent.guide = make_grader(guide, config.device)
-    return evaluate(entry.agent, folder, config, phantom, agent=agent, run=entry.name).scores
+            yield told(subject, f"does not rank: {where} its {interval}", *both)
 
 
 def find_records(results: Path, names: list[str], board: str | None) -> list[Path]:

@@ -1,24 +1,39 @@
-"""What an audit finds: one verdict a claim, and the report of a record with its tables."""
+"""What an audit finds: one verdict a claim, and the report of a record with its tables.
 
+A record *does not hold* if one of its claims does not. It *holds* if its numbers were recomputed
+and nothing is open on which a rank, a tier or the verdict rests; otherwise it is *not verified*.
+"""
+
+import contextlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from rich.text import Text
 
+from racines_data.errors import RacinesError
 from racines_data.tables import console_table, escape, markdown_table
 from racines_data.terminal import console
+from racines_leaderboard.records.schema import read_json, seal_of
+from racines_leaderboard.records.tracks import TRACK
+from racines_leaderboard.records.verdicts import DOES_NOT_HOLD, NOT_VERIFIED, Audited
+from racines_leaderboard.records.verdicts import HOLDS as WHOLE_HOLDS
 
 HOLDS = "holds"
 FAILS = "does not hold"
 UNKNOWN = "cannot be checked"
 SKIPPED = "not checked"
 """Left out by `--quick`."""
-VERDICTS = (FAILS, UNKNOWN, SKIPPED, HOLDS)
+TOLD = "informative"
+"""Nothing rests on it: see `leaves.INFORMATIVE`."""
+RETRAINABLE = "retrainable"
+"""Not here, and all that is needed to make it anew is."""
+VERDICTS = (FAILS, UNKNOWN, SKIPPED, RETRAINABLE, TOLD, HOLDS)
 """The gravest first."""
 HEAD = ("Claim", "Verdict", "Why", "In the record", "Here")
-MARKS = {FAILS: "bold red", UNKNOWN: "yellow", SKIPPED: "dim"}
+MARKS = {FAILS: "bold red", UNKNOWN: "yellow", RETRAINABLE: "cyan", SKIPPED: "dim"}
 SHOWN = 16
 """Characters of a digest."""
 
@@ -41,8 +56,8 @@ def _say(kind: str, subject: str, reason: str, claimed: Any = None, found: Any =
     return Verdict(subject, kind, reason, claimed, found)
 
 
-holds, fails, unknown = (partial(_say, kind) for kind in (HOLDS, FAILS, UNKNOWN))
-"""Say of a subject that its claim holds, does not, or cannot be checked, and why."""
+holds, fails, unknown, told = (partial(_say, kind) for kind in (HOLDS, FAILS, UNKNOWN, TOLD))
+"""Say of a subject that its claim holds, does not, cannot be checked, or need not be, and why."""
 
 
 def tell(right: bool, subject: str, reason: str, claimed: Any = None, found: Any = None) -> Verdict:
@@ -63,15 +78,48 @@ class Report:
     track: str
     name: str
     tier: str
-    """The tier that the record says it has."""
+    """The tier that the evidence here gives it."""
     verdicts: tuple[Verdict, ...]
     made_again: dict[str, Any] = field(default_factory=dict)
     """How the numbers were recomputed: `road`, `agreement`; empty where they were not."""
+    remedies: tuple[str, ...] = ()
+    """The commands that would verify what could not be."""
+
+    @property
+    def verdict(self) -> str:
+        """What the record comes to: `does not hold`, `not verified` or `holds`."""
+        if self.count(FAILS):
+            return DOES_NOT_HOLD
+        recomputed = "agreement" in self.made_again
+        return NOT_VERIFIED if self.open or not recomputed else WHOLE_HOLDS
+
+    @property
+    def open(self) -> list[Verdict]:
+        """What could not be checked and a rank, a tier or the verdict rests on."""
+        return [
+            each
+            for each in self.verdicts
+            if each.verdict in (UNKNOWN, SKIPPED) and self._counts(each.subject)
+        ]
+
+    def _counts(self, subject: str) -> bool:
+        """Return whether something rests on a subject: on all but metrics that do not rank."""
+        place, _, rest = subject.partition(".")
+        if place not in ("metrics", "by_seed", "evidence"):
+            return True
+        # A figure of one seed has the seed before its name.
+        name = rest.split(".")[1 if place == "by_seed" else 0] if rest else ""
+        return not name or name in TRACK[self.track].ranked_by
 
     @property
     def holds(self) -> bool:
-        """Whether nothing fails to hold."""
-        return not self.count(FAILS)
+        """Whether all that counts was recomputed and holds."""
+        return self.verdict == WHOLE_HOLDS
+
+    @property
+    def fails(self) -> bool:
+        """Whether a claim does not hold."""
+        return self.verdict == DOES_NOT_HOLD
 
     def count(self, verdict: str) -> int:
         """Return how many claims have a verdict."""
@@ -80,13 +128,16 @@ class Report:
     def to_json(self) -> dict[str, Any]:
         """Return the report as `--json` prints it."""
         counts = {verdict: self.count(verdict) for verdict in VERDICTS}
-        return asdict(self) | {"holds": self.holds, "counts": counts}
+        whole = {"verdict": self.verdict, "holds": self.holds, "counts": counts}
+        return asdict(self) | {"remedies": list(self.remedies)} | whole
 
     def summary(self) -> str:
         """Return one line: the record, what it comes to, and how its numbers were recomputed."""
-        counts = [f"{self.count(v)} {v}" for v in (FAILS, UNKNOWN, SKIPPED) if self.count(v)]
+        shown = (FAILS, UNKNOWN, SKIPPED, RETRAINABLE)
+        counts = [f"{self.count(v)} {v}" for v in shown if self.count(v)]
         claims = ", ".join([f"{len(self.verdicts)} claims", *counts])
-        verdict, how = "holds" if self.holds else "DOES NOT HOLD", self.made_again
+        verdict, how = self.verdict, self.made_again
+        verdict = verdict if self.holds else verdict.upper()
         again = f"; recomputed from {how['from']}, {how['agreement']}" if "agreement" in how else ""
         return f"{self.board}/{self.track}/{self.name}: {verdict} ({claims}{again})"
 
@@ -112,6 +163,21 @@ class Report:
         for (worst, reason), names in alike.items():
             more = f" and {len(names) - 3} more" if len(names) > 3 else ""
             yield ", ".join(names[:3]) + more, worst, reason, "", ""
+
+
+def kept_of(reports: list[Report], results: Path) -> dict[str, Audited]:
+    """Return what is kept of each report by `track/name`, with the digest of its record."""
+    kept = {}
+    for each in reports:
+        name = f"{each.track}/{each.name}"
+        # A record that cannot be read has no digest; that it is refused needs no keeping.
+        with contextlib.suppress(RacinesError):
+            record = read_json(results / each.board / f"{name}.json", "record")
+            agreement = each.made_again.get("agreement")
+            trainings = [v.claimed for v in each.verdicts if v.verdict == RETRAINABLE]
+            further = trainings[0] - 1 if trainings else 0
+            kept[name] = Audited(each.verdict, seal_of(record), each.tier, agreement, further)
+    return kept
 
 
 def _told(verdicts: list[Verdict]) -> tuple[str, str, str]:
@@ -143,7 +209,10 @@ def show(report: Report, details: bool) -> None:
         for row in report.rows()
         if details or row[1] in MARKS
     ]
-    shown_on.print(report.summary(), style=None if report.holds else "bold red")
+    style = "bold red" if report.fails else None if report.holds else "yellow"
+    shown_on.print(report.summary(), style=style)
+    for command in report.remedies:
+        shown_on.print(Text(f"  to verify: {command}"))
     if shown:
         shown_on.print(console_table(HEAD, shown, right=None))
 
@@ -154,5 +223,7 @@ def audit_markdown(reports: list[Report]) -> str:
     for each in reports:
         where = escape(f"{each.board}/{each.track}/{each.name}")
         parts += [f"## {where}", "", escape(each.summary())]
+        if each.remedies:
+            parts += ["", "To verify:", "", *(f"    {command}" for command in each.remedies)]
         parts += ["", markdown_table(HEAD, each.rows()), ""]
     return "\n".join(parts)

@@ -26,7 +26,7 @@ from racines_leaderboard.submissions.probe import probe
 from racines_models.exchange.predictions.file import Predictions
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
-from racines_models.scores.scoring import ScoresConfig, score
+from racines_models.scores.scoring import Scores, ScoresConfig, score
 from racines_models.statistics import Evidence
 
 
@@ -204,6 +204,14 @@ def score_on(
 
     They draw with `seeds`, or else with those of the config.
     """
+    return scored_on(ground, store, config, sources, name, seeds).content
+
+
+def scored_on(
+    ground: Ground, store: FrameStore, config: ScoresConfig, sources: Sequence[Any], name: str,
+    seeds: Sequence[int] | None = None,
+) -> Scores:  # fmt: skip
+    """Return the same with what the scores rest on."""
     made = score(
         sources,
         store,
@@ -215,7 +223,7 @@ def score_on(
         cache=ground.cache,
     )
     ground.keep(made)
-    return made.content
+    return made
 
 
 def agent_scores(

@@ -19,14 +19,22 @@ def audit(
     ] = None,
     every: Annotated[bool, typer.Option("--all", help="All results.")] = False,
     board: opt.Board = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Make no number again.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Make no number again: holds is never said.")
+    ] = False,
     retrain: Annotated[
         bool, typer.Option("--retrain", help="Train anew; where all holds, the tier is reproduced.")
     ] = False,
     retrain_into: Annotated[
         Path, typer.Option(help="With --retrain: folder of the runs; a killed one goes on.")
     ] = Path("models/runs/retrained"),
-    data: opt.Data = opt.DATA,
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Folder of a dataset, repeatable; each board takes the one of its recipe, also of "
+            f"those in data/.  [default: {opt.DATA}]"
+        ),
+    ] = None,
     grader: opt.Grader = None,
     pose: opt.Pose = None,
     params: opt.Params = None,
@@ -37,24 +45,32 @@ def audit(
     seal: Annotated[
         bool, typer.Option("--seal", help="Seal records that have no seal and do not fail.")
     ] = False,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Keep the verdicts in RESULTS/BOARD/audit.json.")
+    ] = False,
     out: opt.OwnOutFile = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Check results number by number: holds, does not hold, cannot be checked and why.
+    """Check results number by number: each holds, does not hold, or is not verified, and why.
 
     Judges are those of models/runs, or else of models/weights. The report goes to --out: .json, or
-    Markdown. Exits 1 if anything does not hold.
+    Markdown. Exits 0 if all that ranks was recomputed and holds, 1 if anything does not hold, else
+    3: not verified, with the commands that would verify it.
     """
     from racines_data.files import write_atomic, write_json
     from racines_leaderboard.audit import run
     from racines_leaderboard.audit.bench import Bench, Places
     from racines_leaderboard.audit.verdicts import audit_markdown, show
+    from racines_leaderboard.records.verdicts import EXITS
     from racines_leaderboard.submissions.confined.session import Limits
 
     judges = {"grader": grader, "pose": pose}
     given = {kind: folder for kind, folder in judges.items() if folder is not None}
     settings, limits = params or Path("params.yaml"), Limits(unconfined=unconfined)
-    places = Places(results, submissions, data, settings, judges=given, limits=limits)
+    first, *further = data or [opt.DATA]
+    places = Places(
+        results, submissions, first, settings, judges=given, limits=limits, further=tuple(further)
+    )
     if bool(names) == every:
         raise typer.BadParameter("give names, or --all")
     if quick and retrain:
@@ -70,8 +86,10 @@ def audit(
         reports.append(report)
         if not as_json:
             show(report, details)
-        if seal and report.holds:
+        if seal and not report.fails:
             _seal(path)
+    if keep:
+        _keep(places.results, reports)
     document = _document(reports)
     if out is not None and out.suffix == ".json":
         write_json(out, document)
@@ -79,23 +97,38 @@ def audit(
         write_atomic(out, audit_markdown(reports))
     if as_json:
         say_json(document, indent=2)
-    if not document["holds"]:
-        raise typer.Exit(1)
+    if code := EXITS[document["verdict"]]:
+        raise typer.Exit(code)
 
 
 def _document(reports: list["Report"]) -> dict[str, Any]:
     from racines_leaderboard.records.schema import check
+    from racines_leaderboard.records.verdicts import DOES_NOT_HOLD, HOLDS, NOT_VERIFIED
     from racines_models.provenance import code_version, environment
 
+    said = {report.verdict for report in reports}
+    verdict = next(each for each in (DOES_NOT_HOLD, NOT_VERIFIED, HOLDS) if each in said)
     document = {
         "schema": "racines.audit/1",
-        "holds": all(report.holds for report in reports),
+        "verdict": verdict,
+        "holds": verdict == HOLDS,
         "environment": environment(),
         "code": code_version(),
         "reports": [report.to_json() for report in reports],
     }
     check(document := json.loads(json.dumps(document)), "audit", "the report")
     return document
+
+
+def _keep(results: Path, reports: list["Report"]) -> None:
+    """Keep the verdicts of each board beside its records."""
+    from racines_leaderboard.audit.verdicts import kept_of
+    from racines_leaderboard.records.verdicts import keep_verdicts
+
+    for board in sorted({report.board for report in reports}):
+        those = [report for report in reports if report.board == board]
+        path = keep_verdicts(results / board, kept_of(those, results))
+        say(f"racines: verdicts kept: {path}", err=True)
 
 
 def _seal(path: Path) -> None:

@@ -1,0 +1,57 @@
+"""The commands that would verify what an audit could not."""
+
+import shlex
+from collections.abc import Iterator
+
+from racines_leaderboard.audit import weights
+from racines_leaderboard.audit.bench import KINDS, Bench
+from racines_leaderboard.audit.verdicts import RETRAINABLE, Report
+from racines_leaderboard.board.collect import Record
+from racines_leaderboard.records.verdicts import NOT_VERIFIED
+
+TRAIN = "racines train"
+
+
+def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Iterator[str]:
+    """Give the commands, in the order in which they are to be run; none where nothing is open."""
+    if report.verdict != NOT_VERIFIED:
+        return
+    audit = f"racines audit {record['track']}/{record['name']} --board {record['board']}"
+    if bench.settings is None:
+        yield f"{audit} --params FILE  # the settings of board {record['board']}"
+        return
+    settings = _settings(bench)
+    subjects = {each.subject for each in report.open}
+    generator, lacking = record["track"] == "generators", bench.lacks_for(record)
+    data = shlex.quote(str(bench.data))
+    if generator and lacking:
+        data = shlex.quote(str(bench.places.data.parent / record["board"]))
+        yield f"racines data build {settings} --out {data}"
+    for extractor in KINDS:
+        if f"extractors.{extractor}" in subjects:
+            yield f"{TRAIN} {KINDS[extractor]} {settings} --data {data}"
+    if weights.submitted(record) and any(each.startswith("weights.") for each in subjects):
+        folder = weights.submission_of(record, bench)
+        yield f"racines submit {shlex.quote(str(folder))} --fetch"
+    if not quick and not lacking and _unmade(record, subjects, report):
+        track = record["track"].removesuffix("s")
+        yield f"{TRAIN} {track} {record['name']} {settings} --data {data}"
+    if any(each.startswith("truth.") for each in subjects):
+        yield f"racines leaderboard --recompute {record['track']}/{record['name']} --secret"
+        return
+    anew = {"reproduced", "trainings"} & subjects
+    yield f"{audit} --retrain" if anew and not quick else audit
+
+
+def _settings(bench: Bench) -> str:
+    """Return the option that names a board's settings."""
+    own = bench.places.params
+    packaged = bench.profile is not None
+    return f"--profile {bench.profile}" if packaged else f"--params {shlex.quote(str(own))}"
+
+
+def _unmade(record: Record, subjects: set[str], report: Report) -> bool:
+    """Return whether merged code has to be trained, since no weights of it are here."""
+    merged = not weights.submitted(record) and "agreement" not in report.made_again
+    judged = not any(subject.startswith("extractors.") for subject in subjects)
+    return merged and judged and not report.count(RETRAINABLE) and bool(weights.named(record))

@@ -1,0 +1,226 @@
+"""How the numbers of a record are made again: from which files, by which code."""
+
+import dataclasses
+import json
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from racines_data.config import fill, section
+from racines_data.errors import RacinesError
+from racines_envs.agents import agent_class, load_agent
+from racines_envs.cli.settings import phantom_config
+from racines_envs.evaluation.agent_specs import find_entry
+from racines_envs.evaluation.run import evaluate
+from racines_envs.worlds.backends import make_grader
+from racines_leaderboard.audit import weights as files
+from racines_leaderboard.audit.bench import KINDS, Bench
+from racines_leaderboard.audit.numbers import HALF
+from racines_leaderboard.board.collect import Record
+from racines_leaderboard.board.recompute import Ground, recompute_scores, scored_on
+from racines_models.protocol import Run
+from racines_models.provenance import weights_sha256
+from racines_models.registry import generator_class, open_generator, open_runs, weights_of
+from racines_models.scores.scoring import ScoresConfig
+from racines_models.statistics import Evidence
+from racines_models.training.checkpoint import repeat_folders, train_seeds
+
+FIRST = "first training"
+
+
+@dataclass(frozen=True)
+class Made:
+    """What came out when a record's numbers were made again."""
+
+    scores: dict[str, Any]
+    """As JSON gives them back."""
+    evidence: Evidence | None = None
+    """The figures of each item, where the scorer hands them on."""
+
+    @classmethod
+    def of(cls, found: Any) -> "Made":
+        """Return what a scorer found: scores, alone or as `content` or `scores` of something."""
+        if isinstance(found, cls):
+            return found
+        content = getattr(found, "content", None) or getattr(found, "scores", None) or found
+        return cls(json.loads(json.dumps(content)), getattr(found, "evidence", None))
+
+    def naming(self, weights: dict[str, str]) -> "Made":
+        """Return the same with the weights that were scored."""
+        return dataclasses.replace(self, scores=self.scores | {"weights": weights})
+
+
+@dataclass(frozen=True)
+class Road:
+    """How the numbers of a record are recomputed: from which files, and how near they must come.
+
+    artefacts       the submitted files, confined as by `racines leaderboard --recompute`
+    run             the weights that the record names, in the folder of their run
+    first training  likewise, of a record of several trainings of which the first alone is here
+    fitted          a method that does not train: fitted again on the data
+    half precision  the published copy of the weights that the record names
+    no weights      an agent that learns nothing
+    """
+
+    name: str
+    source: str
+    """From what, in words."""
+    score: Callable[[], Any]
+    """Scores, or what holds them as `Made.of` takes it."""
+    trainings: int | None = None
+    """How many of the record's trainings are made again, the first ones; None: all."""
+
+
+def find_road(record: Record, bench: Bench) -> Road | str:
+    """Return the best way to recompute a record's numbers, or why there is none."""
+    if lacking := bench.lacks_for(record):
+        return lacking
+    if files.submitted(record):
+        on, folder = _ground(record, bench), files.submission_of(record, bench)
+        source = f"the artefacts in {folder}"
+        return Road("artefacts", source, lambda: recompute_scores(folder, on)[1])
+    return (_generator if record["track"] == "generators" else _agent)(record, bench)
+
+
+def _ground(record: Record, bench: Bench) -> Ground:
+    """Return the board's ground with the judges that a record names, where they are here."""
+    places = bench.places
+    return Ground(
+        bench.board,
+        bench.settings or {},
+        bench.data,
+        grader=_judge(record, bench, "grader"),
+        pose=_judge(record, bench, "pose"),
+        cache=places.runs / "scores" / "reference",
+        limits=places.limits,
+    )
+
+
+def _judge(record: Record, bench: Bench, extractor: str) -> Path | None:
+    card = record["scores"].get("extractors", {}).get(extractor, {})
+    sha256 = card.get("sha256") if isinstance(card, dict) else None
+    return bench.judge(KINDS[extractor], sha256)
+
+
+def _generator(record: Record, bench: Bench) -> Road | str:
+    name, folder = record["name"], files.run_of(record, bench)
+    try:
+        cls = generator_class(name)
+    except RacinesError:
+        return f"{name} is no registered generator, and has no artefact that can be scored again"
+    claimed = files.named(record)
+    fitted = "training" not in {each.name for each in dataclasses.fields(cls.Config)}
+    # That it comes out again when it is made anew is told by making it anew.
+    anew = fitted and "reproduced" in record
+    if folder.is_dir() and weights_of(name, folder) == claimed and not anew:
+        return Road("run", f"the weights in {folder}", lambda: score_run(record, bench, folder))
+    if fitted:
+        source = "it does not train: fitted again on the data"
+        return Road("fitted", source, lambda: score_fitted(record, bench))
+    first = files.first_training(claimed)
+    if first != claimed and folder.is_dir() and weights_sha256(folder) == first:
+        source = f"the weights of the first training, in {folder}"
+        return Road(FIRST, source, lambda: score_first(record, bench, folder), 1)
+    copies, copy = files.published(record, bench) or {}, bench.places.weights / name
+    if claimed and set(copies) == set(claimed):
+        source = f"the half-precision copy of the weights, {copy}"
+        return Road(HALF, source, lambda: score_run(record, bench, copy))
+    if first and set(first) <= set(copies):
+        source = f"the half-precision copy of the first training's weights, {copy}"
+        return Road(HALF, source, lambda: score_first(record, bench, copy), 1)
+    return f"no weights of it here: neither {folder} nor a published copy; --retrain trains anew"
+
+
+def score_fitted(record: Record, bench: Bench, folder: Path | None = None) -> Made:
+    """Fit a merged generator by the board's settings and return its scores.
+
+    The run is kept in `folder` and, if it was cut short, goes on there; None keeps nothing.
+    """
+    assert bench.settings is not None and bench.store is not None
+    store, name, cls = bench.store, record["name"], generator_class(record["name"])
+    settings = section(bench.settings, "generators").get(name) or {}
+    config: Any = fill(cls.Config, settings, f"generators.{name}")
+    repeats = getattr(getattr(config, "training", None), "repeats", 1)
+    with tempfile.TemporaryDirectory() as aside:
+        place = Path(aside) / name if folder is None else folder
+        run = Run(place, bench.settings.get("seed", 0), "cpu", progress=False)
+        train_seeds(lambda one: cls(config).fit(store, one), run, repeats)
+        return score_run(record, bench, place)
+
+
+def score_run(record: Record, bench: Bench, folder: Path) -> Made:
+    """Return the scores of the generator in a run's folder, by the judges that a record names."""
+    name = record["name"]
+    scores = _scored(record, bench, open_runs(name, folder, device="cpu"), bench.scores)
+    return scores.naming(weights_of(name, folder))
+
+
+def score_first(record: Record, bench: Bench, folder: Path) -> Made:
+    """Return the scores of the first training alone, with the seeds that it drew with."""
+    name, scores = record["name"], record["scores"]
+    seeds = tuple(scores["seeds"][:: scores.get("runs", 1)])
+    config = dataclasses.replace(bench.scores, seeds=seeds)
+    first = open_generator(name, folder, device="cpu")
+    return _scored(record, bench, [first], config).naming(weights_sha256(folder))
+
+
+def _scored(record: Record, bench: Bench, opened: Sequence[Any], config: ScoresConfig) -> Made:
+    assert bench.store is not None
+    ground = _ground(record, bench)
+    return Made.of(scored_on(ground, bench.store, config, opened, record["name"]))
+
+
+def _agent(record: Record, bench: Bench) -> Road | str:
+    folder, claimed = files.run_of(record, bench), files.named(record)
+    if "guide" in record["scores"].get("extractors", {}) and not _judge(record, bench, "guide"):
+        return "the grader that it goes by is not here"
+    if not claimed:
+        return Road("no weights", "it learns nothing", lambda: score_agent(record, bench, folder))
+    here = all_weights(folder) if folder.is_dir() else {}
+    alone = files.first_training(claimed)
+    for name, wanted, trainings in (("run", claimed, None), (FIRST, alone, 1)):
+        if here == wanted or (trainings and files.first_training(here) == wanted):
+            source = f"the policy in {folder}"
+            first = trainings is not None
+            again = partial(score_agent, record, bench, folder, first=first)
+            return Road(name, source, again, trainings)
+    return f"no policy of it in {folder}; --retrain trains anew"
+
+
+def all_weights(folder: Path) -> dict[str, str]:
+    """Return the sha256 of a run's weights by file name, its further seeds' by subfolder."""
+    found = weights_sha256(folder)
+    for each in repeat_folders(folder):
+        found |= {f"{each.name}/{name}": sha256 for name, sha256 in weights_sha256(each).items()}
+    return found
+
+
+def score_agent(
+    record: Record, bench: Bench, folder: Path, train: bool = False, first: bool = False
+) -> Made:
+    """Return the scores of a merged agent, its policy in a folder, by the board's settings.
+
+    With `train`, what learns is trained there first; a run that was killed goes on. With `first`,
+    the first of its trainings alone acts. The graders that had a say are those that the record
+    names.
+    """
+    assert bench.settings is not None
+    entry, view = find_entry(bench.settings, record["name"]), record["scores"]["task"]["view"]
+    phantom = phantom_config(bench.settings)
+    if train and files.named(record):
+        cls, seed = agent_class(entry.agent), bench.settings.get("seed", 0)
+        own: Any = fill(cls.Config, entry.settings, entry.where)
+        data = bench.data
+        cls.train(own, folder, seed=seed, phantom=phantom, data=data, progress=False)
+    judge, guide = (_judge(record, bench, kind) for kind in ("grader", "guide"))
+    settings = {"view": view, "grader": str(judge or ""), "latency": 0, "device": "cpu"}
+    config = dataclasses.replace(bench.evaluation, **settings)
+    agent: Any = None
+    if guide is not None or first:
+        agent = load_agent(entry.agent, folder, config.device)
+    if guide is not None:
+        agent.guide = make_grader(guide, config.device)
+    return Made.of(evaluate(entry.agent, folder, config, phantom, agent=agent, run=entry.name))

@@ -1,0 +1,162 @@
+"""Records of a tiny board, each with all that an audit of it needs."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+import yaml
+
+from racines_data.files import sha256_file
+from racines_data.store.frames import open_store
+from racines_data.views import LABELS
+from racines_envs.agents.onnx.policy import OnnxPolicyAgent
+from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
+from racines_envs.worlds.making import make_phantom, phantom_recipe
+from racines_leaderboard.audit.bench import JUDGES
+from racines_leaderboard.board.collect import collect
+from racines_leaderboard.board.recompute import recompute
+from racines_models.exchange.onnx.generator import OnnxGenerator
+from racines_models.exchange.predictions.file import Task, write_predictions
+from racines_models.generators.mean_image import MeanImage
+from racines_models.judges.grader.model import Grader, GraderConfig
+from racines_models.judges.pose.regressor import PoseConfig, PoseNetwork, PoseRegressor
+from racines_models.protocol import Run
+from racines_models.registry import weights_of
+from racines_models.sample import take_sample
+from racines_models.scores.scoring import score
+from tests.leaderboard.conftest import write_submission
+from tests.leaderboard.graphs import sound_generator, sound_policy
+from tests.leaderboard.handed_in import CONFIG, inbox, submitted
+
+RESULTS, SUBMISSIONS = Path("leaderboard/results"), Path("leaderboard/submissions")
+
+
+@pytest.fixture
+def drawn(ground) -> Path:
+    """The record of a predictions file that was handed in and scored."""
+    store, root = open_store(ground.data), Path.cwd()
+    generator = OnnxGenerator(sound_generator(inbox(root, "made") / "mine.onnx"))
+    path = inbox(root, "in") / "drawn.parquet"
+    task = Task(store, take_sample(store, "test", 16), "test", (0,))
+    write_predictions(path, task, generator, "stripes")
+    folder = submitted(root, "predictions", path, store.manifest["digest"])
+    recompute(folder, ground, RESULTS)
+    return RESULTS / "tiny/generators/mine.json"
+
+
+@pytest.fixture
+def steered(ground) -> Path:
+    """The record of a trace that was handed in and scored."""
+    trace = record_a_trace((0, 1, 2), inbox(Path.cwd(), "steered") / "trace.json")
+    recipe: Any = phantom_recipe(make_phantom(None))
+    folder = submitted(Path.cwd(), "trace", trace, recipe["recipe_digest"])
+    recompute(folder, ground, RESULTS)
+    return RESULTS / "tiny/agents/mine.json"
+
+
+@pytest.fixture
+def merged(ground) -> Path:
+    """The record of merged code, collected from the scores of its run."""
+    store, runs = open_store(ground.data), Path("models/runs")
+    generator = MeanImage()
+    generator.fit(store, Run(runs / "mean-image", progress=False))
+    scores = score(generator, store, CONFIG, "mean-image").content
+    scores |= {"weights": weights_of("mean-image", runs / "mean-image")}
+    scores["dataset"]["board"] = "tiny"
+    (runs / "scores").mkdir()
+    (runs / "scores/mean-image.json").write_text(json.dumps(scores))
+    (path,) = collect([runs / "scores"], RESULTS, SUBMISSIONS, "tiny")
+    return path
+
+
+@pytest.fixture
+def climbed(ground) -> Path:
+    """The record of an agent that goes by the grader which judges its last images."""
+    folder = a_grader(Path("models/runs/grader"))
+    return climb(EvaluationConfig(starts=4, grader=str(folder), latency=0))
+
+
+def climb(config: EvaluationConfig) -> Path:
+    """Leave the record of a hill-climber that goes by the grader of its evaluation."""
+    scores = evaluate("hill-climber", Path("envs/runs/hill-climber"), config).scores
+    Path("envs/runs/scores").mkdir(parents=True)
+    Path("envs/runs/scores/hill-climber.json").write_text(json.dumps(scores))
+    (path,) = collect([Path("envs/runs/scores")], RESULTS, SUBMISSIONS, "tiny")
+    return path
+
+
+def record_a_trace(seeds: tuple[int, ...], path: Path) -> Path:
+    agent = OnnxPolicyAgent(sound_policy(path.with_name("policy.onnx")))
+    config = EvaluationConfig(starts=4, seeds=seeds, latency=0)
+    record_trace("", Path.cwd(), config, path, make_phantom(None), agent=agent)
+    path.with_name("policy.onnx").unlink()
+    return path
+
+
+@pytest.fixture
+def handed_in(ground) -> Path:
+    """The record of an ONNX generator that was handed in and scored."""
+    store, root = open_store(ground.data), Path.cwd()
+    path = sound_generator(inbox(root, "in") / "mine.onnx")
+    folder = submitted(root, "generator", path, store.manifest["digest"])
+    recompute(folder, ground, RESULTS)
+    return RESULTS / "tiny/generators/mine.json"
+
+
+def a_grader(folder: Path) -> Path:
+    """Leave an untrained grader in a folder."""
+    torch.manual_seed(0)
+    settings = GraderConfig(input_size=32, width=0.125)
+    folder.mkdir(parents=True)
+    Grader(Grader.build(settings, len(LABELS)), settings).save(folder)
+    return folder
+
+
+def a_pose_regressor(folder: Path) -> Path:
+    """Leave an untrained pose regressor in a folder."""
+    torch.manual_seed(0)
+    PoseRegressor(PoseNetwork(64, 0.125), PoseConfig(width=0.125)).save(folder)
+    return folder
+
+
+def pin(track: str, **judges: Path) -> None:
+    """Write which judges the board is pinned to."""
+    hashes = {kind: sha256_file(folder / JUDGES[kind]) for kind, folder in judges.items()}
+    pinned = {"schema": "racines.board/1", "board": "tiny", track: {"judges": hashes}}
+    (RESULTS / "tiny/board.json").write_text(json.dumps(pinned))
+
+
+@pytest.fixture
+def judged(ground) -> Path:
+    """The record of merged code on a board that is pinned to a pose regressor."""
+    store, runs = open_store(ground.data), Path("models/runs")
+    generator = MeanImage()
+    generator.fit(store, Run(runs / "mean-image", progress=False))
+    pose = PoseRegressor.load(a_pose_regressor(runs / "pose"), "cpu")
+    scores = score(generator, store, CONFIG, "mean-image", pose=pose).content
+    scores |= {"weights": weights_of("mean-image", runs / "mean-image")}
+    scores["dataset"]["board"] = "tiny"
+    inbox(Path.cwd(), "scored")
+    Path("scored/mean-image.json").write_text(json.dumps(scores))
+    adapter = {"kind": "adapter", "adapter": "racines_models.generators.mean_image:MeanImage"}
+    data = {"source": "phantom", "version": "1.0.0", "digest": store.manifest["digest"]}
+    about = {"name": "mean-image", "dataset": data, "url": "https://example.org/mean"}
+    write_submission(SUBMISSIONS / "generators/mean-image", adapter, **about)
+    (path,) = collect([Path("scored")], RESULTS, SUBMISSIONS, "tiny")
+    pin("generators", pose=runs / "pose")
+    return path
+
+
+@pytest.fixture
+def guided(ground) -> Path:
+    """The record of an agent on a board of one start set that is pinned to its grader."""
+    settings = yaml.safe_load(Path("params.yaml").read_text())
+    settings["evaluation"]["seeds"] = [0]
+    Path("params.yaml").write_text(yaml.safe_dump(settings))
+    grader = a_grader(Path("models/runs/grader"))
+    path = climb(EvaluationConfig(starts=4, seeds=(0,), grader=str(grader), latency=0))
+    pin("agents", grader=grader)
+    Path("envs/runs/scores/hill-climber.json").unlink()
+    return path
