@@ -15,6 +15,7 @@ from racines_envs.agents import agent_class, load_agent
 from racines_envs.cli.settings import phantom_config
 from racines_envs.evaluation.agent_specs import find_entry
 from racines_envs.evaluation.run import evaluate
+from racines_envs.evaluation.trainings import find_trainings, published_run
 from racines_envs.worlds.backends import make_grader
 from racines_leaderboard.audit import weights as files
 from racines_leaderboard.audit.bench import KINDS, Bench
@@ -26,7 +27,8 @@ from racines_models.provenance import weights_sha256
 from racines_models.registry import generator_class, open_generator, open_runs, weights_of
 from racines_models.scores.scoring import ScoresConfig
 from racines_models.statistics import Evidence
-from racines_models.training.checkpoint import repeat_folders, train_seeds
+from racines_models.training.checkpoint import PREFIX, train_seeds
+from racines_models.training.published import published_seeds
 
 FIRST = "first training"
 
@@ -81,8 +83,14 @@ def find_road(record: Record, bench: Bench) -> Road | str:
     if files.submitted(record):
         on, folder = _ground(record, bench), files.submission_of(record, bench)
         source = f"the artefacts in {folder}"
-        return Road("artefacts", source, lambda: recompute_scores(folder, on)[1])
+        return Road("artefacts", source, partial(_of_artefacts, folder, on))
     return (_generator if record["track"] == "generators" else _agent)(record, bench)
+
+
+def _of_artefacts(folder: Path, ground: Ground) -> Made:
+    kept: list[Evidence] = []
+    _, scores = recompute_scores(folder, dataclasses.replace(ground, kept=kept))
+    return Made(json.loads(json.dumps(scores)), kept[0] if kept else None)
 
 
 def _ground(record: Record, bench: Bench) -> Ground:
@@ -115,8 +123,10 @@ def _generator(record: Record, bench: Bench) -> Road | str:
     fitted = "training" not in {each.name for each in dataclasses.fields(cls.Config)}
     # That it comes out again when it is made anew is told by making it anew.
     anew = fitted and "reproduced" in record
-    if folder.is_dir() and weights_of(name, folder) == claimed and not anew:
-        return Road("run", f"the weights in {folder}", lambda: score_run(record, bench, folder))
+    further = published_seeds(bench.board, folder, bench.places.weights)
+    if folder.is_dir() and weights_of(name, folder, further) == claimed and not anew:
+        source = " and ".join(f"the weights in {each}" for each in (folder, *further))
+        return Road("run", source, lambda: score_run(record, bench, folder, further))
     if fitted:
         source = "it does not train: fitted again on the data"
         return Road("fitted", source, lambda: score_fitted(record, bench))
@@ -148,14 +158,18 @@ def score_fitted(record: Record, bench: Bench, folder: Path | None = None) -> Ma
         place = Path(aside) / name if folder is None else folder
         run = Run(place, bench.settings.get("seed", 0), "cpu", progress=False)
         train_seeds(lambda one: cls(config).fit(store, one), run, repeats)
-        return score_run(record, bench, place)
+        further = published_seeds(bench.board, place, bench.places.weights)
+        return score_run(record, bench, place, further)
 
 
-def score_run(record: Record, bench: Bench, folder: Path) -> Made:
-    """Return the scores of the generator in a run's folder, by the judges that a record names."""
+def score_run(record: Record, bench: Bench, folder: Path, further: Sequence[Path] = ()) -> Made:
+    """Return the scores of the generator in a run's folder, by the judges that a record names.
+
+    With its further seeds: the run's own, and those in other folders.
+    """
     name = record["name"]
-    scores = _scored(record, bench, open_runs(name, folder, device="cpu"), bench.scores)
-    return scores.naming(weights_of(name, folder))
+    scores = _scored(record, bench, open_runs(name, folder, further, device="cpu"), bench.scores)
+    return scores.naming(weights_of(name, folder, further))
 
 
 def score_first(record: Record, bench: Bench, folder: Path) -> Made:
@@ -179,7 +193,7 @@ def _agent(record: Record, bench: Bench) -> Road | str:
         return "the grader that it goes by is not here"
     if not claimed:
         return Road("no weights", "it learns nothing", lambda: score_agent(record, bench, folder))
-    here = all_weights(folder) if folder.is_dir() else {}
+    here = all_weights(folder, _published(record, bench)) if folder.is_dir() else {}
     alone = files.first_training(claimed)
     for name, wanted, trainings in (("run", claimed, None), (FIRST, alone, 1)):
         if here == wanted or (trainings and files.first_training(here) == wanted):
@@ -190,12 +204,17 @@ def _agent(record: Record, bench: Bench) -> Road | str:
     return f"no policy of it in {folder}; --retrain trains anew"
 
 
-def all_weights(folder: Path) -> dict[str, str]:
-    """Return the sha256 of a run's weights by file name, its further seeds' by subfolder."""
-    found = weights_sha256(folder)
-    for each in repeat_folders(folder):
-        found |= {f"{each.name}/{name}": sha256 for name, sha256 in weights_sha256(each).items()}
-    return found
+def all_weights(folder: Path, published: Path | None = None) -> dict[str, str]:
+    """Return the sha256 of a run's weights by file name, its further trainings' by subfolder."""
+    first, *further = find_trainings(folder, published)
+    hashes = first.files
+    for each in further:
+        hashes |= {f"{PREFIX}{each.seed}/{name}": sha256 for name, sha256 in each.files.items()}
+    return hashes
+
+
+def _published(record: Record, bench: Bench) -> Path | None:
+    return published_run(bench.board, record["name"])
 
 
 def score_agent(
@@ -223,4 +242,9 @@ def score_agent(
         agent = load_agent(entry.agent, folder, config.device)
     if guide is not None:
         agent.guide = make_grader(guide, config.device)
-    return Made.of(evaluate(entry.agent, folder, config, phantom, agent=agent, run=entry.name))
+    published = _published(record, bench)
+    return Made.of(
+        evaluate(
+            entry.agent, folder, config, phantom, agent=agent, run=entry.name, published=published
+        )
+    )

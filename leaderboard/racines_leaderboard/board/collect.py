@@ -13,7 +13,6 @@ from racines_data.errors import RacinesError
 from racines_data.files import locked, write_atomic
 from racines_leaderboard.board.evidence import evidence_path, read_evidence
 from racines_leaderboard.board.standing import with_standing
-from racines_leaderboard.board.verdicts import read_verdicts, with_verdict
 from racines_leaderboard.records.experts import FOLDER as EXPERTS
 from racines_leaderboard.records.experts import with_experts
 from racines_leaderboard.records.names import check_unlike
@@ -21,6 +20,7 @@ from racines_leaderboard.records.pins import check_fits, read_pin, recipe_of
 from racines_leaderboard.records.ranges import check_possible
 from racines_leaderboard.records.schema import KEY, check, read_json, sealed, write_record
 from racines_leaderboard.records.tracks import TRACK, TRACKS, Track
+from racines_leaderboard.records.verdicts import among, read_verdicts
 from racines_leaderboard.submissions.document import find_submission
 from racines_models.provenance import same_result
 
@@ -44,13 +44,15 @@ def read_board(results: Path, board: str) -> dict[str, list[Record]]:
         RacinesError: a damaged record, one in another's place, or one that does not fit the board.
     """
     content, pin = {}, read_pin(results, board)
-    told = read_verdicts(results, board)
+    told = read_verdicts(results / board)
     for track in TRACKS:
         content[track.name] = records = []
         for path in sorted((results / board / track.name).glob("*.json")):
             record = read_record(path, board, track)
             check_fits(record["scores"], track, pin, str(path))
-            records.append(with_standing(with_verdict(record, told), path, track, pin))
+            if (said := among(record, told)) is not None:
+                record = record | {"verdict": said.verdict}
+            records.append(with_standing(record, path, track, pin))
     content["generators"] = with_experts(content["generators"], results / board / EXPERTS)
     return content
 

@@ -46,6 +46,11 @@ def metric_of(record: Record, key: str) -> dict[str, Any] | None:
     return metric if metric is not None and metric["value"] is not None else None
 
 
+def verdict_of(record: Record) -> str:
+    """Return what an audit said of a record that was read with its board; empty where none did."""
+    return record.get("verdict", "")
+
+
 def score_metric(record: Record) -> dict[str, Any] | None:
     """Return the score of a result as a metric, or None where its board has no anchors."""
     score = standing_of(record).score

@@ -24,8 +24,8 @@ from racines_leaderboard.board.rank import (
     score_metric,
     tied,
     unpinned,
+    verdict_of,
 )
-from racines_leaderboard.board.verdicts import verdict_of
 from racines_leaderboard.records.tracks import PERCENT, TRACKS, Column, Track, board_tracks
 
 REPORTED = "reported in the paper, on other data"

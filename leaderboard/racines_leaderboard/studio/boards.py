@@ -13,9 +13,8 @@ from matplotlib.figure import Figure
 
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.pages import panel
-from racines_leaderboard.board.rank import SCORE, SHOWN, Ranked, Record, by_task, rank
+from racines_leaderboard.board.rank import SCORE, SHOWN, Ranked, Record, by_task, rank, verdict_of
 from racines_leaderboard.board.table import Table, ranked_tables, reported_table, shown_columns
-from racines_leaderboard.board.verdicts import verdict_of
 from racines_leaderboard.records.tracks import PERCENT, TIERS, TRACK, Column, Track, board_tracks
 from racines_leaderboard.studio import html
 from racines_leaderboard.studio.html import cut, drawn, element, link, note, text

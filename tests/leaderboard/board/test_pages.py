@@ -22,6 +22,7 @@ from racines_leaderboard.board.table import (
 )
 from racines_leaderboard.cli.command import app
 from racines_leaderboard.records.schema import seal_of
+from racines_leaderboard.records.verdicts import Audited, keep_verdicts
 from racines_leaderboard.studio.boards import Selection, charts_html, names, tables_html
 from tests.leaderboard.conftest import DIGEST, agent_scores, generator_scores, write_submission
 from tests.leaderboard.evidence import generator, pinned
@@ -164,8 +165,8 @@ def ranked(tmp_path):
     generator(tmp_path / "new", "once", 0.9, trainings=1)
     collect([tmp_path / "new"], results, tmp_path, "b")
     record = json.loads((results / "b/generators/good.json").read_text())
-    said = {"generators/good": {"verdict": "not verified", "record": seal_of(record)}}
-    (results / "b/audit.json").write_text(json.dumps({"verdicts": said}))
+    said = Audited("not verified", seal_of(record), "self-reported")
+    keep_verdicts(results / "b", {"generators/good": said})
     return results
 
 
