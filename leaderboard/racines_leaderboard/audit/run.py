@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
+from racines_data.files import locked
 from racines_leaderboard.audit import claims, weights
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.evidence import (
@@ -110,7 +111,8 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
     if report.holds:
         keys = ("seeds", "metrics", "weights", "code", "environment")
         earned = {"tier": "reproduced", "reproduced": {key: made[key] for key in keys}}
-        write_record(path, sealed(record | earned))
+        with locked(path.parents[2]):
+            write_record(path, sealed(record | earned))
         return replace(report, tier="reproduced")
     return report
 

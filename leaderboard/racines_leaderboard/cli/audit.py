@@ -133,12 +133,14 @@ def _keep(results: Path, reports: list["Report"]) -> None:
 
 def _seal(path: Path) -> None:
     """Seal a record that has no seal."""
+    from racines_data.files import locked
     from racines_leaderboard.records.schema import KEY, sealed, write_record
 
-    record = json.loads(path.read_text())
-    if KEY not in record:
-        write_record(path, sealed(record))
-        say(f"racines: sealed: {path}", err=True)
+    with locked(path.parents[2]):
+        record = json.loads(path.read_text())
+        if KEY not in record:
+            write_record(path, sealed(record))
+            say(f"racines: sealed: {path}", err=True)
 
 
 def determinism(

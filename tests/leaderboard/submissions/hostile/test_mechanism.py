@@ -59,7 +59,7 @@ def test_the_filter_lets_through_its_list_and_nothing_else(machine):
     listed = {numbers[column] for numbers in kernel.CALLS.values()}
     assert len(listed) == len(kernel.CALLS)
     page = (Path(__file__).parents[4] / "docs/submit.md").read_text()
-    assert f"{len(kernel.CALLS) + 3} system calls" in page
+    assert f"{len(kernel.CALLS) + 3}<!--/n--> system calls" in page
     for number in range(-1, 1000):
         free = answer(program, native, number, 1, 1, 4, 1, 1, 1)
         assert free == (kernel.ALLOW if number in listed else REFUSE), number
