@@ -54,7 +54,7 @@ class Standing:
             return False
         if self.replicates.value <= other.replicates.value:
             return False
-        low = difference(self.replicates, other.replicates).low
+        low = difference(self.replicates, other.replicates, "score difference").low
         return low is not None and low > 0
 
 
@@ -121,7 +121,7 @@ def standing(record: Record, evidence: Evidence | None, track: Track, pin: Pin) 
             why = _COUNTS[trainings]
         elif distinct_trainings(evidence) < trainings:
             why = REPEATED
-    return Standing(interval(found), bound or why, found, trainings, found.units)
+    return Standing(interval(found, kind="score"), bound or why, found, trainings, found.units)
 
 
 def anchor(metrics: np.ndarray, track: Track, values: dict[str, list[float]]) -> np.ndarray:
