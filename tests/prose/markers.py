@@ -14,7 +14,8 @@ not there is drawn as –, and `{…:%.1f % (–)}` draws unit and interval: 96.
 
 A marker whose template begins on a line of its own draws a block. There `for a b in x:y z:w` draws
 the line after it once an item, with $a and $b replaced, and `table place/name#pointer` draws
-`columns` and `rows` as they are kept in a file.
+`columns` and `rows` as they are kept in a file; `weightings BOARD TRACK` draws what
+`racines study weightings` says.
 """
 
 import ast
@@ -216,6 +217,8 @@ def _block(template: str, root: Path) -> str:
             table = evaluate(line.removeprefix("table "), root)
             head, *rows = ([Markdown(c) for c in r] for r in (table["columns"], *table["rows"]))
             drawn.append(markdown_table(head, rows, table.get("right")))
+        elif line.startswith("weightings "):
+            drawn.append(_weightings(*line.split()[1:], root))
         elif loop := FOR.fullmatch(line):
             row, names = lines.pop(0), loop[1].split()
             for item in loop[2].split():
@@ -226,6 +229,15 @@ def _block(template: str, root: Path) -> str:
         else:
             drawn.append(_fill(line, root))
     return "\n\n" + "\n".join(drawn) + "\n\n"
+
+
+def _weightings(board: str, track: str, root: Path) -> str:
+    """Return the table of a board's order under other weights of its metrics."""
+    from racines_leaderboard.board.table import titled_markdown
+    from racines_leaderboard.board.weightings import tables
+
+    found = tables(root / "leaderboard/results", board)
+    return "\n\n".join(titled_markdown(each) for each in found if f"· {track} ·" in each.title)
 
 
 def drawn(template: str, root: Path = ROOT) -> str:
