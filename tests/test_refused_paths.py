@@ -106,6 +106,8 @@ NEEDED = {
     "explain": "--params {}",
     "submit": "{}",
     "leaderboard": "--results {}",
+    "board pin": "mine --results {}",
+    "study weightings": "mine --results {}",
     "board commit-secret": "tiny --results {}",
     "board reveal": "tiny --secret {}",
     "audit": "mine --results {}",

@@ -61,7 +61,9 @@ def write_card(manifest: Mapping[str, Any]) -> str:
     Figures and pictures are those that the manifest names (`statistics`, `pictures`, `realism`);
     without them their sections are left out.
     """
-    head = yaml.safe_dump(_front_matter(manifest), sort_keys=False, allow_unicode=True, width=1000)
+    head = yaml.safe_dump(
+        _seen(_front_matter(manifest)), sort_keys=False, allow_unicode=True, width=1000
+    )
     shown = _as_text(manifest)
     card = manifest_card(shown)
     source, version = visible(manifest["source"]), visible(manifest["version"])
@@ -107,6 +109,15 @@ def write_card(manifest: Mapping[str, Any]) -> str:
 def _quoted(text: str) -> str:
     """Return text that stands between quotation marks, in code."""
     return visible(text).translate({ord(mark): "'" for mark in '"`\\'})
+
+
+def _seen(value: Any) -> Any:
+    """Return front matter whose texts have no character that is not seen."""
+    if isinstance(value, Mapping):
+        return {key: _seen(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_seen(each) for each in value]
+    return visible(value) if isinstance(value, str) else value
 
 
 def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:

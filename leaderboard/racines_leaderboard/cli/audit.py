@@ -31,8 +31,7 @@ def audit(
     data: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Folder of a dataset, repeatable; each board takes the one of its recipe, also of "
-            f"those in data/.  [default: {opt.DATA}]"
+            help="Folder of the dataset.",
         ),
     ] = None,
     grader: opt.Grader = None,
@@ -53,6 +52,7 @@ def audit(
 ) -> None:
     """Check results number by number: each holds, does not hold, or is not verified, and why.
 
+    --data may be repeated: each board takes the dataset of its recipe, also of those in data/.
     Judges are those of models/runs, or else of models/weights. The report goes to --out: .json, or
     Markdown. Exits 0 if all that ranks was recomputed and holds, 1 if anything does not hold, else
     3: not verified, with the commands that would verify it.

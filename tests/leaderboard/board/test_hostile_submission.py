@@ -132,8 +132,9 @@ def test_the_studio_shows_text(places: tuple[Path, Path]):
         shown = tables_html(place / "results", wanted), provenance_html(record)
         pages.append([Page(html) for html in shown])
     for calm, hostile in zip(*pages, strict=True):
-        assert hostile.tags == calm.tags
-        assert [n for n, _ in hostile.attributes] == [n for n, _ in calm.attributes]
+        # An address with a quote in it is not made a link of.
+        assert hostile.tags in (calm.tags, [tag for tag in calm.tags if tag != "a"])
+        assert {n for n, _ in hostile.attributes} <= {n for n, _ in calm.attributes}
         assert {v for n, v in hostile.attributes if n == "href"} <= {URL}
     assert "<script>" in pages[1][1].text, "shown as text"
 
