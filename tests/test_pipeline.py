@@ -88,6 +88,11 @@ def reproduced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str
         tmp_path / "leaderboard",
         ignore=shutil.ignore_patterns("__pycache__", "results"),
     )
+    for name in ("models/weights/grader", "models/weights/pose"):
+        shutil.copytree(ROOT / name, tmp_path / name)
+    for name in ("models/weights/phantom-default", "envs/weights/phantom-default"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "weights").write_text("published")
     run(tmp_path, "git", "init", "-q")
     run(tmp_path, "dvc", "init", "-q")
     shutil.copy(ROOT / ".dvc/config", tmp_path / ".dvc/config")

@@ -1,5 +1,6 @@
 """The trainer's voice, loss curves (DVCLive) and a progress bar, and the guard that stops it."""
 
+import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -119,7 +120,15 @@ def _add(sums: dict[str, Tensor], scalars: Mapping[str, Tensor]) -> None:
 
 
 def _forget_after(curves: Path, seen: int) -> None:
-    """Drop rows that a killed run wrote after its last checkpoint, so that none appears twice."""
+    """Drop rows that a killed run wrote after its last checkpoint, so that none appears twice.
+
+    The latest values, torn where the kill met their writing, are then written anew.
+    """
+    latest = curves / "metrics.json"
+    try:
+        json.loads(latest.read_text())
+    except (OSError, ValueError):
+        latest.unlink(missing_ok=True)
     for path in curves.glob("plots/metrics/**/*.tsv"):
         header, *rows = path.read_text().splitlines() or [""]
         whole = [row for row in rows if row.partition("\t")[0].isdigit()]

@@ -15,6 +15,7 @@ from racines_data.errors import RacinesError
 from racines_models.generators.vae_gan import VaeGan, VaeGanConfig
 from racines_models.protocol import Run
 from racines_models.training.checkpoint import Checkpoint
+from racines_models.training.log import TrainingLog
 from racines_models.training.objective import Training
 from tests.conftest import ROOT
 from tests.models.conftest import FakeStore
@@ -184,6 +185,7 @@ import sys
 from pathlib import Path
 import torch
 from racines_models.training.checkpoint import Checkpoint
+from racines_models.training.log import TrainingLog
 from tests.models.training.learners import learn
 from tests.waiting import halt
 torch.set_num_threads(1)
@@ -216,3 +218,14 @@ def test_sigkill_at_any_moment(tmp_path, name):
     learn(name, tmp_path / "killed", True)
     learn(name, tmp_path / "whole")
     assert bits(tmp_path / "killed") == bits(tmp_path / "whole")
+
+
+def test_latest_values_that_a_kill_tore_do_not_stop_the_run_that_goes_on(tmp_path):
+    with TrainingLog(tmp_path, "run", 0, 8, visible=False) as log:
+        log.add({"loss": torch.tensor(1.0)})
+        log.row(4)
+    (tmp_path / "dvclive" / "metrics.json").write_text('{"loss": 1.')
+    with TrainingLog(tmp_path, "run", 4, 8, visible=False) as log:
+        log.add({"loss": torch.tensor(0.5)})
+        log.row(8)
+    assert json.loads((tmp_path / "dvclive" / "metrics.json").read_text())
