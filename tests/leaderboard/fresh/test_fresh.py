@@ -229,9 +229,8 @@ def test_fresh_frames_are_others_of_the_same_kind(store):
     assert not len(fresh.split_indices("train")) and len(mine) == len(fresh)
     counts = (len(store.trajectory_index[rows].unique()), len(fresh.trajectories))
     assert abs(counts[0] - counts[1]) <= 1
-    assert sorted(fresh.target_views) == sorted(
-        store.target_views[i] for i in store.trajectory_index[rows].unique().tolist()
-    )
+    views = [store.target_views[i] for i in store.trajectory_index[rows].unique().tolist()]
+    assert sorted(fresh.target_views) == sorted(views)
     assert {4, 5, 6, 7, 8} >= set(fresh.trajectory_index.bincount().tolist())
     apart = torch.cdist(fresh.parameters[:, 6:9] * 1e3, store.parameters[:, 6:9] * 1e3)
     assert float(apart.amin(1).median()) > 0.1  # mm
