@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.files import sha256_file, write_atomic, write_json
 from racines_data.world import World
 from racines_envs.agents import learns, load_agent, sees
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
@@ -31,12 +30,10 @@ from racines_envs.worlds.making import WorldLike, find_task, make_core, make_pha
 from racines_models.devices import on_device
 from racines_models.protocol import Judge
 from racines_models.provenance import (
-    check_replaces,
     code_version,
     environment,
-    sha256_bytes,
 )
-from racines_models.statistics import Evidence
+from racines_models.statistics import Evidence, write_scores
 from racines_models.training.checkpoint import PREFIX
 
 SCHEMA = "racines.agent-scores/1"
@@ -336,15 +333,7 @@ def write_evaluation(
     Raises:
         RacinesError: without `force`, another result is there, or a file that is no evidence of it.
     """
-    kept, content = scores.with_suffix(".parquet"), evaluation.evidence.to_bytes()
-    told = {"file": kept.name, "sha256": sha256_bytes(content)}
-    evaluation.scores["evidence"] = told
-    check_replaces(scores, evaluation.scores, force)
-    if not force and kept.is_file() and sha256_file(kept) != told["sha256"]:
-        raise RacinesError(f"{kept}: is there and is not what these scores rest on: --force")
-    # First what the scores name: cut short, they never name a file that is not there.
-    write_atomic(kept, content)
-    write_json(scores, evaluation.scores)
+    evaluation.scores.update(write_scores(scores, evaluation.scores, evaluation.evidence, force))
     if picture is not None:
         from racines_envs.evaluation.pictures import draw_trajectories
 
