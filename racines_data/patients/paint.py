@@ -1,0 +1,115 @@
+# pyright: strict
+"""Paint a heart: which label each point of its frame has, at end diastole.
+
+Points are double: whether a point lies inside must not hang on the last bit of a processor.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from racines_data.patients.form import Ellipsoid, Shape, Tube
+from racines_data.patients.labels import (
+    AORTA,
+    ATRIAL_WALL,
+    BACKGROUND,
+    CAVA,
+    DESCENDING,
+    LA,
+    LV,
+    MYOCARDIUM,
+    PAPILLARY,
+    PERICARDIUM,
+    PULMONARY,
+    RA,
+    RV,
+    RV_WALL,
+    VESSEL_WALL,
+)
+from racines_data.phantom.heart import T
+from racines_data.phantom.shapes import capsule, ellipsoid, smooth_union, subtract, tube, union
+
+RIGHT_WALL, ATRIAL, VESSEL, SAC = 3.6, 2.4, 2.2, 1.5
+"""Thickness of the RV's free wall, the atria's and vessels' walls and the pericardium, mm."""
+TRICUSPID_PLANE = 5.0  # mm: the tricuspid valve stands nearer to the apex than the mitral
+
+
+def paint(points: Tensor, shape: Shape) -> Tensor:
+    """Return the (M,) uint8 labels of (M, 3) float64 points, mm; leaflets are not among them."""
+    w = points[:, 2]
+    cavity = torch.maximum(ventricle(points, shape), -w)
+    outer = torch.maximum(_ellipsoid(points, shape.lv_outer), -w - 4.0)
+    la, ra = _ellipsoid(points, shape.left_atrium), _ellipsoid(points, shape.right_atrium)
+    aorta, outflow = _tube(points, shape.aorta), _tube(points, shape.outflow)
+    body = torch.maximum(_ellipsoid(points, shape.right), -w + 1.0)
+    right = smooth_union(body, outflow, 6.0)
+    pulmonary = _tube(points, shape.pulmonary)
+    rv = subtract(subtract(right, outer), aorta - 2.5)
+    mitral = _ring(points, shape.mitral.centre, shape.mitral.radius, 12.0)
+    tricuspid = _ring(points, shape.tricuspid.centre, shape.tricuspid.radius, 16.0)
+    cava, descending = _tube(points, shape.cava), _tube(points, shape.descending)
+
+    atria = union(la, ra)
+    muscle = union(outer, subtract(right, outer) - RIGHT_WALL)
+    vessels = union(aorta - VESSEL, pulmonary - 2.0, outflow - 2.5, cava - 1.5, descending - 2.0)
+    whole = union(muscle, atria - ATRIAL, vessels)
+    label = torch.full_like(w, BACKGROUND, dtype=torch.uint8)
+    label[union(muscle, atria - ATRIAL, outflow - 2.5) < SAC] = PERICARDIUM
+    label[whole < 0.0] = VESSEL_WALL
+    label[atria - ATRIAL < 0.0] = ATRIAL_WALL
+    label[right - RIGHT_WALL < 0.0] = RV_WALL
+    label[outer < 0.0] = MYOCARDIUM
+    label[(aorta - VESSEL < 0.0) & (w < 2.0)] = VESSEL_WALL
+    label[cava < 0.0], label[descending < 0.0] = CAVA, DESCENDING
+    label[torch.minimum(ra, tricuspid) < 0.0] = RA
+    label[torch.minimum(la, mitral) < 0.0] = LA
+    label[(torch.minimum(rv, tricuspid) < 0.0) & ((w > TRICUSPID_PLANE) | (rv < 0.0))] = RV
+    across = points @ points.new_tensor(T)
+    label[pulmonary < 0.0] = PULMONARY
+    label[(label == RV) & (across > shape.outflow.path[3][0] * T[0] + shape.outflow.path[3][1]
+                           * T[1])] = PULMONARY  # fmt: skip
+    label[_tube(points, shape.moderator) < 0.0] = RV_WALL
+    label[(torch.minimum(cavity, mitral) < 0.0) & (w >= 0.0)] = LV
+    label[(union(*(_tube(points, each) for each in shape.papillaries)) < 0.0) & (cavity < 0.0)] = (
+        PAPILLARY
+    )
+    label[(aorta < 0.0) & (w < -4.0)] = AORTA
+    label[(aorta < 0.0) & (w >= -4.0)] = LV  # the outflow tract
+    _partition(label, la, ra, aorta, torch.minimum(mitral, tricuspid))
+    return label
+
+
+def _partition(label: Tensor, la: Tensor, ra: Tensor, aorta: Tensor, valves: Tensor) -> None:
+    """Keep atria and aortic root apart by their walls, in place."""
+    atria = union(la, ra)
+    between = torch.maximum(atria, (la - ra).abs() / 2 - ATRIAL / 2) < 0.0
+    around = torch.maximum(atria, aorta - 2.5) < 0.0
+    label[between & (valves > 0.0) & (aorta > 0.0)] = ATRIAL_WALL
+    label[around & (valves > 0.0) & (aorta > 0.0)] = VESSEL_WALL
+
+
+def ventricle(points: Tensor, shape: Shape) -> Tensor:
+    """Return the distance of points to the LV's endocardium, an oval that waves a little."""
+    turn, oval = shape.form.oval_turn, shape.form.oval**0.5
+    cos, sin = math.cos(turn), math.sin(turn)
+    axes = ((cos, sin, 0.0), (-sin, cos, 0.0), (0.0, 0.0, 1.0))
+    radii = (shape.semi / oval, shape.semi * oval, shape.half)
+    smooth = ellipsoid(points - points.new_tensor((0.0, 0.0, shape.middle)), (0.0,) * 3, radii, axes)
+    angle = torch.atan2(points[:, 1], points[:, 0])
+    wave = torch.cos(3.0 * angle + 2.0 * turn) + torch.cos(5.0 * angle - points[:, 2] / 6.0)
+    return smooth + shape.form.waviness * shape.semi * wave
+
+
+def _ring(points: Tensor, centre: tuple[float, float, float], radius: float, below: float) -> Tensor:
+    """Return the distance to the opening of a valve between atrium and ventricle."""
+    u, v, w = centre
+    return capsule(points, (u, v, w + 3.0), (u, v - 3.0, w - below), radius, 0.97 * radius)
+
+
+def _ellipsoid(points: Tensor, shape: Ellipsoid) -> Tensor:
+    return ellipsoid(points, shape.centre, shape.radii)
+
+
+def _tube(points: Tensor, shape: Tube) -> Tensor:
+    return tube(points, shape.path, shape.radii)
