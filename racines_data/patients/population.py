@@ -268,7 +268,7 @@ def _place(draw: _Draw) -> Place:
 def _chest(draw: _Draw, body: Body) -> Chest:
     stout = (body.weight / body.height**2 - 25.5) / 3.8
     return Chest(
-        thickness=round(max(0.010, 0.0155 + 0.0025 * stout + draw.between(-0.002, 0.002)), 6),
+        thickness=round(max(0.009, 0.0140 + 0.0023 * stout + draw.between(-0.002, 0.002)), 6),
         fat=draw.between(0.25, 0.5),
         rib_spacing=draw.between(0.026, 0.031),
         rib_width=draw.between(0.008, 0.011),
@@ -295,7 +295,7 @@ def _tissues(draw: _Draw) -> Tissues:
 def _examination(draw: _Draw) -> Examination:
     return Examination(
         half_angle=draw.between(0.58, 0.76),
-        margin=draw.between(0.02, 0.22),
+        margin=draw.between(0.0, 0.16),
         gain=draw.between(-11.0, -1.0),
         dynamic_range=draw.between(58.0, 78.0),
         gray_map=draw.between(1.6, 2.5),

@@ -1,0 +1,1 @@
+"""Patients: simulated hearts that nobody trained on, which beat and breathe."""

@@ -1,0 +1,193 @@
+# pyright: strict
+"""Pictures of a batch whose rows may be of different patients: the phantom's acoustics, row by row.
+
+As `phantom.acoustics`, whose point spread function and noise it shares, but settings are tensors,
+blood is drawn anew in every frame, and the scan conversion differs with the sector's width.
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from racines_data.imaging import IMAGE_SIZE
+from racines_data.patients.labels import ATTENUATIONS, BLOOD, CODES, shown
+from racines_data.patients.sampling import BITS, Samples
+from racines_data.patients.settings import PROBE, SOFT_LOSS, Settings
+from racines_data.phantom.acoustics import (
+    NOISE_BANK,
+    SPECKLE_GAIN,
+    SPECULAR_GAIN,
+    SPECULAR_LOSS,
+    Beams,
+    averaging,
+    echo_power,
+    form_image,
+    make_beams,
+)
+from racines_data.phantom.volume import ALONG_SHEET, SCATTERER_STEP, SHEET
+from racines_data.randomness import derive
+
+AIR_LOSS = 6.0  # one-way loss of a sample above the skin, dB
+BLOOD_GAIN = 0.9  # blood's speckle has no memory from voxel to voxel: the blur gives it less
+
+
+class Scanner(NamedTuple):
+    """What all rows share: point spread, noise, speckle reduction."""
+
+    beams: Beams
+    sideways: Tensor  # (L, 1) dB: elements hear less from aside
+    smooth_beams: Tensor  # (L, L)
+    smooth_samples: Tensor  # (S, S)
+
+
+def make_scanner(device: torch.device) -> Scanner:
+    """Precompute what all rows share."""
+    beams = make_beams(PROBE, SOFT_LOSS, device)
+    aside = torch.linspace(-1.0, 1.0, PROBE.beams).square().unsqueeze(1)
+    along, across = PROBE.smoothing
+    return Scanner(
+        beams._replace(veil_across=beams.veil_across / 10.0 ** (PROBE.haze / 10.0)),
+        (-PROBE.directivity * aside).to(device),
+        averaging(PROBE.beams, across, 3).to(device),
+        averaging(PROBE.samples, along, 3).T.contiguous().to(device),
+    )
+
+
+def solid_table(stages: Tensor) -> Tensor:
+    """Return (M, CODES) 1 where a code is solid and 0 where it is blood, of (M, 3) valve stages."""
+    rows = [
+        [float(shown(code, (a, b, c)) not in BLOOD) for code in range(CODES)]
+        for a, b, c in stages.tolist()
+    ]
+    return torch.tensor(rows, device=stages.device)
+
+
+def hear(
+    voxels: Tensor, at: Tensor, samples: Samples, solid: Tensor, settings: Settings, shadow: Tensor,
+    scanner: Scanner, seeds: Tensor,
+) -> Tensor:
+    """Return the (B, 2, L, S) complex echoes before the point spread function.
+
+    Args:
+        voxels: flat int64 voxels of all hearts.
+        at: (B,) first voxel of each row's heart.
+        samples: where the samples lie.
+        solid: (B, CODES) of the rows' valves, see `solid_table`.
+        settings: of the rows.
+        shadow: (B, L, S) dB that ribs and lung take from the sound on its way there.
+        scanner: what all rows share.
+        seeds: (B,) of the frames.
+    """  # fmt: skip
+    count = len(at)
+    index = samples.voxel.to(at.dtype).add_(at.view(-1, 1, 1))
+    packed = voxels.index_select(0, index.flatten())
+    shape = samples.voxel.shape
+    levels = packed.view(torch.int8).view(*shape, 8)
+    last = packed.view(torch.uint8).view(*shape, 8)[..., 7].to(torch.int32)
+    code = (last & (CODES - 1)).add_(
+        torch.arange(0, count * CODES, CODES, device=at.device, dtype=torch.int32).view(-1, 1, 1)
+    )
+    firm = solid.flatten().index_select(0, code.flatten()).view(shape)
+    incidence = levels[..., 4].to(torch.float32) * samples.way[:, 0]
+    incidence.addcmul_(levels[..., 5].to(torch.float32), samples.way[:, 1])
+    incidence.addcmul_(levels[..., 6].to(torch.float32), samples.way[:, 2])
+    incidence.mul_(firm).mul_((2.0**-BITS / settings.step).float().view(-1, 1, 1))
+    strength = incidence.abs()
+    # dB more than in soft tissue, which the TGC undoes
+    extra = (last >> 6).to(torch.float32).mul_(ATTENUATIONS[1]).add_(ATTENUATIONS[0])
+    loss = extra.mul_(settings.loss).add_(strength, alpha=SPECULAR_LOSS)
+    loss.sub_(samples.air, alpha=AIR_LOSS).add_(shadow)
+    received = loss.cumsum(-1).sub_(loss).mul_(-2.0).add_(settings.along).add_(scanner.sideways)
+    received.mul_(math.log(10.0) / 20.0).exp_().mul_(SCATTERER_STEP)
+    return _echoes(packed, shape, incidence, strength, firm, received, settings, scanner, seeds)
+
+
+def _echoes(
+    packed: Tensor, shape: torch.Size, incidence: Tensor, strength: Tensor, firm: Tensor,
+    received: Tensor, settings: Settings, scanner: Scanner, seeds: Tensor,
+) -> Tensor:  # fmt: skip
+    """Join what scatterers, interfaces and fresh blood send back."""
+    scatterers = packed.view(torch.int16).view(*shape, 4)
+    specular = incidence.mul_(strength).mul_(SPECULAR_GAIN * SPECULAR_GAIN / SCATTERER_STEP)
+    across = strength.mul_((1.0 - ALONG_SHEET) / SHEET).clamp_max_(1.0 - ALONG_SHEET)
+    across.add_(ALONG_SHEET).mul_(firm)
+    size = 2 * shape[1] * shape[2]
+    start = derive(seeds, 13).remainder(NOISE_BANK - size)
+    fresh = scanner.beams.noise.unfold(0, size, 1).index_select(0, start).view(len(seeds), 2, *shape[1:])
+    flowing = torch.sub(1.0, firm).mul_(settings.blood * (BLOOD_GAIN / SCATTERER_STEP))
+    echoes = fresh.mul_(flowing.unsqueeze(1))
+    real, imaginary = echoes.unbind(1)
+    real.add_(specular).addcmul_(scatterers[..., 0].to(torch.float32), across).mul_(received)
+    imaginary.addcmul_(scatterers[..., 1].to(torch.float32), across).mul_(received)
+    return echoes
+
+
+def picture(
+    echoes: Tensor, coupling: Tensor, settings: Settings, scanner: Scanner, seeds: Tensor
+) -> Tensor:
+    """Turn echoes into (B, L, S) gray 0-255: point spread, face, looks, log compression."""
+    total = None
+    for look in range(PROBE.looks):
+        field = form_image(echoes, scanner.beams, look)
+        field = _face(field, coupling, settings, scanner, derive(seeds, 17 + look))
+        shade = torch.log10(echo_power(field).clamp_min_(1e-12))
+        total = shade if total is None else total.add_(shade)
+    assert total is not None
+    total.mul_(settings.contrast / PROBE.looks).add_(settings.lift).clamp_(0.0, 1.0)
+    # The gray map as one exponential: a power whose exponent differs from row to row is slow.
+    return total.clamp_min_(1e-6).log_().mul_(settings.curve).exp_().mul_(255.0)
+
+
+def _face(
+    field: Tensor, coupling: Tensor, settings: Settings, scanner: Scanner, seeds: Tensor
+) -> Tensor:
+    """Add coupling loss, multiple scattering, reverberation and noise, in place."""
+    beams, size = scanner.beams, field[0].numel()
+    start = derive(seeds, 11).remainder(NOISE_BANK - size)
+    noise = beams.noise.unfold(0, size, 1).index_select(0, start).view(field.shape)
+    gain = coupling.unsqueeze(-1)
+    field *= gain.unsqueeze(1)
+    around = torch.bmm(echo_power(field), beams.veil_along.expand(len(field), -1, -1))
+    around = torch.bmm(beams.veil_across.expand(len(field), -1, -1), around).mul_(settings.veil)
+    around.add_(settings.hiss).addcmul_(settings.ringing, gain.square())
+    noise *= around.mul_(0.5).sqrt_().unsqueeze(1)
+    field.add_(noise).addcmul_(beams.clutter, (1.0 - 0.65 * gain).unsqueeze(1))
+    return field
+
+
+def convert(polar: Tensor, pixels: Tensor, scanner: Scanner) -> Tensor:
+    """Turn (B, L, S) gray 0-255 into (B, 128, 128) uint8 images; `pixels` as `pixel_map` gives."""
+    count = len(polar)
+    polar = torch.bmm(polar, scanner.smooth_samples.expand(count, -1, -1))
+    polar = torch.bmm(scanner.smooth_beams.expand(count, -1, -1), polar).unsqueeze(1)
+    image = functional.grid_sample(polar, pixels, "bilinear", "zeros", align_corners=True)
+    return image.squeeze(1).add_(0.5).to(torch.uint8)
+
+
+def pixel_map(half_angle: float) -> tuple[Tensor, Tensor]:
+    """Lay a sector of unit depth into the image: apex at the top centre, as wide as the image.
+
+    Returns:
+        (128, 128, 2) float32, for `grid_sample`: sample and beam of each pixel in -1 to 1, far off
+        outside the sector; and (16384,) int64, the nearest of the polar grid's samples, or the one
+        past the last outside.
+    """
+    place = torch.arange(IMAGE_SIZE, dtype=torch.float64)
+    pixel = 2.0 * math.sin(half_angle) / IMAGE_SIZE
+    lateral, axial = (place - (IMAGE_SIZE - 1) / 2) * pixel, (place.unsqueeze(1) + 0.5) * pixel
+    radius, angle = (lateral.square() + axial.square()).sqrt(), torch.atan2(lateral, axial)
+    inside = (angle.abs() <= half_angle) & (radius <= 1.0)
+    beam = ((angle / half_angle + 1.0) / 2.0 * (PROBE.beams - 1)).clamp(0, PROBE.beams - 1)
+    sample = (radius * PROBE.samples - 0.5).clamp(0, PROBE.samples - 1)
+    scale = torch.tensor([PROBE.samples - 1, PROBE.beams - 1], dtype=torch.float64)
+    grid = torch.stack([sample, beam], -1) / scale * 2.0 - 1.0
+    grid[~inside] = -3.0
+    nearest = beam.round() * PROBE.samples + sample.round()
+    nearest[~inside] = PROBE.beams * PROBE.samples
+    return grid.float(), nearest.long().flatten()
+
+
+__all__ = ["SPECKLE_GAIN", "Scanner", "convert", "hear", "make_scanner", "picture", "pixel_map", "solid_table"]
