@@ -18,10 +18,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from racines_data.files import write_atomic
-from racines_data.patients.form import Shape, shape_of
+from racines_data.patients.form import LIVER, Shape, shape_of
 from racines_data.patients.labels import BACKGROUND, BLOOD, MATERIALS, MITRAL, VALVES
 from racines_data.patients.paint import paint
 from racines_data.patients.population import PATIENTS_VERSION, Patient
+from racines_data.patients.sampling import DIAPHRAGM, DIAPHRAGM_LAYER
 from racines_data.patients.tiles import (
     Fields,
     Surroundings,
@@ -48,6 +49,7 @@ def bake(patient: Patient) -> Tensor:
     around = tile_of(patient, fields)
     box = _box(patient, fields, label, around)
     liver, chest = liver_tile(patient, fields), chest_tile(patient, fields)
+    _add_liver(box, label, shape, liver, chest)
     return torch.cat([box.flatten(), around.packed, liver, chest])
 
 
@@ -127,13 +129,33 @@ def _box(patient: Patient, fields: Fields, label: Tensor, around: Surroundings) 
     smoothed = torch.where(leaf, echo, blur(echo, 0.6))
     smoothed -= 20.0 * torch.log10(torch.tensor(ALONG_SHEET)) * ~sheets * ~outside
     packed = pack(_tiled(fields.scatter), smoothed, gradient, label, attenuation)
-    near = functional.max_pool3d((~outside).float()[None, None], 2 * _NEAR + 1, 1, _NEAR)[0, 0] > 0
-    return torch.where(near, packed.view(label.shape), _tiled(around.packed.view(TILE, TILE, TILE)))
+    return torch.where(_widened(~outside), packed.view(label.shape), _tiled(around.packed.view(TILE)))
+
+
+def _widened(inside: Tensor) -> Tensor:
+    """Return where a voxel within `_NEAR` along each axis is inside; it never wraps to be so."""
+    for axis in range(3):
+        wide = inside
+        for shift in range(1, _NEAR + 1):
+            wide = wide | inside.roll(shift, axis) | inside.roll(-shift, axis)
+        inside = wide
+    return inside
+
+
+def _add_liver(box: Tensor, label: Tensor, shape: Shape, liver: Tensor, chest: Tensor) -> None:
+    """Copy liver and diaphragm from their tiles to where the box has no heart, in place."""
+    axes = [centres(torch.arange(BOX).view(-1, 1).expand(-1, 3))[:, i] * n
+            for i, n in enumerate(LIVER)]  # fmt: skip
+    beyond = axes[0].view(-1, 1, 1) + axes[1].view(-1, 1) + axes[2] - shape.diaphragm
+    x, y, z = ((beyond >= 0.0) & (label == BACKGROUND)).nonzero().unbind(1)
+    flat = ((x % TILE[0]) * TILE[1] + y % TILE[1]) * TILE[2]
+    found, fascia = liver[flat + z % TILE[2]], chest[flat + DIAPHRAGM_LAYER]
+    box[x, y, z] = torch.where(beyond[x, y, z] < DIAPHRAGM, fascia, found)
 
 
 def _tiled(field: Tensor) -> Tensor:
     """Repeat a field of the tile over the box."""
-    return field.repeat(*[1] * (field.ndim - 3), *[BOX // TILE] * 3)
+    return field.repeat(*[1] * (field.ndim - 3), *(BOX // size for size in TILE))
 
 
 def _gradient(impedance: Tensor, sheets: Tensor) -> Tensor:

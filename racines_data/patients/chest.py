@@ -22,6 +22,7 @@ GIVE = 45.0
 """Distance from the tip at which tissue is pushed half as far as under it, mm."""
 RIB_DEPTH, LUNG_DEPTH = 0.62, 1.0
 """Where ribs and pleura lie, shares of the chest wall's thickness."""
+MARGIN = 22.0  # from the costal margin to the subcostal window, mm
 EDGE = 2.0  # over which an obstacle begins, mm
 
 
@@ -29,12 +30,12 @@ class Chest(NamedTuple):
     """Of K patients, or of the B rows of a batch; mm, float64."""
 
     thickness: Tensor  # (K,)
-    foot: Tensor  # (K, 2) level direction of the feet
     across: Tensor  # (K, 2) normal of the ribs
     offset: Tensor  # (K,) of a space's middle along that normal
     spacing: Tensor
     width: Tensor
-    last: Tensor  # (K,) along the normal: no rib beyond
+    margin: Tensor  # (K, 2) level direction in which the ribs end
+    last: Tensor  # (K,) where they do, along it
     rib_loss: Tensor  # (K,) dB one way
     lung_loss: Tensor
     notch: Tensor  # (K,) radius around the way from the first to the second window
@@ -58,6 +59,7 @@ def chest_of(patient: Patient, placement: Placement, poses: Pose) -> list[Tensor
     along = torch.stack([front @ across, apical @ across])
     spaces = max(1, round(float(along[1] - along[0]) / (1e3 * chest.rib_spacing)))
     spacing = (along[1] - along[0]).abs() / spaces
+    margin = torch.nn.functional.normalize(below - (front + apical) / 2.0, dim=0)
     if float(spacing) < 24.0:  # windows side by side: one space holds both
         spacing = torch.tensor(1e3 * chest.rib_spacing, dtype=double)
 
@@ -65,8 +67,8 @@ def chest_of(patient: Patient, placement: Placement, poses: Pose) -> list[Tensor
         return torch.tensor(value, dtype=double)
 
     return [
-        number(chest.thickness * 1e3), foot, across, along[1], spacing,
-        number(chest.rib_width * 1e3), torch.maximum(along[1] + 0.8 * spacing, below @ across - 22.0),
+        number(chest.thickness * 1e3), across, along[1], spacing,
+        number(chest.rib_width * 1e3), margin, below @ margin - MARGIN,
         number(chest.rib_loss), number(chest.lung_loss), number(chest.notch * 1e3),
         torch.stack([front, apical]),
         torch.cat([foot, foot.new_zeros(1)]) * (patient.motion.sway * 1e3),
@@ -137,8 +139,13 @@ def _rib(place: Tensor, chest: Chest) -> Tensor:
     # Distance from the nearest rib's middle, half a space off the windows.
     away = (torch.remainder(along - chest.offset.unsqueeze(1), spacing) - spacing / 2.0).abs()
     inside = torch.sigmoid((chest.width.unsqueeze(1) / 2.0 - away) * (4.0 / EDGE))
-    above = torch.sigmoid((chest.last.unsqueeze(1) - along) * (4.0 / EDGE))
-    return chest.rib_loss.unsqueeze(1) * inside * above
+    return chest.rib_loss.unsqueeze(1) * inside * _over_margin(place, chest)
+
+
+def _over_margin(place: Tensor, chest: Chest) -> Tensor:
+    """Return (B, L) 1 over the costal margin and 0 below it, where the subcostal window is."""
+    beyond = (place * chest.margin.unsqueeze(1)).sum(-1) - chest.last.unsqueeze(1)
+    return torch.sigmoid(-beyond / EDGE)
 
 
 def _lung(place: Tensor, chest: Chest) -> Tensor:
@@ -148,9 +155,8 @@ def _lung(place: Tensor, chest: Chest) -> Tensor:
     share = (((place - first) * way).sum(-1) / way.square().sum(-1)).clamp(0.0, 1.0)
     nearest = first + share.unsqueeze(-1) * way
     away = (place - nearest).square().sum(-1).sqrt()
-    below = ((place - second) * chest.foot.unsqueeze(1)).sum(-1)
     covered = torch.sigmoid((away - chest.notch.unsqueeze(1)) * (2.0 / EDGE))
-    return chest.lung_loss.unsqueeze(1) * covered * torch.sigmoid((12.0 - below) * (1.0 / EDGE))
+    return chest.lung_loss.unsqueeze(1) * covered * _over_margin(place, chest)
 
 
 def shadows(found: Obstacles, step: Tensor, samples: int) -> Tensor:

@@ -16,7 +16,7 @@ from racines_data.phantom.heart import S, T
 Point = tuple[float, float, float]
 FOOT: Point = (-0.30, -0.55, 0.78)
 """Direction of the feet: from the parasternal window to the subcostal one."""
-LIVER: Point = (-0.668, -0.459, 0.586)
+LIVER: Point = (-0.80, -0.40, 0.447214)
 """Normal of the diaphragm, into the liver."""
 
 
@@ -177,12 +177,12 @@ def _descending(form: Form, wide: float) -> Tube:
 
 
 def _diaphragm(form: Form, lv: Ellipsoid, septal: float, body: float, tall: float) -> float:
-    """Return how far the heart reaches towards the liver, mm, with its pericardium."""
+    """Return where the liver begins, mm: it hugs the heart's lowest side."""
     right = Ellipsoid(
         (-(septal + form.right - body), 8.0 * form.ventricle / 45.0, 19.0 * tall),
         (body, body, 50.0 * tall * form.right_length),
     )
-    return max(reach(lv, LIVER), reach(right, LIVER) + 4.0) + 3.5
+    return max(reach(lv, LIVER), reach(right, LIVER) + 4.0) - 7.0
 
 
 def reach(shape: Ellipsoid, way: Point) -> float:

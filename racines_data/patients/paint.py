@@ -9,7 +9,7 @@ import math
 import torch
 from torch import Tensor
 
-from racines_data.patients.form import Ellipsoid, Shape, Tube
+from racines_data.patients.form import Ellipsoid, Point, Shape, Tube
 from racines_data.patients.labels import (
     AORTA,
     ATRIAL_WALL,
@@ -28,17 +28,20 @@ from racines_data.patients.labels import (
     VESSEL_WALL,
 )
 from racines_data.phantom.heart import T
-from racines_data.phantom.shapes import capsule, ellipsoid, smooth_union, subtract, tube, union
+from racines_data.phantom.shapes import smooth_union, subtract, union
 
+Points = tuple[Tensor, ...]
+"""Three (M,) coordinates, mm: whole columns are read faster than rows of three."""
 RIGHT_WALL, ATRIAL, VESSEL, SAC = 3.6, 2.4, 2.2, 1.5
 """Thickness of the RV's free wall, the atria's and vessels' walls and the pericardium, mm."""
 TRICUSPID_PLANE = 5.0  # mm: the tricuspid valve stands nearer to the apex than the mitral
 
 
-def paint(points: Tensor, shape: Shape) -> Tensor:
-    """Return the (M,) uint8 labels of (M, 3) float64 points, mm; leaflets are not among them."""
-    w = points[:, 2]
-    cavity = torch.maximum(ventricle(points, shape), -w)
+def paint(where: Tensor, shape: Shape) -> Tensor:
+    """Return the (M,) uint8 labels at (M, 3) float64 points, mm; leaflets are not among them."""
+    points = tuple(each.contiguous() for each in where.unbind(1))
+    w = points[2]
+    cavity = torch.maximum(_ventricle(points, shape), -w)
     outer = torch.maximum(_ellipsoid(points, shape.lv_outer), -w - 4.0)
     la, ra = _ellipsoid(points, shape.left_atrium), _ellipsoid(points, shape.right_atrium)
     aorta, outflow = _tube(points, shape.aorta), _tube(points, shape.outflow)
@@ -65,7 +68,7 @@ def paint(points: Tensor, shape: Shape) -> Tensor:
     label[torch.minimum(ra, tricuspid) < 0.0] = RA
     label[torch.minimum(la, mitral) < 0.0] = LA
     label[(torch.minimum(rv, tricuspid) < 0.0) & ((w > TRICUSPID_PLANE) | (rv < 0.0))] = RV
-    across = points @ points.new_tensor(T)
+    across = points[0] * T[0] + points[1] * T[1]
     label[pulmonary < 0.0] = PULMONARY
     label[(label == RV) & (across > shape.outflow.path[3][0] * T[0] + shape.outflow.path[3][1]
                            * T[1])] = PULMONARY  # fmt: skip
@@ -89,27 +92,45 @@ def _partition(label: Tensor, la: Tensor, ra: Tensor, aorta: Tensor, valves: Ten
     label[around & (valves > 0.0) & (aorta > 0.0)] = VESSEL_WALL
 
 
-def ventricle(points: Tensor, shape: Shape) -> Tensor:
+def _ventricle(points: Points, shape: Shape) -> Tensor:
     """Return the distance of points to the LV's endocardium, an oval that waves a little."""
     turn, oval = shape.form.oval_turn, shape.form.oval**0.5
     cos, sin = math.cos(turn), math.sin(turn)
-    axes = ((cos, sin, 0.0), (-sin, cos, 0.0), (0.0, 0.0, 1.0))
+    u, v, w = points
+    turned = (cos * u + sin * v, cos * v - sin * u, w)
     radii = (shape.semi / oval, shape.semi * oval, shape.half)
-    smooth = ellipsoid(points - points.new_tensor((0.0, 0.0, shape.middle)), (0.0,) * 3, radii, axes)
-    angle = torch.atan2(points[:, 1], points[:, 0])
-    wave = torch.cos(3.0 * angle + 2.0 * turn) + torch.cos(5.0 * angle - points[:, 2] / 6.0)
+    smooth = _ellipsoid(turned, Ellipsoid((0.0, 0.0, shape.middle), radii))
+    angle = torch.atan2(v, u)
+    wave = torch.cos(3.0 * angle + 2.0 * turn) + torch.cos(5.0 * angle - w / 6.0)
     return smooth + shape.form.waviness * shape.semi * wave
 
 
-def _ring(points: Tensor, centre: tuple[float, float, float], radius: float, below: float) -> Tensor:
+def _ring(points: Points, centre: Point, radius: float, below: float) -> Tensor:
     """Return the distance to the opening of a valve between atrium and ventricle."""
     u, v, w = centre
-    return capsule(points, (u, v, w + 3.0), (u, v - 3.0, w - below), radius, 0.97 * radius)
+    return _capsule(points, (u, v, w + 3.0), (u, v - 3.0, w - below), radius, 0.97 * radius)
 
 
-def _ellipsoid(points: Tensor, shape: Ellipsoid) -> Tensor:
-    return ellipsoid(points, shape.centre, shape.radii)
+def _ellipsoid(points: Points, shape: Ellipsoid) -> Tensor:
+    """Return the distance to an ellipsoid; see `phantom.shapes.ellipsoid`."""
+    first = second = torch.zeros_like(points[0])
+    for x, centre, radius in zip(points, shape.centre, shape.radii, strict=True):
+        square = ((x - centre) / radius).square()
+        first, second = first + square, second + square / radius**2
+    return first.sqrt() * (first.sqrt() - 1.0) / second.sqrt().clamp_min(1e-9)
 
 
-def _tube(points: Tensor, shape: Tube) -> Tensor:
-    return tube(points, shape.path, shape.radii)
+def _tube(points: Points, shape: Tube) -> Tensor:
+    """Return the distance to a tube along a polyline, one radius a vertex."""
+    ends = zip(shape.path, shape.path[1:], shape.radii, shape.radii[1:], strict=False)
+    return union(*(_capsule(points, *each) for each in ends))
+
+
+def _capsule(points: Points, a: Point, b: Point, radius_a: float, radius_b: float) -> Tensor:
+    """Return the distance to a rounded cone from a to b."""
+    way = [end - start for start, end in zip(a, b, strict=True)]
+    offset = [x - start for x, start in zip(points, a, strict=True)]
+    share = offset[0] * way[0] + offset[1] * way[1] + offset[2] * way[2]
+    share = (share / sum(part * part for part in way)).clamp(0.0, 1.0)
+    square = [(x - share * part).square() for x, part in zip(offset, way, strict=True)]
+    return (square[0] + square[1] + square[2]).sqrt() - (radius_a + share * (radius_b - radius_a))

@@ -188,7 +188,7 @@ class Pool:
         organ = rotate(settings.axes[:, None, None], base - origin[:, None, None])
         act = self._act(rows, phase)
         beating = to_diastole(organ, self._dynamics.rows(rows), act)
-        return coordinates(base, organ, beating, settings)
+        return coordinates(base, beating, settings)
 
     def _act(self, rows: Tensor, phase: Tensor) -> Tensor:
         return activation(phase[:, 0], self._dynamics.kick.index_select(0, rows))
@@ -205,8 +205,8 @@ class Pool:
         settings, chest = self._settings.rows(rows), self._chest.rows(rows)
         nodes = self._nodes(pose, rows, phase, settings, chest)
         samples = place_samples(nodes, None, self._grid)
-        index = samples.voxel.to(self._offsets.dtype)
-        index += self._offsets.index_select(0, rows).view(-1, 1, 1)
+        at = self._offsets.index_select(0, rows).view(-1, 1, 1)
+        index = samples.voxel + at
         packed = self._voxels.index_select(0, index.flatten()).view(torch.uint8)
         code = packed.view(len(rows), -1, 8)[..., 7] & (CODES - 1)
         code = code.masked_fill(samples.air.flatten(1) < 0, 0).long()

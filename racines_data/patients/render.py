@@ -18,7 +18,6 @@ from racines_data.patients.sampling import BITS, Samples
 from racines_data.patients.settings import PROBE, SOFT_LOSS, Settings
 from racines_data.phantom.acoustics import (
     NOISE_BANK,
-    SPECKLE_GAIN,
     SPECULAR_GAIN,
     SPECULAR_LOSS,
     Beams,
@@ -82,7 +81,7 @@ def hear(
         seeds: (B,) of the frames.
     """  # fmt: skip
     count = len(at)
-    index = samples.voxel.to(at.dtype).add_(at.view(-1, 1, 1))
+    index = samples.voxel + at.view(-1, 1, 1)
     packed = voxels.index_select(0, index.flatten())
     shape = samples.voxel.shape
     levels = packed.view(torch.int8).view(*shape, 8)
@@ -114,9 +113,7 @@ def _echoes(
     specular = incidence.mul_(strength).mul_(SPECULAR_GAIN * SPECULAR_GAIN / SCATTERER_STEP)
     across = strength.mul_((1.0 - ALONG_SHEET) / SHEET).clamp_max_(1.0 - ALONG_SHEET)
     across.add_(ALONG_SHEET).mul_(firm)
-    size = 2 * shape[1] * shape[2]
-    start = derive(seeds, 13).remainder(NOISE_BANK - size)
-    fresh = scanner.beams.noise.unfold(0, size, 1).index_select(0, start).view(len(seeds), 2, *shape[1:])
+    fresh = _run(scanner.beams, derive(seeds, 13), torch.Size((len(seeds), 2, *shape[1:])))
     flowing = torch.sub(1.0, firm).mul_(settings.blood * (BLOOD_GAIN / SCATTERER_STEP))
     echoes = fresh.mul_(flowing.unsqueeze(1))
     real, imaginary = echoes.unbind(1)
@@ -129,33 +126,39 @@ def picture(
     echoes: Tensor, coupling: Tensor, settings: Settings, scanner: Scanner, seeds: Tensor
 ) -> Tensor:
     """Turn echoes into (B, L, S) gray 0-255: point spread, face, looks, log compression."""
-    total = None
-    for look in range(PROBE.looks):
-        field = form_image(echoes, scanner.beams, look)
-        field = _face(field, coupling, settings, scanner, derive(seeds, 17 + look))
-        shade = torch.log10(echo_power(field).clamp_min_(1e-12))
-        total = shade if total is None else total.add_(shade)
-    assert total is not None
-    total.mul_(settings.contrast / PROBE.looks).add_(settings.lift).clamp_(0.0, 1.0)
-    # The gray map as one exponential: a power whose exponent differs from row to row is slow.
-    return total.clamp_min_(1e-6).log_().mul_(settings.curve).exp_().mul_(255.0)
-
-
-def _face(
-    field: Tensor, coupling: Tensor, settings: Settings, scanner: Scanner, seeds: Tensor
-) -> Tensor:
-    """Add coupling loss, multiple scattering, reverberation and noise, in place."""
-    beams, size = scanner.beams, field[0].numel()
-    start = derive(seeds, 11).remainder(NOISE_BANK - size)
-    noise = beams.noise.unfold(0, size, 1).index_select(0, start).view(field.shape)
     gain = coupling.unsqueeze(-1)
-    field *= gain.unsqueeze(1)
+    power, level = None, None
+    for look in range(PROBE.looks):
+        field = form_image(echoes, scanner.beams, look).mul_(gain.unsqueeze(1))
+        if level is None:  # both looks have the same mean power around
+            level = _level(field, gain, settings, scanner.beams)
+        noise = _run(scanner.beams, derive(seeds, 17 + look), field.shape)
+        field.addcmul_(noise, level).addcmul_(scanner.beams.clutter, (1.0 - 0.65 * gain).unsqueeze(1))
+        found = echo_power(field).clamp_min_(1e-12)
+        power = found if power is None else power.mul_(found)  # the looks' mean in decibels
+    assert power is not None
+    shade = power.log10_().mul_(settings.contrast / PROBE.looks).add_(settings.lift)
+    # The gray map as one exponential: a power whose exponent differs from row to row is slow.
+    return shade.clamp_(1e-6, 1.0).log_().mul_(settings.curve).exp_().mul_(255.0)
+
+
+def _level(field: Tensor, gain: Tensor, settings: Settings, beams: Beams) -> Tensor:
+    """Return the (B, 1, L, S) amplitude of all that has lost its phase.
+
+    That is multiple scattering, which has the mean power of the echoes around, reverberation under
+    the face, and electronic noise.
+    """
     around = torch.bmm(echo_power(field), beams.veil_along.expand(len(field), -1, -1))
     around = torch.bmm(beams.veil_across.expand(len(field), -1, -1), around).mul_(settings.veil)
     around.add_(settings.hiss).addcmul_(settings.ringing, gain.square())
-    noise *= around.mul_(0.5).sqrt_().unsqueeze(1)
-    field.add_(noise).addcmul_(beams.clutter, (1.0 - 0.65 * gain).unsqueeze(1))
-    return field
+    return around.mul_(0.5).sqrt_().unsqueeze(1)
+
+
+def _run(beams: Beams, seeds: Tensor, shape: torch.Size) -> Tensor:
+    """Return standard normal numbers of (B, 2, L, S), a run of the bank for each seed."""
+    size = shape[1:].numel()
+    start = derive(seeds, 11).remainder(NOISE_BANK - size)
+    return beams.noise.unfold(0, size, 1).index_select(0, start).view(shape)
 
 
 def convert(polar: Tensor, pixels: Tensor, scanner: Scanner) -> Tensor:
@@ -190,4 +193,3 @@ def pixel_map(half_angle: float) -> tuple[Tensor, Tensor]:
     return grid.float(), nearest.long().flatten()
 
 
-__all__ = ["SPECKLE_GAIN", "Scanner", "convert", "hear", "make_scanner", "picture", "pixel_map", "solid_table"]

@@ -23,11 +23,10 @@ from racines_data.patients.placement import SURFACE
 from racines_data.patients.settings import PROBE, Settings
 from racines_data.patients.volume import (
     BOX_BITS,
-    BOX_SIZE,
     CHEST_AT,
-    CHEST_SHAPE,
+    CHEST_LEVELS,
     LIVER_AT,
-    TILE_BITS,
+    TILE_AT,
     VOXEL,
     to_voxels,
 )
@@ -38,6 +37,7 @@ NODE_BITS, WEIGHT_BITS = 8, 3
 BITS = NODE_BITS + 2 * WEIGHT_BITS  # of a sample's fraction
 FARTHEST = 511.0  # voxels: what is farther than any sector is held here, so that sums stay exact
 DIAPHRAGM = 1.5  # thickness, mm
+DIAPHRAGM_LAYER = CHEST_LEVELS - 2  # of the chest wall: its brightest one stands for it, too
 JITTER_BITS = 6
 
 
@@ -47,7 +47,7 @@ class Grid(NamedTuple):
     beam: Tensor  # (13,) float64, of the nodes: -1 to 1 over the sector
     sample: Tensor  # (19,) float64, of the nodes: samples from the face
     across: Tensor  # (96, 13) weights in eighths
-    along: Tensor  # (19, 145) weights in eighths; one sample more, for the last one's direction
+    along: Tensor  # (19, 144) weights in eighths
     jitter: Tensor  # (96, 144) offset out of the plane, steps of 2^-6 of a sample's length
 
 
@@ -64,7 +64,7 @@ def make_grid(device: torch.device) -> Grid:
         beam=2.0 * node_beam / (beams - 1) - 1.0,
         sample=node_sample,
         across=_weights(beams, len(node_beam)),
-        along=_weights(samples + 1, len(node_sample)).T.contiguous(),
+        along=_weights(samples, len(node_sample)).T.contiguous(),
         jitter=jitter,
     )
     return Grid(*(each.to(device) for each in grid))
@@ -90,17 +90,16 @@ def base_nodes(pose: Pose, grid: Grid, settings: Settings) -> Tensor:
     return start + direction.unsqueeze(2) * reach[:, None, :, None]
 
 
-def coordinates(base: Tensor, organ: Tensor, beating: Tensor, settings: Settings) -> Tensor:
+def coordinates(base: Tensor, beating: Tensor, settings: Settings) -> Tensor:
     """Return the (B, 5, 13, 19) coordinates of nodes, rounded, in steps of 2^-8.
 
     Args:
         base: (B, 13, 19, 3) mm, where the tissue under the nodes was before the probe pressed.
-        organ: the same in the organ's frame, which breathing has moved.
-        beating: the same where it was at end diastole.
+        beating: the same in the organ's frame, where it was at end diastole.
         settings: of the rows.
     """
-    depth = (SURFACE * 1e3 - base[..., 2]) / settings.thickness.view(-1, 1, 1) * CHEST_SHAPE[2]
-    beyond = (organ * organ.new_tensor(LIVER)).sum(-1) - settings.diaphragm.view(-1, 1, 1)
+    depth = (SURFACE * 1e3 - base[..., 2]) / settings.thickness.view(-1, 1, 1) * CHEST_LEVELS
+    beyond = (beating * beating.new_tensor(LIVER)).sum(-1) - settings.diaphragm.view(-1, 1, 1)
     box = to_voxels(beating)
     parts = torch.stack([*box.unbind(-1), depth, beyond / DIAPHRAGM], 1)
     return (parts.clamp(-FARTHEST, FARTHEST) * 2**NODE_BITS).round()
@@ -126,8 +125,9 @@ def place_samples(nodes: Tensor, elevation: Tensor | None, grid: Grid) -> Sample
     count = len(nodes)
     narrow = torch.matmul(grid.across, nodes.to(torch.float32).flatten(0, 1))
     where = torch.matmul(narrow, grid.along).view(count, 5, *narrow.shape[1:2], -1)
-    way = where[:, :3, :, 1:] - where[:, :3, :, :-1]
-    where = where[..., :-1]
+    way = torch.empty_like(where[:, :3])
+    torch.sub(where[:, :3, :, 1:], where[:, :3, :, :-1], out=way[..., :-1])
+    way[..., -1] = way[..., -2]
     places = [where[:, axis] for axis in range(5)]
     if elevation is not None:
         axis = (elevation * 2 ** (BITS - JITTER_BITS)).round().to(torch.float32)
@@ -137,33 +137,41 @@ def place_samples(nodes: Tensor, elevation: Tensor | None, grid: Grid) -> Sample
     return Samples(voxel, way, air)
 
 
-def _differ(value: Tensor) -> Tensor:
-    """Return -1 where an int32 is not zero, else 0."""
-    return (value | -value) >> 31
-
-
-def _choose(mask: Tensor, where_set: Tensor, where_not: Tensor) -> Tensor:
+def _choose(mask: Tensor, where_set: Tensor | int, where_not: Tensor) -> Tensor:
     """Select by a mask of -1 and 0, in place of `where_not`; several times faster than `where`."""
-    return where_not.bitwise_xor_((where_set ^ where_not).bitwise_and_(mask))
+    return where_not.bitwise_xor_((where_not ^ where_set).bitwise_and_(mask))
+
+
+def _below(value: Tensor, limit: int) -> Tensor:
+    """Return -1 where int32 values are below a limit, else 0."""
+    return (value - limit).bitwise_right_shift_(31)
 
 
 def _voxel(x: Tensor, y: Tensor, z: Tensor, depth: Tensor, beyond: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the voxel of coordinates in steps of 2^-14, and where there is air."""
-    x, y, z = x >> BITS, y >> BITS, z >> BITS
-    box = (x << (2 * BOX_BITS)) | (y << BOX_BITS) | z
-    last = (1 << TILE_BITS) - 1
-    u, v, w = x & last, y & last, z & last
-    tile = ((u << (2 * TILE_BITS)) | (v << TILE_BITS) | w).add_(BOX_SIZE)
-    voxel = _choose(_differ((x | y | z) >> BOX_BITS), tile, box)
-    u, v, w = u.bitwise_and_(31), v, w.bitwise_and_(31)
-    liver = ((u << 11) | (v << 5) | w).add_(LIVER_AT)
-    voxel = _choose(~(beyond >> 31), liver, voxel)
-    level = depth >> BITS
-    wall = ((v << 10) | (u << 5)).add_(CHEST_AT)
-    fascia = wall + (CHEST_SHAPE[2] - 2)  # the brightest layer stands for the diaphragm, too
-    voxel = _choose(~_differ(beyond >> BITS), fascia, voxel)
-    voxel = _choose(~_differ(level >> 5), wall.add_(level), voxel)
-    return voxel, depth >> 31
+    """Return the voxel of coordinates in steps of 2^-14, and where there is air.
+
+    Masks are -1 and 0, and coordinates are cut from their bits where an index needs them.
+    """
+    height = z >> BITS
+    box = (x & _field(BOX_BITS, BITS)) | ((y >> BOX_BITS) & _field(BOX_BITS, BITS - BOX_BITS))
+    box.bitwise_or_(height & (2**BOX_BITS - 1))
+    beside = (x | y | z).bitwise_right_shift_(BITS + BOX_BITS)
+    beside = (beside | -beside).bitwise_right_shift_(31)
+    liver, air = ~(beyond >> 31), depth >> 31
+    diaphragm = _below(beyond, 1 << BITS).bitwise_and_(liver)
+    wall = _below(depth, CHEST_LEVELS << BITS).bitwise_and_(~air)
+    # Tiles share one layout, so that one index does for all; the wall's third axis is its depth.
+    third = _choose(diaphragm, DIAPHRAGM_LAYER, height.bitwise_and_(CHEST_LEVELS - 1))
+    third = _choose(wall, depth.bitwise_right_shift(BITS), third)
+    chest = diaphragm.bitwise_or_(wall)
+    kind = _choose(chest, CHEST_AT, liver.bitwise_and_(LIVER_AT - TILE_AT).add_(TILE_AT))
+    tile = ((x >> 3) & _field(6, 11)).bitwise_or_((y >> 9) & _field(6, 5)).bitwise_or_(third)
+    return _choose(beside.bitwise_or_(wall), tile.add_(kind), box), air
+
+
+def _field(bits: int, at: int) -> int:
+    """Return a mask of some bits from a place up."""
+    return ((1 << bits) - 1) << at
 
 
 def elevation_axis(pose: Pose, settings: Settings) -> Tensor:

@@ -1,7 +1,7 @@
 # pyright: strict
 """The tissue around a heart, as tiles that repeat without a seam: surroundings, liver, chest wall.
 
-All that is random in a patient's voxels is drawn here, once, on a tile of 64³: the heart's own
+All that is random in a patient's voxels is drawn here, once, on a tile: the heart's own
 scatterers are the tile's, too.
 """
 
@@ -14,7 +14,7 @@ from torch.nn.functional import normalize
 
 from racines_data.patients.labels import ATTENUATIONS, BACKGROUND, CAVA, CHEST, LIVER, MATERIALS, SOFT
 from racines_data.patients.population import Patient
-from racines_data.patients.volume import CHEST_SHAPE, LIVER_SHAPE, TILE, VOXEL
+from racines_data.patients.volume import TILE
 from racines_data.phantom.volume import (
     ALONG_SHEET,
     REFLECTOR_STEP,
@@ -30,21 +30,20 @@ __all__ = ["ATTENUATIONS", "Fields", "chest_tile", "draw_fields", "liver_tile", 
 
 
 class Fields(NamedTuple):
-    """Random fields of one patient on the tile, each periodic."""
+    """Random fields of one patient on a tile of X x Y x Z voxels, each periodic."""
 
-    scatter: Tensor  # (2, T, T, T) complex Gaussian scatterers of unit power
-    slow: Tensor  # (T, T, T) standard normal, over centimetres
-    fine: Tensor  # (T, T, T) standard normal, over 2-3 mm
-    layers: Tensor  # (T, T, T) in -1 to 1: the mean of a few plane waves
+    scatter: Tensor  # (2, X, Y, Z) complex Gaussian scatterers of unit power
+    slow: Tensor  # (X, Y, Z) standard normal, over centimetres
+    fine: Tensor  # (X, Y, Z) standard normal, over 2-3 mm
+    layers: Tensor  # (X, Y, Z) in -1 to 1: the mean of a few plane waves
 
 
 def draw_fields(patient: Patient) -> Fields:
     """Draw the fields of a patient."""
     seed = derive(torch.tensor([patient.seed]), 811)
-    cube = (TILE, TILE, TILE)
-    scatter = torch.stack([smooth(_white(seed, cube, 1 + i), SCATTER_BLUR) for i in range(2)])
+    scatter = torch.stack([smooth(_white(seed, TILE, 1 + i), SCATTER_BLUR) for i in range(2)])
     scatter = scatter / (scatter.square().sum(0).mean().sqrt())
-    slow, fine = _white(seed, (16, 16, 16), 3), _white(seed, cube, 4)
+    slow, fine = _white(seed, (TILE[0] // 4, TILE[1] // 4, TILE[2] // 4), 3), _white(seed, TILE, 4)
     slow = smooth(slow, 1.1).repeat_interleave(4, 0).repeat_interleave(4, 1).repeat_interleave(4, 2)
     return Fields(scatter, _unit(smooth(slow, 2.5)), _unit(smooth(fine, 1.2)), _waves(seed))
 
@@ -72,21 +71,21 @@ def _waves(seed: Tensor) -> Tensor:
     """Return the mean of plane waves that fit the tile a whole number of times."""
     draw = uniform(seed, 6 * 4, 7)[0].view(6, 4)
     way = normalize(draw[:, :3] - 0.5, dim=1)
-    turns = (way * (1.2 + 1.3 * draw[:, 3:])).round()
-    where = torch.arange(TILE, dtype=torch.float32) / TILE
-    phase = [turns[:, i].view(-1, 1, 1, 1) * where.view([-1 if i == j else 1 for j in range(3)])
-             for i in range(3)]  # fmt: skip
-    total = phase[0] + phase[1] + phase[2] + draw[:, 3].view(-1, 1, 1, 1)
+    turns = (way * torch.tensor([1.0, 1.0, 0.6]) * (1.2 + 1.3 * draw[:, 3:])).round()
+    total = draw[:, 3].view(-1, 1, 1, 1)
+    for axis, size in enumerate(TILE):
+        where = (torch.arange(size) / size).view([-1 if axis == each else 1 for each in range(3)])
+        total = total + turns[:, axis].view(-1, 1, 1, 1) * where
     return torch.sin(2.0 * math.pi * total).mean(0)
 
 
 class Surroundings(NamedTuple):
     """What lies around a heart, on the tile."""
 
-    echo: Tensor  # (T, T, T) dB
+    echo: Tensor  # (X, Y, Z) dB
     impedance: Tensor  # MRayl
     attenuation: Tensor  # uint8 class
-    packed: Tensor  # (T³,) int64
+    packed: Tensor  # (X*Y*Z,) int64
 
 
 def tile_of(patient: Patient, fields: Fields) -> Surroundings:
@@ -130,23 +129,18 @@ def pack(scatter: Tensor, echo: Tensor, gradient: Tensor, label: Tensor, attenua
     return packed.view(torch.int64).reshape(-1)
 
 
-def _crop(fields: Fields, shape: tuple[int, int, int]) -> Tensor:
-    x, y, z = shape
-    return fields.scatter[:, :x, :y, :z] / ALONG_SHEET  # it has no sheets, and is never seen along
-
-
 def liver_tile(patient: Patient, fields: Fields) -> Tensor:
     """Return the (X*Y*Z,) int64 voxels of liver: even and fine, with vessels."""
     seed = derive(torch.tensor([patient.seed]), 823)
-    slow = _unit(smooth(_white(seed, LIVER_SHAPE, 1), 2.6))
+    slow = _unit(smooth(_white(seed, TILE, 1), 2.6))
     vessels = slow > 1.75
     echo = patient.tissues.liver + 0.8 * slow - 24.0 * vessels
     rim = smooth(vessels.float(), 1.0)
     echo = torch.where(vessels, echo, echo + 9.0 * rim)
     gradient = periodic_gradient(1.66 - 0.015 * vessels)
     label = torch.where(vessels, CAVA, LIVER).to(torch.uint8)
-    attenuation = torch.full(LIVER_SHAPE, SOFT, dtype=torch.uint8)
-    return pack(_crop(fields, LIVER_SHAPE), smooth(echo, 0.5), gradient, label, attenuation)
+    attenuation = torch.full(TILE, SOFT, dtype=torch.uint8)
+    return pack(fields.scatter / ALONG_SHEET, smooth(echo, 0.5), gradient, label, attenuation)
 
 
 def chest_tile(patient: Patient, fields: Fields) -> Tensor:
@@ -155,19 +149,18 @@ def chest_tile(patient: Patient, fields: Fields) -> Tensor:
     The third axis goes from the skin through the wall, whatever its thickness; layers wave a little.
     """
     seed = derive(torch.tensor([patient.seed]), 829)
-    x, y, z = CHEST_SHAPE
-    wave = _unit(smooth(_white(seed, CHEST_SHAPE, 1), 4.0))[..., :1]
-    depth = (torch.arange(z) + 0.5).view(1, 1, -1) / z + 0.022 * wave
-    fat, slow = patient.chest.fat, _unit(smooth(_white(seed, CHEST_SHAPE, 2), 2.0))
+    wave = _unit(smooth(_white(seed, TILE, 1), 4.0))[..., :1]
+    depth = (torch.arange(TILE[2]) + 0.5) / TILE[2] + 0.022 * wave
+    fat, slow = patient.chest.fat, _unit(smooth(_white(seed, TILE, 2), 2.0))
     stripes = torch.sin(2.0 * math.pi * (depth * 9.0 + 0.25 * slow))
     echo = torch.where(depth < fat, -7.0 + 3.0 * slow, -5.0 + 4.0 * stripes + 1.5 * slow)
     edges = ((0.06, 8.0), (fat, 9.0), (0.55 + 0.45 * fat, 6.0), (0.94, 9.0))
-    impedance = torch.full(CHEST_SHAPE, 1.60)
+    impedance = torch.full(TILE, 1.60)
     for place, lift in edges:
         line = torch.exp(-0.5 * ((depth - place) / 0.022).square())
         echo = echo + (lift + 5.0) * line
         impedance = impedance + 0.05 * line
     gradient = periodic_gradient(impedance)
-    label = torch.full(CHEST_SHAPE, CHEST, dtype=torch.uint8)
-    attenuation = torch.full(CHEST_SHAPE, SOFT, dtype=torch.uint8)
-    return pack(_crop(fields, CHEST_SHAPE), echo, gradient, label, attenuation)
+    label = torch.full(TILE, CHEST, dtype=torch.uint8)
+    attenuation = torch.full(TILE, SOFT, dtype=torch.uint8)
+    return pack(fields.scatter / ALONG_SHEET, echo, gradient, label, attenuation)

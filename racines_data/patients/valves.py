@@ -13,8 +13,8 @@ from torch import Tensor
 from racines_data.patients.form import Shape, Valve
 from racines_data.patients.labels import AORTIC, MITRAL, STAGES, TRICUSPID, valve_code
 
-THICK = 0.85  # half of a leaflet's thickness, mm; thinner ones fall between voxels
-SWING = (0.16, 0.55, 0.95, 1.32)
+THICK = 0.80  # half of a leaflet's thickness, mm; thinner ones fall between voxels
+SWING = (0.36, 0.64, 0.98, 1.30)
 """Angle between a leaflet and its ring in each stage, rad."""
 APART = (0.0, 0.30, 0.62, 0.90)
 """How far the cusps' free edges have gone to the wall in each stage."""

@@ -2,10 +2,10 @@
 """The box that a heart is baked into, and how its neighbours and its surroundings are addressed.
 
 All hearts share one box of 128³ voxels in the organ's frame. Around it lies, without end, one
-periodic tile of 64³ voxels, and where the box has no heart it is that tile to the last byte: so
+periodic tile of 64 x 64 x 32 voxels, and where the box has no heart it is that tile to the last byte: so
 there is no edge to be seen, wherever a probe looks. Liver and chest wall are tiles of their own.
 
-    one heart: | box 128³ | surroundings 64³ | liver 32·64·32 | chest wall 64·32·32 |   19.9 MB
+    one heart: | box 128³ | surroundings | liver | chest wall |   19.9 MB
 
 A voxel is eight bytes, as the phantom's but for the last. Bytes 0-3: complex scatterer amplitude,
 two int16 in `SCATTERER_STEP`. Bytes 4-6: impedance gradient from voxel to voxel along the box's
@@ -16,19 +16,19 @@ high two.
 import torch
 from torch import Tensor
 
-BOX_BITS, TILE_BITS = 7, 6
-BOX, TILE = 1 << BOX_BITS, 1 << TILE_BITS
+BOX_BITS = 7
+BOX = 1 << BOX_BITS
 VOXEL = (1.10, 1.06, 1.36)
 """Edges of a voxel, mm: the box is 141 x 136 x 174 mm, as the organ is longer than wide."""
 LOW = (-90.0, -66.0, -70.0)
 """Corner of the box, mm, organ frame."""
-LIVER_SHAPE = (32, 64, 32)
-CHEST_SHAPE = (64, 32, 32)
-"""Voxels of the tiles; the chest's third axis runs through the whole wall, once."""
-BOX_SIZE, TILE_SIZE = BOX**3, TILE**3
-LIVER_AT = BOX_SIZE + TILE_SIZE
-CHEST_AT = LIVER_AT + 32 * 64 * 32
-HEART_SIZE = CHEST_AT + 64 * 32 * 32
+TILE = (64, 64, 32)
+"""Voxels of each tile, all laid out alike; the box holds a whole number of them."""
+CHEST_LEVELS = TILE[2]
+"""Voxels through the chest wall, whatever its thickness."""
+BOX_SIZE, TILE_SIZE = BOX**3, TILE[0] * TILE[1] * TILE[2]
+TILE_AT, LIVER_AT, CHEST_AT = BOX_SIZE, BOX_SIZE + TILE_SIZE, BOX_SIZE + 2 * TILE_SIZE
+HEART_SIZE = BOX_SIZE + 3 * TILE_SIZE
 """Voxels of one heart with its tiles."""
 HEART_BYTES = 8 * HEART_SIZE
 
