@@ -8,6 +8,7 @@ LV is an ellipsoid cut by the annulus; neighbours lie against the walls that the
 they move when it grows.
 """
 
+import math
 from dataclasses import dataclass
 
 from racines_data.patients.population import Form
@@ -27,10 +28,12 @@ def along(s: float, t: float, w: float) -> Point:
 
 @dataclass(frozen=True)
 class Ellipsoid:
-    """An ellipsoid along the organ's axes."""
+    """An ellipsoid, along the organ's axes or turned about w."""
 
     centre: Point
     radii: Point
+    turn: float = 0.0
+    """Where its first axis points, from u, rad."""
 
 
 @dataclass(frozen=True)
@@ -91,10 +94,11 @@ def shape_of(form: Form) -> Shape:
     left = _scaled((21.0, 19.0, 22.0), form.left_atrium / 38.0)
     right = _scaled((19.0, 22.0, 22.0), form.right_atrium / 38.0)
     body = 0.5 * septal + 0.6 * form.right
-    wall = (form.wall + form.septum) / 2.0
+    wall, oval = (form.wall + form.septum) / 2.0, form.oval**0.5
     lv_outer = Ellipsoid(
         ((form.wall - form.septum) / 2.0, 0.0, 16.0 * tall),
-        (semi + wall, semi + form.wall, 60.0 * tall + 0.85 * form.wall),
+        (semi / oval + wall, semi * oval + wall, 60.0 * tall + 0.85 * form.wall),
+        form.oval_turn,
     )
     aorta, outflow = _vessels(form, wide, tall)
     last = outflow.path[-1]
@@ -188,4 +192,6 @@ def _diaphragm(form: Form, lv: Ellipsoid, septal: float, body: float, tall: floa
 def reach(shape: Ellipsoid, way: Point) -> float:
     """Return how far an ellipsoid reaches along a direction, from the origin."""
     middle = sum(c * n for c, n in zip(shape.centre, way, strict=True))
+    cos, sin = math.cos(shape.turn), math.sin(shape.turn)
+    way = (cos * way[0] + sin * way[1], cos * way[1] - sin * way[0], way[2])
     return middle + sum((r * n) ** 2 for r, n in zip(shape.radii, way, strict=True)) ** 0.5

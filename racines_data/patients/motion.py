@@ -30,7 +30,8 @@ SYSTOLE = 0.35
 UPPER = 65.0  # above the annulus the pull of the base has faded, mm
 RAMP = 18.0  # over which the ventricle's squeeze fades above the annulus, mm
 ATRIA = 60.0, 30.0  # above the annulus the atria's widening begins to fade, and how fast, mm
-FAR = 9000.0  # over which the RV's pull fades outside of it, mm²
+RIGHT, FAR = 700.0, 9000.0
+"""What the RV's free wall takes beyond its inside, and over which its pull fades from there, mm²."""
 
 
 class Dynamics(NamedTuple):
@@ -41,7 +42,7 @@ class Dynamics(NamedTuple):
     middle: Tensor
     half: Tensor
     apex: Tensor
-    outer: Tensor  # of the LV with its walls
+    outer: Tensor  # from where the RV moves: outside of the thickest wall
     outer_half: Tensor
     right: Tensor  # (K, 3) centre of the RV's body
     right_semi: Tensor  # (K,) across
@@ -74,7 +75,7 @@ def dynamics_of(shape: Shape, motion: Motion) -> list[Tensor]:
     left, right = shape.left_atrium.centre, shape.right_atrium.centre
     values: list[float | tuple[float, ...]] = [
         oval, shape.semi, shape.middle, shape.half, form.length,
-        shape.semi + 0.5 * (form.wall + form.septum), shape.lv_outer.radii[2],
+        shape.semi + 1.05 * max(form.wall, form.septum) + 0.5, shape.lv_outer.radii[2] + 2.0,
         shape.right.centre, shape.right.radii[0], shape.right.radii[2],
         ((left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0),
         motion.emptying, motion.right_emptying, motion.shortening, motion.atrial, motion.kick,
@@ -161,7 +162,7 @@ def _across(
     start, span = stretch * (outside - taken), stretch * (room - lost)
     beyond = square - start
     share = (beyond / (span + 1.0)).clamp(0.0, 1.0)
-    share = share * (1.0 - (beyond - span).clamp_min(0.0) / FAR).clamp_min(0.0)
+    share = share * (1.0 - (beyond - span - RIGHT).clamp_min(0.0) / FAR).clamp_min(0.0)
     return grown + lost * share / square
 
 

@@ -95,11 +95,9 @@ def _partition(label: Tensor, la: Tensor, ra: Tensor, aorta: Tensor, valves: Ten
 def _ventricle(points: Points, shape: Shape) -> Tensor:
     """Return the distance of points to the LV's endocardium, an oval that waves a little."""
     turn, oval = shape.form.oval_turn, shape.form.oval**0.5
-    cos, sin = math.cos(turn), math.sin(turn)
     u, v, w = points
-    turned = (cos * u + sin * v, cos * v - sin * u, w)
     radii = (shape.semi / oval, shape.semi * oval, shape.half)
-    smooth = _ellipsoid(turned, Ellipsoid((0.0, 0.0, shape.middle), radii))
+    smooth = _ellipsoid(points, Ellipsoid((0.0, 0.0, shape.middle), radii, turn))
     angle = torch.atan2(v, u)
     wave = torch.cos(3.0 * angle + 2.0 * turn) + torch.cos(5.0 * angle - w / 6.0)
     return smooth + shape.form.waviness * shape.semi * wave
@@ -113,9 +111,13 @@ def _ring(points: Points, centre: Point, radius: float, below: float) -> Tensor:
 
 def _ellipsoid(points: Points, shape: Ellipsoid) -> Tensor:
     """Return the distance to an ellipsoid; see `phantom.shapes.ellipsoid`."""
-    first = second = torch.zeros_like(points[0])
-    for x, centre, radius in zip(points, shape.centre, shape.radii, strict=True):
-        square = ((x - centre) / radius).square()
+    u, v, w = (x - centre for x, centre in zip(points, shape.centre, strict=True))
+    if shape.turn:
+        cos, sin = math.cos(shape.turn), math.sin(shape.turn)
+        u, v = cos * u + sin * v, cos * v - sin * u
+    first = second = torch.zeros_like(w)
+    for x, radius in zip((u, v, w), shape.radii, strict=True):
+        square = (x / radius).square()
         first, second = first + square, second + square / radius**2
     return first.sqrt() * (first.sqrt() - 1.0) / second.sqrt().clamp_min(1e-9)
 

@@ -307,13 +307,13 @@ def _examination(draw: _Draw) -> Examination:
 
 
 _EMPTYING = {
-    "dilated": (0.17, 0.42), "hypertrophied": (0.60, 0.745), "right": (0.50, 0.68),
+    "dilated": (0.20, 0.46), "hypertrophied": (0.60, 0.755), "right": (0.50, 0.69),
     "atria": (0.45, 0.68), "small": (0.56, 0.69),
 }  # fmt: skip
 
 
 def _motion(draw: _Draw, kind: str) -> Motion:
-    emptying = draw.normal(0.625, 0.035)
+    emptying = draw.normal(0.645, 0.032)
     if kind in _EMPTYING:
         emptying = draw.between(*_EMPTYING[kind])
     sick = kind != PATHOLOGIES[0]
@@ -321,12 +321,12 @@ def _motion(draw: _Draw, kind: str) -> Motion:
     fast = 14.0 if sick else 0.0
     flutter = draw.happens(0.4 if kind == "atria" else 0.03)
     early = draw.between(0.05, 0.15) if draw.happens(0.06) else 0.0
-    right = draw.between(0.22, 0.40) if kind == "right" else draw.between(0.44, 0.60)
+    right = draw.between(0.35, 0.52) if kind == "right" else draw.between(0.62, 0.76)
     full = draw.between(13.0, 17.0)
     return Motion(
         emptying=emptying,
         right_emptying=right,
-        shortening=round(full * min(1.06, 0.35 + 0.65 * emptying / 0.625), 6),
+        shortening=round(full * min(1.06, 0.35 + 0.65 * emptying / 0.645), 6),
         atrial=draw.between(0.03, 0.09) * (0.4 if flutter else 1.0),
         kick=0.0 if flutter else draw.between(0.12, 0.30),
         weak=weak,
