@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -276,7 +276,7 @@ def _document(
             "observation": _shown(agent),
             "reward": config.reward,
             "start_set": config.start_set,
-            "definition": asdict(core.task),
+            "definition": core.task.definition,
         },
         "phantom": phantom_recipe(core.phantom),
         **figures,

@@ -145,7 +145,7 @@ def _header(core: ScanCore) -> dict[str, Any]:
         phantom["recipe_digest"] = recipe_digest(phantom)
     return {
         "schema": SCHEMA,
-        "task": asdict(core.task),
+        "task": core.task.definition,
         "observation": core.observation,
         "reward": core.reward.name,
         "rewards": asdict(core.rewards),
