@@ -57,7 +57,8 @@ def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
     trained = getattr(agent, "view", view)
     if trained != view:
         raise RacinesError(
-            f"{run_dir}: this policy was trained for {trained}, not {view}: train one with "
+            f"{run_dir}: this policy was trained for {trained} and observes {agent.observation}; "
+            f"it is not for {view}: train one with "
             f"`racines train agent {name} --view {view}`, or evaluate --view {trained}"
         )
 

@@ -21,6 +21,12 @@ def task_name(view: str, anatomy: str = HEART, tier: str = HEART_TIER) -> str:
     return name if tier == HEART_TIER else f"{name}-{tier}"
 
 
+def tier_of(name: str) -> str:
+    """Return the tier of a task's name."""
+    tier = name.rpartition("-")[2]
+    return tier if tier in TIERS[1:] else HEART_TIER
+
+
 def task_id(view: str, anatomy: str = HEART, tier: str = HEART_TIER) -> str:
     """Return the Gymnasium id of a task."""
     return f"racines/{task_name(view, anatomy, tier)}-v0"

@@ -128,8 +128,3 @@ def get_task(name: str, anatomy: str = HEART) -> Task:
         return PATIENT_TASKS[name]
     view = name.removeprefix(f"{anatomy}-")
     return TASKS.get(task_name(view, anatomy)) or Task(view, anatomy=anatomy)
-
-
-def tier_of(name: str) -> str:
-    """Return the tier of a task's name."""
-    return PATIENT_TASKS[name].tier if name in PATIENT_TASKS else HEART_TIER
