@@ -104,7 +104,7 @@ class Scan:
         seen: dict[str, spaces.Space[Any]] = {"image": image, "params": params}
         if self.core.observation != "multimodal":
             seen = {self.core.observation: seen[self.core.observation]}
-        if self.core.task.target is None:
+        if self.core.task.any_view:
             seen["goal"] = spaces.Box(0.0, 1.0, (len(self.core.phantom.views),), np.float32)
         return spaces.Dict(seen) if len(seen) > 1 else seen[self.core.observation]
 

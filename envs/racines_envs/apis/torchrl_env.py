@@ -19,9 +19,9 @@ class ScanEnv(EnvBase):
     """N probes on one phantom, or on the patients of a ward; batch size (N,).
 
     Keys: `image` (N, 1, 128, 128) uint8, channels first (with an encoder, its `features` instead),
-    and/or `params` (N, 9) float32, and `goal` (N, V) where it is drawn for each episode; `action` (N,) int64; `reward`, `done`, `terminated`, `truncated`
-    (N, 1); and under `info`, for curves and not for policies, `success` by the oracle, `steps` and
-    `return` so far.
+    and/or `params` (N, 9) float32, and `goal` (N, V) where it is drawn for each episode; `action`
+    (N,) int64; `reward`, `done`, `terminated`, `truncated` (N, 1); and under `info`, for curves and
+    not for policies, `success` by the oracle, `steps` and `return` so far.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class ScanEnv(EnvBase):
             seen["image"] = Bounded(0, 255, image, dtype=torch.uint8)
         if core.observation != "image":
             seen["params"] = Bounded(-1.0, 1.0, torch.Size([n, PARAMS_SIZE]), dtype=float32)
-        if core.task.target is None:
+        if core.task.any_view:
             goals = torch.Size([n, len(core.phantom.views)])
             seen["goal"] = Bounded(0.0, 1.0, goals, dtype=float32)
         info = {

@@ -136,7 +136,7 @@ def evaluate_patients(
 
 
 def start_set(config: PatientsConfig) -> StartSet:
-    """Return the starts that settings name; what does not fit is refused before anything is made."""
+    """Return the starts that settings name, if patients and memory allow."""
     if config.starts < 1 or config.chunk < 1:
         raise RacinesError("evaluation on patients: starts and chunk are at least 1")
     patients = choose_patients(config.split, config.patients)

@@ -15,7 +15,7 @@ from racines_data.world import World
 from racines_envs.agents import learns, load_agent, sees
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
-from racines_envs.agents.protocol import FILES, Agent
+from racines_envs.agents.protocol import FILES, Agent, Untrained
 from racines_envs.agents.rollout import Episodes, rollout
 from racines_envs.agents.trace import TraceAgent, circumstances, read_trace, write_trace
 from racines_envs.evaluation.agent_specs import check_view, plain_name
@@ -307,7 +307,7 @@ def told_of_agent(
 
 def _weights(agent: Agent, trainings: Sequence[Training]) -> dict[str, Any] | None:
     """Return the hashes of all trainings' files, and that of the first one's policy."""
-    files = trainings[0].files if hasattr(agent, "view") else {}
+    files = {} if isinstance(agent, Untrained) else trainings[0].files
     if isinstance(agent, (OnnxPolicyAgent, TraceAgent)):
         files = {agent.path.name: agent.sha256}
     if not files:

@@ -137,7 +137,7 @@ class ScanCore:
 
     def _goals(self, seed: Tensor) -> Tensor:
         """Return the (K,) labels that episodes of (K,) seeds look for."""
-        if self.task.target is not None:
+        if not self.task.any_view:
             return torch.full_like(seed, self.task.target)
         return (uniform(seed, 1, _GOAL)[:, 0] * len(self.phantom.views)).long()
 
@@ -284,7 +284,7 @@ class ScanCore:
         state, scene = self.state.taken(rows), self.scene(rows)
         target = scene.nominal(state.goal) if self._one is None else self._one
         units = self.task.step_translation, self.task.step_rotation
-        label = state.goal if self.task.target is None else self.task.target
+        label = state.goal if self.task.any_view else self.task.target
         near = nearest_showing(scene, state.pose, target, label, units)
         moved = (near.position - state.position).norm(dim=-1)
         return moved, geodesic(near.rotation, state.rotation)
@@ -338,7 +338,7 @@ class ScanCore:
             position = (self.state.position - self._centre) / self._half
             encoded = torch.cat([position, rotation_6d(self.state.rotation)], -1)
             seen["params"] = encoded.clamp(-1.0, 1.0)
-        if self.task.target is None:
+        if self.task.any_view:
             seen["goal"] = one_hot(self.state.goal, len(self.phantom.views)).float()
         return seen
 

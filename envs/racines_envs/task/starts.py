@@ -49,7 +49,7 @@ def draw_starts(
         seeds: (N,) int64.
         labels: (N,) of the views that may not be shown.
     """
-    if task.target is not None:
+    if not task.any_view:
         limits = task.start_distance, task.start_angle
         own = world.own_starts(task.target, target, seeds, *limits)
         if own is not None:
@@ -63,7 +63,7 @@ def draw_starts(
     place = torch.where(beyond, about.position - shift, place)
     drawn = Pose(place, matmul3(about.rotation, turn))
     inside = workspace.contains(drawn)
-    labels = torch.full_like(seeds, task.target or 0) if labels is None else labels
+    labels = torch.full_like(seeds, task.target) if labels is None else labels
     membership = world.at(each).judge(drawn).membership
     unseen = membership.gather(1, labels[each].unsqueeze(1)).squeeze(1) < 0.5
     worth = (2 * inside + (inside & unseen)).view(count, TRIES)

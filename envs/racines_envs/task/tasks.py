@@ -83,10 +83,15 @@ class Task:
         return {name: value for name, value in asdict(self).items() if name not in later}
 
     @property
-    def target(self) -> int | None:
-        """The label of the target view; None where it is drawn for each episode."""
-        if self.view == ANY_VIEW:
-            return None
+    def any_view(self) -> bool:
+        """Whether the goal is drawn for each episode, and observed."""
+        return self.view == ANY_VIEW
+
+    @property
+    def target(self) -> int:
+        """The label of the target view; `RacinesError` where episodes differ in it."""
+        if self.any_view:
+            raise RacinesError(f"{self.id} has no one target view: it is drawn for each episode")
         return anatomy_views(self.anatomy).index(self.view)
 
     @property
