@@ -1,5 +1,6 @@
 """The commands `racines train agent` and `racines eval agent`. Heavy imports stand inside."""
 
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -49,11 +50,14 @@ def train_agent(
 
     settings = read_settings(params, profile)
     entry = find_entry(settings, agent, name)
-    chosen = given(
-        view=on_tier(view, tier), observation=observation, reward=reward, backend=backend,
-        generator=generator, grader=grader, encoder=encoder, frames=frames, device=device,
-    )  # fmt: skip
     cls = agent_class(entry.agent)
+    # What learns no view of its own, as a floor, may still learn on a tier.
+    known = {each.name for each in fields(cls.Config)}
+    wanted = {"tier": tier} if "tier" in known else {"view": on_tier(view, tier)}
+    chosen = given(
+        **wanted, observation=observation, reward=reward, backend=backend, generator=generator,
+        grader=grader, encoder=encoder, frames=frames, device=device,
+    )  # fmt: skip
     config: Any = fill(cls.Config, entry.settings | chosen, entry.where)
     folder = out or entry.folder
     where = {"phantom": phantom_config(settings), "data": data, "progress": not as_json}
