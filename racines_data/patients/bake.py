@@ -1,4 +1,3 @@
-# pyright: strict
 """Bake a patient's heart and its tiles into voxels, and keep what was baked on disk.
 
 Only `HEART_BYTES` a heart: see `volume`. A cached heart is named by its recipe, which is the
@@ -21,7 +20,7 @@ from racines_data.files import write_atomic
 from racines_data.patients.form import LIVER, Shape, shape_of
 from racines_data.patients.labels import BACKGROUND, BLOOD, MATERIALS, MITRAL, VALVES
 from racines_data.patients.paint import paint
-from racines_data.patients.population import PATIENTS_VERSION, Patient
+from racines_data.patients.patient import PATIENTS_VERSION, Patient
 from racines_data.patients.sampling import DIAPHRAGM, DIAPHRAGM_LAYER
 from racines_data.patients.tiles import (
     Fields,
@@ -37,7 +36,7 @@ from racines_data.patients.volume import BOX, HEART_BYTES, LOW, TILE, VOXEL, cen
 from racines_data.phantom.volume import ALONG_SHEET, REFLECTOR_STEP, blur, sheet_normals
 
 CACHE_BYTES = 4 << 30
-"""Cap of the cache on disk: some 215 hearts; the environment's RACINES_HEARTS_BYTES sets another."""
+"""Cap of the cache on disk, some 215 hearts; RACINES_HEARTS_BYTES in the environment changes it."""
 _CHUNK = 1 << 17
 _NEAR = 5  # voxels about the heart that are blurred with it; beyond, the box is the tile
 
@@ -89,9 +88,13 @@ def _add_leaflets(label: Tensor, shape: Shape) -> None:
         (shape.tricuspid.centre, shape.tricuspid.radius + 10.0),
         (root, shape.aorta.radii[2] * 2.2),
     ):
-        low = [max(0, int((m - reach - a) / d)) for m, a, d in zip(middle, LOW, VOXEL, strict=True)]
-        high = [min(BOX, int((m + reach - a) / d)) for m, a, d in zip(middle, LOW, VOXEL, strict=True)]
-        index = torch.cartesian_prod(*(torch.arange(a, b) for a, b in zip(low, high, strict=True)))
+        at = [(m - a) / d for m, a, d in zip(middle, LOW, VOXEL, strict=True)]
+        index = torch.cartesian_prod(
+            *(
+                torch.arange(max(0, int(x - reach / d)), min(BOX, int(x + reach / d)))
+                for x, d in zip(at, VOXEL, strict=True)
+            )
+        )
         part = label[tuple(index.unbind(1))]
         inside = blood[part.long()]
         found = torch.zeros_like(part)
@@ -129,7 +132,8 @@ def _box(patient: Patient, fields: Fields, label: Tensor, around: Surroundings) 
     smoothed = torch.where(leaf, echo, blur(echo, 0.6))
     smoothed -= 20.0 * torch.log10(torch.tensor(ALONG_SHEET)) * ~sheets * ~outside
     packed = pack(_tiled(fields.scatter), smoothed, gradient, label, attenuation)
-    return torch.where(_widened(~outside), packed.view(label.shape), _tiled(around.packed.view(TILE)))
+    tile = _tiled(around.packed.view(TILE))
+    return torch.where(_widened(~outside), packed.view(label.shape), tile)
 
 
 def _widened(inside: Tensor) -> Tensor:
@@ -169,7 +173,7 @@ def _gradient(impedance: Tensor, sheets: Tensor) -> Tensor:
     return steps * scale
 
 
-# --- the cache -------------------------------------------------------------------------------------
+# --- the cache ------------------------------------------------------------------------------------
 
 
 def recipe(patient: Patient) -> str:

@@ -11,7 +11,7 @@ they move when it grows.
 import math
 from dataclasses import dataclass
 
-from racines_data.patients.population import Form
+from racines_data.patients.patient import Form
 from racines_data.phantom.heart import S, T
 
 Point = tuple[float, float, float]

@@ -1,4 +1,3 @@
-# pyright: strict
 """The nominal poses of a patient's views, found by what the oracle sees from them.
 
 The planes that the shape gives are where a search begins; ribs, the tilt of the chest and a
@@ -12,8 +11,8 @@ import torch
 from torch import Tensor
 
 from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3, orthonormalise
-from racines_data.patients.oracle import completeness, look
 from racines_data.patients.chest import Chest
+from racines_data.patients.oracle import completeness, look
 from racines_data.patients.placement import REACH, SURFACE, TILT_MAX
 from racines_data.patients.settings import Settings
 from racines_data.phantom.config import ContactConfig, WorkspaceConfig
@@ -102,6 +101,7 @@ def _value(pose: Pose, start: Pose, scene: Scene) -> Tensor:
     score = 0.6 * complete.amin(0) + 0.4 * complete.mean(0)
     score = score + 0.15 * clarity.mean(0).clamp_max(0.95)
     away = (pose.position - start.position.unsqueeze(1)).norm(dim=-1) / AWAY[0]
-    chord = (pose.rotation - start.rotation.unsqueeze(1)).square().sum((-2, -1)) / (2.0 * AWAY[1] ** 2)
+    chord = (pose.rotation - start.rotation.unsqueeze(1)).square().sum((-2, -1))
+    chord = chord / (2.0 * AWAY[1] ** 2)
     lean = (-pose.rotation[..., 2, 2] < torch.cos(torch.tensor(TILT_MAX - 0.02)).item()).double()
     return score - 0.02 * (away.square() + chord) - lean

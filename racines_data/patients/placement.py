@@ -1,4 +1,3 @@
-# pyright: strict
 """Where a baked heart lies in the base frame, and how deep the scanner looks to hold it.
 
 A heart is baked in its own frame; its place is a rigid transform, in double precision, applied to
@@ -15,7 +14,7 @@ from torch.nn.functional import normalize
 from racines_data.geometry import Pose, axis_angle_to_matrix
 from racines_data.patients.form import Point, Shape, reach
 from racines_data.patients.landmarks import landmarks, view_specs
-from racines_data.patients.population import Patient, Place
+from racines_data.patients.patient import Patient, Place
 from racines_data.phantom.config import BlockConfig
 from racines_data.phantom.heart import DOWN, HEADING, ORIGIN
 from racines_data.phantom.truth import nominal_pose

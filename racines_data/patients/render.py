@@ -1,4 +1,3 @@
-# pyright: strict
 """Pictures of a batch whose rows may be of different patients: the phantom's acoustics, row by row.
 
 As `phantom.acoustics`, whose point spread function and noise it shares, but settings are tensors,
@@ -65,8 +64,14 @@ def solid_table(stages: Tensor) -> Tensor:
 
 
 def hear(
-    voxels: Tensor, at: Tensor, samples: Samples, solid: Tensor, settings: Settings, shadow: Tensor,
-    scanner: Scanner, seeds: Tensor,
+    voxels: Tensor,
+    at: Tensor,
+    samples: Samples,
+    solid: Tensor,
+    settings: Settings,
+    shadow: Tensor,
+    scanner: Scanner,
+    seeds: Tensor,
 ) -> Tensor:
     """Return the (B, 2, L, S) complex echoes before the point spread function.
 
@@ -133,7 +138,8 @@ def picture(
         if level is None:  # both looks have the same mean power around
             level = _level(field, gain, settings, scanner.beams)
         noise = _run(scanner.beams, derive(seeds, 17 + look), field.shape)
-        field.addcmul_(noise, level).addcmul_(scanner.beams.clutter, (1.0 - 0.65 * gain).unsqueeze(1))
+        lifted = (1.0 - 0.65 * gain).unsqueeze(1)
+        field.addcmul_(noise, level).addcmul_(scanner.beams.clutter, lifted)
         found = echo_power(field).clamp_min_(1e-12)
         power = found if power is None else power.mul_(found)  # the looks' mean in decibels
     assert power is not None
@@ -191,5 +197,3 @@ def pixel_map(half_angle: float) -> tuple[Tensor, Tensor]:
     nearest = beam.round() * PROBE.samples + sample.round()
     nearest[~inside] = PROBE.beams * PROBE.samples
     return grid.float(), nearest.long().flatten()
-
-

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from racines_data.patients.motion import SYSTOLE
-from racines_data.patients.population import Motion
+from racines_data.patients.patient import Motion
 from racines_data.randomness import derive, normal, uniform
 
 BEATS = 64

@@ -1,4 +1,3 @@
-# pyright: strict
 """The tissue around a heart, as tiles that repeat without a seam: surroundings, liver, chest wall.
 
 All that is random in a patient's voxels is drawn here, once, on a tile: the heart's own
@@ -12,8 +11,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from racines_data.patients.labels import ATTENUATIONS, BACKGROUND, CAVA, CHEST, LIVER, MATERIALS, SOFT
-from racines_data.patients.population import Patient
+from racines_data.patients.labels import BACKGROUND, CAVA, CHEST, LIVER, MATERIALS, SOFT
+from racines_data.patients.patient import Patient
 from racines_data.patients.volume import TILE
 from racines_data.phantom.volume import (
     ALONG_SHEET,
@@ -26,7 +25,6 @@ from racines_data.randomness import derive, normal, uniform
 CONNECTIVE = 6.0, 0.09
 """What layers of connective tissue scatter more than what lies around, dB, and their impedance's
 excess, MRayl."""
-__all__ = ["ATTENUATIONS", "Fields", "chest_tile", "draw_fields", "liver_tile", "pack", "tile_of"]
 
 
 class Fields(NamedTuple):
@@ -62,8 +60,10 @@ def smooth(field: Tensor, sigma: float) -> Tensor:
     taps = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / sigma) ** 2)
     weights = (taps / taps.sum()).tolist()
     for axis in range(-3, 0):
-        shifted = (field.roll(shift, axis) * weights[shift + reach] for shift in range(-reach, reach + 1))
-        field = sum(shifted, torch.zeros_like(field))
+        total = torch.zeros_like(field)
+        for shift, weight in enumerate(weights, -reach):
+            total.add_(field.roll(shift, axis), alpha=weight)
+        field = total
     return field
 
 
@@ -110,14 +110,17 @@ def periodic_gradient(impedance: Tensor) -> Tensor:
     return torch.stack(parts) / REFLECTOR_STEP
 
 
-def pack(scatter: Tensor, echo: Tensor, gradient: Tensor, label: Tensor, attenuation: Tensor) -> Tensor:
+def pack(
+    scatter: Tensor, echo: Tensor, gradient: Tensor, label: Tensor, attenuation: Tensor
+) -> Tensor:
     """Join fields of one shape (X, Y, Z) to (X*Y*Z,) int64 voxels; see `volume`.
 
     Args:
         scatter: (2, X, Y, Z) unit scatterers.
         echo: backscatter, dB against myocardium; -inf scatters nothing.
         gradient: (3, X, Y, Z) impedance from voxel to voxel, in `REFLECTOR_STEP`.
-        label: uint8 codes, and of the same shape their uint8 class of `attenuation`.
+        label: uint8 codes.
+        attenuation: uint8 classes.
     """
     packed = torch.empty((*echo.shape, 8), dtype=torch.uint8)
     amplitude = torch.pow(10.0, echo / 20.0) / SCATTERER_STEP
@@ -146,7 +149,7 @@ def liver_tile(patient: Patient, fields: Fields) -> Tensor:
 def chest_tile(patient: Patient, fields: Fields) -> Tensor:
     """Return the (X*Y*Z,) int64 voxels of the chest wall: skin, fat, fascia, muscle, fascia.
 
-    The third axis goes from the skin through the wall, whatever its thickness; layers wave a little.
+    The third axis goes from the skin through the wall, whatever its thickness; layers wave.
     """
     seed = derive(torch.tensor([patient.seed]), 829)
     wave = _unit(smooth(_white(seed, TILE, 1), 4.0))[..., :1]

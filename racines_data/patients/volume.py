@@ -2,8 +2,8 @@
 """The box that a heart is baked into, and how its neighbours and its surroundings are addressed.
 
 All hearts share one box of 128³ voxels in the organ's frame. Around it lies, without end, one
-periodic tile of 64 x 64 x 32 voxels, and where the box has no heart it is that tile to the last byte: so
-there is no edge to be seen, wherever a probe looks. Liver and chest wall are tiles of their own.
+periodic tile of 64 x 64 x 32 voxels, and where the box has no heart it is that tile to the last
+byte: so there is no edge to be seen, wherever a probe looks. Liver and chest wall are tiles too.
 
     one heart: | box 128³ | surroundings | liver | chest wall |   19.9 MB
 
