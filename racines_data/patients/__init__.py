@@ -10,8 +10,8 @@
         .phase(rows, time, hold_breath)   -> (B, 2) cardiac and respiratory phase in [0, 1)
         .wrench(pose, velocity), .workspace, .measures(row)
 
-A row is one probe on one of the pool's patients: `rows` says which. Phases are never observed; where
-none is given, hearts stand at end diastole, breathed out. `CAMUS` maps LABELS to CAMUS's.
+A row is one probe on one of the pool's patients: `rows` says which. Phases are never observed;
+where none is given, hearts stand at end diastole, breathed out. `CAMUS` maps LABELS to CAMUS's.
 
     patient, population, splits     who: sizes given body and sex, pathologies, place, chest, beat
     form, landmarks, paint, valves  where things are in a heart, and what each point of it is
