@@ -38,7 +38,7 @@ from racines_data.phantom.volume import ALONG_SHEET, REFLECTOR_STEP, blur, sheet
 CACHE_BYTES = 4 << 30
 """Cap of the cache on disk, some 215 hearts; RACINES_HEARTS_BYTES in the environment changes it."""
 _CHUNK = 1 << 17
-_NEAR = 5  # voxels about the heart that are blurred with it; beyond, the box is the tile
+_NEAR = 3  # voxels about the heart that are blurred with it; beyond, the box is the tile
 
 
 def bake(patient: Patient) -> Tensor:
@@ -137,11 +137,13 @@ def _box(patient: Patient, fields: Fields, label: Tensor, around: Surroundings) 
 
 
 def _widened(inside: Tensor) -> Tensor:
-    """Return where a voxel within `_NEAR` along each axis is inside; it never wraps to be so."""
+    """Return where a voxel within `_NEAR` along each axis is inside."""
     for axis in range(3):
-        wide = inside
+        wide = inside.clone()
         for shift in range(1, _NEAR + 1):
-            wide = wide | inside.roll(shift, axis) | inside.roll(-shift, axis)
+            left, right = (inside.narrow(axis, at, BOX - shift) for at in (shift, 0))
+            wide.narrow(axis, 0, BOX - shift).logical_or_(left)
+            wide.narrow(axis, shift, BOX - shift).logical_or_(right)
         inside = wide
     return inside
 

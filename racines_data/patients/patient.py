@@ -119,8 +119,6 @@ class Patient:
     """One patient; `dataclasses.asdict` is JSON."""
 
     seed: int
-    draw: int
-    """How often the seed was drawn again, since a view could not be shown at all."""
     pathology: str
     body: Body
     form: Form

@@ -23,7 +23,7 @@ from racines_data.world import Workspace
 SURFACE = BlockConfig().maximum[2]
 """Height of the skin, m, base frame: that of the phantom's block."""
 MIDDLE = 35.0  # height of the point that is placed, over the annulus, mm
-REACH = (0.318, -0.132, 0.036), (0.678, 0.200, 0.134)
+REACH = (0.312, -0.138, 0.036), (0.686, 0.214, 0.134)
 """The workspace: where the placed hearts' windows are, and half a heart around them, m."""
 TILT_MAX, YAW_MAX = 1.22, 3.0  # rad
 BEYOND = 19.0  # of the deepest landmark that a view shows, to the sector's end, mm

@@ -32,8 +32,8 @@ _DRAWS = 128
 class _Draw:
     """Numbers of one patient, in order; rounded, so that all processors agree on them."""
 
-    def __init__(self, seed: int, again: int):
-        drawn = uniform(sample_seeds(torch.tensor([seed]), 1), _DRAWS, 501 + again)
+    def __init__(self, seed: int):
+        drawn = uniform(sample_seeds(torch.tensor([seed]), 1), _DRAWS, 501)
         self._numbers = iter(drawn[0].tolist())
 
     def between(self, low: float, high: float) -> float:
@@ -50,21 +50,19 @@ class _Draw:
 
 
 @lru_cache(maxsize=4096)
-def draw_patient(seed: int, again: int = 0) -> Patient:
-    """Return the patient of a seed; `again` counts the draws that were thrown away before.
+def draw_patient(seed: int) -> Patient:
+    """Return the patient of a seed.
 
     Raises:
         RacinesError: a seed of no split.
     """
     split_of(seed)
-    first, draw = _Draw(seed, -1), _Draw(seed, again)
-    # What ails a patient stays: drawing it again would thin out those who are hard to show.
-    sick, which = first.happens(SICK), 1 + int(first.between(0.0, 4.999999))
+    draw = _Draw(seed)
+    sick, which = draw.happens(SICK), 1 + int(draw.between(0.0, 4.999999))
     kind = PATHOLOGIES[which if sick else 0]
     body = _body(draw)
     return Patient(
         seed=seed,
-        draw=again,
         pathology=kind,
         body=body,
         form=_form(draw, body, kind),
@@ -110,7 +108,7 @@ def _form(draw: _Draw, body: Body, kind: str) -> Form:
     size["septum"] = size["wall"] * draw.between(0.97, 1.15)
     strength = draw.between(0.0, 1.0)
     for name, (low, high) in _CHANGES.get(kind, {}).items():
-        size[name] *= low + (high - low) * strength
+        size[name] = min(size[name] * (low + (high - low) * strength), _MOST.get(name, 1e3))
     if kind == "hypertrophied" and draw.happens(0.5):
         size["septum"] *= 1.3  # asymmetric
     shape = {
@@ -123,6 +121,15 @@ def _form(draw: _Draw, body: Body, kind: str) -> Form:
     return Form(**{name: round(value, 4) for name, value in (size | shape).items()})
 
 
+_MOST = {
+    "ventricle": 72.0,
+    "length": 96.0,
+    "right": 52.0,
+    "outflow": 28.0,
+    "right_atrium": 52.0,
+    "left_atrium": 50.0,
+}
+"""How far a pathology goes, mm."""
 _CHANGES: dict[str, dict[str, tuple[float, float]]] = {
     "dilated": {"ventricle": (1.20, 1.38), "length": (1.06, 1.12), "wall": (0.82, 0.95),
                 "left_atrium": (1.05, 1.22), "septum": (0.82, 0.95)},
