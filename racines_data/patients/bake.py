@@ -6,6 +6,7 @@ world's version and the patient; the cache forgets what was used longest ago whe
 
 import hashlib
 import json
+import math
 import os
 from contextlib import suppress
 from dataclasses import asdict
@@ -104,7 +105,7 @@ def _add_leaflets(label: Tensor, shape: Shape) -> None:
 
 def _spread(values: dict[int, float], label: Tensor) -> Tensor:
     """Look up a number for each voxel by its label."""
-    table = torch.zeros(256)
+    table = torch.zeros(256, dtype=torch.float64)
     for code, value in values.items():
         table[code] = value
     for code in range(MITRAL, 64):  # leaflets of all sets are alike
@@ -130,7 +131,7 @@ def _box(patient: Patient, fields: Fields, label: Tensor, around: Surroundings) 
     attenuation = torch.where(outside, tiled["attenuation"], attenuation.to(torch.uint8))
     # Leaflets are not smeared into the blood around: it is blood in other stages.
     smoothed = torch.where(leaf, echo, blur(echo, 0.6))
-    smoothed -= 20.0 * torch.log10(torch.tensor(ALONG_SHEET)) * ~sheets * ~outside
+    smoothed -= 20.0 * math.log10(ALONG_SHEET) * (~sheets & ~outside)
     packed = pack(_tiled(fields.scatter), smoothed, gradient, label, attenuation)
     tile = _tiled(around.packed.view(TILE))
     return torch.where(_widened(~outside), packed.view(label.shape), tile)
@@ -169,8 +170,9 @@ def _gradient(impedance: Tensor, sheets: Tensor) -> Tensor:
 
     Sheets are found in millimetres, since the voxels are no cubes.
     """
-    scale = torch.tensor(VOXEL).view(3, 1, 1, 1)
+    scale = torch.tensor(VOXEL, dtype=torch.float64).view(3, 1, 1, 1)
     steps = torch.stack(torch.gradient(blur(impedance, 0.8))) / REFLECTOR_STEP / scale
+    steps = (steps * 1e6).round_() / 1e6  # no sheet takes its side from a rounding's sign
     steps += sheet_normals(steps, sheets)
     return steps * scale
 
