@@ -28,6 +28,8 @@ from racines_data.phantom.acoustics import (
 from racines_data.phantom.volume import ALONG_SHEET, SCATTERER_STEP, SHEET
 from racines_data.randomness import derive
 
+FAINTEST = 1e-8
+"""Least power of a look, below any black: an echo that cancels itself hangs on rounding alone."""
 AIR_LOSS = 6.0  # one-way loss of a sample above the skin, dB
 BLOOD_GAIN = 0.9  # blood's speckle has no memory from voxel to voxel: the blur gives it less
 
@@ -140,7 +142,7 @@ def picture(
         noise = _run(scanner.beams, derive(seeds, 17 + look), field.shape)
         lifted = (1.0 - 0.65 * gain).unsqueeze(1)
         field.addcmul_(noise, level).addcmul_(scanner.beams.clutter, lifted)
-        found = echo_power(field).clamp_min_(1e-12)
+        found = echo_power(field).clamp_min_(FAINTEST)
         power = found if power is None else power.mul_(found)  # the looks' mean in decibels
     assert power is not None
     shade = power.log10_().mul_(settings.contrast / PROBE.looks).add_(settings.lift)
