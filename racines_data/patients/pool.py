@@ -92,7 +92,8 @@ class Pool:
         self.hearts = [make_heart(patient, beating) for patient in self.patients]
         self._join(self.hearts)
         self._voxels = self._load()
-        self._grid, self._scanner = make_grid(self.device), make_scanner(self.device)
+        self._grid = make_grid(self.device)
+        self._scanner = make_scanner(self._grid, self.device)
 
     def __len__(self) -> int:
         return len(self.seeds)
