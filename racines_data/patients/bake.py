@@ -1,4 +1,3 @@
-# pyright: strict
 """Bake a patient's heart and its tiles into voxels, and keep what was baked on disk.
 
 Only `HEART_BYTES` a heart: see `volume`. A cached heart is named by its recipe, which is the
@@ -7,6 +6,7 @@ world's version and the patient; the cache forgets what was used longest ago whe
 
 import hashlib
 import json
+import math
 import os
 from contextlib import suppress
 from dataclasses import asdict
@@ -21,7 +21,7 @@ from racines_data.files import write_atomic
 from racines_data.patients.form import LIVER, Shape, shape_of
 from racines_data.patients.labels import BACKGROUND, BLOOD, MATERIALS, MITRAL, VALVES
 from racines_data.patients.paint import paint
-from racines_data.patients.population import PATIENTS_VERSION, Patient
+from racines_data.patients.patient import PATIENTS_VERSION, Patient
 from racines_data.patients.sampling import DIAPHRAGM, DIAPHRAGM_LAYER
 from racines_data.patients.tiles import (
     Fields,
@@ -37,9 +37,9 @@ from racines_data.patients.volume import BOX, HEART_BYTES, LOW, TILE, VOXEL, cen
 from racines_data.phantom.volume import ALONG_SHEET, REFLECTOR_STEP, blur, sheet_normals
 
 CACHE_BYTES = 4 << 30
-"""Cap of the cache on disk: some 215 hearts; the environment's RACINES_HEARTS_BYTES sets another."""
+"""Cap of the cache on disk, some 215 hearts; RACINES_HEARTS_BYTES in the environment changes it."""
 _CHUNK = 1 << 17
-_NEAR = 5  # voxels about the heart that are blurred with it; beyond, the box is the tile
+_NEAR = 3  # voxels about the heart that are blurred with it; beyond, the box is the tile
 
 
 def bake(patient: Patient) -> Tensor:
@@ -89,9 +89,13 @@ def _add_leaflets(label: Tensor, shape: Shape) -> None:
         (shape.tricuspid.centre, shape.tricuspid.radius + 10.0),
         (root, shape.aorta.radii[2] * 2.2),
     ):
-        low = [max(0, int((m - reach - a) / d)) for m, a, d in zip(middle, LOW, VOXEL, strict=True)]
-        high = [min(BOX, int((m + reach - a) / d)) for m, a, d in zip(middle, LOW, VOXEL, strict=True)]
-        index = torch.cartesian_prod(*(torch.arange(a, b) for a, b in zip(low, high, strict=True)))
+        at = [(m - a) / d for m, a, d in zip(middle, LOW, VOXEL, strict=True)]
+        index = torch.cartesian_prod(
+            *(
+                torch.arange(max(0, int(x - reach / d)), min(BOX, int(x + reach / d)))
+                for x, d in zip(at, VOXEL, strict=True)
+            )
+        )
         part = label[tuple(index.unbind(1))]
         inside = blood[part.long()]
         found = torch.zeros_like(part)
@@ -101,7 +105,7 @@ def _add_leaflets(label: Tensor, shape: Shape) -> None:
 
 def _spread(values: dict[int, float], label: Tensor) -> Tensor:
     """Look up a number for each voxel by its label."""
-    table = torch.zeros(256)
+    table = torch.zeros(256, dtype=torch.float64)
     for code, value in values.items():
         table[code] = value
     for code in range(MITRAL, 64):  # leaflets of all sets are alike
@@ -127,17 +131,20 @@ def _box(patient: Patient, fields: Fields, label: Tensor, around: Surroundings) 
     attenuation = torch.where(outside, tiled["attenuation"], attenuation.to(torch.uint8))
     # Leaflets are not smeared into the blood around: it is blood in other stages.
     smoothed = torch.where(leaf, echo, blur(echo, 0.6))
-    smoothed -= 20.0 * torch.log10(torch.tensor(ALONG_SHEET)) * ~sheets * ~outside
+    smoothed -= 20.0 * math.log10(ALONG_SHEET) * (~sheets & ~outside)
     packed = pack(_tiled(fields.scatter), smoothed, gradient, label, attenuation)
-    return torch.where(_widened(~outside), packed.view(label.shape), _tiled(around.packed.view(TILE)))
+    tile = _tiled(around.packed.view(TILE))
+    return torch.where(_widened(~outside), packed.view(label.shape), tile)
 
 
 def _widened(inside: Tensor) -> Tensor:
-    """Return where a voxel within `_NEAR` along each axis is inside; it never wraps to be so."""
+    """Return where a voxel within `_NEAR` along each axis is inside."""
     for axis in range(3):
-        wide = inside
+        wide = inside.clone()
         for shift in range(1, _NEAR + 1):
-            wide = wide | inside.roll(shift, axis) | inside.roll(-shift, axis)
+            left, right = (inside.narrow(axis, at, BOX - shift) for at in (shift, 0))
+            wide.narrow(axis, 0, BOX - shift).logical_or_(left)
+            wide.narrow(axis, shift, BOX - shift).logical_or_(right)
         inside = wide
     return inside
 
@@ -163,13 +170,14 @@ def _gradient(impedance: Tensor, sheets: Tensor) -> Tensor:
 
     Sheets are found in millimetres, since the voxels are no cubes.
     """
-    scale = torch.tensor(VOXEL).view(3, 1, 1, 1)
+    scale = torch.tensor(VOXEL, dtype=torch.float64).view(3, 1, 1, 1)
     steps = torch.stack(torch.gradient(blur(impedance, 0.8))) / REFLECTOR_STEP / scale
+    steps = (steps * 1e6).round_() / 1e6  # no sheet takes its side from a rounding's sign
     steps += sheet_normals(steps, sheets)
     return steps * scale
 
 
-# --- the cache -------------------------------------------------------------------------------------
+# --- the cache ------------------------------------------------------------------------------------
 
 
 def recipe(patient: Patient) -> str:

@@ -3,8 +3,8 @@
 
 Ribs and lung are thin obstacles at fixed depths in the base frame; a beam that crosses one loses
 sound there, in the picture and for the oracle alike. Ribs run crosswise and leave windows between
-them; they are laid so that the parasternal and apical windows lie in spaces, where echocardiographers
-find them. Lung covers what is far from the windows, except towards the feet.
+them; they are laid so that the parasternal and apical windows lie in spaces, where
+echocardiographers find them. Lung covers what is far from these. Both end at the costal margin.
 """
 
 from typing import NamedTuple
@@ -14,8 +14,8 @@ from torch import Tensor
 
 from racines_data.geometry import Pose
 from racines_data.patients.form import FOOT
+from racines_data.patients.patient import Patient
 from racines_data.patients.placement import SURFACE, Placement
-from racines_data.patients.population import Patient
 from racines_data.patients.settings import PROBE
 
 GIVE = 45.0

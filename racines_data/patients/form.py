@@ -11,7 +11,7 @@ they move when it grows.
 import math
 from dataclasses import dataclass
 
-from racines_data.patients.population import Form
+from racines_data.patients.patient import Form
 from racines_data.phantom.heart import S, T
 
 Point = tuple[float, float, float]
@@ -97,10 +97,10 @@ def shape_of(form: Form) -> Shape:
     wall, oval = (form.wall + form.septum) / 2.0, form.oval**0.5
     lv_outer = Ellipsoid(
         ((form.wall - form.septum) / 2.0, 0.0, 16.0 * tall),
-        (semi / oval + wall, semi * oval + wall, 60.0 * tall + 0.85 * form.wall),
+        (semi / oval + wall, semi * oval + wall, 60.0 * tall + min(0.8 * form.wall, 11.0)),
         form.oval_turn,
     )
-    aorta, outflow = _vessels(form, wide, tall)
+    aorta, outflow = _vessels(form, wide**0.4, tall)  # the base widens less than the middle
     last = outflow.path[-1]
     atrium = (-(left[0] + 3.0 + right[0]), -4.0 * wide, -(right[2] + 1.0))
     return Shape(
@@ -116,7 +116,7 @@ def shape_of(form: Form) -> Shape:
             (body, body, 50.0 * tall * form.right_length),
         ),
         outflow=outflow,
-        pulmonary=Tube((last, along(-4.0, last[1] + 4.0, -34.0)), (outflow.radii[-1], 9.0)),
+        pulmonary=Tube((last, along(-4.0, 40.0, -34.0)), (outflow.radii[-1], 9.0)),
         aorta=aorta,
         mitral=Valve((1.0, -4.0 * wide, 1.0), 14.5 * wide, along(1.0, 0.0, 0.0),
                      (20.0 * wide, 12.5 * wide)),
@@ -142,7 +142,7 @@ def _vessels(form: Form, wide: float, tall: float) -> tuple[Tube, Tube]:
     root = max(21.0 * wide, sinus + 5.0)
     aorta = Tube(
         (along(0.68 * root, 0.0, 8.0), along(0.87 * root, 0.0, -6.0), along(root, 1.0, -16.0),
-         along(root + 1.0, -2.0, -32.0), along(root + 1.0, -4.0, -50.0)),
+         along(root + 1.0, -2.0, -32.0), along(root + 1.0, -4.0, -44.0)),
         (0.96 * ring, ring, sinus, 0.85 * sinus, 0.87 * sinus),
     )  # fmt: skip
     size = form.outflow / 22.0
@@ -168,15 +168,15 @@ def _cava(atrium: Point) -> Tube:
     """Return the inferior vena cava: from the right atrium towards the feet."""
     ends = tuple(
         (atrium[0] + d * FOOT[0], atrium[1] + d * FOOT[1] - 4.0, atrium[2] + d * FOOT[2])
-        for d in (8.0, 62.0)
+        for d in (8.0, 52.0)
     )
     return Tube(ends, (9.5, 8.0))
 
 
 def _descending(form: Form, wide: float) -> Tube:
     """Return the descending aorta, behind the left atrium and ventricle."""
-    x, y, w = along(-(26.0 * wide + form.wall + 14.0), 8.0, -20.0)
-    ends = tuple((x + d * FOOT[0], y + d * FOOT[1] * 0.5, w + d * FOOT[2]) for d in (-22.0, 24.0))
+    x, y, w = along(-(18.0 * wide + form.wall + 8.0), 4.5, -22.0)
+    ends = tuple((x + d * FOOT[0], y + d * FOOT[1] * 0.5, w + d * FOOT[2]) for d in (-18.0, 18.0))
     return Tube(ends, (0.36 * form.root, 0.34 * form.root))
 
 

@@ -13,8 +13,8 @@ from racines_data.patients.form import Shape, shape_of
 from racines_data.patients.landmarks import landmarks, view_specs
 from racines_data.patients.motion import Dynamics, dynamics_of, from_diastole
 from racines_data.patients.nominal import Found, Scene, find_poses
+from racines_data.patients.patient import Patient
 from racines_data.patients.placement import Placement, depth_to_hold, geometric_poses, place
-from racines_data.patients.population import Patient
 from racines_data.patients.settings import Settings, settings_of
 
 LEVELS = 13

@@ -18,8 +18,28 @@ LABELS = (
     "aortic cusp",
 )  # fmt: skip
 """Labels of a mask, by their number."""
-(BACKGROUND, LV, MYOCARDIUM, LA, RV, RV_WALL, RA, ATRIAL_WALL, AORTA, VESSEL_WALL, PULMONARY,
- PAPILLARY, PERICARDIUM, CAVA, DESCENDING, LIVER, CHEST, MITRAL, TRICUSPID, AORTIC) = range(20)
+(
+    BACKGROUND,
+    LV,
+    MYOCARDIUM,
+    LA,
+    RV,
+    RV_WALL,
+    RA,
+    ATRIAL_WALL,
+    AORTA,
+    VESSEL_WALL,
+    PULMONARY,
+    PAPILLARY,
+    PERICARDIUM,
+    CAVA,
+    DESCENDING,
+    LIVER,
+    CHEST,
+    MITRAL,
+    TRICUSPID,
+    AORTIC,
+) = range(20)
 
 CAMUS = {LV: 1, PAPILLARY: 1, MITRAL: 1, MYOCARDIUM: 2, LA: 3}
 """CAMUS's labels of ours, all else 0: papillaries and leaflets lie in the cavity, and since LV and

@@ -56,7 +56,7 @@ def landmarks(shape: Shape) -> tuple[Landmark, ...]:
         ("LA", la, 18.0, (LA,)),
         ("RA", ra, 18.0, (RA,)),
         ("crux", (-septal + 1.0, -4.0, -1.0), 14.0, (MYOCARDIUM,)),
-        ("aortic root", shape.aorta.path[2], 14.0, (AORTA,)),
+        ("aortic root", shape.aorta.path[2], 15.5, (AORTA,)),
         ("aortic outflow", along(0.72 * shape.root, 0.0, 4.0), 11.0, (LV,)),
         ("anteroseptum", along(shape.semi + 0.25 * (form.wall + form.septum), 0.0, 24.0 * tall),
          12.0, (MYOCARDIUM,)),
@@ -66,10 +66,10 @@ def landmarks(shape: Shape) -> tuple[Landmark, ...]:
         ("pulmonary trunk", _between(way[3], way[4], 0.25), 15.0, (PULMONARY,)),
         ("LA below root", (2.0, la[1] + 1.0, -20.0), 16.0, (LA,)),
         ("RA beside root", (ra[0] + 1.0, ra[1] + 1.0, -18.0), 18.0, (RA,)),
-        ("mitral annulus anterior", along(8.0 * wide, 0.0, 4.0), 16.5, (LV, MITRAL)),
-        ("mitral annulus posterior", along(-ring, 0.0, 4.0), 16.5, (LV, MITRAL, MYOCARDIUM)),
-        ("mitral annulus lateral", along(-4.0 * wide, ring, 4.0), 16.5, (LV, MITRAL, MYOCARDIUM)),
-        ("mitral annulus septal", along(-4.0 * wide, -ring, 4.0), 16.5, (LV, MITRAL, MYOCARDIUM)),
+        ("mitral annulus anterior", along(8.0 * wide, 0.0, 4.0), 18.0, (LV, MITRAL)),
+        ("mitral annulus posterior", along(-ring, 0.0, 4.0), 18.0, (LV, MITRAL, MYOCARDIUM)),
+        ("mitral annulus lateral", along(-4.0 * wide, ring, 4.0), 18.0, (LV, MITRAL, MYOCARDIUM)),
+        ("mitral annulus septal", along(-4.0 * wide, -ring, 4.0), 18.0, (LV, MITRAL, MYOCARDIUM)),
         ("RV base", (-beside - 1.0, 6.0, 9.0), 16.0, (RV, TRICUSPID)),
     )  # fmt: skip
     return tuple(Landmark(*row) for row in rows)

@@ -1,4 +1,3 @@
-# pyright: strict
 """What is true of a patient's heart over the beat: volumes, ejection fraction, lengths, diameters.
 
 Volumes are counted in the simulated geometry: a lattice of points in the beating heart, each asked

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from racines_data.patients.form import Shape
 from racines_data.patients.labels import STAGES
-from racines_data.patients.population import Motion
+from racines_data.patients.patient import Motion
 
 SYSTOLE = 0.35
 """Share of the cardiac phase that is systole; see `rhythm` for its seconds."""
@@ -31,7 +31,7 @@ UPPER = 65.0  # above the annulus the pull of the base has faded, mm
 RAMP = 18.0  # over which the ventricle's squeeze fades above the annulus, mm
 ATRIA = 60.0, 30.0  # above the annulus the atria's widening begins to fade, and how fast, mm
 RIGHT, FAR = 700.0, 9000.0
-"""What the RV's free wall takes beyond its inside, and over which its pull fades from there, mm²."""
+"""What the RV's free wall takes beyond its inside, and over which its pull fades then, mm²."""
 
 
 class Dynamics(NamedTuple):
@@ -101,10 +101,15 @@ def valve_stages(phase: Tensor, kick: Tensor) -> Tensor:
     """Return (B,) int64: 4 times the stage of the valves to the ventricles, plus the aortic one."""
     filling = step((phase - 0.40) / 0.06) - 0.55 * step((phase - 0.55) / 0.10)
     again = 0.45 * (kick > 0.0).to(phase)
-    filling = filling + again * step((phase - 0.84) / 0.06) - (0.45 + again) * step((phase - 0.92) / 0.07)
+    filling = filling + again * step((phase - 0.84) / 0.06)
+    filling = filling - (0.45 + again) * step((phase - 0.92) / 0.07)
     ejecting = step((phase - 0.03) / 0.05) - step((phase - 0.30) / 0.06)
-    opened = [(each * (STAGES - 0.001)).clamp(0, STAGES - 1).long() for each in (filling, ejecting)]
-    return opened[0] * STAGES + opened[1]
+    return _stage(filling) * STAGES + _stage(ejecting)
+
+
+def _stage(share: Tensor) -> Tensor:
+    """Return the stage of a valve that is open by a share."""
+    return (share * (STAGES - 0.001)).clamp(0, STAGES - 1).long()
 
 
 def all_stages() -> Tensor:

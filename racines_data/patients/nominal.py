@@ -1,4 +1,3 @@
-# pyright: strict
 """The nominal poses of a patient's views, found by what the oracle sees from them.
 
 The planes that the shape gives are where a search begins; ribs, the tilt of the chest and a
@@ -12,13 +11,14 @@ import torch
 from torch import Tensor
 
 from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3, orthonormalise
-from racines_data.patients.oracle import completeness, look
 from racines_data.patients.chest import Chest
+from racines_data.patients.draws import exact_normal
+from racines_data.patients.oracle import completeness, look
 from racines_data.patients.placement import REACH, SURFACE, TILT_MAX
 from racines_data.patients.settings import Settings
 from racines_data.phantom.config import ContactConfig, WorkspaceConfig
 from racines_data.phantom.truth import deepest
-from racines_data.randomness import normal, sample_seeds
+from racines_data.randomness import sample_seeds
 
 ROUNDS, CANDIDATES = 10, 40
 FIRST = (0.008, 0.008, 0.0015, 0.10, 0.10, 0.08)
@@ -52,8 +52,8 @@ def find_poses(start: Pose, scene: Scene, seed: int) -> Found:
     spread = torch.tensor(FIRST, dtype=torch.float64)
     best = Pose(start.position.clone(), start.rotation.clone())
     for turn in range(ROUNDS):
-        draw = normal(sample_seeds(seed * 64 + turn, views), CANDIDATES * 6, 19)
-        move = draw.double().round(decimals=6).view(views, CANDIDATES, 6) * spread * SHRINK**turn
+        draw = exact_normal(sample_seeds(seed * 64 + turn, views), CANDIDATES * 6, 19)
+        move = draw.round(decimals=6).view(views, CANDIDATES, 6) * spread * SHRINK**turn
         move[:, 0] = 0.0  # what is best so far stays in the field
         tried = _moved(best, move)
         value = _value(tried, start, scene)
@@ -102,6 +102,7 @@ def _value(pose: Pose, start: Pose, scene: Scene) -> Tensor:
     score = 0.6 * complete.amin(0) + 0.4 * complete.mean(0)
     score = score + 0.15 * clarity.mean(0).clamp_max(0.95)
     away = (pose.position - start.position.unsqueeze(1)).norm(dim=-1) / AWAY[0]
-    chord = (pose.rotation - start.rotation.unsqueeze(1)).square().sum((-2, -1)) / (2.0 * AWAY[1] ** 2)
+    chord = (pose.rotation - start.rotation.unsqueeze(1)).square().sum((-2, -1))
+    chord = chord / (2.0 * AWAY[1] ** 2)
     lean = (-pose.rotation[..., 2, 2] < torch.cos(torch.tensor(TILT_MAX - 0.02)).item()).double()
     return score - 0.02 * (away.square() + chord) - lean

@@ -1,4 +1,3 @@
-# pyright: strict
 """Where a baked heart lies in the base frame, and how deep the scanner looks to hold it.
 
 A heart is baked in its own frame; its place is a rigid transform, in double precision, applied to
@@ -15,7 +14,7 @@ from torch.nn.functional import normalize
 from racines_data.geometry import Pose, axis_angle_to_matrix
 from racines_data.patients.form import Point, Shape, reach
 from racines_data.patients.landmarks import landmarks, view_specs
-from racines_data.patients.population import Patient, Place
+from racines_data.patients.patient import Patient, Place
 from racines_data.phantom.config import BlockConfig
 from racines_data.phantom.heart import DOWN, HEADING, ORIGIN
 from racines_data.phantom.truth import nominal_pose
@@ -24,7 +23,7 @@ from racines_data.world import Workspace
 SURFACE = BlockConfig().maximum[2]
 """Height of the skin, m, base frame: that of the phantom's block."""
 MIDDLE = 35.0  # height of the point that is placed, over the annulus, mm
-REACH = (0.318, -0.132, 0.036), (0.678, 0.200, 0.134)
+REACH = (0.312, -0.138, 0.036), (0.686, 0.214, 0.134)
 """The workspace: where the placed hearts' windows are, and half a heart around them, m."""
 TILT_MAX, YAW_MAX = 1.22, 3.0  # rad
 BEYOND = 19.0  # of the deepest landmark that a view shows, to the sector's end, mm

@@ -1,4 +1,3 @@
-# pyright: strict
 """Many patients in one tensor: a batch whose rows are scanned on different hearts at once.
 
     voxels  | heart 0 and its tiles | heart 1 and its tiles | ...          19.9 MB each
@@ -21,6 +20,7 @@ from racines_data.patients.bake import baked
 from racines_data.patients.chest import Chest, breathing, obstacles, shadows, undeform
 from racines_data.patients.heart import LEVELS, Heart, make_heart, nominal_targets
 from racines_data.patients.labels import CODES, shown
+from racines_data.patients.measures import Measures, measure
 from racines_data.patients.motion import (
     Dynamics,
     activation,
@@ -28,9 +28,17 @@ from racines_data.patients.motion import (
     to_diastole,
     valve_stages,
 )
+from racines_data.patients.patient import Patient
 from racines_data.patients.placement import SURFACE, workspace
-from racines_data.patients.population import Patient, draw_patient
-from racines_data.patients.render import convert, hear, make_scanner, picture, pixel_map, solid_table
+from racines_data.patients.population import draw_patient
+from racines_data.patients.render import (
+    convert,
+    hear,
+    make_scanner,
+    picture,
+    pixel_map,
+    solid_table,
+)
 from racines_data.patients.rhythm import Rhythm, phases, rhythm_of
 from racines_data.patients.sampling import (
     base_nodes,
@@ -84,7 +92,8 @@ class Pool:
         self.surface_height = SURFACE
         self.hearts = [make_heart(patient, beating) for patient in self.patients]
         self._join(self.hearts)
-        self._grid, self._scanner = make_grid(self.device), make_scanner(self.device)
+        self._grid = make_grid(self.device)
+        self._scanner = make_scanner(self._grid, self.device)
 
     def __len__(self) -> int:
         return len(self.seeds)
@@ -246,6 +255,10 @@ class Pool:
         """Return the (B, V) nominal poses, which go with the breath but not with the beat."""
         pose = self._nominal(rows, self._phase(rows, phase))
         return Pose(pose.position.float(), pose.rotation.float())
+
+    def measures(self, row: int) -> Measures:
+        """Return the true volumes, lengths and diameters of a patient; takes a second."""
+        return measure(self.hearts[row])
 
     def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
         """Return (B, 6) force, N, and torque, N·m, in the probe's axes; the skin is everyone's."""

@@ -1,4 +1,3 @@
-# pyright: strict
 """Who a patient is: one seed gives body, heart, place in the chest, examination and rhythm.
 
 Body and sex come first and the heart is drawn given them, so that its sizes go together as they do
@@ -7,150 +6,34 @@ in people. Normal ranges: Lang et al., Recommendations for Cardiac Chamber Quant
 turned by double arithmetic and rounded, so that a patient is the same on every processor.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 from statistics import NormalDist
 
 import torch
 
+from racines_data.patients.patient import (
+    PATHOLOGIES,
+    Body,
+    Chest,
+    Examination,
+    Form,
+    Motion,
+    Patient,
+    Place,
+    Tissues,
+)
 from racines_data.patients.splits import split_of
 from racines_data.randomness import sample_seeds, uniform
 
-PATIENTS_VERSION = "0.1.0"
-"""Of this world, apart from the phantom's: raise it whenever an image, a force or a truth moves."""
-
-PATHOLOGIES = ("healthy", "dilated", "hypertrophied", "small", "atria", "right")
-"""Normal; dilated or hypertrophied LV, small heart, enlarged atria, dilated RV."""
 SICK = 0.2  # share of patients with a pathology, each of the five alike
 _DRAWS = 128
-
-
-@dataclass(frozen=True)
-class Body:
-    """Who is examined."""
-
-    female: bool
-    height: float  # m
-    weight: float  # kg
-    surface: float  # m² (Mosteller)
-
-
-@dataclass(frozen=True)
-class Form:
-    """The heart at end diastole, millimetres."""
-
-    ventricle: float  # LV, inside, across
-    length: float  # LV, inside, mitral plane to apex
-    oval: float  # ratio of the LV's two widths
-    oval_turn: float  # rad, where the wider one points, from the lateral wall
-    waviness: float  # share by which the LV's endocardium strays from an oval
-    septum: float  # thickness
-    wall: float  # thickness of the LV's other walls
-    right: float  # RV, inside, across the base
-    right_length: float  # RV, against the norm
-    left_atrium: float  # across, from front to back
-    right_atrium: float  # across
-    root: float  # aortic sinuses
-    outflow: float  # RVOT, distal
-    papillary: float  # thickness of the papillary muscles, against the norm
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where the heart lies."""
-
-    x: float  # from the middle of the field, m, base frame
-    y: float
-    clearance: float  # between chest wall and heart, m
-    turn: float  # about the vertical, rad
-    tilt: float  # rad
-    tilt_way: float  # direction of the tilt's axis, rad
-
-
-@dataclass(frozen=True)
-class Chest:
-    """The chest wall over the heart."""
-
-    thickness: float  # m
-    fat: float  # share of the thickness
-    rib_spacing: float  # from rib to rib, m
-    rib_width: float  # m
-    rib_loss: float  # of sound that crosses a rib, dB one way
-    lung_loss: float  # the same in lung, dB
-    notch: float  # radius of what the lung leaves free around the windows, m
-    slope: float  # of the ribs against the crosswise direction, rad
-
-
-@dataclass(frozen=True)
-class Tissues:
-    """How the tissues scatter."""
-
-    surroundings: float  # backscatter against myocardium, dB
-    unevenness: float  # its slow variation, dB
-    grain: float  # its fine variation, dB
-    layers: float  # share that is layers of connective tissue
-    liver: float  # backscatter, dB
-    blood: float  # backscatter, dB
-    patchiness: float  # slow variation of the walls, dB
-    valves: float  # backscatter of leaflets, dB
-
-
-@dataclass(frozen=True)
-class Examination:
-    """What the examiner chose at the scanner."""
-
-    half_angle: float  # of the sector, rad
-    margin: float  # depth beyond what holds the heart, share
-    gain: float  # dB
-    dynamic_range: float  # dB
-    gray_map: float
-    noise: float  # dB
-    reverberation: float  # dB
-    haze: float  # dB
-    near_gain: float  # dB
-
-
-@dataclass(frozen=True)
-class Motion:
-    """How the heart beats and the chest breathes."""
-
-    emptying: float  # share of the LV's blood that a normally moving wall would eject
-    right_emptying: float
-    shortening: float  # descent of the base, mm
-    atrial: float  # widening of the atria in systole, share
-    kick: float  # share of the filling that the atria do
-    weak: float  # 0-1, loss of motion in a region
-    weak_at: float  # its direction round the LV, rad
-    weak_height: float  # its middle, share of the LV's length
-    rate: float  # beats a minute
-    variation: float  # standard deviation of a beat's length, share
-    early: float  # share of beats that come early
-    breath: float  # s a breath
-    sway: float  # of the heart with breathing, m, head to foot
-
-
-@dataclass(frozen=True)
-class Patient:
-    """One patient; `dataclasses.asdict` is JSON."""
-
-    seed: int
-    draw: int
-    """How often the seed was drawn again, since a view could not be shown at all."""
-    pathology: str
-    body: Body
-    form: Form
-    place: Place
-    chest: Chest
-    tissues: Tissues
-    examination: Examination
-    motion: Motion
 
 
 class _Draw:
     """Numbers of one patient, in order; rounded, so that all processors agree on them."""
 
-    def __init__(self, seed: int, again: int):
-        drawn = uniform(sample_seeds(torch.tensor([seed]), 1), _DRAWS, 501 + again)
+    def __init__(self, seed: int):
+        drawn = uniform(sample_seeds(torch.tensor([seed]), 1), _DRAWS, 501)
         self._numbers = iter(drawn[0].tolist())
 
     def between(self, low: float, high: float) -> float:
@@ -167,21 +50,19 @@ class _Draw:
 
 
 @lru_cache(maxsize=4096)
-def draw_patient(seed: int, again: int = 0) -> Patient:
-    """Return the patient of a seed; `again` counts the draws that were thrown away before.
+def draw_patient(seed: int) -> Patient:
+    """Return the patient of a seed.
 
     Raises:
         RacinesError: a seed of no split.
     """
     split_of(seed)
-    first, draw = _Draw(seed, -1), _Draw(seed, again)
-    # What ails a patient stays: drawing it again would thin out those who are hard to show.
-    sick, which = first.happens(SICK), 1 + int(first.between(0.0, 4.999999))
+    draw = _Draw(seed)
+    sick, which = draw.happens(SICK), 1 + int(draw.between(0.0, 4.999999))
     kind = PATHOLOGIES[which if sick else 0]
     body = _body(draw)
     return Patient(
         seed=seed,
-        draw=again,
         pathology=kind,
         body=body,
         form=_form(draw, body, kind),
@@ -227,7 +108,7 @@ def _form(draw: _Draw, body: Body, kind: str) -> Form:
     size["septum"] = size["wall"] * draw.between(0.97, 1.15)
     strength = draw.between(0.0, 1.0)
     for name, (low, high) in _CHANGES.get(kind, {}).items():
-        size[name] *= low + (high - low) * strength
+        size[name] = min(size[name] * (low + (high - low) * strength), _MOST.get(name, 1e3))
     if kind == "hypertrophied" and draw.happens(0.5):
         size["septum"] *= 1.3  # asymmetric
     shape = {
@@ -240,6 +121,15 @@ def _form(draw: _Draw, body: Body, kind: str) -> Form:
     return Form(**{name: round(value, 4) for name, value in (size | shape).items()})
 
 
+_MOST = {
+    "ventricle": 72.0,
+    "length": 96.0,
+    "right": 52.0,
+    "outflow": 28.0,
+    "right_atrium": 52.0,
+    "left_atrium": 50.0,
+}
+"""How far a pathology goes, mm."""
 _CHANGES: dict[str, dict[str, tuple[float, float]]] = {
     "dilated": {"ventricle": (1.20, 1.38), "length": (1.06, 1.12), "wall": (0.82, 0.95),
                 "left_atrium": (1.05, 1.22), "septum": (0.82, 0.95)},

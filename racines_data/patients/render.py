@@ -1,4 +1,3 @@
-# pyright: strict
 """Pictures of a batch whose rows may be of different patients: the phantom's acoustics, row by row.
 
 As `phantom.acoustics`, whose point spread function and noise it shares, but settings are tensors,
@@ -14,45 +13,81 @@ from torch.nn import functional
 
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.patients.labels import ATTENUATIONS, BLOOD, CODES, shown
-from racines_data.patients.sampling import BITS, Samples
+from racines_data.patients.sampling import BITS, SPACING, Grid, Samples
 from racines_data.patients.settings import PROBE, SOFT_LOSS, Settings
 from racines_data.phantom.acoustics import (
     NOISE_BANK,
+    SPECKLE_GAIN,
     SPECULAR_GAIN,
     SPECULAR_LOSS,
     Beams,
-    averaging,
     echo_power,
-    form_image,
     make_beams,
 )
 from racines_data.phantom.volume import ALONG_SHEET, SCATTERER_STEP, SHEET
 from racines_data.randomness import derive
 
+FAINTEST = 1e-8
+"""Least power of a look, below any black: an echo that cancels itself hangs on rounding alone."""
 AIR_LOSS = 6.0  # one-way loss of a sample above the skin, dB
 BLOOD_GAIN = 0.9  # blood's speckle has no memory from voxel to voxel: the blur gives it less
 
 
 class Scanner(NamedTuple):
-    """What all rows share: point spread, noise, speckle reduction."""
+    """What all rows share: point spread, noise, speckle reduction.
+
+    Narrow filters are a few shifted sums, which cost a fraction of a matrix; the veil of multiple
+    scattering is so wide that it is found at the nodes of the coarse grid.
+    """
 
     beams: Beams
     sideways: Tensor  # (L, 1) dB: elements hear less from aside
-    smooth_beams: Tensor  # (L, L)
-    smooth_samples: Tensor  # (S, S)
+    pulse: tuple[float, ...]  # taps on one side, the middle first, unit energy
+    veil: tuple[Tensor, Tensor]  # (13, L) and (S, 19), to the nodes
+    nodes: tuple[Tensor, Tensor]  # (L, 13) and (19, S), from them
+    smoothing: tuple[tuple[float, ...], tuple[float, ...]]  # taps over samples, and over beams
+    level: Tensor  # (L, S) undoes what the smoothing loses at the grid's edges
 
 
-def make_scanner(device: torch.device) -> Scanner:
+def make_scanner(grid: Grid, device: torch.device) -> Scanner:
     """Precompute what all rows share."""
     beams = make_beams(PROBE, SOFT_LOSS, device)
     aside = torch.linspace(-1.0, 1.0, PROBE.beams).square().unsqueeze(1)
-    along, across = PROBE.smoothing
-    return Scanner(
-        beams._replace(veil_across=beams.veil_across / 10.0 ** (PROBE.haze / 10.0)),
-        (-PROBE.directivity * aside).to(device),
-        averaging(PROBE.beams, across, 3).to(device),
-        averaging(PROBE.samples, along, 3).T.contiguous().to(device),
+    pulse = _taps(PROBE.axial_sigma * PROBE.samples / PROBE.depth, 4.0)
+    energy = (2.0 * sum(tap * tap for tap in pulse) - 1.0) ** 0.5
+    kernels = tuple(_taps(sigma, 3.0) for sigma in PROBE.smoothing)
+    kernels = tuple(tuple(tap / (2.0 * sum(k) - 1.0) for tap in k) for k in kernels)
+    flat = torch.ones(1, 1, PROBE.beams, PROBE.samples)
+    last = [size - 1 for size in (PROBE.beams, PROBE.samples)]
+    node_beam, node_sample = (
+        (torch.arange(weights.shape[axis]) * SPACING).clamp_max(end).to(device)
+        for weights, axis, end in ((grid.across, 1, last[0]), (grid.along, 0, last[1]))
     )
+    across = beams.veil_across / 10.0 ** (PROBE.haze / 10.0)
+    return Scanner(
+        beams=beams,
+        sideways=(-PROBE.directivity * aside).to(device),
+        pulse=tuple(tap / energy for tap in pulse),
+        veil=(across[node_beam].contiguous(), beams.veil_along[:, node_sample].contiguous()),
+        nodes=(grid.across / SPACING, grid.along / SPACING),
+        smoothing=(kernels[0], kernels[1]),
+        level=(1.0 / shifted(shifted(flat, kernels[0], 3), kernels[1], 2))[0, 0].to(device),
+    )
+
+
+def _taps(sigma: float, reach: float) -> tuple[float, ...]:
+    """Return a Gaussian's taps from its middle outwards, the first of them 1."""
+    return tuple(math.exp(-0.5 * (i / sigma) ** 2) for i in range(math.ceil(reach * sigma) + 1))
+
+
+def shifted(field: Tensor, taps: tuple[float, ...], axis: int) -> Tensor:
+    """Filter a field along an axis with a symmetric kernel; beyond the edges lies nothing."""
+    size, total = field.shape[axis], field * taps[0]
+    for shift, tap in enumerate(taps[1:], 1):
+        count = size - shift
+        for to, start in ((0, shift), (shift, 0)):
+            total.narrow(axis, to, count).add_(field.narrow(axis, start, count), alpha=tap)
+    return total
 
 
 def solid_table(stages: Tensor) -> Tensor:
@@ -65,8 +100,14 @@ def solid_table(stages: Tensor) -> Tensor:
 
 
 def hear(
-    voxels: Tensor, at: Tensor, samples: Samples, solid: Tensor, settings: Settings, shadow: Tensor,
-    scanner: Scanner, seeds: Tensor,
+    voxels: Tensor,
+    at: Tensor,
+    samples: Samples,
+    solid: Tensor,
+    settings: Settings,
+    shadow: Tensor,
+    scanner: Scanner,
+    seeds: Tensor,
 ) -> Tensor:
     """Return the (B, 2, L, S) complex echoes before the point spread function.
 
@@ -129,12 +170,13 @@ def picture(
     gain = coupling.unsqueeze(-1)
     power, level = None, None
     for look in range(PROBE.looks):
-        field = form_image(echoes, scanner.beams, look).mul_(gain.unsqueeze(1))
+        field = _spread(echoes, scanner, look).mul_(gain.unsqueeze(1))
         if level is None:  # both looks have the same mean power around
-            level = _level(field, gain, settings, scanner.beams)
+            level = _level(field, gain, settings, scanner)
         noise = _run(scanner.beams, derive(seeds, 17 + look), field.shape)
-        field.addcmul_(noise, level).addcmul_(scanner.beams.clutter, (1.0 - 0.65 * gain).unsqueeze(1))
-        found = echo_power(field).clamp_min_(1e-12)
+        lifted = (1.0 - 0.65 * gain).unsqueeze(1)
+        field.addcmul_(noise, level).addcmul_(scanner.beams.clutter, lifted)
+        found = echo_power(field).clamp_min_(FAINTEST)
         power = found if power is None else power.mul_(found)  # the looks' mean in decibels
     assert power is not None
     shade = power.log10_().mul_(settings.contrast / PROBE.looks).add_(settings.lift)
@@ -142,14 +184,30 @@ def picture(
     return shade.clamp_(1e-6, 1.0).log_().mul_(settings.curve).exp_().mul_(255.0)
 
 
-def _level(field: Tensor, gain: Tensor, settings: Settings, beams: Beams) -> Tensor:
+def _spread(echoes: Tensor, scanner: Scanner, look: int) -> Tensor:
+    """Blur (B, 2, L, S) echoes with the point spread function, as `acoustics.form_image` does."""
+    beams = scanner.beams
+    if look:
+        cos, sin = beams.turn[look]
+        real, imaginary = echoes.unbind(1)
+        echoes = torch.stack([real * cos - imaginary * sin, real * sin + imaginary * cos], 1)
+    field = shifted(echoes, scanner.pulse, 3).flatten(0, 1)
+    blurred = torch.bmm(beams.lateral_far.expand(len(field), -1, -1), field)
+    shallow = field[..., : len(beams.near)]
+    near = torch.bmm(beams.lateral_near.expand(len(field), -1, -1), shallow)
+    blurred[..., : len(beams.near)].lerp_(near, beams.near)
+    return blurred.mul_(SPECKLE_GAIN).view(echoes.shape)
+
+
+def _level(field: Tensor, gain: Tensor, settings: Settings, scanner: Scanner) -> Tensor:
     """Return the (B, 1, L, S) amplitude of all that has lost its phase.
 
     That is multiple scattering, which has the mean power of the echoes around, reverberation under
     the face, and electronic noise.
     """
-    around = torch.bmm(echo_power(field), beams.veil_along.expand(len(field), -1, -1))
-    around = torch.bmm(beams.veil_across.expand(len(field), -1, -1), around).mul_(settings.veil)
+    around = torch.matmul(scanner.veil[0], torch.matmul(echo_power(field), scanner.veil[1]))
+    around = torch.matmul(scanner.nodes[0], around * settings.veil)
+    around = torch.matmul(around, scanner.nodes[1])
     around.add_(settings.hiss).addcmul_(settings.ringing, gain.square())
     return around.mul_(0.5).sqrt_().unsqueeze(1)
 
@@ -163,9 +221,8 @@ def _run(beams: Beams, seeds: Tensor, shape: torch.Size) -> Tensor:
 
 def convert(polar: Tensor, pixels: Tensor, scanner: Scanner) -> Tensor:
     """Turn (B, L, S) gray 0-255 into (B, 128, 128) uint8 images; `pixels` as `pixel_map` gives."""
-    count = len(polar)
-    polar = torch.bmm(polar, scanner.smooth_samples.expand(count, -1, -1))
-    polar = torch.bmm(scanner.smooth_beams.expand(count, -1, -1), polar).unsqueeze(1)
+    along, across = scanner.smoothing
+    polar = shifted(shifted(polar.unsqueeze(1), along, 3), across, 2).mul_(scanner.level)
     image = functional.grid_sample(polar, pixels, "bilinear", "zeros", align_corners=True)
     return image.squeeze(1).add_(0.5).to(torch.uint8)
 
@@ -191,5 +248,3 @@ def pixel_map(half_angle: float) -> tuple[Tensor, Tensor]:
     nearest = beam.round() * PROBE.samples + sample.round()
     nearest[~inside] = PROBE.beams * PROBE.samples
     return grid.float(), nearest.long().flatten()
-
-

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from racines_data.patients.draws import exact_normal
 from racines_data.patients.motion import SYSTOLE
-from racines_data.patients.population import Motion
-from racines_data.randomness import derive, normal, uniform
+from racines_data.patients.patient import Motion
+from racines_data.randomness import derive, uniform
 
 BEATS = 64
 """Beats of a tape, about a minute."""
@@ -30,7 +31,7 @@ def rhythm_of(motion: Motion, seed: int) -> list[Tensor]:
     """Return the fields of one patient."""
     own = derive(torch.tensor([seed]), 907)
     mean = 60.0 / motion.rate
-    length = mean * (1.0 + motion.variation * normal(own, BEATS, 1)[0].double().clamp(-2.0, 2.0))
+    length = mean * (1.0 + motion.variation * exact_normal(own, BEATS, 1)[0].clamp(-2.0, 2.0))
     early = uniform(own, BEATS, 2)[0] < motion.early
     pause = early.roll(1) & ~early
     length = length * torch.where(early, 0.62, torch.where(pause, 1.32, 1.0)).double()

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from racines_data.geometry import Pose, rotate
+from racines_data.patients.draws import exact_normal
 from racines_data.patients.form import LIVER
 from racines_data.patients.placement import SURFACE
 from racines_data.patients.settings import PROBE, Settings
@@ -30,7 +31,7 @@ from racines_data.patients.volume import (
     VOXEL,
     to_voxels,
 )
-from racines_data.randomness import normal, sample_seeds
+from racines_data.randomness import sample_seeds
 
 SPACING = 8  # beams, and samples, from node to node
 NODE_BITS, WEIGHT_BITS = 8, 3
@@ -56,8 +57,9 @@ def make_grid(device: torch.device) -> Grid:
     beams, samples = PROBE.beams, PROBE.samples
     node_beam = torch.arange(0, beams + SPACING, SPACING, dtype=torch.float64)
     node_sample = torch.arange(0, samples + 1, SPACING, dtype=torch.float64)
-    depth = (torch.arange(samples) + 0.5) * (PROBE.depth / samples)
-    spread = normal(sample_seeds(1, 1), beams * samples).view(beams, samples).clamp(-2.0, 2.0)
+    depth = (torch.arange(samples, dtype=torch.float64) + 0.5) * (PROBE.depth / samples)
+    spread = exact_normal(sample_seeds(1, 1), beams * samples, 0).view(beams, samples)
+    spread = spread.clamp(-2.0, 2.0)
     offset = spread * (0.0006 + PROBE.elevation_sigma * (depth - PROBE.focus).abs())
     jitter = (offset / (PROBE.depth / samples) * 2**JITTER_BITS).round()
     grid = Grid(
@@ -65,7 +67,7 @@ def make_grid(device: torch.device) -> Grid:
         sample=node_sample,
         across=_weights(beams, len(node_beam)),
         along=_weights(samples, len(node_sample)).T.contiguous(),
-        jitter=jitter,
+        jitter=jitter.float(),
     )
     return Grid(*(each.to(device) for each in grid))
 

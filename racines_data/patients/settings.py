@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from racines_data.patients.labels import ATTENUATIONS, SOFT
+from racines_data.patients.patient import Patient
 from racines_data.patients.placement import Placement
-from racines_data.patients.population import Patient
 from racines_data.phantom.acoustics import NEAR_FIELD, RINGING_DEPTH
 from racines_data.phantom.config import ProbeConfig
 

@@ -1,4 +1,3 @@
-# pyright: strict
 """The leaflets: where they are in each stage of their valve's opening.
 
 Mitral and tricuspid leaflets are sheets that hinge in their ring and swing towards the apex; the
@@ -13,7 +12,7 @@ from torch import Tensor
 from racines_data.patients.form import Shape, Valve
 from racines_data.patients.labels import AORTIC, MITRAL, STAGES, TRICUSPID, valve_code
 
-THICK = 0.80  # half of a leaflet's thickness, mm; thinner ones fall between voxels
+THICK = 0.95  # half of a leaflet's thickness, mm; thinner ones fall between voxels
 SWING = (0.36, 0.64, 0.98, 1.30)
 """Angle between a leaflet and its ring in each stage, rad."""
 APART = (0.0, 0.30, 0.62, 0.90)
@@ -22,7 +21,7 @@ CUSP = 0.85  # height of a cusp, against the radius of the root
 
 
 def leaflets(points: Tensor, shape: Shape) -> Tensor:
-    """Return the (M,) uint8 valve codes of (M, 3) float64 points, mm, 0 where no leaflet ever is."""
+    """Return the (M,) uint8 valve codes of (M, 3) float64 points, mm; 0 where no leaflet is."""
     code = torch.zeros(len(points), dtype=torch.uint8, device=points.device)
     parts = (
         (MITRAL, lambda stage: _swinging(points, shape.mitral, stage)),
@@ -50,7 +49,7 @@ def _swinging(points: Tensor, valve: Valve, stage: int) -> Tensor:
     for sign, length in zip((1.0, -1.0), valve.leaflets, strict=True):
         inward = hinge - sign * forth
         out = inward * cos + up * sin
-        # An open leaflet bends back towards the wall at its tip, a closed one bellies to the atrium.
+        # An open leaflet bends back to the wall at its tip, a closed one bellies to the atrium.
         bend = 0.006 * out.square() * (1.0 if stage else -0.6)
         off = (up * cos - inward * sin + bend).abs()
         found |= (off < THICK) & (out > -1.0) & (out < length * share.sqrt()) & (share > 0.25)
@@ -78,5 +77,6 @@ def _cusps(points: Tensor, shape: Shape, stage: int) -> Tensor:
     sheet = ((out - belly).abs() < 1.1 * THICK) & (height > 0.0) & (height < tall)
     if stage == 0:  # closed: the edges lie against each other in a star
         seam = out * (third / 2.0 - turn.abs()).sin()
-        sheet |= (seam.abs() < THICK) & (out < wide) & (height > 0.45 * tall) & (height < 1.3 * tall)
+        met = (height > 0.45 * tall) & (height < 1.3 * tall)
+        sheet |= (seam.abs() < THICK) & (out < wide) & met
     return sheet

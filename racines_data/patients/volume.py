@@ -2,8 +2,8 @@
 """The box that a heart is baked into, and how its neighbours and its surroundings are addressed.
 
 All hearts share one box of 128³ voxels in the organ's frame. Around it lies, without end, one
-periodic tile of 64 x 64 x 32 voxels, and where the box has no heart it is that tile to the last byte: so
-there is no edge to be seen, wherever a probe looks. Liver and chest wall are tiles of their own.
+periodic tile of 64 x 64 x 32 voxels, and where the box has no heart it is that tile to the last
+byte: so there is no edge to be seen, wherever a probe looks. Liver and chest wall are tiles too.
 
     one heart: | box 128³ | surroundings | liver | chest wall |   19.9 MB
 
@@ -18,9 +18,9 @@ from torch import Tensor
 
 BOX_BITS = 7
 BOX = 1 << BOX_BITS
-VOXEL = (1.10, 1.06, 1.36)
-"""Edges of a voxel, mm: the box is 141 x 136 x 174 mm, as the organ is longer than wide."""
-LOW = (-90.0, -66.0, -70.0)
+VOXEL = (1.20, 1.12, 1.42)
+"""Edges of a voxel, mm: the box is 154 x 143 x 182 mm, as the organ is longer than wide."""
+LOW = (-98.2, -63.6, -69.8)
 """Corner of the box, mm, organ frame."""
 TILE = (64, 64, 32)
 """Voxels of each tile, all laid out alike; the box holds a whole number of them."""

@@ -153,7 +153,7 @@ def sheet_normals(gradient: Tensor, sheets: Tensor) -> Tensor:
     where = sheets.nonzero() // 2
     xx, yy, zz, xy, xz, yz = coarse[:, where[:, 0], where[:, 1], where[:, 2]]
     tensor = torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).view(-1, 3, 3)
-    axis = torch.ones(len(where), 3, 1)
+    axis = torch.ones(len(where), 3, 1, dtype=gradient.dtype)
     for _ in range(8):  # power iteration
         axis = functional.normalize(tensor @ axis, dim=1)
     axis = axis[..., 0].T

@@ -16,8 +16,9 @@ from torch import Tensor
 
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
+from racines_data.patients.patient import PATHOLOGIES
 from racines_data.patients.pool import check_memory
-from racines_data.patients.population import PATHOLOGIES, draw_patient
+from racines_data.patients.population import draw_patient
 from racines_data.randomness import derive
 from racines_envs.agents import learns, load_agent
 from racines_envs.agents.protocol import FILES, Agent

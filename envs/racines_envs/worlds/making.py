@@ -11,7 +11,7 @@ from racines_data.config import fill
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
-from racines_data.patients.population import PATIENTS_VERSION
+from racines_data.patients.patient import PATIENTS_VERSION
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
 from racines_data.phantom.model import shared_phantom

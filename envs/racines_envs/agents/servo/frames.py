@@ -26,8 +26,8 @@ from racines_data.geometry import (
     rotate,
     rotation_vector,
 )
+from racines_data.patients.patient import PATIENTS_VERSION
 from racines_data.patients.pool import Pool
-from racines_data.patients.population import PATIENTS_VERSION
 from racines_data.randomness import derive, normal, uniform
 from racines_envs.task.tiers import LONGEST, middles
 from racines_models.networks.servo import SIDE

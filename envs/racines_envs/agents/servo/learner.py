@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.optim import AdamW, Optimizer
 
 from racines_data.errors import RacinesError
-from racines_data.patients.population import PATIENTS_VERSION
+from racines_data.patients.patient import PATIENTS_VERSION
 from racines_data.patients.splits import seeds_of
 from racines_data.randomness import derive, uniform
 from racines_data.views import VIEWS
