@@ -5,6 +5,7 @@ import gc
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,27 @@ def pytest_collection_finish() -> None:
     """Keep what was imported out of every later collection of garbage, and of forks' memory."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def plain_pictures() -> Iterator[Callable[..., bytes | None]]:
+    """Leave the pictures of cards blank, as to draw them is most of a small build; give the way."""
+    from racines_data.card import pictures
+
+    draw = pictures.draw
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(warm.PLAIN, "1")
+        warm.plain_pictures(patch.setattr)
+        yield draw
+
+
+@pytest.fixture(scope="module")
+def drawn_pictures(plain_pictures: Callable[..., bytes | None]) -> Iterator[None]:
+    """Draw the pictures of cards, as users have them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv(warm.PLAIN)
+        patch.setattr("racines_data.card.pictures.draw", plain_pictures)
+        yield
 
 
 def command(

@@ -7,6 +7,7 @@ is a fork of it. What a command cannot tell from a fresh process: that its impor
 import multiprocessing
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from subprocess import CompletedProcess
 from tempfile import TemporaryDirectory
@@ -27,6 +28,20 @@ PRELOAD = [
 ]
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(PRELOAD)
+
+PLAIN = "RACINES_TEST_PLAIN_PICTURES"
+"""Set in a command's environment, it leaves the pictures of a dataset's card blank."""
+
+
+def plain_pictures(patch: Callable[[object, str, object], None] = setattr) -> None:
+    """Put a small blank picture in place of each that a dataset's card has."""
+    from PIL import Image
+
+    from racines_data.card import pictures
+    from racines_data.files import image_bytes
+
+    blank = image_bytes(Image.new("L", (8, 8)))
+    patch(pictures, "draw", lambda name, figure: blank)
 
 
 def run(folder: Path, words: tuple[str, ...], environment: dict[str, str]) -> CompletedProcess[str]:
@@ -50,6 +65,8 @@ def _child(
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
     sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
     sys.argv = list(words)
+    if environment.get(PLAIN):
+        plain_pictures()
     if words[0] == "racines":
         from racines_leaderboard.cli.command import main as racines
 

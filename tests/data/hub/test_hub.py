@@ -19,8 +19,6 @@ from tests.conftest import command
 from tests.data.fake_hub import FakeHub, Repository
 from tests.data.fake_source import FakeConfig, FakeSource
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
-
 REPO = "someone/racines"
 TAG = "phantom-v0.1.0"
 

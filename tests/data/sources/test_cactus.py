@@ -15,8 +15,6 @@ from racines_data.sources.images import Kind
 from racines_data.validate.run import validate
 from racines_data.views import LABELS
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
-
 PER_VIEW = 12
 WIDTH, HEIGHT = 320, 240
 BOX = 90, 30, 230, 200

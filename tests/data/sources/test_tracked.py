@@ -20,8 +20,6 @@ from racines_data.sources.tracked.source import (
 )
 from racines_data.validate.run import validate
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
-
 REAL = Path(os.environ.get("RACINES_REAL", Path(__file__).parents[3] / ".." / "shared" / "real"))
 SPINE, NWIRE = (REAL / f"{name}PhantomFreehand.igs.mha" for name in ("Spine", "Nwire"))
 needs_real = pytest.mark.skipif(
