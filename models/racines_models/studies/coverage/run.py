@@ -262,7 +262,7 @@ def draw_coverage(content: dict[str, Any]) -> bytes:
     with card_style():
         rows = content["rows"]
         trainings = sorted({row["trainings"] for row in rows})
-        figure = Figure(figsize=(7.2, 3.4), layout="constrained")
+        figure = Figure(figsize=(8.4, 3.4), layout="constrained")
         panels = figure.subplots(1, len(trainings), sharey=True, squeeze=False)[0]
         for axes, count in zip(panels, trainings, strict=True):
             for kind in dict.fromkeys(row["kind"] for row in rows):
@@ -276,5 +276,6 @@ def draw_coverage(content: dict[str, Any]) -> bytes:
             axes.set_xticks(ticks, [str(each) for each in ticks])
             axes.minorticks_off()
         panels[0].set_ylabel("intervals that hold the value")
-        panels[-1].legend(fontsize=6)
+        lines, names = panels[-1].get_legend_handles_labels()
+        figure.legend(lines, names, fontsize=6, loc="outside right center")
         return encode(figure)

@@ -251,6 +251,13 @@ def test_what_is_no_graph_is_refused_by_a_confined_parser():
         rehearse("onnx", b"\x08\x07" * 1000, "x", ROOMY)
 
 
+def test_no_librarys_thread_runs_beside_a_graph(tmp_path):
+    """One that may open no socket, and tells its makers that it is used, would end the process."""
+    path = sound_generator(tmp_path / "a.onnx")
+    session = confined.ConfinedSession(path.read_bytes(), "a.onnx")
+    assert len(os.listdir(f"/proc/{session._child._process.pid}/task")) == 1
+
+
 def test_what_the_parent_has_open_the_child_has_not(tmp_path):
     with (tmp_path / "open").open("w") as file:
         os.set_inheritable(file.fileno(), True)
