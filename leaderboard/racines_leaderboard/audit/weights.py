@@ -41,12 +41,13 @@ def submission_of(record: Record, bench: Bench) -> Path:
 def run_of(record: Record, bench: Bench) -> Path:
     """Return the folder of a merged system's run: here, or published, whichever has its weights.
 
-    Published are the trainings of a board, `weights/<board>/<name>`, and policies of the reference
+    Published are the trainings of a board, `weights/<board>/<name>`, and those of the reference
     board, `weights/<name>`. Where no folder has all, one that has the first training will do.
     """
     places, name = bench.places, record["name"]
     if record["track"] == "generators":
-        folders = [places.runs / name, places.weights / bench.board / name]
+        kept = places.weights
+        folders = [places.runs / name, kept / bench.board / name, kept / name]
     else:
         kept = places.policies
         folders = [places.agents / name, kept / bench.board / name, kept / name]

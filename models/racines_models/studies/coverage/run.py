@@ -190,6 +190,7 @@ def report(
         "anchors": {name: list(each) for name, each in simulation.anchors.items()},
         "rows": found,
         "levels": levels(found),
+        "table": shares_table(found),
         "probe": probe(),
         "code": code_version(),
         "environment": environment(),
@@ -212,6 +213,16 @@ def _covered(target: float, value: np.ndarray, low: np.ndarray, high: np.ndarray
         "interval_below": round(float((high < target).mean()), 4),
         "width": float(np.median(high - low)),
     }
+
+
+def shares_table(found: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the coverage in per cent, a row a kind: studies of one training, then of several."""
+    sizes = sorted({(row["trainings"], row["units"]) for row in found})
+    shares = {(r["kind"], r["trainings"], r["units"]): f"{100 * r['coverage']:.1f}" for r in found}
+    names = [f"{units} units" if count < 2 else f"{units}, {count} t." for count, units in sizes]
+    kinds = dict.fromkeys(row["kind"] for row in found)
+    rows = [[kind, *(shares.get((kind, *size), "–") for size in sizes)] for kind in kinds]
+    return {"columns": ["interval of", *names], "rows": rows}
 
 
 def levels(found: list[dict[str, Any]]) -> dict[str, Any]:
