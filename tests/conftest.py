@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -76,6 +77,19 @@ def drawn_pictures(plain_pictures: Callable[..., bytes | None]) -> Iterator[None
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv(warm.PLAIN)
         patch.setattr("racines_data.card.pictures.draw", plain_pictures)
+        yield
+
+
+@pytest.fixture(scope="module")
+def warm_workers() -> Iterator[None]:
+    """Let workers be forks with their imports done, where how they start is beside the point."""
+    from racines_data.build import staging
+    from racines_models.training import processes
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(staging, "multiprocessing", warm)
+        forked = partial(processes.start_processes, start_method="forkserver")
+        patch.setattr(processes, "start_processes", forked)
         yield
 
 

@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import sys
 from collections.abc import Callable
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from subprocess import CompletedProcess
 from tempfile import TemporaryDirectory
@@ -28,6 +29,12 @@ PRELOAD = [
 ]
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(PRELOAD)
+
+
+def get_context(method: str | None = None) -> ForkServerContext:
+    """Stand in for `multiprocessing.get_context`: workers are such forks, however asked for."""
+    return _context
+
 
 PLAIN = "RACINES_TEST_PLAIN_PICTURES"
 """Set in a command's environment, it leaves the pictures of a dataset's card blank."""
