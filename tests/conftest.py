@@ -126,8 +126,13 @@ def tiny_root(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
 @pytest.fixture
 def workplace(tmp_path: Path, tiny_root: Path) -> Path:
     """A folder that looks like the repository's root after the data stage, at a tiny size."""
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data" / "racines").symlink_to(tiny_root)
-    (tmp_path / "racines").symlink_to("data/racines")
-    (tmp_path / "params.yaml").write_text(yaml.safe_dump(TINY))
-    return tmp_path
+    return lay_workplace(tmp_path, tiny_root)
+
+
+def lay_workplace(folder: Path, data: Path) -> Path:
+    """Make a folder look like the repository's root after the data stage, at a tiny size."""
+    (folder / "data").mkdir()
+    (folder / "data" / "racines").symlink_to(data)
+    (folder / "racines").symlink_to("data/racines")
+    (folder / "params.yaml").write_text(yaml.safe_dump(TINY))
+    return folder
