@@ -61,7 +61,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def plain_pictures() -> Iterator[Callable[..., bytes | None]]:
-    """Leave the pictures of cards blank, as to draw them is most of a small build; give the way."""
+    """Leave pictures of cards and graders blank, most of what they cost; give the cards' way."""
     from racines_data.card import pictures
 
     draw = pictures.draw
@@ -73,9 +73,12 @@ def plain_pictures() -> Iterator[Callable[..., bytes | None]]:
 
 @pytest.fixture(scope="module")
 def drawn_pictures(plain_pictures: Callable[..., bytes | None]) -> Iterator[None]:
-    """Draw the pictures of cards, as users have them."""
+    """Draw the pictures of cards and of graders, as users have them."""
+    from racines_data.plotting import encode
+
     with pytest.MonkeyPatch.context() as patch:
         patch.delenv(warm.PLAIN)
+        patch.setattr("racines_models.judges.grader.evaluation.encode", encode)
         patch.setattr("racines_data.card.pictures.draw", plain_pictures)
         yield
 

@@ -171,7 +171,7 @@ def test_sweeps_aim_at_the_views_of_the_anatomy(phantom: Phantom) -> None:
 
 def test_a_dataset_carries_the_labels_of_its_anatomy(tmp_path) -> None:
     config = AcquisitionConfig(
-        frames=160, shortest=10, longest=20, phantom=PhantomConfig(anatomy="abdomen")
+        frames=96, shortest=6, longest=12, phantom=PhantomConfig(anatomy="abdomen")
     )
     manifest = build(PhantomSource(config), tmp_path / "abdomen", DataConfig(workers=1))
     assert manifest["labels"] == [*VIEWS, "Random"]
