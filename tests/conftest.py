@@ -8,8 +8,10 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 import yaml
 
 from tests import warm
@@ -69,6 +71,24 @@ def plain_pictures() -> Iterator[Callable[..., bytes | None]]:
         patch.setenv(warm.PLAIN, "1")
         warm.plain_pictures(patch.setattr)
         yield draw
+
+
+@pytest.fixture(scope="session", autouse=True)
+def commands_built_once() -> Iterator[None]:
+    """Let typer make the tree of all commands once, not at every call of one."""
+    make, made = typer.main.get_command, {}
+
+    def get_command(app: typer.Typer) -> Any:
+        parts = (app, *app.registered_commands, *app.registered_groups)
+        key = tuple(map(id, parts))
+        if key not in made:
+            made[key] = parts, make(app)  # held, so that their ids stay their own
+        return made[key][1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("typer.main.get_command", get_command)
+        patch.setattr("typer.testing._get_command", get_command)
+        yield
 
 
 @pytest.fixture(scope="module")

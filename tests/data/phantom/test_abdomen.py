@@ -1,5 +1,7 @@
 """The second organ: sizes within the norms, views that mean something, labels of its own."""
 
+from functools import cache
+
 import pytest
 import torch
 from scipy import ndimage
@@ -33,6 +35,7 @@ def phantom() -> Phantom:
     return Phantom(PhantomConfig(anatomy="abdomen"))
 
 
+@cache
 def painted(seed: int) -> tuple[torch.Tensor, torch.Tensor]:
     """Return (X, Y, Z) tissues of the block, and the (X, Y, Z, 3) points in mm, organ frame."""
     axes = [torch.arange(low, high, STEP) for low, high in ((-85, 85), (-70, 70), (-135, 0))]
