@@ -42,13 +42,13 @@ def bake(anatomy: Anatomy, block: BlockConfig) -> Volume:
     def spread(name: str) -> Tensor:
         return torch.tensor([getattr(each, name) for each in anatomy.tissues])[tissue]
 
-    gradient = torch.stack(torch.gradient(_blur(spread("impedance"), 0.8))) / REFLECTOR_STEP
+    gradient = torch.stack(torch.gradient(blur(spread("impedance"), 0.8))) / REFLECTOR_STEP
     sheets = spread("sheets")
-    gradient += _sheet_normals(gradient, sheets)
+    gradient += sheet_normals(gradient, sheets)
     scatter = _scatterers(inner, block.seed)
     echogenicity = spread("echogenicity") + spread("texture") * _slow_field(inner, block.seed)
     echogenicity = echogenicity + spread("grain") * _slow_field(inner, block.seed + 1, 2.5)
-    amplitude = 10.0 ** (_blur(echogenicity, 0.6) / 20.0)
+    amplitude = 10.0 ** (blur(echogenicity, 0.6) / 20.0)
     amplitude[~sheets] /= ALONG_SHEET  # what has no direction is never seen along one
     attenuation = spread("attenuation") + _cover(inner, block)
     shape = (inner[0] + 2, inner[1] + 2, inner[2] + 2)
@@ -103,7 +103,7 @@ def _scatterers(shape: list[int], seed: int) -> Tensor:
     """
     seeds = sample_seeds(seed, 2 * shape[0])
     noise = torch.cat([normal(seed, shape[1] * shape[2]) for seed in seeds.split(1)])
-    field = _blur(noise.reshape(2, *shape), SCATTER_BLUR)
+    field = blur(noise.reshape(2, *shape), SCATTER_BLUR)
     return field / (field.std() * math.sqrt(2.0))
 
 
@@ -115,7 +115,7 @@ def _slow_field(shape: list[int], seed: int, scale: float = 8.0) -> Tensor:
     return field / field.std()
 
 
-def _blur(grid: Tensor, sigma: float) -> Tensor:
+def blur(grid: Tensor, sigma: float) -> Tensor:
     """Blur the last three axes with a Gaussian of `sigma` voxels, edges replicated."""
     radius = max(1, math.ceil(2.5 * sigma))
     taps = torch.exp(-0.5 * (torch.arange(-radius, radius + 1) / sigma) ** 2)
@@ -141,7 +141,7 @@ def _cover(shape: list[int], block: BlockConfig) -> Tensor:
     return extra
 
 
-def _sheet_normals(gradient: Tensor, sheets: Tensor) -> Tensor:
+def sheet_normals(gradient: Tensor, sheets: Tensor) -> Tensor:
     """Return (3, X, Y, Z) normals of the walls inside anisotropic tissue, `SHEET` long, else 0.
 
     Muscle lies in sheets along the walls that it makes. A voxel's sheet is normal to the interfaces
@@ -149,11 +149,11 @@ def _sheet_normals(gradient: Tensor, sheets: Tensor) -> Tensor:
     """
     pairs = [gradient[i] * gradient[j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
     coarse = torch.cat([functional.avg_pool3d(p[None, None], 2, ceil_mode=True)[0] for p in pairs])
-    coarse = _blur(coarse, 2.0)
+    coarse = blur(coarse, 2.0)
     where = sheets.nonzero() // 2
     xx, yy, zz, xy, xz, yz = coarse[:, where[:, 0], where[:, 1], where[:, 2]]
     tensor = torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).view(-1, 3, 3)
-    axis = torch.ones(len(where), 3, 1)
+    axis = torch.ones(len(where), 3, 1, dtype=gradient.dtype)
     for _ in range(8):  # power iteration
         axis = functional.normalize(tensor @ axis, dim=1)
     axis = axis[..., 0].T

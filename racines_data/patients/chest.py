@@ -1,0 +1,172 @@
+# pyright: strict
+"""The chest over the heart: tissue that gives under the probe, breathing, ribs and lung.
+
+Ribs and lung are thin obstacles at fixed depths in the base frame; a beam that crosses one loses
+sound there, in the picture and for the oracle alike. Ribs run crosswise and leave windows between
+them; they are laid so that the parasternal and apical windows lie in spaces, where
+echocardiographers find them. Lung covers what is far from these. Both end at the costal margin.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from racines_data.geometry import Pose
+from racines_data.patients.form import FOOT
+from racines_data.patients.patient import Patient
+from racines_data.patients.placement import SURFACE, Placement
+from racines_data.patients.settings import PROBE
+
+GIVE = 45.0
+"""Distance from the tip at which tissue is pushed half as far as under it, mm."""
+RIB_DEPTH, LUNG_DEPTH = 0.62, 1.0
+"""Where ribs and pleura lie, shares of the chest wall's thickness."""
+MARGIN = 22.0  # from the costal margin to the subcostal window, mm
+EDGE = 2.0  # over which an obstacle begins, mm
+
+
+class Chest(NamedTuple):
+    """Of K patients, or of the B rows of a batch; mm, float64."""
+
+    thickness: Tensor  # (K,)
+    across: Tensor  # (K, 2) normal of the ribs
+    offset: Tensor  # (K,) of a space's middle along that normal
+    spacing: Tensor
+    width: Tensor
+    margin: Tensor  # (K, 2) level direction in which the ribs end
+    last: Tensor  # (K,) where they do, along it
+    rib_loss: Tensor  # (K,) dB one way
+    lung_loss: Tensor
+    notch: Tensor  # (K,) radius around the way from the first to the second window
+    windows: Tensor  # (K, 2, 2) parasternal and apical
+    sway: Tensor  # (K, 3) of the heart, at full breath
+
+    def rows(self, rows: Tensor) -> "Chest":
+        """Return those of (B,) rows."""
+        return Chest(*(each.index_select(0, rows) for each in self))
+
+
+def chest_of(patient: Patient, placement: Placement, poses: Pose) -> list[Tensor]:
+    """Return the fields of one patient, whose (V,) views have these poses, in label order."""
+    chest, double = patient.chest, torch.float64
+    foot = torch.tensor(FOOT, dtype=double) @ placement.axes
+    foot = torch.nn.functional.normalize(foot[:2], dim=0)
+    side = torch.stack([-foot[1], foot[0]])
+    across = torch.nn.functional.normalize(foot + chest.slope * side, dim=0)
+    crossing = _crossing(poses, RIB_DEPTH * chest.thickness) * 1e3
+    apical, below, front = crossing[0], crossing[1], crossing[2:].mean(0)
+    along = torch.stack([front @ across, apical @ across])
+    spaces = max(1, round(float(along[1] - along[0]) / (1e3 * chest.rib_spacing)))
+    spacing = (along[1] - along[0]).abs() / spaces
+    margin = torch.nn.functional.normalize(below - (front + apical) / 2.0, dim=0)
+    if float(spacing) < 24.0:  # windows side by side: one space holds both
+        spacing = torch.tensor(1e3 * chest.rib_spacing, dtype=double)
+
+    def number(value: float) -> Tensor:
+        return torch.tensor(value, dtype=double)
+
+    return [
+        number(chest.thickness * 1e3), across, along[1], spacing,
+        number(chest.rib_width * 1e3), margin, below @ margin - MARGIN,
+        number(chest.rib_loss), number(chest.lung_loss), number(chest.notch * 1e3),
+        torch.stack([front, apical]),
+        torch.cat([foot, foot.new_zeros(1)]) * (patient.motion.sway * 1e3),
+    ]  # fmt: skip
+
+
+def _crossing(poses: Pose, depth: float) -> Tensor:
+    """Return (V, 2) where the central beams cross a depth, m."""
+    down = poses.position[:, 2] - (SURFACE - depth)
+    beam = poses.rotation[:, :, 2]
+    return poses.position[:, :2] + beam[:, :2] * (down / -beam[:, 2]).unsqueeze(1)
+
+
+def undeform(points: Tensor, tip: Tensor) -> Tensor:
+    """Return where (B, ..., 3) points, mm, were before a probe at (B, 3) tips pressed.
+
+    What touches the tip was skin; what lies GIVE away gave half as much.
+    """
+    tip = tip.view(-1, *[1] * (points.ndim - 2), 3)
+    pressed = (SURFACE * 1e3 - tip[..., 2]).clamp_min(0.0)
+    away = (points - tip).square().sum(-1) / GIVE**2
+    return torch.cat([points[..., :2], (points[..., 2] + pressed / (1.0 + away)).unsqueeze(-1)], -1)
+
+
+def deform(points: Tensor, tip: Tensor) -> Tensor:
+    """Return where (B, N, 3) points, mm, are pushed to: the inverse of `undeform`."""
+    found = points
+    for _ in range(4):  # the displacement changes by an eighth at most from mm to mm
+        found = found + points - undeform(found, tip)
+    return found
+
+
+def breathing(chest: Chest, phase: Tensor) -> Tensor:
+    """Return the (B, 3) shift of hearts at respiratory phases in [0, 1), mm; 0 breathed out."""
+    return chest.sway * (0.5 - 0.5 * torch.cos(2.0 * torch.pi * phase)).unsqueeze(1)
+
+
+class Obstacles(NamedTuple):
+    """What ribs and lung take from each beam."""
+
+    loss: Tensor  # (B, L, 2) dB one way
+    at: Tensor  # (B, L, 2) distance from the face, mm
+
+
+def obstacles(pose: Pose, half_angle: Tensor, chest: Chest) -> Obstacles:
+    """Find where the beams of (B,) float64 poses cross ribs and lung."""
+    fan = torch.linspace(-1.0, 1.0, PROBE.beams, dtype=torch.float64, device=half_angle.device)
+    angle = fan * half_angle.unsqueeze(1)
+    x, z = pose.rotation[:, None, :, 0], pose.rotation[:, None, :, 2]
+    beam = x * angle.sin().unsqueeze(-1) + z * angle.cos().unsqueeze(-1)
+    tip = pose.position.unsqueeze(1) * 1e3
+    # What touches the tip was skin: the wall under it is as thick as ever.
+    down = beam.neg()[..., 2].clamp_min(0.05)
+    found: list[tuple[Tensor, Tensor]] = []
+    for share, loss in ((RIB_DEPTH, _rib), (LUNG_DEPTH, _lung)):
+        depth = share * chest.thickness.unsqueeze(1)
+        reach = (depth / down).clamp_max(200.0)
+        place = tip[..., :2] + beam[..., :2] * reach.unsqueeze(-1)
+        found.append((loss(place, chest), reach))
+    losses, reaches = zip(*found, strict=True)
+    return Obstacles(torch.stack(losses, -1), torch.stack(reaches, -1))
+
+
+def _rib(place: Tensor, chest: Chest) -> Tensor:
+    """Return (B, L) dB that ribs take at (B, L, 2) places."""
+    along = (place * chest.across.unsqueeze(1)).sum(-1)
+    spacing = chest.spacing.unsqueeze(1)
+    # Distance from the nearest rib's middle, half a space off the windows.
+    away = (torch.remainder(along - chest.offset.unsqueeze(1), spacing) - spacing / 2.0).abs()
+    inside = torch.sigmoid((chest.width.unsqueeze(1) / 2.0 - away) * (4.0 / EDGE))
+    return chest.rib_loss.unsqueeze(1) * inside * _over_margin(place, chest)
+
+
+def _over_margin(place: Tensor, chest: Chest) -> Tensor:
+    """Return (B, L) 1 over the costal margin and 0 below it, where the subcostal window is."""
+    beyond = (place * chest.margin.unsqueeze(1)).sum(-1) - chest.last.unsqueeze(1)
+    return torch.sigmoid(-beyond / EDGE)
+
+
+def _lung(place: Tensor, chest: Chest) -> Tensor:
+    """Return (B, L) dB that lung takes at (B, L, 2) places."""
+    first, second = chest.windows[:, None, 0], chest.windows[:, None, 1]
+    way = second - first
+    share = (((place - first) * way).sum(-1) / way.square().sum(-1)).clamp(0.0, 1.0)
+    nearest = first + share.unsqueeze(-1) * way
+    away = (place - nearest).square().sum(-1).sqrt()
+    covered = torch.sigmoid((away - chest.notch.unsqueeze(1)) * (2.0 / EDGE))
+    return chest.lung_loss.unsqueeze(1) * covered * _over_margin(place, chest)
+
+
+def shadows(found: Obstacles, step: Tensor, samples: int) -> Tensor:
+    """Return (B, L, S) float32 dB that are lost in each sample; `step` is (B,) mm."""
+    loss = found.loss.float()
+    index = (found.at / step.view(-1, 1, 1)).long().clamp(0, samples - 1)
+    dense = loss.new_zeros((*loss.shape[:2], samples))
+    return dense.scatter_add_(2, index, loss)
+
+
+def transmission(found: Obstacles) -> Tensor:
+    """Return (B, L) the share of the echo's amplitude that comes through, both ways."""
+    return torch.pow(10.0, -found.loss.sum(-1) / 10.0)

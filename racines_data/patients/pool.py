@@ -1,0 +1,279 @@
+"""Many patients in one tensor: a batch whose rows are scanned on different hearts at once.
+
+    voxels  | heart 0 and its tiles | heart 1 and its tiles | ...          19.9 MB each
+    a row    = its heart's offset + the voxel under each sample
+
+Poses are of the base frame; a heart's place is a rigid transform of the samples. What a row becomes
+hangs on its own patient, pose, phase and seed alone, whatever else the pool or the batch holds.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, rotate
+from racines_data.patients import oracle
+from racines_data.patients.bake import baked
+from racines_data.patients.chest import Chest, breathing, obstacles, shadows, undeform
+from racines_data.patients.heart import LEVELS, Heart, make_heart, nominal_targets
+from racines_data.patients.labels import CODES, shown
+from racines_data.patients.measures import Measures, measure
+from racines_data.patients.motion import (
+    Dynamics,
+    activation,
+    all_stages,
+    to_diastole,
+    valve_stages,
+)
+from racines_data.patients.patient import Patient
+from racines_data.patients.placement import SURFACE, workspace
+from racines_data.patients.population import draw_patient
+from racines_data.patients.render import (
+    convert,
+    hear,
+    make_scanner,
+    picture,
+    pixel_map,
+    solid_table,
+)
+from racines_data.patients.rhythm import Rhythm, phases, rhythm_of
+from racines_data.patients.sampling import (
+    base_nodes,
+    coordinates,
+    elevation_axis,
+    make_grid,
+    place_samples,
+)
+from racines_data.patients.settings import PROBE, Settings
+from racines_data.patients.volume import HEART_BYTES, HEART_SIZE
+from racines_data.phantom import truth
+from racines_data.phantom.config import ContactConfig
+from racines_data.views import LABELS, VIEWS
+from racines_data.world import Truth, Workspace
+
+MEMORY = 2_000_000_000
+"""Bytes that a pool's voxels may take by default: 100 hearts."""
+CHUNK = {"cpu": 16}
+"""Rows rendered at once by device type, else 64: sixteen fit the caches of a CPU."""
+
+
+class Pool:
+    """Baked patients on one device, scanned in batches."""
+
+    def __init__(
+        self,
+        seeds: Sequence[int],
+        device: torch.device | str = "cpu",
+        beating: bool = False,
+        memory: int = MEMORY,
+    ):
+        """Bake patients, or fetch them from the cache.
+
+        Args:
+            seeds: of the patients, in the order of their rows.
+            device: where voxels lie and rows are drawn.
+            beating: whether nominal poses have to be good over the whole beat; the phase that is
+                given with a row moves its heart in any case.
+            memory: bytes that the voxels may take.
+
+        Raises:
+            RacinesError: no seeds, a seed of no split, or more hearts than fit, before any is
+                baked.
+        """
+        check_memory(len(seeds), memory)
+        self.seeds = tuple(int(seed) for seed in seeds)
+        self.patients: tuple[Patient, ...] = tuple(map(draw_patient, self.seeds))
+        self.device = torch.device(device)
+        self.beating = beating
+        self.views, self.labels = VIEWS, LABELS
+        self.surface_height = SURFACE
+        self.hearts = [make_heart(patient, beating) for patient in self.patients]
+        self._join(self.hearts)
+        self._voxels = self._load()
+        self._grid = make_grid(self.device)
+        self._scanner = make_scanner(self._grid, self.device)
+
+    def __len__(self) -> int:
+        return len(self.seeds)
+
+    def _load(self) -> Tensor:
+        voxels = torch.empty(len(self) * HEART_SIZE, dtype=torch.int64, device=self.device)
+        for row, patient in enumerate(self.patients):
+            voxels[row * HEART_SIZE : (row + 1) * HEART_SIZE] = baked(patient).to(self.device)
+        return voxels
+
+    def _join(self, hearts: list[Heart]) -> None:
+        """Stack what differs from patient to patient."""
+        device = self.device
+
+        def joined(name: str) -> list[Tensor]:
+            rows = [getattr(heart, name) for heart in hearts]
+            return [torch.cat(parts).to(device) for parts in zip(*rows, strict=True)]
+
+        self._settings = Settings(*joined("settings"))
+        self._chest, self._dynamics = Chest(*joined("chest")), Dynamics(*joined("dynamics"))
+        tapes = [rhythm_of(each.motion, each.seed) for each in self.patients]
+        self._rhythm = Rhythm(*(torch.stack(t).to(device) for t in zip(*tapes, strict=True)))
+        self._tracks = torch.stack([heart.tracks for heart in hearts]).to(device)
+        self._radii, self._weights = hearts[0].radii.to(device), hearts[0].weights.to(device)
+        self._targets = nominal_targets(hearts).to(device)
+        pixels = [pixel_map(each.examination.half_angle) for each in self.patients]
+        self._pixels = torch.stack([pixel for pixel, _ in pixels]).to(device)
+        self._nearest = torch.stack([near for _, near in pixels]).to(device)
+        stages = all_stages()
+        self._solid = solid_table(stages).to(device)
+        labels = [[shown(code, (a, b, c)) for code in range(CODES)] for a, b, c in stages.tolist()]
+        self._shown = torch.tensor(labels, dtype=torch.uint8, device=device)
+        # Offsets of more than 2^31 voxels need wider integers.
+        kind = torch.int32 if len(hearts) * HEART_SIZE < 2**31 else torch.int64
+        self._offsets = torch.arange(len(hearts), device=device).mul_(HEART_SIZE).to(kind)
+
+    @property
+    def workspace(self) -> Workspace:
+        """Where the probe may go, whoever lies there."""
+        return workspace(self.device)
+
+    def phase(self, rows: Tensor, time: Tensor, hold_breath: bool = False) -> Tensor:
+        """Return the (B, 2) cardiac and respiratory phases of rows at (B,) seconds."""
+        return phases(self._rhythm, rows, time, hold_breath)
+
+    def _phase(self, rows: Tensor, phase: Tensor | None) -> Tensor:
+        if phase is None:  # end diastole, breathed out
+            return torch.zeros((len(rows), 2), dtype=torch.float64, device=self.device)
+        return phase.to(self.device, torch.float64)
+
+    # --- pictures ---------------------------------------------------------------------------------
+
+    def render(
+        self, pose: Pose, rows: Tensor, phase: Tensor | None = None, seeds: Tensor | None = None
+    ) -> Tensor:
+        """Return (B, 128, 128) uint8 images.
+
+        Args:
+            pose: (B,) of the probe, base frame.
+            rows: (B,) int64, which of the pool's patients.
+            phase: (B, 2) as `phase` gives; None: end diastole, breathed out.
+            seeds: (B,) int64 of blood's speckle and electronic noise; None: zeros.
+        """
+        seeds = torch.zeros_like(rows) if seeds is None else seeds
+        images = [self._render(*part) for part in self._parts(pose, rows, phase, seeds)]
+        return torch.cat(images) if images else self._empty()
+
+    def _empty(self) -> Tensor:
+        return torch.zeros((0, 128, 128), dtype=torch.uint8, device=self.device)
+
+    def _parts(
+        self, pose: Pose, rows: Tensor, phase: Tensor | None, seeds: Tensor
+    ) -> Iterator[tuple[Pose, Tensor, Tensor, Tensor]]:
+        size = CHUNK.get(self.device.type, 64)
+        position, rotation = (each.to(self.device, torch.float64) for each in pose)
+        phase = self._phase(rows, phase)
+        for start in range(0, len(rows), size):
+            part = slice(start, start + size)
+            yield Pose(position[part], rotation[part]), rows[part], phase[part], seeds[part]
+
+    def _render(self, pose: Pose, rows: Tensor, phase: Tensor, seeds: Tensor) -> Tensor:
+        settings, chest = self._settings.rows(rows), self._chest.rows(rows)
+        nodes = self._nodes(pose, rows, phase, settings, chest)
+        samples = place_samples(nodes, elevation_axis(pose, settings), self._grid)
+        solid = self._solid.index_select(0, self._stages(rows, phase))
+        found = obstacles(pose, settings.half_angle, chest)
+        shadow = shadows(found, settings.step, PROBE.samples)
+        at = self._offsets.index_select(0, rows)
+        scanner = self._scanner
+        echoes = hear(self._voxels, at, samples, solid, settings, shadow, scanner, seeds)
+        coupling = truth.coupling(pose, SURFACE, PROBE).float()
+        polar = picture(echoes, coupling, settings, scanner, seeds)
+        return convert(polar, self._pixels.index_select(0, rows), scanner)
+
+    def _nodes(
+        self, pose: Pose, rows: Tensor, phase: Tensor, settings: Settings, chest: Chest
+    ) -> Tensor:
+        """Return the (B, 5, 13, 19) coordinates of the polar grid's nodes."""
+        base = undeform(base_nodes(pose, self._grid, settings), pose.position * 1e3)
+        origin = settings.origin + breathing(chest, phase[:, 1])
+        organ = rotate(settings.axes[:, None, None], base - origin[:, None, None])
+        act = self._act(rows, phase)
+        beating = to_diastole(organ, self._dynamics.rows(rows), act)
+        return coordinates(base, beating, settings)
+
+    def _act(self, rows: Tensor, phase: Tensor) -> Tensor:
+        return activation(phase[:, 0], self._dynamics.kick.index_select(0, rows))
+
+    def _stages(self, rows: Tensor, phase: Tensor) -> Tensor:
+        return valve_stages(phase[:, 0], self._dynamics.kick.index_select(0, rows))
+
+    def mask(self, pose: Pose, rows: Tensor, phase: Tensor | None = None) -> Tensor:
+        """Return (B, 128, 128) uint8 labels as `labels.LABELS`, of the slice's middle plane."""
+        masks = [self._mask(*part[:3]) for part in self._parts(pose, rows, phase, rows)]
+        return torch.cat(masks) if masks else self._empty()
+
+    def _mask(self, pose: Pose, rows: Tensor, phase: Tensor) -> Tensor:
+        settings, chest = self._settings.rows(rows), self._chest.rows(rows)
+        nodes = self._nodes(pose, rows, phase, settings, chest)
+        samples = place_samples(nodes, None, self._grid)
+        at = self._offsets.index_select(0, rows).view(-1, 1, 1)
+        index = samples.voxel + at
+        packed = self._voxels.index_select(0, index.flatten()).view(torch.uint8)
+        code = packed.view(len(rows), -1, 8)[..., 7] & (CODES - 1)
+        code = code.masked_fill(samples.air.flatten(1) < 0, 0).long()
+        label = self._shown.index_select(0, self._stages(rows, phase)).gather(1, code)
+        label = torch.cat([label, label.new_zeros(len(rows), 1)], 1)  # outside the sector
+        return label.gather(1, self._nearest.index_select(0, rows)).view(-1, 128, 128)
+
+    # --- truth ------------------------------------------------------------------------------------
+
+    def judge(self, pose: Pose, rows: Tensor, phase: Tensor | None = None) -> Truth:
+        """Return what is true at (B,) poses of rows' patients, moved by the phase."""
+        pose, phase = Pose(*(each.double() for each in pose)), self._phase(rows, phase)
+        settings, chest = self._settings.rows(rows), self._chest.rows(rows)
+        sight = oracle.look(pose, self._marks(rows, phase), self._radii, settings, chest)
+        return oracle.judge(pose, sight, self._weights, self._nominal(rows, phase))
+
+    def _marks(self, rows: Tensor, phase: Tensor) -> Tensor:
+        """Return the (B, S, 3) landmarks of moved hearts, mm, base frame."""
+        level = self._act(rows, phase).clamp(0.0, 1.0) * (LEVELS - 1)
+        below = level.floor().clamp_max(LEVELS - 2).long()
+        tracks = self._tracks.flatten(0, 1)
+        first, second = (tracks.index_select(0, rows * LEVELS + below + i) for i in (0, 1))
+        organ = torch.lerp(first, second, (level - below).view(-1, 1, 1))
+        axes = self._settings.axes.index_select(0, rows).transpose(-1, -2).unsqueeze(1)
+        origin = self._settings.origin.index_select(0, rows)
+        origin = origin + breathing(self._chest.rows(rows), phase[:, 1])
+        return rotate(axes, organ) + origin.unsqueeze(1)
+
+    def _nominal(self, rows: Tensor, phase: Tensor) -> Pose:
+        position, rotation = (each.index_select(0, rows) for each in self._targets)
+        sway = breathing(self._chest.rows(rows), phase[:, 1]) * 1e-3
+        return Pose(position + sway.unsqueeze(1), rotation)
+
+    def targets(self, rows: Tensor, phase: Tensor | None = None) -> Pose:
+        """Return the (B, V) nominal poses, which go with the breath but not with the beat."""
+        pose = self._nominal(rows, self._phase(rows, phase))
+        return Pose(pose.position.float(), pose.rotation.float())
+
+    def measures(self, row: int) -> Measures:
+        """Return the true volumes, lengths and diameters of a patient; takes a second."""
+        return measure(self.hearts[row])
+
+    def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
+        """Return (B, 6) force, N, and torque, N·m, in the probe's axes; the skin is everyone's."""
+        return truth.wrench(pose, velocity, SURFACE, ContactConfig())
+
+
+def check_memory(count: int, memory: int = MEMORY) -> None:
+    """Refuse a pool that is empty or larger than memory, before anything is baked.
+
+    Raises:
+        RacinesError: with the number of hearts that fit.
+    """
+    if not count:
+        raise RacinesError("a pool needs patients: give at least one seed")
+    if count * HEART_BYTES > memory:
+        fit = memory // HEART_BYTES
+        raise RacinesError(
+            f"{count} hearts take {count * HEART_BYTES / 1e9:.1f} GB and memory is "
+            f"{memory / 1e9:.1f} GB: {fit} fit; take fewer seeds, or raise memory"
+        )

@@ -1,0 +1,173 @@
+"""The tissue around a heart, as tiles that repeat without a seam: surroundings, liver, chest wall.
+
+All that is random in a patient's voxels is drawn here, once, on a tile: the heart's own
+scatterers are the tile's, too. In double, so that what is rounded to integers, and what lies on one
+side of a threshold, is so on every processor.
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import normalize
+
+from racines_data.patients.draws import exact_normal
+from racines_data.patients.labels import BACKGROUND, CAVA, CHEST, LIVER, MATERIALS, SOFT
+from racines_data.patients.patient import Patient
+from racines_data.patients.volume import TILE
+from racines_data.phantom.volume import (
+    ALONG_SHEET,
+    REFLECTOR_STEP,
+    SCATTER_BLUR,
+    SCATTERER_STEP,
+)
+from racines_data.randomness import derive, uniform
+
+CONNECTIVE = 6.0, 0.09
+"""What layers of connective tissue scatter more than what lies around, dB, and their impedance's
+excess, MRayl."""
+
+
+class Fields(NamedTuple):
+    """Random fields of one patient on a tile of X x Y x Z voxels, each periodic."""
+
+    scatter: Tensor  # (2, X, Y, Z) complex Gaussian scatterers of unit power
+    slow: Tensor  # (X, Y, Z) standard normal, over centimetres
+    fine: Tensor  # (X, Y, Z) standard normal, over 2-3 mm
+    layers: Tensor  # (X, Y, Z) in -1 to 1: the mean of a few plane waves
+
+
+def draw_fields(patient: Patient) -> Fields:
+    """Draw the fields of a patient."""
+    seed = derive(torch.tensor([patient.seed]), 811)
+    scatter = torch.stack([smooth(_white(seed, TILE, 1 + i), SCATTER_BLUR) for i in range(2)])
+    scatter = scatter / (scatter.square().sum(0).mean().sqrt())
+    slow, fine = _white(seed, (TILE[0] // 4, TILE[1] // 4, TILE[2] // 4), 3), _white(seed, TILE, 4)
+    slow = smooth(slow, 1.1).repeat_interleave(4, 0).repeat_interleave(4, 1).repeat_interleave(4, 2)
+    return Fields(scatter, _unit(smooth(slow, 2.5)), _unit(smooth(fine, 1.2)), _waves(seed))
+
+
+def _white(seed: Tensor, shape: tuple[int, int, int], stream: int) -> Tensor:
+    return exact_normal(seed, math.prod(shape), stream).view(shape)
+
+
+def _unit(field: Tensor) -> Tensor:
+    return (field - field.mean()) / field.std()
+
+
+def smooth(field: Tensor, sigma: float) -> Tensor:
+    """Blur the last three axes with a Gaussian of `sigma` voxels, round the edges."""
+    reach = max(1, math.ceil(2.5 * sigma))
+    taps = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / sigma) ** 2)
+    weights = (taps / taps.sum()).tolist()
+    for axis in range(-3, 0):
+        total = torch.zeros_like(field)
+        for shift, weight in enumerate(weights, -reach):
+            total.add_(field.roll(shift, axis), alpha=weight)
+        field = total
+    return field
+
+
+def _waves(seed: Tensor) -> Tensor:
+    """Return the mean of plane waves that fit the tile a whole number of times."""
+    draw = uniform(seed, 6 * 4, 7)[0].double().view(6, 4)
+    way = normalize(draw[:, :3] - 0.5, dim=1)
+    turns = (1.2 + 1.3 * draw[:, 3:]) * way * way.new_tensor([1.0, 1.0, 0.6])
+    turns = turns.round()
+    total = draw[:, 3].view(-1, 1, 1, 1)
+    for axis, size in enumerate(TILE):
+        where = torch.arange(size, dtype=torch.float64) / size
+        where = where.view([-1 if axis == each else 1 for each in range(3)])
+        total = total + turns[:, axis].view(-1, 1, 1, 1) * where
+    return torch.sin(2.0 * math.pi * total).mean(0)
+
+
+class Surroundings(NamedTuple):
+    """What lies around a heart, on the tile."""
+
+    echo: Tensor  # (X, Y, Z) dB
+    impedance: Tensor  # MRayl
+    attenuation: Tensor  # uint8 class
+    packed: Tensor  # (X*Y*Z,) int64
+
+
+def tile_of(patient: Patient, fields: Fields) -> Surroundings:
+    """Make the surroundings: fat with uneven brightness and layers of connective tissue."""
+    tissues = patient.tissues
+    layers = fields.layers.abs() < 0.30 * tissues.layers
+    echo = tissues.surroundings + MATERIALS[BACKGROUND].echogenicity
+    echo = echo + tissues.unevenness * fields.slow + tissues.grain * fields.fine
+    echo = echo + CONNECTIVE[0] * layers
+    impedance = MATERIALS[BACKGROUND].impedance + CONNECTIVE[1] * layers.double()
+    attenuation = torch.where(layers, SOFT + 1, SOFT).to(torch.uint8)
+    gradient = periodic_gradient(impedance)
+    label = torch.full(echo.shape, BACKGROUND, dtype=torch.uint8)
+    packed = pack(fields.scatter, smooth(echo, 0.6), gradient, label, attenuation)
+    return Surroundings(echo, impedance, attenuation, packed)
+
+
+def periodic_gradient(impedance: Tensor) -> Tensor:
+    """Return the (3, X, Y, Z) gradient from voxel to voxel, in `REFLECTOR_STEP`, periodic."""
+    field = smooth(impedance, 0.8)
+    parts = [(field.roll(-1, axis) - field.roll(1, axis)) / 2.0 for axis in range(3)]
+    return torch.stack(parts) / REFLECTOR_STEP
+
+
+def pack(
+    scatter: Tensor, echo: Tensor, gradient: Tensor, label: Tensor, attenuation: Tensor
+) -> Tensor:
+    """Join fields of one shape (X, Y, Z) to (X*Y*Z,) int64 voxels; see `volume`.
+
+    Args:
+        scatter: (2, X, Y, Z) unit scatterers.
+        echo: backscatter, dB against myocardium; -inf scatters nothing.
+        gradient: (3, X, Y, Z) impedance from voxel to voxel, in `REFLECTOR_STEP`.
+        label: uint8 codes.
+        attenuation: uint8 classes.
+    """
+    packed = torch.empty((*echo.shape, 8), dtype=torch.uint8)
+    amplitude = torch.exp(echo * (math.log(10.0) / 20.0)) / SCATTERER_STEP
+    echoes = (scatter * amplitude).round_().clamp_(-32767, 32767).to(torch.int16)
+    packed[..., 0:4] = echoes.movedim(0, -1).contiguous().view(torch.uint8)
+    turned = gradient.round().clamp_(-127, 127).to(torch.int8)
+    packed[..., 4:7] = turned.movedim(0, -1).view(torch.uint8)
+    packed[..., 7] = label | (attenuation << 6)
+    return packed.view(torch.int64).reshape(-1)
+
+
+def liver_tile(patient: Patient, fields: Fields) -> Tensor:
+    """Return the (X*Y*Z,) int64 voxels of liver: even and fine, with vessels."""
+    seed = derive(torch.tensor([patient.seed]), 823)
+    slow = _unit(smooth(_white(seed, TILE, 1), 2.6))
+    vessels = slow > 1.75
+    echo = patient.tissues.liver + 0.8 * slow - 24.0 * vessels
+    rim = smooth(vessels.double(), 1.0)
+    echo = torch.where(vessels, echo, echo + 9.0 * rim)
+    gradient = periodic_gradient(1.66 - 0.015 * vessels.double())
+    label = torch.where(vessels, CAVA, LIVER).to(torch.uint8)
+    attenuation = torch.full(TILE, SOFT, dtype=torch.uint8)
+    return pack(fields.scatter / ALONG_SHEET, smooth(echo, 0.5), gradient, label, attenuation)
+
+
+def chest_tile(patient: Patient, fields: Fields) -> Tensor:
+    """Return the (X*Y*Z,) int64 voxels of the chest wall: skin, fat, fascia, muscle, fascia.
+
+    The third axis goes from the skin through the wall, whatever its thickness; layers wave.
+    """
+    seed = derive(torch.tensor([patient.seed]), 829)
+    wave = _unit(smooth(_white(seed, TILE, 1), 4.0))[..., :1]
+    depth = (torch.arange(TILE[2]) + 0.5) / TILE[2] + 0.022 * wave
+    fat, slow = patient.chest.fat, _unit(smooth(_white(seed, TILE, 2), 2.0))
+    stripes = torch.sin(2.0 * math.pi * (depth * 9.0 + 0.25 * slow))
+    echo = torch.where(depth < fat, -7.0 + 3.0 * slow, -5.0 + 4.0 * stripes + 1.5 * slow)
+    edges = ((0.06, 8.0), (fat, 9.0), (0.55 + 0.45 * fat, 6.0), (0.94, 9.0))
+    impedance = torch.full(TILE, 1.60, dtype=torch.float64)
+    for place, lift in edges:
+        line = torch.exp(-0.5 * ((depth - place) / 0.022).square())
+        echo = echo + (lift + 5.0) * line
+        impedance = impedance + 0.05 * line
+    gradient = periodic_gradient(impedance)
+    label = torch.full(TILE, CHEST, dtype=torch.uint8)
+    attenuation = torch.full(TILE, SOFT, dtype=torch.uint8)
+    return pack(fields.scatter / ALONG_SHEET, echo, gradient, label, attenuation)

@@ -1,0 +1,117 @@
+import pytest
+import torch
+
+from racines_data.patients import Pool, draw_patient
+from racines_data.patients.chest import GIVE, deform, undeform
+from racines_data.patients.form import shape_of
+from racines_data.patients.heart import make_heart
+from racines_data.patients.measures import measure
+from racines_data.patients.motion import (
+    Dynamics,
+    activation,
+    dynamics_of,
+    from_diastole,
+    to_diastole,
+    valve_stages,
+)
+from racines_data.patients.rhythm import Rhythm, phases, rhythm_of
+
+SIDES = ((-88.0, 50.0), (-60.0, 68.0), (-68.0, 100.0))
+GRID = torch.cartesian_prod(*(torch.linspace(*side, 15, dtype=torch.float64) for side in SIDES))
+LEVELS = torch.tensor([0.0, 0.25, 0.5, 0.8, 1.0], dtype=torch.float64)
+
+
+def dynamics(seed: int) -> Dynamics:
+    patient = draw_patient(seed)
+    fields = dynamics_of(shape_of(patient.form), patient.motion)
+    return Dynamics(*(each.unsqueeze(0).expand(len(LEVELS), *each.shape) for each in fields))
+
+
+def jacobian(motion: Dynamics, step: float = 1e-4) -> torch.Tensor:
+    """Return the (levels, M) determinant of the map from now to end diastole."""
+    columns = []
+    for axis in torch.eye(3, dtype=torch.float64) * step:
+        ahead, back = ((GRID + way).expand(len(LEVELS), -1, -1) for way in (axis, -axis))
+        columns.append(to_diastole(ahead, motion, LEVELS) - to_diastole(back, motion, LEVELS))
+    return torch.linalg.det(torch.stack(columns, -1) / (2.0 * step))
+
+
+def test_the_jacobian_is_positive_in_a_hundred_patients() -> None:
+    for seed in range(10_000, 10_100):
+        least = float(jacobian(dynamics(seed)).min())
+        assert least > 0.2, f"{seed}: {least}"
+
+
+def test_at_end_diastole_nothing_has_moved() -> None:
+    motion = dynamics(10_000)
+    still = to_diastole(GRID.expand(len(LEVELS), -1, -1), motion, torch.zeros_like(LEVELS))
+    assert torch.allclose(still[0], GRID, atol=1e-4)
+
+
+def test_the_way_back_is_the_inverse() -> None:
+    motion = dynamics(10_010)
+    points = GRID[(GRID.norm(dim=1) > 12.0)][::7].expand(len(LEVELS), -1, -1)
+    there = to_diastole(points, motion, LEVELS)
+    assert float((from_diastole(there, motion, LEVELS, 400) - points).abs().max()) < 0.05
+
+
+# Healthy, dilated with a weak region, hypertrophied, dilated RV.
+@pytest.mark.parametrize("seed", [10_000, 10_041, 10_039, 10_010])
+def test_walls_keep_their_volume_and_the_ventricle_ejects(seed: int) -> None:
+    heart = make_heart(draw_patient(seed), False)
+    found = measure(heart)
+    wall = torch.tensor(found.volumes["myocardium"])
+    assert float((wall / wall[0] - 1.0).abs().max()) < 0.05
+    assert 0.15 <= found.ejection_fraction <= 0.75
+    if heart.patient.pathology == "healthy":
+        assert 0.55 <= found.ejection_fraction <= 0.70
+        assert 12.0 <= found.shortening <= 18.0
+        assert found.wall[1] > 1.2 * found.wall[0], "the wall thickens"
+    atrium = found.volumes["la"]
+    assert atrium[-1] > 1.1 * atrium[0], "the atrium fills while the ventricle empties"
+    assert found.volumes["rv"][-1] < 0.87 * found.volumes["rv"][0]
+
+
+def test_contraction_and_valves_go_round() -> None:
+    phase = torch.linspace(0.0, 0.999, 400, dtype=torch.float64)
+    kick = torch.full_like(phase, 0.2)
+    act = activation(phase, kick)
+    assert float(act[0]) == 0.0 and abs(float(act[-1])) < 1e-3 and float(act.max()) == 1.0
+    assert float(act.diff().abs().max()) < 0.05, "no jump"
+    stages = valve_stages(phase, kick)
+    filling, ejecting = stages // 4, stages % 4
+    assert not bool(((filling > 0) & (ejecting > 0)).any()), "never both open"
+    assert int(filling.max()) == int(ejecting.max()) == 3
+    assert bool((ejecting[act.diff().argmax() - 20] > 0).any())
+
+
+def test_a_rhythm_has_its_rate_and_never_runs_back() -> None:
+    patient = draw_patient(10_000)
+    tape = Rhythm(*(each.unsqueeze(0) for each in rhythm_of(patient.motion, patient.seed)))
+    time = torch.arange(0.0, 40.0, 0.01, dtype=torch.float64)
+    cardiac, breath = phases(tape, torch.zeros(len(time), dtype=torch.int64), time, False).T
+    assert bool(((cardiac >= 0) & (cardiac < 1) & (breath >= 0) & (breath < 1)).all())
+    beats = int((cardiac.diff() < -0.5).sum())
+    assert beats == pytest.approx(patient.motion.rate * 40.0 / 60.0, abs=2.5)
+    assert float(cardiac.diff()[cardiac.diff() > -0.5].min()) >= 0.0
+    held = phases(tape, torch.zeros(3, dtype=torch.int64), time[:3], True)[:, 1]
+    assert bool((held == 0).all())
+
+
+def test_tissue_gives_under_the_probe() -> None:
+    tip = torch.tensor([[480.0, 0.0, 57.0]], dtype=torch.float64)  # 8 mm under the skin
+    points = torch.tensor([[[480.0, 0.0, 57.0], [480.0, 0.0, 57.0 - GIVE], [480.0, 90.0, -40.0]]])
+    points = points.double()
+    lifted = (undeform(points, tip) - points)[0, :, 2]
+    assert lifted.tolist() == pytest.approx([8.0, 4.0, 8.0 / 9.67], abs=0.1)
+    assert torch.allclose(undeform(deform(points, tip), tip), points, atol=1e-3)
+
+
+def test_pressing_brings_the_heart_nearer(pool: Pool) -> None:
+    """The heart yields by less than the probe comes."""
+    rows = torch.zeros(1, dtype=torch.int64)
+    pose = pool.targets(rows)
+    marks = pool._marks(rows, torch.zeros(1, 2, dtype=torch.float64))
+    tips = [pose.position[:, 0].double() * 1e3 + torch.tensor([0.0, 0.0, z]) for z in (0.0, -3.0)]
+    near = [float((deform(marks, tip) - tip).norm(dim=-1)[0, 1]) for tip in tips]
+    assert 0.2 < near[0] - near[1] < 2.8
