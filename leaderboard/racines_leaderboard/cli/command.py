@@ -44,6 +44,7 @@ COMMANDS = {
     "train grader": "racines_models.cli.train.grader:train_grader",
     "train student": "racines_models.cli.train.student:train_student",
     "train pose": "racines_models.cli.train.pose:train_pose",
+    "train segmentation": "racines_models.cli.train.segmentation:train_segmentation",
     "train encoder": "racines_envs.cli.encoder:train_encoder",
     "train generator": "racines_models.cli.train.generator:train_generator",
     "train agent": "racines_envs.cli.agents:train_agent",
