@@ -1,7 +1,7 @@
 """Real echo from files: A4C frames, masks that cardiologists drew, other views, posed rotations.
 
-FILE.parquet   a row a frame: `patient`, `image` (128 x 128 PNG, apex at the top), where known
-               `phase` (ED, ES) and `view`
+FILE.parquet   a row a frame: `patient`, `image` (128 x 128 PNG, apex at the top, padded to a
+               square), where known `phase` (ED, ES), `view`, and `width` and `height` before
 masks.parquet  a row a frame: `patient`, `phase`, `mask` (128 x 128 PNG: 1 LV, 2 myocardium,
                3 LA), `mm_per_row`, `mm_per_column`
 FOLDER         any of these files, and folders of
@@ -23,7 +23,12 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.imaging import IMAGE_SIZE
-from racines_models.studies.sim_to_real.sectors import crop_screen, laid_out
+from racines_models.studies.sim_to_real.sectors import (
+    are_stretched,
+    crop_screen,
+    laid_out,
+    unstretched,
+)
 
 VIEW = "A4C"
 POSES = "transforms_train.json"
@@ -40,6 +45,8 @@ class Frames(NamedTuple):
     """(N,) str."""
     phase: np.ndarray
     """(N,) str: `ED`, `ES`, or empty."""
+    aspect: np.ndarray
+    """(N,) height by width before the frame was padded, NaN where unknown."""
     sha256: str
 
 
@@ -52,6 +59,8 @@ class Drawn(NamedTuple):
     """(M,) the frame that each was drawn on."""
     mm: np.ndarray
     """(M, 2) millimetres a row and a column."""
+    stretched: bool
+    """Whether the file has them stretched to the square, which is undone here."""
     sha256: str
 
 
@@ -134,12 +143,14 @@ def read_frames(path: Path) -> Frames:
     images = torch.from_numpy(np.stack([_decode(each, path, "image") for each in table["image"]]))
     none = pl.Series([""] * len(table))
     phase = (table["phase"] if "phase" in table.columns else none).fill_null("").to_numpy()
-    patient = table["patient"].cast(pl.String).to_numpy()
-    return Frames(images, patient, phase.astype(str), sha256_file(path))
+    patient, aspect = table["patient"].cast(pl.String).to_numpy(), np.full(len(table), np.nan)
+    if {"width", "height"} <= set(table.columns):
+        aspect = (table["height"] / table["width"]).to_numpy()
+    return Frames(images, patient, phase.astype(str), aspect, sha256_file(path))
 
 
 def read_masks(path: Path, frames: Frames) -> Drawn:
-    """Read the masks of those frames that have one."""
+    """Read the masks of those frames that have one, and lay them out as the frames are."""
     columns = ("patient", "phase", "mask", "mm_per_row", "mm_per_column")
     table = _table(path, columns, "masks")
     keys = zip(frames.patient.tolist(), frames.phase.tolist(), strict=True)
@@ -157,7 +168,10 @@ def read_masks(path: Path, frames: Frames) -> Drawn:
     mm = table.select("mm_per_row", "mm_per_column").to_numpy()
     if not (mm > 0).all():
         raise RacinesError(f"{path}: mm_per_row or mm_per_column is not positive; give millimetres")
-    return Drawn(masks, rows, mm, sha256_file(path))
+    stretched = are_stretched(masks, frames.aspect[rows])
+    if stretched:
+        masks = unstretched(masks, frames.aspect[rows])
+    return Drawn(masks, rows, mm, stretched, sha256_file(path))
 
 
 def _table(path: Path, columns: tuple[str, ...], what: str) -> pl.DataFrame:

@@ -97,7 +97,9 @@ def _told(real: RealEcho, lists: np.ndarray) -> dict[str, Any]:
         told[name] = {"frames": int(inside.sum()), "patients": patients}
     described: dict[str, Any] = {"sha256": frames.sha256, "lists": told}
     if real.drawn is not None:
-        described["masks"] = {"sha256": real.drawn.sha256, "frames": len(real.drawn.masks)}
+        drawn = real.drawn
+        told = {"sha256": drawn.sha256, "frames": len(drawn.masks), "stretched": drawn.stretched}
+        described["masks"] = told
     return described
 
 

@@ -1,4 +1,4 @@
-"""Where the sector of a real picture is: the scanner's screen around it is cut away."""
+"""How real pictures lie in their square: screens cut away, stretched masks put right."""
 
 import numpy as np
 import torch
@@ -87,3 +87,31 @@ def laid_out(gray: np.ndarray) -> np.ndarray:
     square = Image.new("L", (side, side))
     square.paste(Image.fromarray(gray), ((side - width) // 2, 0))
     return np.asarray(square.resize((IMAGE_SIZE, IMAGE_SIZE), Image.Resampling.LANCZOS))
+
+
+def are_stretched(masks: Tensor, aspect: np.ndarray) -> bool:
+    """Return whether masks fill a square that their frames were padded to.
+
+    They do where one reaches into its frame's padding, in which nobody can have drawn.
+
+    Args:
+        masks: (M, H, W) uint8.
+        aspect: (M,) height by width of the frames before they were padded, NaN where unknown.
+    """
+    rows = torch.arange(masks.shape[1]).expand(len(masks), -1)
+    end = masks.shape[1] * torch.from_numpy(np.nan_to_num(aspect, nan=1.0)).unsqueeze(1)
+    return bool(((rows > end + 1) & (masks > 0).any(2)).any())
+
+
+def unstretched(masks: Tensor, aspect: np.ndarray) -> Tensor:
+    """Return (M, H, W) masks that were stretched to the square as if they had been padded to it."""
+    size = masks.shape[1]
+    place = np.arange(size) + 0.5
+    out = torch.zeros_like(masks)
+    for mask, ratio, put in zip(masks, np.nan_to_num(aspect, nan=1.0), out, strict=True):
+        rows = place / min(ratio, 1.0)
+        columns = (place - size / 2) * max(ratio, 1.0) + size / 2
+        inside = np.outer(rows < size, (columns >= 0) & (columns < size))
+        down, across = (np.clip(each.astype(int), 0, size - 1) for each in (rows, columns))
+        put.copy_(torch.from_numpy(mask.numpy()[np.ix_(down, across)] * inside))
+    return out
