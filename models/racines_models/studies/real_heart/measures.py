@@ -101,6 +101,9 @@ def _measure(surfaces: Mapping[str, Mesh], mitral: np.ndarray, apex: int) -> Pha
     points = inner.vertices[band]
     to_right, to_outer = (KDTree(sampled(each)).query(points)[0] for each in (right, outer))
     septal = to_right < to_outer
+    if not septal.any() or septal.all():
+        told = "no part of the LV's wall lies between the ventricles, or all of it does"
+        raise RacinesError(f"{', '.join(SURFACES)}: {told}; give them in one frame, mm")
     return Phase(
         lv,
         rv,
