@@ -5,8 +5,10 @@ import json
 import numpy as np
 import pytest
 import torch
+from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
+from racines_leaderboard.cli.command import app
 from racines_models.judges.segmentation import training
 from racines_models.judges.segmentation.frames import MaskSet
 from racines_models.judges.segmentation.model import (
@@ -21,7 +23,6 @@ from racines_models.judges.segmentation.training import SegmentationLearner, tra
 from racines_models.protocol import Run
 from racines_models.training.augmentation import StrongAugmentation
 from racines_models.weights import publish
-from tests.conftest import command
 from tests.models.judges.masked import LABELS, mask_set
 from tests.models.labelled import LabelledStore
 
@@ -136,6 +137,7 @@ def test_full_size_and_the_command_that_says_what_is_lacking(tmp_path):
     network = SegmentationNetwork(SegmentationConfig(channels=2)).eval()
     images = torch.zeros(2, 128, 128, dtype=torch.uint8)
     assert network(network.normalise(images)).shape == (2, 6, 128, 128)
-    words = ("train", "segmentation", "--data", "none", "--out", str(tmp_path / "run"))
-    told = command(tmp_path, "racines", *words, code=1).stderr
-    assert "none: no dataset here" in told and not (tmp_path / "run").exists()
+    words = ["train", "segmentation", "--data", "none", "--out", str(tmp_path / "run")]
+    with pytest.raises(RacinesError, match="none: no dataset here"):
+        CliRunner().invoke(app, words, catch_exceptions=False)
+    assert not (tmp_path / "run").exists()

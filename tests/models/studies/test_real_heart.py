@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
+from racines_leaderboard.cli.command import app
 from racines_models.studies.real_heart.measures import (
     UNITS,
     heart_measures,
@@ -24,7 +26,6 @@ from racines_models.studies.real_heart.meshes import (
     welded,
 )
 from racines_models.studies.real_heart.report import compare, draw, read_population, spread
-from tests.conftest import command
 
 SHARED = Path(os.environ.get("RACINES_REAL", Path(__file__).parents[4] / "shared" / "real"))
 
@@ -55,7 +56,10 @@ def write(path: Path, mesh: Mesh) -> None:
 def heart(folder: Path, beats: tuple[float, ...] = (1.0, 0.9, 0.8)) -> Path:
     """An LV, an RV beside it, and a shell 10 mm about the LV, whose beat is a shrinking."""
     for phase, size in enumerate(beats):
-        shapes = {"LV_ENDOCARDIAL": cup(25 * size, 90 * size), "RV_ENDOCARDIAL": cup(20, 60, 48)}
+        shapes = {
+            "LV_ENDOCARDIAL": cup(25 * size, 90 * size),
+            "RV_ENDOCARDIAL": cup(20, 60, 45 * size),
+        }
         shapes["EPICARDIAL"] = cup(25 * size + 10, 90 * size + 10)
         for name, mesh in shapes.items():
             write(folder / f"somebody_{name}_{phase:03d}.obj", mesh)
@@ -88,14 +92,14 @@ def test_a_beat_is_measured(tmp_path):
     assert found["lv_length_ed"] == pytest.approx(90, abs=0.1)
     assert found["lv_shortening"] == pytest.approx(18, abs=0.1)
     assert found["lv_diameter_ed"] == pytest.approx(2 * 25 * np.sqrt(0.75), abs=0.5)
-    assert found["wall_ed"] == pytest.approx(10, abs=0.7) and found["rv_ef"] == 0.0
+    assert found["wall_ed"] == pytest.approx(10, abs=0.7) and abs(found["rv_ef"]) < 1e-9
     assert 2 < found["septum_ed"] < 8
     content = compare(phases)
     assert len(content["phases"]) == 3 and content["population"] == {}
     assert draw(content)[:4] == b"\x89PNG"
 
 
-def test_a_population_stands_beside_it(tmp_path):
+def test_a_population_stands_beside_it(tmp_path, monkeypatch):
     people = [{"patient": i, "pathology": "healthy", "lv_ef": 50.0 + i} for i in range(10)]
     people += [{"patient": 10, "pathology": "dilated", "lv_ef": 20.0, "lv_edv": 250.0}]
     found = spread(people)
@@ -105,8 +109,9 @@ def test_a_population_stands_beside_it(tmp_path):
     file.write_text(json.dumps({"patients": people}))
     (tmp_path / "surfaces").mkdir()
     heart(tmp_path / "surfaces")
-    words = ("study", "real-heart", "--real", "surfaces", "--population", file.name)
-    told = json.loads(command(tmp_path, "racines", *words, "--out", "it", "--json").stdout)
+    monkeypatch.chdir(tmp_path)
+    words = ["study", "real-heart", "--real", "surfaces", "--population", file.name, "--out", "it"]
+    told = json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)
     assert told["schema"] == "racines.real-heart/1"
     row = told["measures"]["lv_ef"]
     assert (
@@ -115,7 +120,7 @@ def test_a_population_stands_beside_it(tmp_path):
     assert (tmp_path / "it.png").is_file() and json.loads(
         (tmp_path / "it.json").read_text()
     ) == told
-    shown = command(tmp_path, "racines", *words, "--out", "it").stdout
+    shown = CliRunner(env={"COLUMNS": "200"}).invoke(app, words).stdout
     assert "lv_shortening" in shown and "inside" in shown and "healthy" in shown
 
 

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import polars as pl
 import pytest
+from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
+from racines_leaderboard.cli.command import app
 from racines_models.studies.realism.patients import (
     FILE,
     LISTS,
@@ -18,7 +20,6 @@ from racines_models.studies.realism.patients import (
     patients_of,
 )
 from racines_models.studies.realism.report import compare_with_real, one_each, read_real
-from tests.conftest import command
 from tests.models.scores.test_scores import Coarse
 from tests.models.studies.test_realism import CONFIG, phantom_like, png, speckle
 
@@ -73,5 +74,6 @@ def test_a_file_of_other_patients_and_an_unknown_list_are_refused(tmp_path):
     pl.DataFrame({"patient": ["somebody"], "image": [frame]}).write_parquet(path)
     with pytest.raises(RacinesError, match="column patient has nobody of list tuning"):
         read_real(path, "tuning")
-    words = ("study", "realism", "--real", str(path), "--patients", "half")
-    assert "no such list" in command(tmp_path, "racines", *words, code=1).stderr
+    words = ["study", "realism", "--real", str(path), "--patients", "half"]
+    with pytest.raises(RacinesError, match="no such list"):
+        CliRunner().invoke(app, words, catch_exceptions=False)

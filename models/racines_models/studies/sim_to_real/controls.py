@@ -13,9 +13,8 @@ from racines_data.randomness import sample_seeds, uniform
 from racines_models.studies.sim_to_real.sectors import sectors
 
 BLOCK = 16
-"""Side of the blocks that change places, pixels of 128: a seventh of the sector's depth."""
-WHOLE = 0.99
-"""Blocks with less of themselves in the sector stay, so that its outline does."""
+"""Side of the blocks that change places, pixels of 128: a seventh of the sector's depth. Those that
+are not whole inside it stay, and with them its outline."""
 SEED = 0
 
 
@@ -38,7 +37,7 @@ def scrambled(images: Tensor, block: int = BLOCK) -> Tensor:
         cut = x.view(count, side, block, side, block).transpose(2, 3)
         return cut.reshape(count, side * side, block * block)
 
-    inside = blocks(sectors(images)).float().mean(-1) >= WHOLE
+    inside = blocks(sectors(images)).all(-1)
     drawn = uniform(sample_seeds(SEED, count), side * side)
     shuffled = blocks(images).clone()
     for frame, places, keys in zip(shuffled, inside, drawn, strict=True):

@@ -57,7 +57,8 @@ def _mitral_plane(ventricle: np.ndarray, atrium: np.ndarray, mm: np.ndarray) -> 
     axis = np.linalg.eigh(np.cov((points - middle).T))[1][:, -1]
     axis = axis if axis[0] > 0 else -axis  # depth grows with the row
     along = (points - middle) @ axis
-    return points[along > np.quantile(along, 0.95)].mean(0)
+    last = along > np.quantile(along, 0.95)
+    return points[last].mean(0) + axis * (along.max() - along[last].mean())
 
 
 def ejection_fractions(
