@@ -187,7 +187,8 @@ def test_agreement_is_bias_limits_and_correlation():
     assert told["correlation"]["value"] > 0.97 and told["correlation"]["high"] <= 1.0
     assert told["bias"]["low"] < 6 < told["bias"]["high"]
     assert agreement(np.full(9, 50.0), truth[:9], "%")["correlation"]["value"] == 0.0
-    assert agreement(found[:2], truth[:2], "%") == {"patients": 2, "not_seen": 0}
+    few = agreement(np.r_[found[:2], -300.0], np.r_[truth[:2], 50.0], "%", 100.0)
+    assert few == {"patients": 2, "not_seen": 0, "impossible": 1}
 
 
 def test_masks_that_were_stretched_to_the_square_are_put_right():

@@ -105,8 +105,10 @@ def _outlines(content: dict[str, Any]) -> list[tuple[str, ...]]:
         volumes = content["volumes"][name]
         figures = dict(figures)
         for volume, told in volumes.items():
+            name_of, less = volume.replace("_", " "), volume != "ejection_fraction"
+            shown = ("bias", "correlation") if less else tuple(told)
             figures |= {
-                f"{volume}, {key}": each for key, each in told.items() if "value" in _of(each)
+                f"{name_of}, {key}": told[key] for key in shown if "value" in _of(told.get(key))
             }
         for key, figure in figures.items():
             unit = f" {figure['unit']}" if figure.get("unit") else ""

@@ -85,19 +85,25 @@ def ejection_fractions(
     return found
 
 
-def agreement(found: np.ndarray, truth: np.ndarray, unit: str) -> dict[str, Any]:
+def agreement(
+    found: np.ndarray, truth: np.ndarray, unit: str, most: float = np.inf
+) -> dict[str, Any]:
     """Return bias, limits of agreement (Bland and Altman, 1986) and correlation, with intervals.
 
     Args:
         found: (P,) by the judge, a patient each; NaN where it saw nothing: left out, and counted.
         truth: (P,) by the cardiologists' outlines.
         unit: of both.
+        most: what `found` can be at most, and 0 at least; what no heart does is left out, and
+            counted: one ventricle a tenth of its size would be the mean of all.
     """
     seen = np.isfinite(found) & np.isfinite(truth)
-    counts = {"patients": int(seen.sum()), "not_seen": int((~seen).sum())}
+    possible = seen & (found >= 0.0) & (found <= most)
+    counts = {"patients": int(possible.sum()), "not_seen": int((~seen).sum())}
+    counts["impossible"] = int((seen & ~possible).sum())
     if counts["patients"] < 3:
         return counts
-    a, b = found[seen], truth[seen]
+    a, b = found[possible], truth[possible]
 
     def statistics(keep: np.ndarray) -> Mapping[str, float]:
         return _agreement(a[keep], b[keep])

@@ -88,10 +88,11 @@ def ejection_figure(volumes: dict[str, Any]) -> Figure:
     for (left, right), (name, told) in zip(rows, volumes.items(), strict=True):
         fraction = told["ejection_fraction"]
         pairs = [each for each in fraction["pairs"].values() if None not in each]
+        pairs = [each for each in pairs if 0.0 <= each[0] <= 100.0]
         found, truth = np.array(pairs, float).reshape(-1, 2).T
         left.plot([0, 100], [0, 100], ":", color=MUTED, linewidth=0.8)
         left.scatter(truth, found, 9, COLOURS[name])
-        left.set(xlim=(0, 100), xlabel="cardiologists, %", ylabel="judge, %")
+        left.set(xlim=(0, 100), ylim=(0, 100), xlabel="cardiologists, %", ylabel="judge, %")
         left.set_title(f"ejection fraction, one plane: {name}")
         right.scatter((found + truth) / 2, found - truth, 9, COLOURS[name])
         for key in ("lower_limit", "bias", "upper_limit"):
@@ -99,8 +100,9 @@ def ejection_figure(volumes: dict[str, Any]) -> Figure:
                 style = "-" if key == "bias" else "--"
                 right.axhline(fraction[key]["value"], color=PAPER, linewidth=0.9, linestyle=style)
         right.set(xlabel="mean of both, %", ylabel="judge less cardiologists, %")
-        unseen = fraction["not_seen"]
-        right.set_title(f"{fraction['patients']} patients, {unseen} without a ventricle seen")
+        right.set_title(
+            "{patients} patients; {not_seen} not seen, {impossible} impossible".format(**fraction)
+        )
     return figure
 
 

@@ -33,6 +33,8 @@ from racines_models.studies.sim_to_real.frames import RealEcho
 SCHEMA = "racines.sim-to-real/1"
 VOLUMES = ("end_diastolic_volume", "end_systolic_volume", "ejection_fraction")
 UNITS = ("mL", "mL", "%")
+MOST = (np.inf, np.inf, 100.0)
+"""What each can be at most."""
 
 
 class Answers(NamedTuple):
@@ -162,8 +164,8 @@ def _volumes(
     """Return agreement in each of `VOLUMES`, and the patients' own figures, judge's first."""
     a, b = (np.array(list(each.values())).reshape(-1, 3) for each in (ours, theirs))
     told: dict[str, Any] = {}
-    for place, (name, unit) in enumerate(zip(VOLUMES, UNITS, strict=True)):
-        told[name] = agreement(a[:, place], b[:, place], unit)
+    for place, (name, unit, most) in enumerate(zip(VOLUMES, UNITS, MOST, strict=True)):
+        told[name] = agreement(a[:, place], b[:, place], unit, most)
         pairs = np.stack([a[:, place], b[:, place]], 1).tolist()
         rows = zip(ours, pairs, strict=True)
         told[name]["pairs"] = {
