@@ -62,3 +62,12 @@ def mask_set(patients: int = 30, each: int = 8, seed: int = 0) -> MaskSet:
     splits = dict(zip(("train", "validation", "test"), rows, strict=True))
     card = {"source": "rasterised", "seed": seed}
     return MaskSet(draw(stacked, seed), stacked, who, splits, LABELS, card, strata)
+
+
+def hearts(patients: int) -> Tensor:
+    """(2 P, 128, 128) masks: ED and ES of each patient, the second smaller."""
+    masks = []
+    for i in range(patients):
+        masks += [heart_mask(1.0 + 0.02 * i, 0, 0), heart_mask(0.8 + 0.02 * i, 0, 0)]
+    stacked = torch.stack(masks) * sector()
+    return torch.where(stacked == 4, 1, stacked)

@@ -115,6 +115,9 @@ def _outlines(content: dict[str, Any]) -> list[tuple[str, ...]]:
             low, high = figure["low"], figure["high"]
             interval = "-" if low is None else f"{low:.3g} to {high:.3g}"
             rows.append((name, key, f"{figure['value']:.3g}{unit}", interval, str(figure["n"])))
+        told = volumes["ejection_fraction"]
+        left_out = f"{told['not_seen']} and {told['impossible']}"
+        rows.append((name, "ejection fraction, not seen, impossible", left_out, "-", ""))
     return rows
 
 
