@@ -6,6 +6,7 @@ import datasets
 import pytest
 
 from racines_data.build.dataset import DataConfig, build
+from tests import warm
 from tests.data.fake_source import FakeConfig, FakeSource
 
 
@@ -20,5 +21,7 @@ def own_caches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a dataset of 200 frames, 20 trajectories, 2 sessions; read only."""
     root = tmp_path_factory.mktemp("built") / "racines"
-    build(FakeSource(FakeConfig()), root, DataConfig(workers=1))
+    with pytest.MonkeyPatch.context() as patch:
+        warm.plain_pictures(patch.setattr)  # whichever test is the first to ask for it
+        build(FakeSource(FakeConfig()), root, DataConfig(workers=1))
     return root

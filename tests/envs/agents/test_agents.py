@@ -51,6 +51,7 @@ AGENTS = {
 }
 
 
+@pytest.mark.usefixtures("short_episodes")
 @pytest.mark.parametrize("name", AGENTS)
 class TestContract:
     """Holds for every agent; a new one joins by a line in AGENTS."""

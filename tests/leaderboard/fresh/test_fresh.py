@@ -219,8 +219,7 @@ def test_the_truth_drawn_again_is_not_too_good(store):
         assert all(each.low is not None and each.low > 0 for each in found.values())
 
 
-@pytest.mark.usefixtures("warm_workers")
-def test_fresh_frames_are_others_of_the_same_kind(store):
+def test_fresh_frames_are_others_of_the_same_kind(store, warm_workers):
     fresh = draw_frames(store, "test", SECRET)
     again = draw_frames(store, "test", SECRET, workers=2)
     other = draw_frames(store, "test", Secret("tiny", 2, NONCE))
