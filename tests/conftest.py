@@ -5,9 +5,13 @@ import gc
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 import yaml
 
 from tests import warm
@@ -57,6 +61,61 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def plain_pictures() -> Iterator[Callable[..., bytes | None]]:
+    """Leave pictures of cards and graders blank, most of what they cost; give the cards' way."""
+    from racines_data.card import pictures
+
+    draw = pictures.draw
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(warm.PLAIN, "1")
+        warm.plain_pictures(patch.setattr)
+        yield draw
+
+
+@pytest.fixture(scope="session", autouse=True)
+def commands_built_once() -> Iterator[None]:
+    """Let typer make the tree of all commands once, not at every call of one."""
+    make, made = typer.main.get_command, {}
+
+    def get_command(app: typer.Typer) -> Any:
+        parts = (app, *app.registered_commands, *app.registered_groups)
+        key = tuple(map(id, parts))
+        if key not in made:
+            made[key] = parts, make(app)  # held, so that their ids stay their own
+        return made[key][1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("typer.main.get_command", get_command)
+        patch.setattr("typer.testing._get_command", get_command)
+        yield
+
+
+@pytest.fixture(scope="module")
+def drawn_pictures(plain_pictures: Callable[..., bytes | None]) -> Iterator[None]:
+    """Draw the pictures of cards and of graders, as users have them."""
+    from racines_data.plotting import encode
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv(warm.PLAIN)
+        patch.setattr("racines_models.judges.grader.evaluation.encode", encode)
+        patch.setattr("racines_data.card.pictures.draw", plain_pictures)
+        yield
+
+
+@pytest.fixture(scope="module")
+def warm_workers() -> Iterator[None]:
+    """Let workers be forks with their imports done, where how they start is beside the point."""
+    from racines_data.build import staging
+    from racines_models.training import processes
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(staging, "multiprocessing", warm)
+        forked = partial(processes.start_processes, start_method="forkserver")
+        patch.setattr(processes, "start_processes", forked)
+        yield
+
+
 def command(
     folder: Path, *words: str, code: int = 0, fresh: bool = False
 ) -> subprocess.CompletedProcess[str]:
@@ -90,8 +149,13 @@ def tiny_root(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
 @pytest.fixture
 def workplace(tmp_path: Path, tiny_root: Path) -> Path:
     """A folder that looks like the repository's root after the data stage, at a tiny size."""
-    (tmp_path / "data").mkdir()
-    (tmp_path / "data" / "racines").symlink_to(tiny_root)
-    (tmp_path / "racines").symlink_to("data/racines")
-    (tmp_path / "params.yaml").write_text(yaml.safe_dump(TINY))
-    return tmp_path
+    return lay_workplace(tmp_path, tiny_root)
+
+
+def lay_workplace(folder: Path, data: Path) -> Path:
+    """Make a folder look like the repository's root after the data stage, at a tiny size."""
+    (folder / "data").mkdir()
+    (folder / "data" / "racines").symlink_to(data)
+    (folder / "racines").symlink_to("data/racines")
+    (folder / "params.yaml").write_text(yaml.safe_dump(TINY))
+    return folder

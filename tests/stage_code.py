@@ -5,7 +5,7 @@ a file for what lies flat in a package or is one command among others.
 """
 
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,12 @@ def command_module(command: str) -> str:
     return next(COMMANDS[name].partition(":")[0] for name in names if name in COMMANDS)
 
 
+@cache
+def registered(group: str) -> tuple[EntryPoint, ...]:
+    """Return the entry points of a group; to read them takes long."""
+    return tuple(entry_points(group=group))
+
+
 def plugins(stage: str, key: str, params: dict[str, Any]) -> set[str]:
     """Return the modules of the plug-ins that a stage's key names."""
     names = {"racines.anatomies": {"heart"}, "racines.sources": set[str]()}
@@ -40,7 +46,7 @@ def plugins(stage: str, key: str, params: dict[str, Any]) -> set[str]:
     return {
         point.module
         for group, wanted in names.items()
-        for point in entry_points(group=group)
+        for point in registered(group)
         if point.name in wanted
     }
 

@@ -15,7 +15,7 @@ from racines_leaderboard.cli.command import app
 from tests.conftest import ROOT, command
 from tests.documents import blocks, command_lines, run_page
 
-pytestmark = pytest.mark.docs
+pytestmark = [pytest.mark.docs, pytest.mark.usefixtures("drawn_pictures")]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 GUIDES = [page for page in PAGES if not page.name.startswith("walk-")]
 """Pages on a dataset that is there; the walk-throughs start from nothing: see test_walks.py."""

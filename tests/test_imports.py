@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import ROOT
+from tests.conftest import ROOT, command
 from tests.modules import FOLDERS as ROOTS
 from tests.modules import circles, modules
 
@@ -140,7 +140,7 @@ def resolve(name):
 for name in sys.argv[1:]:
     resolve(name)
 """
-    subprocess.run([sys.executable, "-W", "ignore", "-c", code, *named], cwd=tmp_path, check=True)
+    command(tmp_path, "python", "-c", code, *named)
 
 
 def test_an_unknown_name_is_not_found():

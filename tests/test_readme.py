@@ -11,7 +11,7 @@ from racines_leaderboard.board.pages import BEGIN, END, with_tables
 from tests.conftest import ROOT, command
 from tests.documents import blocks
 
-pytestmark = pytest.mark.docs
+pytestmark = [pytest.mark.docs, pytest.mark.usefixtures("drawn_pictures")]
 README = ROOT / "README.md"
 
 

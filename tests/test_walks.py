@@ -12,7 +12,11 @@ import pytest
 from tests.conftest import ROOT, command
 from tests.documents import run_page
 
-pytestmark = [pytest.mark.slow, pytest.mark.docs]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.docs,
+    pytest.mark.usefixtures("drawn_pictures"),
+]
 WALKS = {page.stem for page in (ROOT / "docs").glob("walk-*.md")}
 
 

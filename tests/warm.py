@@ -7,6 +7,8 @@ is a fork of it. What a command cannot tell from a fresh process: that its impor
 import multiprocessing
 import os
 import sys
+from collections.abc import Callable
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from subprocess import CompletedProcess
 from tempfile import TemporaryDirectory
@@ -21,12 +23,36 @@ PRELOAD = [
     "torchrl.collectors",
     "torchrl.objectives",
     "dvclive.live",
+    "racines_data.build.dataset",
     "racines_leaderboard.cli.command",
+    "racines_models.judges.grader.evaluation",
     "racines_models.scores.scoring",
     "racines_envs.evaluation.run",
 ]
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(PRELOAD)
+
+
+def get_context(method: str | None = None) -> ForkServerContext:
+    """Stand in for `multiprocessing.get_context`: workers are such forks, however asked for."""
+    return _context
+
+
+PLAIN = "RACINES_TEST_PLAIN_PICTURES"
+"""Set in a command's environment, it leaves the pictures of a dataset's card blank."""
+
+
+def plain_pictures(patch: Callable[[object, str, object], None] = setattr) -> None:
+    """Put a small blank picture in place of each that a dataset's card or a grader's report has."""
+    from PIL import Image
+
+    from racines_data.card import pictures
+    from racines_data.files import image_bytes
+    from racines_models.judges.grader import evaluation
+
+    blank = image_bytes(Image.new("L", (8, 8)))
+    patch(pictures, "draw", lambda name, figure: blank)
+    patch(evaluation, "encode", lambda figure: blank)
 
 
 def run(folder: Path, words: tuple[str, ...], environment: dict[str, str]) -> CompletedProcess[str]:
@@ -49,7 +75,9 @@ def _child(
     for stream, path in ((1, out), (2, err)):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
     sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
-    sys.argv = list(words)
+    sys.argv = list(words) if words[0] == "racines" else ["-c", *words[3:]]
+    if environment.get(PLAIN):
+        plain_pictures()
     if words[0] == "racines":
         from racines_leaderboard.cli.command import main as racines
 

@@ -4,6 +4,8 @@ Here too are those of single frames: each view at several grades, and one view i
 """
 
 import textwrap
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,25 +39,31 @@ def write_pictures(final: Path, manifest: dict[str, Any]) -> None:
     """
     frames = read_frames(final / store_name("frames"), manifest)
     statistics = manifest["statistics"] = card_statistics(frames)
-    figures: dict[str, Figure | None] = {}
+    figures: dict[str, Callable[[], Figure | None]] = {"samples": partial(samples_figure, frames)}
+    if statistics["parameters"]:
+        paper = has_paper(manifest)
+        figures["parameters"] = partial(parameters_figure, frames, statistics, paper)
+    if (frames.views >= 0).any():
+        cactus = frames.labels == tuple(CACTUS_COUNTS)
+        figures["shares"] = partial(shares_figure, frames, statistics, cactus)
+    if np.isfinite(frames.parameters[:, POSITION]).any():
+        figures["trajectories"] = partial(trajectories_figure, frames, manifest)
+    if MULTI_PHANTOM in manifest["configs"]:
+        hearts = read_frames(final / store_name(MULTI_PHANTOM), manifest)
+        figures["hearts"] = partial(hearts_figure, hearts)
     with card_style():
-        figures["samples"] = samples_figure(frames)
-        if statistics["parameters"]:
-            figures["parameters"] = parameters_figure(frames, statistics, has_paper(manifest))
-        if (frames.views >= 0).any():
-            cactus = frames.labels == tuple(CACTUS_COUNTS)
-            figures["shares"] = shares_figure(frames, statistics, cactus)
-        if np.isfinite(frames.parameters[:, POSITION]).any():
-            figures["trajectories"] = trajectories_figure(frames, manifest)
-        if MULTI_PHANTOM in manifest["configs"]:
-            hearts = read_frames(final / store_name(MULTI_PHANTOM), manifest)
-            figures["hearts"] = hearts_figure(hearts)
-        drawn = {name: figure for name, figure in figures.items() if figure is not None}
-        (final / FOLDER).mkdir(parents=True, exist_ok=True)
-        for name, figure in drawn.items():
-            png = encode(figure, gray=name in ("samples", "hearts"))
-            (final / FOLDER / f"{name}.png").write_bytes(png)
-    manifest["pictures"] = list(drawn)
+        drawn = {name: draw(name, figure) for name, figure in figures.items()}
+    pictures = {name: png for name, png in drawn.items() if png is not None}
+    (final / FOLDER).mkdir(parents=True, exist_ok=True)
+    for name, png in pictures.items():
+        (final / FOLDER / f"{name}.png").write_bytes(png)
+    manifest["pictures"] = list(pictures)
+
+
+def draw(name: str, figure: Callable[[], Figure | None]) -> bytes | None:
+    """Return the PNG of a picture; None where there is nothing to show."""
+    made = figure()
+    return None if made is None else encode(made, gray=name in ("samples", "hearts"))
 
 
 def samples_figure(frames: Frames) -> Figure:

@@ -112,6 +112,11 @@ def write_submission(folder: Path, *artefacts: dict[str, Any], **changes: Any) -
 @pytest.fixture
 def ground(workplace, monkeypatch):
     """The ground of a tiny board, with block means in the place of Inception."""
+    return lay_ground(workplace, monkeypatch)
+
+
+def lay_ground(workplace: Path, patch: pytest.MonkeyPatch):
+    """Go to a workplace, and return the ground of a tiny board there."""
     from racines_leaderboard.board.recompute import Ground
     from racines_leaderboard.submissions.confined.session import Limits
     from racines_models.scores import scoring
@@ -119,8 +124,8 @@ def ground(workplace, monkeypatch):
     from tests.models.scores.test_scores import Coarse
     from tests.waiting import PATIENCE
 
-    monkeypatch.chdir(workplace)
-    monkeypatch.setattr(scoring, "InceptionFeatures", Coarse)
+    patch.chdir(workplace)
+    patch.setattr(scoring, "InceptionFeatures", Coarse)
     limits = Limits(memory=2**30, open_seconds=int(PATIENCE), call_seconds=int(PATIENCE))
     return Ground("tiny", TINY, workplace / "data/racines", grader=None, limits=limits)
 

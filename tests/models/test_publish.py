@@ -24,7 +24,7 @@ CONFIG = VaeGanConfig(
     latent=8,
     embedding=8,
     learning_rate=0.01,
-    training=Training(images=640, batch_size=16, precision="fp32"),
+    training=Training(images=320, batch_size=16, precision="fp32"),
 )
 
 
@@ -65,7 +65,7 @@ def test_config_says_what_was_trained_and_how(run, tmp_path):
     assert content == json.loads((tmp_path / "config.json").read_text())
     file = content["weights_files"]["files"]["model.safetensors"]
     assert file["bytes"] == (tmp_path / "model.safetensors").stat().st_size
-    assert content["training"]["images"] == 640 and content["training"]["validation"]["n"] == 32
+    assert content["training"]["images"] == 320 and content["training"]["validation"]["n"] == 32
     assert content["name"] == "vae-gan" and content["config"]["width"] == 8
 
 

@@ -36,6 +36,8 @@ PARAMS = {
     "scores": {"samples": 16, "resamples": 20, "blocks": 3, "speed": False},
 }
 
+pytestmark = pytest.mark.docs
+
 
 @pytest.fixture(scope="module")
 def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
@@ -51,7 +53,9 @@ def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, An
         before = os.environ.get("PYTHONPATH")
         patch.setenv("PYTHONPATH", os.pathsep.join([*places, *([before] if before else [])]))
         patch.setenv("SEEN", str(work / "seen.json"))
-        command(work, "python", "walk.py", fresh=True)
+        walk = "import runpy; from tests import warm; warm.plain_pictures()\n"
+        walk += "runpy.run_path('walk.py', run_name='__main__')"
+        command(work, "python", "-c", walk, fresh=True)
     return work, json.loads((work / "seen.json").read_text())
 
 

@@ -66,7 +66,8 @@ def find_trainings(run_dir: Path | str, published: Path | None = None) -> list[T
     if not isinstance(seed, int):
         raise RacinesError(f"{first / SETTINGS}: names no seed, and there are further trainings")
     while (seed := seed + 1) in own or seed in others:
-        further = Training(own.get(seed) or others[seed], seed, seed not in own)
+        folder = own.get(seed) or others[seed]
+        further = Training(folder, seed, folder.parent == published)
         if reason := _differs(first, further):
             if not further.published:
                 raise RacinesError(

@@ -39,12 +39,23 @@ def submission_of(record: Record, bench: Bench) -> Path:
 
 
 def run_of(record: Record, bench: Bench) -> Path:
-    """Return a merged system's run, or of an agent the published one where it alone holds."""
+    """Return the folder of a merged system's run: here, or published, whichever has its weights.
+
+    Published are the trainings of a board, `weights/<board>/<name>`, and those of the reference
+    board, `weights/<name>`. Where no folder has all, one that has the first training will do.
+    """
+    places, name = bench.places, record["name"]
     if record["track"] == "generators":
-        return bench.places.runs / record["name"]
-    run, kept = (place / record["name"] for place in (bench.places.agents, bench.places.policies))
+        kept = places.weights
+        folders = [places.runs / name, kept / bench.board / name, kept / name]
+    else:
+        kept = places.policies
+        folders = [places.agents / name, kept / bench.board / name, kept / name]
     claimed = named(record)
-    return kept if claimed and not _holds(run, claimed) and _holds(kept, claimed) else run
+    for wanted in (claimed, first_training(claimed)):
+        if found := next((each for each in folders if wanted and _holds(each, wanted)), None):
+            return found
+    return folders[0]
 
 
 def _holds(folder: Path, claimed: dict[str, str]) -> bool:

@@ -56,7 +56,10 @@ def score_metric(record: Record) -> dict[str, Any] | None:
     score = standing_of(record).score
     if score is None:
         return None
-    return {key: getattr(score, key) for key in ("value", "low", "high", "n")}
+    settings = {} if score.level is None else {"level": score.level}
+    return {key: getattr(score, key) for key in ("value", "low", "high", "n")} | {
+        "settings": settings
+    }
 
 
 SCORE = Column("score", "Score", "higher", value=score_metric)

@@ -27,6 +27,7 @@ from racines_leaderboard.board.rank import (
     verdict_of,
 )
 from racines_leaderboard.records.tracks import PERCENT, TRACKS, Column, Track, board_tracks
+from racines_models.statistics import LEVEL
 
 REPORTED = "reported in the paper, on other data"
 
@@ -104,7 +105,7 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
 
 
 _OF_METRIC = ("value", "low", "high", "n")
-_STANDING = ("unplaced", "trainings", "units", "verdict")
+_STANDING = ("unplaced", "trainings", "units", "verdict", "level")
 CSV_HEAD = (
     *("board", "track", "task", "place", "name", "tier", "method", "figure"),
     *_OF_METRIC,
@@ -130,7 +131,7 @@ def board_csv(contents: dict[str, dict[str, list[Record]]]) -> str:
                     figures = {"score": score} if score is not None else {}
                     lines += [
                         (*about, figure, *(metric.get(key) for key in _OF_METRIC), *stands,
-                         verdict_of(record) or None)
+                         verdict_of(record) or None, level_of(metric))
                         for figure, metric in (figures | record["scores"]["metrics"]).items()
                     ]  # fmt: skip
     return csv_table(CSV_HEAD, lines)
@@ -142,6 +143,11 @@ def published() -> dict[str, Any]:
     return json.loads((resources.files("racines_leaderboard") / "published.json").read_text())
 
 
+def level_of(metric: dict[str, Any]) -> float | None:
+    """Return how often intervals like a metric's cover, where that is known."""
+    return metric.get("settings", {}).get("level")
+
+
 def _cell(record: Record, column: Column, usual_n: int) -> str:
     """Return a metric with its interval; with its n where that is not the row's."""
     metric = shown_metric(record, column)
@@ -151,7 +157,9 @@ def _cell(record: Record, column: Column, usual_n: int) -> str:
         None if metric[key] is None else f"{metric[key] * column.scale:.{column.digits}f}"
         for key in ("value", "low", "high")
     )
-    text = str(value) if low is None or high is None else f"{value} ({low} – {high})"
+    level = level_of(metric)
+    covered = f"; {100 * level:.0f} %" if level is not None and level < LEVEL else ""
+    text = str(value) if low is None or high is None else f"{value} ({low} – {high}{covered})"
     return text if metric["n"] == usual_n else f"{text}, n = {metric['n']:,}"
 
 
@@ -188,7 +196,10 @@ def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     sees, verdict = ("Sees",) if agents else (), ("Verdict",) if judged else ()
     titles = (*(column.title for column in columns), *(head for head, _ in counted))
     head = ("#", "System", *sees, *titles, "n", *verdict, "Tier")
-    counts = f"In brackets: {PERCENT} intervals. n: {track.counted}."
+    few = f"{PERCENT} intervals; where such intervals were found to cover less, how much"
+    shown = [shown_metric(each.record, column) for each in ranking for column in columns]
+    less = any(metric is not None and (level_of(metric) or LEVEL) < LEVEL for metric in shown)
+    counts = f"In brackets: {few if less else f'{PERCENT} intervals'}. n: {track.counted}."
     units = f" Units: {track.unit}." if any(key == "units" for _, key in counted) else ""
     basis = " ".join([counts + units, *_basis([each.record for each in ranking])])
     rule = no_anchors(ranking[0].record) if unpinned(ranking) else track.rule

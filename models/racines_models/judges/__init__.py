@@ -1,1 +1,1 @@
-"""Networks that read images: the grader, its fast student, the pose regressor."""
+"""Networks that read images: grader and fast student, pose regressor, segmentation judge."""

@@ -25,7 +25,7 @@ from racines_data.files import sha256_file, write_atomic
 from racines_models.devices import resolve_device
 from racines_models.judges.grader.model import Grader
 from racines_models.networks.batching import SIZE, in_fixed_batches
-from racines_models.provenance import sha256_bytes
+from racines_models.provenance import environment, sha256_bytes
 from racines_models.sample import Progress
 
 INCEPTION_SHA256 = "7ff4a85c3a6378f0dfc8433ffd789663b01176bec0a683a435651739c091fa34"
@@ -178,11 +178,13 @@ def reference_features(
 def kept(folder: Path | None, key: list[Any], make: Callable[[], Tensor]) -> Tensor:
     """Return a tensor from `folder` if a former run left it there, else make it and leave it.
 
-    The file's name is a hash of `key`, which says all that the tensor depends on.
+    The file's name is a hash of `key`, which says all that the tensor depends on, and of the
+    machine and its threads, on which last bits depend.
     """
     if folder is None:
         return make()
-    path = folder / f"{sha256_bytes(json.dumps(key, sort_keys=True).encode())[:32]}.safetensors"
+    described = json.dumps([*key, environment()], sort_keys=True)
+    path = folder / f"{sha256_bytes(described.encode())[:32]}.safetensors"
     try:
         return load_file(path)["features"]
     except (SafetensorError, KeyError, OSError):  # absent, or damaged

@@ -17,7 +17,7 @@ a score made of them.
                 complex sample surveys, 2019); of 0 or 1 in every unit, units are the trials
     a median    inverts the interval of the share below it (Woodruff, 1952), which the jackknife of
                 the median itself does not survive
-    trainings   Student's t on the spread of their values
+    trainings   Student's t on the spread of their values; of a rate, Wilson's reach where longer
     together    MOVER (Zou and Donner, Construction of confidence limits about effect measures,
                 2008): the distances from the value to the two ends add in squares
 
@@ -214,7 +214,9 @@ def rate_interval(hits: np.ndarray, units: np.ndarray) -> Interval:
     of_trainings = (0.0, 0.0)
     if variance:
         t = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
-        of_trainings = _wilson_reach(value, value * (1.0 - value) / variance, t)
+        below, above = _wilson_reach(value, value * (1.0 - value) / variance, t)
+        # Trainings are no trials: near 1 they may spread as far to that side as to the other.
+        of_trainings = max(below, t * np.sqrt(variance)), max(above, t * np.sqrt(variance))
     told = "Wilson, trials as many as units tell"
     return _joined(replicates, "rate", of_units, of_trainings, told, 0.0, 1.0)
 

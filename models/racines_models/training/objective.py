@@ -193,11 +193,15 @@ class Feed:
             position += len(parts[-1])
         return torch.cat(parts)
 
-    def batches(self, start: int, stop: int) -> Iterator[TrainBatch]:
-        """Yield batches from image `start` of the stream until `stop` images have been seen."""
+    def rows(self, start: int, stop: int) -> Iterator[tuple[Tensor, Tensor]]:
+        """Yield the (B,) rows and (B,) seeds of each step, whole batches on the CPU."""
         for position in range(start, stop, self._batch_size):
             index = self._indices(position)
-            seeds = derive(self._seed, NOISE, torch.arange(len(index)) + position)
+            yield index, derive(self._seed, NOISE, torch.arange(len(index)) + position)
+
+    def batches(self, start: int, stop: int) -> Iterator[TrainBatch]:
+        """Yield batches from image `start` of the stream until `stop` images have been seen."""
+        for index, seeds in self.rows(start, stop):
             frames = self._store.take(index[self._share])
             columns = (frames.images, frames.parameters, seeds[self._share])
             yield TrainBatch(*(column.to(self._device) for column in columns))

@@ -14,8 +14,6 @@ from racines_data.sources.base import Finding, Unit, source_class
 from racines_data.validate.run import validate
 from tests.data.fake_source import FakeConfig, FakeSource
 
-blank = pytest.mark.usefixtures("blank_pictures")
-
 
 def files(root: Path) -> dict[str, str]:
     paths = (path for path in root.rglob("*") if path.is_file())
@@ -27,7 +25,6 @@ def test_bytes_depend_neither_on_workers_nor_on_the_build(built: Path, tmp_path:
     assert files(tmp_path / "two") == files(built)
 
 
-@blank
 def test_another_seed_is_another_dataset(built: Path, tmp_path: Path):
     manifest = build(FakeSource(FakeConfig(seed=1)), tmp_path / "b", DataConfig(workers=1, seed=1))
     before = read_manifest(built)
@@ -49,14 +46,12 @@ def test_layout(built: Path):
     assert "`phantom`" in first and "simulated" in first
 
 
-@blank
 def test_number_of_shards_does_not_change_the_content(built: Path, tmp_path: Path):
     manifest = build(FakeSource(FakeConfig()), tmp_path / "b", DataConfig(workers=1, shards=40))
     assert manifest["digest"] == read_manifest(built)["digest"]
     assert sum(len(paths) for paths in manifest["configs"]["frames"].values()) == 40
 
 
-@blank
 def test_one_session_has_no_sessions_config(tmp_path: Path):
     source = FakeSource(FakeConfig(sessions=1))
     manifest = build(source, tmp_path / "b", DataConfig(workers=1))
@@ -65,7 +60,6 @@ def test_one_session_has_no_sessions_config(tmp_path: Path):
 
 
 @pytest.mark.parametrize("trajectories", [1, 2, 3])
-@blank
 def test_tiny_datasets_have_as_many_shards_as_rows(tmp_path: Path, trajectories: int):
     source = FakeSource(FakeConfig(frames=6, trajectories=trajectories))
     manifest = build(source, tmp_path / "b", DataConfig(workers=1))
@@ -77,7 +71,6 @@ def staged(folder: Path) -> list[Path]:
     return sorted(folder.glob(".racines.staging-*/*/units/*.arrow"))
 
 
-@blank
 def test_a_damaged_staged_unit_is_made_again(built: Path, tmp_path: Path):
     class Stops(FakeSource):
         def produce(self, unit: Unit) -> Trajectory:
@@ -94,7 +87,6 @@ def test_a_damaged_staged_unit_is_made_again(built: Path, tmp_path: Path):
     assert manifest["digest"] == read_manifest(built)["digest"]
 
 
-@blank
 def test_what_another_recipe_left_is_removed(tmp_path: Path):
     class Stops(FakeSource):
         def produce(self, unit: Unit) -> Trajectory:
@@ -107,7 +99,6 @@ def test_what_another_recipe_left_is_removed(tmp_path: Path):
     assert [path.name for path in tmp_path.iterdir()] == ["racines"]
 
 
-@blank
 def test_two_builds_at_once_are_refused(tmp_path: Path):
     class Nested(FakeSource):
         def produce(self, unit: Unit) -> Trajectory:
@@ -118,7 +109,6 @@ def test_two_builds_at_once_are_refused(tmp_path: Path):
         build(Nested(FakeConfig()), tmp_path / "racines", DataConfig(workers=1))
 
 
-@blank
 def test_a_link_to_the_dataset_stays_a_link(tmp_path: Path):
     (tmp_path / "racines").symlink_to("data/racines")
     build(FakeSource(FakeConfig()), tmp_path / "racines", DataConfig(workers=1))
@@ -126,7 +116,6 @@ def test_a_link_to_the_dataset_stays_a_link(tmp_path: Path):
     assert read_manifest(tmp_path / "data" / "racines")["counts"]["frames"] == 200
 
 
-@blank
 def test_a_failed_rebuild_leaves_the_old_dataset(tmp_path: Path):
     out = tmp_path / "racines"
     before = build(FakeSource(FakeConfig()), out, DataConfig(workers=1))
@@ -142,13 +131,11 @@ def test_a_failed_rebuild_leaves_the_old_dataset(tmp_path: Path):
     assert read_manifest(out) == before
 
 
-@blank
 def test_an_error_in_a_worker_arrives_whole(tmp_path: Path):
     with pytest.raises(RacinesError, match=r"trajectory t\d+: unknown target view 'A5C'"):
         build(FakeSource(FakeConfig(views=("A5C",))), tmp_path / "b", DataConfig(workers=2))
 
 
-@blank
 def test_foreign_folder_is_not_overwritten(tmp_path: Path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(RacinesError, match="not a dataset"):
@@ -165,7 +152,6 @@ def test_an_interrupted_swap_is_undone(built: Path, tmp_path: Path):
     assert files(out) == files(built)
 
 
-@blank
 def test_refused_frames_are_limited(tmp_path: Path):
     class Refuses(FakeSource):
         def plan(self) -> list[Unit]:
@@ -196,7 +182,6 @@ def test_a_source_can_be_named_by_module_and_class():
     assert (source.config.frames, source.config.seed) == (7, 5)
 
 
-@blank
 def test_a_source_of_another_package_names_itself(tmp_path: Path):
     class Mine(FakeSource):
         name = "mine"

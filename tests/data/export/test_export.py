@@ -25,8 +25,6 @@ from racines_envs.worlds.making import make_core
 from tests.conftest import command
 from tests.data.fake_source import FakeConfig, FakeSource
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
-
 OURS = ("lerobot", "minari")
 
 

@@ -15,9 +15,7 @@ from racines_data.store.frames import FrameStore
 from tests.data.release_tree import read_elsewhere
 from tests.data.scan_source import ScanConfig, ScanSource
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
-
-FRAMES = 2000
+FRAMES = 630
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,10 @@ from racines_data.errors import RacinesError
 from racines_data.hub.fetch import download
 from racines_data.hub.push import Push, plan_push, push
 from racines_data.store.sweeps import restore_stores
+from tests import warm
 from tests.conftest import command
 from tests.data.fake_hub import FakeHub, Repository
 from tests.data.fake_source import FakeConfig, FakeSource
-
-pytestmark = pytest.mark.usefixtures("blank_pictures")
 
 REPO = "someone/racines"
 TAG = "phantom-v0.1.0"
@@ -245,7 +244,8 @@ def test_shards_are_divided_among_nodes(stream: datasets.IterableDataset):
 
 def test_shards_are_divided_among_workers(stream: datasets.IterableDataset):
     kept = stream.select_columns(["trajectory", "frame"])
-    loader = torch.utils.data.DataLoader(kept, batch_size=None, num_workers=2)
+    workers = {"num_workers": 2, "multiprocessing_context": warm.get_context()}
+    loader = torch.utils.data.DataLoader(kept, batch_size=None, **workers)
     assert sorted(rows(loader)) == sorted(rows(stream))
     assert sorted(rows(kept.shard(num_shards=2, index=0)) + rows(kept.shard(2, 1))) == sorted(
         rows(stream)

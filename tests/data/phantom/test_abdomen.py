@@ -1,5 +1,7 @@
 """The second organ: sizes within the norms, views that mean something, labels of its own."""
 
+from functools import cache
+
 import pytest
 import torch
 from scipy import ndimage
@@ -33,6 +35,7 @@ def phantom() -> Phantom:
     return Phantom(PhantomConfig(anatomy="abdomen"))
 
 
+@cache
 def painted(seed: int) -> tuple[torch.Tensor, torch.Tensor]:
     """Return (X, Y, Z) tissues of the block, and the (X, Y, Z, 3) points in mm, organ frame."""
     axes = [torch.arange(low, high, STEP) for low, high in ((-85, 85), (-70, 70), (-135, 0))]
@@ -171,7 +174,7 @@ def test_sweeps_aim_at_the_views_of_the_anatomy(phantom: Phantom) -> None:
 
 def test_a_dataset_carries_the_labels_of_its_anatomy(tmp_path) -> None:
     config = AcquisitionConfig(
-        frames=160, shortest=10, longest=20, phantom=PhantomConfig(anatomy="abdomen")
+        frames=96, shortest=6, longest=12, phantom=PhantomConfig(anatomy="abdomen")
     )
     manifest = build(PhantomSource(config), tmp_path / "abdomen", DataConfig(workers=1))
     assert manifest["labels"] == [*VIEWS, "Random"]

@@ -15,8 +15,6 @@ from racines_data.sources.images import Kind
 from racines_data.validate.run import validate
 from racines_data.views import LABELS
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
-
 PER_VIEW = 12
 WIDTH, HEIGHT = 320, 240
 BOX = 90, 30, 230, 200
@@ -79,6 +77,7 @@ def reasons(made: CactusSource) -> list[tuple[str, bool, str]]:
     return [(f.reason.partition(":")[0], f.refused, f.file + f.item) for f in made.report]
 
 
+@pytest.mark.usefixtures("warm_workers")
 def test_a_dataset_of_labels_and_grades_without_poses(tree: Path, tmp_path: Path):
     root = tmp_path / "racines"
     manifest = build(source(tree, run=4), root, DataConfig(workers=2, shards=2))

@@ -25,7 +25,6 @@ from tests.data.sources import gate_source
 from tests.data.sources.gate_source import MISTAKES, Scans, ScansConfig, made, mirror, sound
 from tests.plugins.packages import install
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
 ONE = DataConfig(workers=1, shards=1)
 UNIT = Unit("t0", "s1", "A4C", 40)
 

@@ -20,7 +20,6 @@ from tests.data.release_tree import log_text
 from tests.data.sources import test_cactus, test_tracked
 from tests.data.sources.gate_source import MISTAKES, POSITION, Columns, mirror, sound
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
 ONE = DataConfig(workers=1, shards=1)
 PLACES = ("Folder 1/A4C", "Folder 1/SC", "Folder 2/PL")
 

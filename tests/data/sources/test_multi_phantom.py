@@ -84,6 +84,7 @@ def test_its_store_holds_the_same_rows(root: Path):
     assert again.config == "multi_phantom" and len(again) == 144
 
 
+@pytest.mark.usefixtures("warm_workers")
 def test_bytes_depend_neither_on_workers_nor_on_the_build(root: Path, tmp_path: Path):
     make(tmp_path / "two", workers=2)
     assert files(tmp_path / "two") == files(root)
@@ -100,6 +101,7 @@ def test_a_rebuilt_config_is_not_served_stale(tmp_path: Path, monkeypatch: pytes
     assert datasets.load_dataset("racines", split="train")["force_x"][:] == frames["force_x"][:]
 
 
+@pytest.mark.usefixtures("warm_workers")
 def test_one_worker_makes_all_of_a_heart(tmp_path: Path):
     journal = tmp_path / "journal"
     journal.mkdir()

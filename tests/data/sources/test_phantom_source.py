@@ -70,7 +70,7 @@ def test_motion_is_smooth_and_control_is_its_velocity() -> None:
 @pytest.mark.slow
 def test_parameters_lie_near_the_papers_table() -> None:
     """Loose here (the table is met at full size, with its own check): centre and spread agree."""
-    made = source(frames=3000)
+    made = source(frames=1500)
     rows = np.concatenate([made.produce(unit).parameters for unit in made.plan()])
     for column, name in enumerate(PARAMETERS):
         paper = PAPER_STATISTICS[name]

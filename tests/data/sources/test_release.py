@@ -29,8 +29,6 @@ from tests.data.release_tree import (
 )
 from tests.waiting import until
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
-
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:

@@ -19,8 +19,6 @@ from tests.data.release_tree import (
     write_release,
 )
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
-
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:

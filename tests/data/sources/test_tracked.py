@@ -20,8 +20,6 @@ from racines_data.sources.tracked.source import (
 )
 from racines_data.validate.run import validate
 
-pytestmark = pytest.mark.usefixtures("blank_pictures")
-
 REAL = Path(os.environ.get("RACINES_REAL", Path(__file__).parents[3] / ".." / "shared" / "real"))
 SPINE, NWIRE = (REAL / f"{name}PhantomFreehand.igs.mha" for name in ("Spine", "Nwire"))
 needs_real = pytest.mark.skipif(
@@ -263,6 +261,7 @@ def test_inputs_and_settings_are_checked(tmp_path: Path):
         source(path, untis="mm")
 
 
+@pytest.mark.usefixtures("warm_workers")
 def test_order_of_inputs_and_workers_do_not_matter(tmp_path: Path):
     paths = [write_sequence(tmp_path / f"{name}.igs.mha") for name in "ab"]
     one = build(source(*paths), tmp_path / "one", DataConfig(workers=1))

@@ -5,6 +5,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from racines_data.store.frames import BatchDataset, FrameStore
+from tests import warm
 
 
 def test_a_loader_serves_the_batches_of_the_store(built: Path):
@@ -23,7 +24,8 @@ def test_a_loader_serves_the_batches_of_the_store(built: Path):
 @pytest.mark.slow
 def test_workers_share_the_batches(built: Path):
     store = FrameStore(built)
-    loader = DataLoader(BatchDataset(store, "train", 8), batch_size=None, num_workers=2)
+    workers = {"num_workers": 2, "multiprocessing_context": warm.get_context()}
+    loader = DataLoader(BatchDataset(store, "train", 8), batch_size=None, **workers)
     rows = torch.cat([batch.index for batch in loader])
     assert torch.equal(rows.sort().values, store.split_indices("train"))
     for batch in loader:

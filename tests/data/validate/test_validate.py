@@ -206,6 +206,7 @@ def test_card_of_another_dataset(copy: Path):
     assert "names other configs, splits or files" in broken(copy)["card"]
 
 
+@pytest.mark.usefixtures("warm_workers")
 def test_worker_processes_find_the_same(copy: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(validate_survey, "WORTH_WORKERS", 1)
     alter(copy, "position_z", lambda values: [60.2, *values[1:]])

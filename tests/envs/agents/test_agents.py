@@ -51,6 +51,7 @@ AGENTS = {
 }
 
 
+@pytest.mark.usefixtures("short_episodes")
 @pytest.mark.parametrize("name", AGENTS)
 class TestContract:
     """Holds for every agent; a new one joins by a line in AGENTS."""
@@ -217,8 +218,8 @@ def test_ppo_learns_an_easy_view(tmp_path):
     """Some ten thousand steps are enough to beat chance where the view is wide."""
     phantom = FakePhantom(reach=2.0)
     config = replace(
-        TINY, frames=65_536, envs=64, update_every=2048, minibatch=512, epochs=5,
-        validate_every=16_384, validation_starts=50,
+        TINY, frames=32_768, envs=64, update_every=2048, minibatch=512, epochs=5,
+        validate_every=32_768, validation_starts=25,
     )  # fmt: skip
     PPOAgent.train(config, tmp_path, phantom=phantom, progress=False)
     core = make_core("SC", 100, observation="params", reward="oracle", phantom=phantom)

@@ -43,8 +43,8 @@ def test_it_learns_an_easy_view(tmp_path):
     """Some ten thousand steps are enough to beat chance where the view is wide."""
     phantom = FakePhantom(reach=2.0)
     config = replace(
-        TINY, frames=24_576, envs=64, update_every=512, updates=24, batch_size=128, buffer=24_576,
-        warmup=2048, learning_rate=1e-3, validate_every=8192, validation_starts=50,
+        TINY, frames=12_288, envs=64, update_every=512, updates=24, batch_size=128, buffer=12_288,
+        warmup=2048, learning_rate=1e-3, validate_every=12_288, validation_starts=25,
     )  # fmt: skip
     DQNAgent.train(config, tmp_path, phantom=phantom, progress=False)
     core = make_core("SC", 100, observation="params", reward="oracle", phantom=phantom)

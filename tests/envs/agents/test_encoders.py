@@ -150,13 +150,13 @@ def test_exploration_may_look_at_what_a_generator_draws(phantom, tiny_root, tmp_
 
 
 def test_exploration_reaches_from_starts_to_targets_inside_the_workspace(phantom):
-    frames = explore(ExplorationConfig(frames=2000), phantom, seed=0)
+    frames = explore(ExplorationConfig(frames=1300), phantom, seed=0)
     pose = parameters_to_pose(frames.parameters)
     assert bool(phantom.workspace.contains(pose).all())
     places = torch.stack([phantom.target(view).position[0] for view in VIEWS])
     away = (pose.position[:, None] - places).norm(dim=-1).amin(1)
     assert float(away.quantile(0.05)) < 0.012 and float(away.quantile(0.9)) > 0.02
-    again = explore(ExplorationConfig(frames=2000), phantom, seed=0)
+    again = explore(ExplorationConfig(frames=1300), phantom, seed=0)
     assert torch.equal(frames.images, again.images)
     sizes = [len(frames.split_indices(name)) for name in ("train", "validation", "test")]
     assert sum(sizes) == len(frames.images) and min(sizes) > 30

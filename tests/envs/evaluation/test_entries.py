@@ -109,7 +109,7 @@ def test_a_result_of_another_view_or_start_set_has_a_name_of_its_own():
 def test_no_result_is_overwritten_in_silence(real_phantom, tmp_path, monkeypatch):
     """A file's policy on two views, another file, another policy under the name of one."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "params.yaml").write_text("evaluation: {starts: 3, seeds: [0], latency: 0}\n")
+    (tmp_path / "params.yaml").write_text("evaluation: {starts: 2, seeds: [0], latency: 0}\n")
     for name in ("X.onnx", "y.onnx"):
         sound_policy(tmp_path / name)
     folder = tmp_path / "envs/runs/scores"
@@ -127,7 +127,7 @@ def test_no_result_is_overwritten_in_silence(real_phantom, tmp_path, monkeypatch
     assert "written" in run("X.onnx")  # the same, again
     assert "--force to replace it" in run("X.onnx", "--name", "x-pl")
     assert "--force to replace it" in run(
-        "X.onnx", "--starts", "2", "--out", str(folder / "y.json")
+        "X.onnx", "--starts", "1", "--out", str(folder / "y.json")
     )
     sound_policy(tmp_path / "X.onnx", temperature="1.0")
     assert "--force to replace it" in run("X.onnx")

@@ -1,6 +1,9 @@
 """Records of a tiny board, each with all that an audit of it needs."""
 
 import json
+import shutil
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,7 @@ from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
 from racines_envs.worlds.making import make_phantom, phantom_recipe
 from racines_leaderboard.audit.bench import JUDGES
 from racines_leaderboard.board.collect import collect
-from racines_leaderboard.board.recompute import recompute
+from racines_leaderboard.board.recompute import Ground, recompute
 from racines_models.exchange.onnx.generator import OnnxGenerator
 from racines_models.exchange.predictions.file import Task, write_predictions
 from racines_models.generators.mean_image import MeanImage
@@ -26,15 +29,47 @@ from racines_models.protocol import Run
 from racines_models.registry import weights_of
 from racines_models.sample import take_sample
 from racines_models.scores.scoring import score
-from tests.leaderboard.conftest import write_submission
+from tests.conftest import lay_workplace
+from tests.leaderboard.conftest import lay_ground, write_submission
 from tests.leaderboard.graphs import sound_generator, sound_policy
 from tests.leaderboard.handed_in import CONFIG, inbox, submitted
 
 RESULTS, SUBMISSIONS = Path("leaderboard/results"), Path("leaderboard/submissions")
+Make = Callable[[Ground], Path]
 
 
-@pytest.fixture
-def drawn(ground) -> Path:
+@pytest.fixture(scope="session")
+def once(
+    tiny_root: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[Make], tuple[Path, Path]]:
+    """Make each record once, in a folder of its own; give the folder and the record in it."""
+
+    @cache
+    def of(make: Make) -> tuple[Path, Path]:
+        folder = lay_workplace(tmp_path_factory.mktemp(make.__name__), tiny_root)
+        with pytest.MonkeyPatch.context() as patch:
+            return folder, make(lay_ground(folder, patch))
+
+    return of
+
+
+def copied(make: Make) -> Any:
+    """Return the fixture of a record: what was made once, copied to where the test works."""
+
+    def fixture(once, ground) -> Path:
+        folder, path = once(make)
+
+        def here_already(inside: str, names: list[str]) -> set[str]:
+            return {"data", "racines"} if inside == str(folder) else set()
+
+        shutil.copytree(folder, Path.cwd(), ignore=here_already, dirs_exist_ok=True)
+        return path
+
+    return pytest.fixture(fixture, name=make.__name__)
+
+
+@copied
+def drawn(ground: Ground) -> Path:
     """The record of a predictions file that was handed in and scored."""
     store, root = open_store(ground.data), Path.cwd()
     generator = OnnxGenerator(sound_generator(inbox(root, "made") / "mine.onnx"))
@@ -46,7 +81,7 @@ def drawn(ground) -> Path:
     return RESULTS / "tiny/generators/mine.json"
 
 
-@pytest.fixture
+@copied
 def steered(ground) -> Path:
     """The record of a trace that was handed in and scored."""
     trace = record_a_trace((0, 1, 2), inbox(Path.cwd(), "steered") / "trace.json")
@@ -56,7 +91,7 @@ def steered(ground) -> Path:
     return RESULTS / "tiny/agents/mine.json"
 
 
-@pytest.fixture
+@copied
 def merged(ground) -> Path:
     """The record of merged code, collected from the scores of its run."""
     store, runs = open_store(ground.data), Path("models/runs")
@@ -71,11 +106,19 @@ def merged(ground) -> Path:
     return path
 
 
-@pytest.fixture
+@copied
 def climbed(ground) -> Path:
     """The record of an agent that goes by the grader which judges its last images."""
+    evaluate_at_one_start_set(2)
     folder = a_grader(Path("models/runs/grader"))
-    return climb(EvaluationConfig(starts=4, grader=str(folder), latency=0))
+    return climb(EvaluationConfig(starts=2, seeds=(0,), grader=str(folder), latency=0))
+
+
+def evaluate_at_one_start_set(starts: int) -> None:
+    """Set the board to one start set."""
+    settings = yaml.safe_load(Path("params.yaml").read_text())
+    settings["evaluation"] = {"seeds": [0], "starts": starts}
+    Path("params.yaml").write_text(yaml.safe_dump(settings))
 
 
 def climb(config: EvaluationConfig) -> Path:
@@ -95,7 +138,7 @@ def record_a_trace(seeds: tuple[int, ...], path: Path) -> Path:
     return path
 
 
-@pytest.fixture
+@copied
 def handed_in(ground) -> Path:
     """The record of an ONNX generator that was handed in and scored."""
     store, root = open_store(ground.data), Path.cwd()
@@ -128,7 +171,7 @@ def pin(track: str, **judges: Path) -> None:
     (RESULTS / "tiny/board.json").write_text(json.dumps(pinned))
 
 
-@pytest.fixture
+@copied
 def judged(ground) -> Path:
     """The record of merged code on a board that is pinned to a pose regressor."""
     store, runs = open_store(ground.data), Path("models/runs")
@@ -149,14 +192,12 @@ def judged(ground) -> Path:
     return path
 
 
-@pytest.fixture
+@copied
 def guided(ground) -> Path:
     """The record of an agent on a board of one start set that is pinned to its grader."""
-    settings = yaml.safe_load(Path("params.yaml").read_text())
-    settings["evaluation"]["seeds"] = [0]
-    Path("params.yaml").write_text(yaml.safe_dump(settings))
+    evaluate_at_one_start_set(2)
     grader = a_grader(Path("models/runs/grader"))
-    path = climb(EvaluationConfig(starts=4, seeds=(0,), grader=str(grader), latency=0))
+    path = climb(EvaluationConfig(starts=2, seeds=(0,), grader=str(grader), latency=0))
     pin("agents", grader=grader)
     Path("envs/runs/scores/hill-climber.json").unlink()
     return path

@@ -68,6 +68,19 @@ def test_tables_show_figures_intervals_n_and_the_papers_figures_apart(results):
     assert tables[2].rows[0][2] == "truth", "not all that it is shown, but what it says it goes by"
 
 
+def test_an_interval_that_covers_less_says_how_much(tmp_path, write_scores):
+    scores = generator_scores("vae-gan")
+    scores["metrics"]["fid"]["settings"] = {"level": 0.92}
+    scores["metrics"]["kid"]["settings"] = {"level": 0.95}
+    collect([write_scores("g", scores)], tmp_path / "results", tmp_path, "b")
+    content = read_board(tmp_path / "results", "b")
+    text = titled_markdown(board_tables("b", content)[0])
+    assert "100.0 (99.9 – 100.1; 92 %)" in text and text.count("; 92 %") == 1 and "; 95" not in text
+    assert "95 % intervals; where such intervals were found to cover less, how much." in text
+    lines = csv.DictReader(io.StringIO(board_csv({"b": content})))
+    assert {line["figure"]: line["level"] for line in lines}["fid"] == "0.92"
+
+
 def test_further_figures_stand_in_a_table_of_their_own(tmp_path, write_scores):
     truth = {"pose_error_mm_truth": 1.25, "pose_error_deg_truth": 2.5}
     scores = generator_scores("vae-gan", ms_ssim=0.75, pose_error_mm=4.5, **truth)

@@ -54,7 +54,7 @@ SETTINGS = TINY | {
         "workers": 1,
         "phantom": {"shortest": 4, "longest": 8, "phantom": {"block": {"voxel": 0.004}}},
     },
-    "scores": {"samples": 48, "resamples": 20, "speed": False},
+    "scores": {"samples": 24, "resamples": 20, "speed": False},
 }
 """A coarse phantom, and six test trajectories of a few frames."""
 
@@ -170,7 +170,7 @@ class Truth:
 
 def test_the_truth_handed_in_is_flagged(quick, store, tmp_path):
     path = inbox(tmp_path, "in") / "drawn.parquet"
-    task = Task(store, take_sample(store, "test", 48), "test", (0,))
+    task = Task(store, take_sample(store, "test", 24), "test", (0,))
     write_predictions(path, task, Truth(), "truth")
     told = drawn(quick, tmp_path, ("predictions", path))
     assert told["flags"][0].startswith("not recomputable in secret: images are no program")
@@ -219,7 +219,7 @@ def test_the_truth_drawn_again_is_not_too_good(store):
         assert all(each.low is not None and each.low > 0 for each in found.values())
 
 
-def test_fresh_frames_are_others_of_the_same_kind(store):
+def test_fresh_frames_are_others_of_the_same_kind(store, warm_workers):
     fresh = draw_frames(store, "test", SECRET)
     again = draw_frames(store, "test", SECRET, workers=2)
     other = draw_frames(store, "test", Secret("tiny", 2, NONCE))

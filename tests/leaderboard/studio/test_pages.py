@@ -9,6 +9,7 @@ import pytest
 from tests.leaderboard.studio.conftest import HOSTILE, open_tab
 
 pytest.importorskip("gradio", reason='needs Gradio: pip install "racines[studio]"')
+pytestmark = pytest.mark.docs
 WIDTHS = [(1280, 900), (390, 844)]
 widths = pytest.mark.parametrize("size", WIDTHS, ids=["desktop", "phone"])
 Visit = Callable[..., Any]

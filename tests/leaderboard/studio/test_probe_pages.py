@@ -17,6 +17,7 @@ from tests.leaderboard.studio.conftest import BROWSER_PATIENCE, free_port, open_
 from tests.leaderboard.studio.test_watching import policy
 
 pytest.importorskip("gradio", reason='needs Gradio: pip install "racines[studio]"')
+pytestmark = pytest.mark.docs
 TABS = {"generators": "Generators", "probe": "Drive the probe", "agent": "Watch an agent"}
 
 

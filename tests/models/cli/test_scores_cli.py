@@ -4,6 +4,7 @@ import json
 
 import polars as pl
 import pytest
+import torch
 import yaml
 from typer.testing import CliRunner
 
@@ -14,6 +15,7 @@ from racines_leaderboard.records.schema import read_json
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.scores import scoring
+from racines_models.scores.features import InceptionFeatures
 from tests.models.scores.test_scores import Coarse
 from tests.models.studies.test_realism import png
 
@@ -40,6 +42,25 @@ def here(workplace, monkeypatch):
     (workplace / "params.yaml").write_text(yaml.safe_dump(PARAMS))
     monkeypatch.chdir(workplace)
     return workplace
+
+
+@pytest.fixture(scope="module", autouse=True)
+def each_image_once():
+    """Look at each image once in this file: its features do not depend on its batch."""
+    look, known = InceptionFeatures.__call__, {}
+
+    def remember(self, images, progress=None):
+        keys = [image.numpy().tobytes() for image in images]
+        new = [i for i, key in enumerate(keys) if key not in known]
+        if new:
+            known.update(zip((keys[i] for i in new), look(self, images[new]), strict=True))
+        if progress is not None:
+            progress(len(images))
+        return torch.stack([known[key] for key in keys])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(InceptionFeatures, "__call__", remember)
+        yield
 
 
 def invoke(*words: str) -> str:

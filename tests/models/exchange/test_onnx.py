@@ -35,7 +35,9 @@ def store():
 @pytest.fixture(scope="module")
 def vae_gan(store, tmp_path_factory):
     folder = tmp_path_factory.mktemp("vae-gan")
-    config = VaeGanConfig(width=4, learning_rate=0.01, training=TINY)
+    config = VaeGanConfig(
+        width=4, encoder_width=2, discriminator_width=2, learning_rate=0.01, training=TINY
+    )
     VaeGan(config).fit(store, Run(folder, 3, "cpu", progress=False))
     generator = VaeGan.load(folder)
     made = export_generator(generator, folder / "vae-gan.onnx")

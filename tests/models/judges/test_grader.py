@@ -44,19 +44,8 @@ def run(folder, resume=None, seed=0):
     return Run(folder, seed=seed, device="cpu", resume=resume, progress=False)
 
 
-@pytest.fixture(scope="module")
-def labelled():
-    return LabelledStore(trajectories=30, length=12)
-
-
-@pytest.fixture(scope="module")
-def trained(labelled, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("grader")
-    return folder, train_grader(labelled, CONFIG, run(folder))
-
-
-def test_it_learns_views_and_grades_of_held_out_sweeps(trained):
-    folder, metrics = trained
+def test_it_learns_views_and_grades_of_held_out_sweeps(taught):
+    folder, metrics = taught
     accuracy, error = metrics["metrics"]["view_accuracy"], metrics["metrics"]["grade_mae"]
     assert accuracy["value"] > 0.9 and accuracy["n"] == 108
     assert error["value"] < 1.5  # a constant guess is off by 2.25
@@ -68,8 +57,8 @@ def test_it_learns_views_and_grades_of_held_out_sweeps(trained):
     assert not (folder / "checkpoint").exists()
 
 
-def test_a_loaded_grader_judges_as_the_saved_one(trained, labelled):
-    grader = Grader.load(trained[0])
+def test_a_loaded_grader_judges_as_the_saved_one(taught, labelled):
+    grader = Grader.load(taught[0])
     images = labelled.images[labelled.split_indices("test")]
     probabilities, grade = grader.probabilities_and_grade(images)
     assert probabilities.shape == (108, 6) and probabilities.dtype == torch.float32
@@ -80,13 +69,13 @@ def test_a_loaded_grader_judges_as_the_saved_one(trained, labelled):
     assert torch.allclose(judged, grade, atol=1e-4)
     assert torch.allclose(features, grader.features(images), atol=1e-4)
     right = (label == labelled.views[labelled.split_indices("test")]).double().mean()
-    assert float(right) == trained[1]["metrics"]["view_accuracy"]["value"]
+    assert float(right) == taught[1]["metrics"]["view_accuracy"]["value"]
 
 
-def test_random_frames_get_low_grades(trained, labelled):
+def test_random_frames_get_low_grades(taught, labelled):
     rows = labelled.split_indices("test")
     rows = rows[labelled.views[rows] == 5]
-    _, grade = Grader.load(trained[0]).probabilities_and_grade(labelled.images[rows])
+    _, grade = Grader.load(taught[0]).probabilities_and_grade(labelled.images[rows])
     assert float(grade.mean()) < 1.0
 
 
@@ -148,10 +137,10 @@ def test_data_without_views_are_refused(tmp_path):
         train_grader(store, SHORT, run(tmp_path))
 
 
-def test_loading_refuses_what_is_not_a_grader(trained, tmp_path):
+def test_loading_refuses_what_is_not_a_grader(taught, tmp_path):
     with pytest.raises(RacinesError, match="racines train grader"):
         Grader.load(tmp_path)
-    folder = trained[0]
+    folder = taught[0]
     for name in ("config.json", "grader.safetensors"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     content = bytearray((tmp_path / "grader.safetensors").read_bytes())

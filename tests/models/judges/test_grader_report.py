@@ -37,7 +37,7 @@ def store():
 
 
 @pytest.fixture(scope="module")
-def trained(store, tmp_path_factory):
+def trained(store, tmp_path_factory, drawn_pictures):
     folder = tmp_path_factory.mktemp("grader")
     return folder, train_grader(store, SHORT, run(folder))
 

@@ -9,7 +9,6 @@ import torch
 from racines_data.errors import RacinesError
 from racines_data.randomness import sample_seeds
 from racines_models.judges.grader.model import Grader
-from racines_models.judges.grader.training import train_grader
 from racines_models.judges.student import training as student_training
 from racines_models.judges.student.model import Student, StudentConfig, StudentNetwork
 from racines_models.judges.student.training import (
@@ -21,7 +20,7 @@ from racines_models.judges.student.training import (
 )
 from racines_models.training.checkpoint import Checkpoint
 from racines_models.weights import publish
-from tests.models.judges.test_grader import CONFIG, Killed, run
+from tests.models.judges.test_grader import Killed, run
 from tests.models.labelled import LabelledStore
 
 SMALL = StudentConfig(
@@ -45,15 +44,13 @@ def few_rounds():
 
 
 @pytest.fixture(scope="module")
-def store():
-    return LabelledStore(trajectories=30, length=12)
+def store(labelled):
+    return labelled
 
 
 @pytest.fixture(scope="module")
-def teacher(store, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("grader")
-    train_grader(store, CONFIG, run(folder))
-    return Grader.load(folder)
+def teacher(taught):
+    return Grader.load(taught[0])
 
 
 @pytest.fixture(scope="module")

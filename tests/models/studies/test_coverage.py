@@ -26,7 +26,7 @@ from tests.models.labelled import LabelledStore, Replay
 from tests.models.scores.test_scores import Coarse
 
 ANCHORS = {name: (0.0, 1.0) for name in RANKED}
-CONFIG = CoverageConfig(units=(6, 12), studies=200, set_studies=3, dimensions=4)
+CONFIG = CoverageConfig(units=(6, 12), studies=120, set_studies=3, dimensions=4)
 REPORT = Path("models/runs/coverage.json")
 
 
@@ -65,7 +65,7 @@ def test_every_kind_has_its_coverage_at_every_size(content):
     kinds = (*ITEMS, *SETS)
     assert sizes == {(kind, u, r) for kind in kinds for u in (6, 12) for r in (1, 3)}
     for row in content["rows"]:
-        assert row["n"] == (200 if row["kind"] in ITEMS else 3)
+        assert row["n"] == (120 if row["kind"] in ITEMS else 3)
         assert 0.0 <= row["low"] <= row["coverage"] <= row["high"] <= 1.0
     assert study.draw_coverage(content)[:4] == b"\x89PNG"
     json.dumps(content, allow_nan=False)

@@ -106,7 +106,7 @@ def fit_each(folder: Path) -> dict[str, dict]:
 
 
 @pytest.fixture(scope="module")
-def ends(tmp_path_factory) -> tuple[Path, dict[str, dict], dict[str, dict]]:
+def ends(tmp_path_factory, warm_workers) -> tuple[Path, dict[str, dict], dict[str, dict]]:
     """Folders and metrics of each kind, trained by one process and by two that started once."""
     folder = tmp_path_factory.mktemp("ends")
     return folder, fit_each(folder / "one"), in_processes(2, fit_each, folder / "two")
@@ -139,6 +139,7 @@ def test_two_processes_resume_exactly(tmp_path):
     assert curves(tmp_path / "whole") == curves(tmp_path / "killed")
 
 
+@pytest.mark.usefixtures("warm_workers")
 def test_refusals_reach_the_caller(tmp_path):
     config = dataclasses.replace(FLOW, training=dataclasses.replace(TRAINING, batch_size=9))
     with pytest.raises(RacinesError, match="process . of 2: .*9 images cannot be shared by 2"):

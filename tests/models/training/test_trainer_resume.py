@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -83,29 +84,46 @@ def curves(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): path.read_text() for path in files}
 
 
-def test_killed_and_resumed_equals_undisturbed(tmp_path):
-    whole = fit(tmp_path / "whole")
-    kill(tmp_path / "killed")
-    resumed = fit(tmp_path / "killed", resume=True)
-    assert weights(tmp_path / "killed") == weights(tmp_path / "whole")
-    assert curves(tmp_path / "killed") == curves(tmp_path / "whole")
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """The folder of a run that came to its end, and what it told."""
+    folder = tmp_path_factory.mktemp("undisturbed")
+    return folder, fit(folder)
+
+
+@pytest.fixture(scope="module")
+def dead(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("dead")
+    kill(folder)
+    return folder
+
+
+@pytest.fixture
+def killed(dead, tmp_path):
+    """The folder of a run that was killed."""
+    return shutil.copytree(dead, tmp_path / "run")
+
+
+def test_killed_and_resumed_equals_undisturbed(killed, undisturbed):
+    folder, whole = undisturbed
+    resumed = fit(killed, resume=True)
+    assert weights(killed) == weights(folder)
+    assert curves(killed) == curves(folder)
     for key in ("images", "steps", "losses", "validation"):
         assert resumed[key] == whole[key]
-    assert not (tmp_path / "killed/checkpoint").exists()
+    assert not (killed / "checkpoint").exists()
 
 
-def test_resuming_does_not_start_over(tmp_path):
-    kill(tmp_path / "run")
+def test_resuming_does_not_start_over(killed):
     # Steps are counted from the checkpoint at image 80 of 160: ten are left.
     with pytest.raises(Killed):
-        fit(tmp_path / "run", dies_at=10)
-    fit(tmp_path / "run", dies_at=11)
+        fit(killed, dies_at=10)
+    fit(killed, dies_at=11)
 
 
-def test_fresh_forgets_the_checkpoint(tmp_path):
-    kill(tmp_path / "run")
+def test_fresh_forgets_the_checkpoint(killed):
     with pytest.raises(Killed):
-        fit(tmp_path / "run", resume=False, dies_at=20)
+        fit(killed, resume=False, dies_at=20)
 
 
 def test_resume_without_a_checkpoint_is_refused(tmp_path):
@@ -122,24 +140,21 @@ def test_resume_without_a_checkpoint_is_refused(tmp_path):
     ],
     ids=["config", "seed", "data"],
 )
-def test_checkpoint_of_another_run_is_not_continued(tmp_path, change, named):
-    kill(tmp_path / "run")
+def test_checkpoint_of_another_run_is_not_continued(killed, tmp_path, change, named):
     with pytest.raises(RacinesError, match=f"made with another {named};"):
-        fit(tmp_path / "run", resume=True, **change)
-    fit(tmp_path / "run", **change)
+        fit(killed, resume=True, **change)
+    fit(killed, **change)
     fit(tmp_path / "clean", **change)
-    assert weights(tmp_path / "run") == weights(tmp_path / "clean")
+    assert weights(killed) == weights(tmp_path / "clean")
 
 
-def test_damaged_checkpoint_is_not_continued(tmp_path):
-    kill(tmp_path / "run")
-    path = tmp_path / "run/checkpoint/last.pt"
+def test_damaged_checkpoint_is_not_continued(killed, undisturbed):
+    path = killed / "checkpoint/last.pt"
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(RacinesError, match="cannot be read"):
-        fit(tmp_path / "run", resume=True)
-    fit(tmp_path / "run")
-    fit(tmp_path / "clean")
-    assert weights(tmp_path / "run") == weights(tmp_path / "clean")
+        fit(killed, resume=True)
+    fit(killed)
+    assert weights(killed) == weights(undisturbed[0])
 
 
 @pytest.mark.docs

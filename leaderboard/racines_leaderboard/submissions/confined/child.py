@@ -137,9 +137,10 @@ def _text(error: BaseException) -> bytes:
 
 def _session() -> Callable[[bytes], Run]:
     """Run a graph: inputs in, all outputs back."""
-    import onnxruntime
+    from racines_models.exchange.onnx.file import import_onnx, open_session
 
-    from racines_models.exchange.onnx.file import open_session
+    import_onnx("onnxruntime")
+    import onnxruntime
 
     onnxruntime.get_available_providers()
 

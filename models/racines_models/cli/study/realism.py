@@ -19,8 +19,15 @@ if TYPE_CHECKING:
 Real = Annotated[Path | None, typer.Option(help="Parquet of real frames. Default: realism.real.")]
 
 
+Patients = Annotated[
+    str | None,
+    typer.Option(help="Only the patients of one list: tuning or reporting.  [default: all]"),
+]
+
+
 def realism(
     real: Real = None,
+    patients: Patients = None,
     frames: Annotated[int | None, typer.Option(min=2, help="Default: realism.frames.")] = None,
     data: opt.Data = opt.DATA,
     out: opt.Report = Path("models/runs/realism"),
@@ -45,9 +52,12 @@ def realism(
     from racines_models.cli.output import tell
     from racines_models.pictures import COLUMNS, write_strip
     from racines_models.scores.features import InceptionFeatures
+    from racines_models.studies.realism.patients import patients_of
     from racines_models.studies.realism.report import compare_with_real, not_compared, read_real
 
     config, path = realism_settings(real, frames, params, profile)
+    if patients is not None:
+        patients_of(patients)  # refused before a file is looked for
     outs = {"frames": out, "multi_phantom": out.with_name(f"{out.name}-multi_phantom")}
     if path is None or (optional and not path.is_file()):
         if not optional:
@@ -57,7 +67,7 @@ def realism(
         for name, report in outs.items():
             write_json(report.with_suffix(".json"), not_compared(name, reason))
         return
-    images, extractor, reports = read_real(path), InceptionFeatures(device), {}
+    images, extractor, reports = read_real(path, patients), InceptionFeatures(device), {}
     for name, report in outs.items():
         if name != "frames" and store_name(name) not in read_manifest(data)["files"]:
             reports[name] = not_compared(name, f"the dataset has no config {name}")

@@ -6,6 +6,7 @@
 import importlib
 import json
 import math
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,12 @@ FLOAT, UINT8 = 1, 2
 
 
 def import_onnx(*packages: str) -> None:
-    """Refuse to go on without optional packages; says which extra brings them."""
+    """Refuse to go on without optional packages; says which extra brings them.
+
+    onnxruntime tells its makers that it is used, unless told before its import: ten seconds after,
+    from a thread of its own, which ends a process that may open no sockets.
+    """
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     for name in packages:
         try:
             importlib.import_module(name)
@@ -40,6 +46,7 @@ def open_session(content: bytes, where: str, device: str) -> Any:
 
     What it cannot load is refused with a `RacinesError` that begins with `where`.
     """
+    import_onnx("onnxruntime")
     import onnxruntime
 
     options = onnxruntime.SessionOptions()

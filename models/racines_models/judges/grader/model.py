@@ -22,7 +22,7 @@ from racines_models.devices import resolve_device
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.grading import GRADE_SCALE, GraderNetwork, GradingNetwork
 from racines_models.protocol import Judge
-from racines_models.training.augmentation import Augmentation
+from racines_models.training.augmentation import Augmentation, StrongAugmentation
 from racines_models.weights import load_network, read_described, save_weights
 
 WEIGHTS = "grader.safetensors"
@@ -71,6 +71,8 @@ class GraderConfig(Augmentation):
     weight_decay: float = 0.01
     class_balance: float = 0.5
     """A view weighs its frequency to minus this power: 0 none, 1 full balance."""
+    strong: StrongAugmentation = field(default_factory=StrongAugmentation)
+    """What goes beyond the simulator, for real frames; no part of it is on."""
     bf16: bool = True
     """Train and grade in bfloat16 autocast (twice as fast on recent CPUs)."""
     ema: float = 0.0

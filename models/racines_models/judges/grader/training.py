@@ -24,7 +24,7 @@ from racines_models.judges.grader.model import Grader, GraderConfig
 from racines_models.judges.grader.report import calibrate
 from racines_models.protocol import Run
 from racines_models.provenance import code_version, dataset_card, environment
-from racines_models.training.augmentation import augment
+from racines_models.training.augmentation import augment, spoil, strengthen
 from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.objective import Course, Training, Update
 from racines_models.training.trainer import train
@@ -165,11 +165,18 @@ class GraderLearner(JudgeLearner):
         frozen = stage.encoder_rate == 0.0
         self.network.encoder.requires_grad_(not frozen).train(not frozen)
         seeds = derive(torch.tensor(self.seed), NOISE, step, torch.arange(len(frames.images)))
-        x = self.network.normalise(frames.images.to(self.device))
-        logits, grade = nets["grader"](augment(x, seeds.to(self.device), self.config))
+        seeds, images = seeds.to(self.device), frames.images.to(self.device)
+        x = augment(self.network.normalise(images), seeds, self.config)
+        views, grades = frames.views.to(self.device), frames.grades.to(self.device)
+        if self.config.strong.parts:
+            x, _ = strengthen(x, seeds, self.config.strong)
+            x, spoilt = spoil(x, seeds, self.config.strong)
+            views = torch.where(spoilt, len(self.labels) - 1, views)
+            grades = torch.where(spoilt, torch.nan, grades)
+        logits, grade = nets["grader"](x)
         losses = {
-            "view": view_loss(logits, frames.views.to(self.device), self.weights),
-            "grade": grade_loss(grade, frames.grades.to(self.device)),
+            "view": view_loss(logits, views, self.weights),
+            "grade": grade_loss(grade, grades),
         }
         loss = stage.view_weight * losses["view"] + stage.grade_weight * losses["grade"]
         yield Update(name, loss, losses)

@@ -190,6 +190,7 @@ def report(
         "anchors": {name: list(each) for name, each in simulation.anchors.items()},
         "rows": found,
         "levels": levels(found),
+        "table": shares_table(found),
         "probe": probe(),
         "code": code_version(),
         "environment": environment(),
@@ -212,6 +213,16 @@ def _covered(target: float, value: np.ndarray, low: np.ndarray, high: np.ndarray
         "interval_below": round(float((high < target).mean()), 4),
         "width": float(np.median(high - low)),
     }
+
+
+def shares_table(found: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the coverage in per cent, a row a kind: studies of one training, then of several."""
+    sizes = sorted({(row["trainings"], row["units"]) for row in found})
+    shares = {(r["kind"], r["trainings"], r["units"]): f"{100 * r['coverage']:.1f}" for r in found}
+    names = [f"{units} units" if count < 2 else f"{units}, {count} t." for count, units in sizes]
+    kinds = dict.fromkeys(row["kind"] for row in found)
+    rows = [[kind, *(shares.get((kind, *size), "–") for size in sizes)] for kind in kinds]
+    return {"columns": ["interval of", *names], "rows": rows}
 
 
 def levels(found: list[dict[str, Any]]) -> dict[str, Any]:
@@ -262,7 +273,7 @@ def draw_coverage(content: dict[str, Any]) -> bytes:
     with card_style():
         rows = content["rows"]
         trainings = sorted({row["trainings"] for row in rows})
-        figure = Figure(figsize=(7.2, 3.4), layout="constrained")
+        figure = Figure(figsize=(8.4, 3.4), layout="constrained")
         panels = figure.subplots(1, len(trainings), sharey=True, squeeze=False)[0]
         for axes, count in zip(panels, trainings, strict=True):
             for kind in dict.fromkeys(row["kind"] for row in rows):
@@ -276,5 +287,6 @@ def draw_coverage(content: dict[str, Any]) -> bytes:
             axes.set_xticks(ticks, [str(each) for each in ticks])
             axes.minorticks_off()
         panels[0].set_ylabel("intervals that hold the value")
-        panels[-1].legend(fontsize=6)
+        lines, names = panels[-1].get_legend_handles_labels()
+        figure.legend(lines, names, fontsize=6, loc="outside right center")
         return encode(figure)

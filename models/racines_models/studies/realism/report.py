@@ -24,6 +24,7 @@ from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.sample import Progress, evenly
 from racines_models.scores import metrics
 from racines_models.scores.features import Extractor
+from racines_models.studies.realism.patients import patients_of
 
 SCHEMA = "racines.realism/1"
 LEVELS = 256
@@ -61,6 +62,8 @@ class RealFrames(NamedTuple):
     patient: np.ndarray
     """(N,) integer."""
     sha256: str
+    chosen: str | None = None
+    """Name of the list that the patients are of; None for all that the file has."""
 
 
 class Realism(NamedTuple):
@@ -178,8 +181,11 @@ def _counts(index: Tensor, size: int) -> Tensor:
     return counts.scatter_add_(1, index, torch.ones_like(index))
 
 
-def read_real(path: Path) -> RealFrames:
-    """Read real frames from a Parquet file, as `RealismConfig.real` describes it."""
+def read_real(path: Path, chosen: str | None = None) -> RealFrames:
+    """Read real frames from a Parquet file, as `RealismConfig.real` describes it.
+
+    With `chosen`, those of the patients of one list (see `patients`).
+    """
     import polars as pl
 
     if not path.is_file():
@@ -188,11 +194,16 @@ def read_real(path: Path) -> RealFrames:
         table = pl.read_parquet(path, columns=["patient", "image"])
     except (pl.exceptions.PolarsError, OSError) as error:
         raise RacinesError(f"{path}: no Parquet with columns patient and image: {error}") from error
+    if chosen is not None:
+        table = table.filter(pl.col("patient").cast(pl.String).is_in(sorted(patients_of(chosen))))
+    if not len(table):
+        told = "has no rows" if chosen is None else f"column patient has nobody of list {chosen}"
+        raise RacinesError(f"{path}: {told}; name a file of real frames (docs/sim-to-real.md)")
     arrays = [np.asarray(Image.open(io.BytesIO(png)).convert("L")) for png in table["image"]]
     if any(array.shape != (IMAGE_SIZE, IMAGE_SIZE) for array in arrays):
         raise RacinesError(f"{path}: images are not all {IMAGE_SIZE} x {IMAGE_SIZE}")
     patient = np.unique(table["patient"].to_numpy(), return_inverse=True)[1]
-    return RealFrames(torch.from_numpy(np.stack(arrays)), patient, sha256_file(path))
+    return RealFrames(torch.from_numpy(np.stack(arrays)), patient, sha256_file(path), chosen)
 
 
 def choose_rows(store: FrameStore, config: RealismConfig) -> Tensor:
@@ -273,7 +284,8 @@ def compare_with_real(
         "compared": True,
         "config": store.config,
         "dataset": dataset_card(store) | {"digest": store.digest},
-        "real": {"sha256": real.sha256, "frames": len(theirs), "patients": len(set(real.patient))},
+        "real": {"sha256": real.sha256, "frames": len(theirs), "patients": len(set(real.patient))}
+        | ({"list": real.chosen} if real.chosen else {}),
         "view": config.view,
         "grade_at_least": config.grade,
         "phantom_frames": len(ours),
@@ -296,7 +308,8 @@ def one_each(real: RealFrames, count: int) -> RealFrames:
     order = np.argsort(real.patient, kind="stable")
     patient, first, frames = np.unique(real.patient[order], return_index=True, return_counts=True)
     rows = order[first + np.arange(len(patient)) % frames][evenly(len(patient), count)]
-    return RealFrames(real.images[torch.from_numpy(rows)], real.patient[rows], real.sha256)
+    images = real.images[torch.from_numpy(rows)]
+    return RealFrames(images, real.patient[rows], real.sha256, real.chosen)
 
 
 def _over_splits(

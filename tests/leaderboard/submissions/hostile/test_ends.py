@@ -36,7 +36,12 @@ MIB = 2**20
         ("raise MemoryError", ROOMY, "MemoryError"),
         ("bytearray(2**31)", ROOMY, "MemoryError"),
         ("mmap.mmap(-1, 2**31)", ROOMY, "ENOMEM"),
-        ("kept = [bytearray(2**20) for _ in range(2**20)]", ROOMY, "MemoryError"),
+        pytest.param(
+            "kept = [bytearray(2**20) for _ in range(2**20)]",
+            ROOMY,
+            "MemoryError",
+            marks=pytest.mark.docs,
+        ),
         ("os.abort()", ROOMY, r"died \(SIGABRT\)"),
         ("ctypes.string_at(0)", ROOMY, r"died \(SIGSEGV\)"),
         ("os._exit(0)", ROOMY, r"died \(exit code 0\)"),
@@ -101,7 +106,11 @@ thread.start() if {elsewhere} else work()
 
 @pytest.mark.parametrize(
     ("attack", "elsewhere"),
-    [("while True: pass", False), ("time.sleep(1e6)", False), ("while True: pass", True)],
+    [
+        ("time.sleep(1e6)", False),
+        ("while True: pass", True),
+        pytest.param("while True: pass", False, marks=pytest.mark.docs),
+    ],
 )
 def test_nothing_outlives_a_parent_that_is_killed(attack, elsewhere):
     """By the signal of its death; started by another thread, by the CPU's limit."""

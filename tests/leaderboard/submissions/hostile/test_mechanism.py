@@ -251,6 +251,13 @@ def test_what_is_no_graph_is_refused_by_a_confined_parser():
         rehearse("onnx", b"\x08\x07" * 1000, "x", ROOMY)
 
 
+def test_no_librarys_thread_runs_beside_a_graph(tmp_path):
+    """One that may open no socket, and tells its makers that it is used, would end the process."""
+    path = sound_generator(tmp_path / "a.onnx")
+    session = confined.ConfinedSession(path.read_bytes(), "a.onnx")
+    assert len(os.listdir(f"/proc/{session._child._process.pid}/task")) == 1
+
+
 def test_what_the_parent_has_open_the_child_has_not(tmp_path):
     with (tmp_path / "open").open("w") as file:
         os.set_inheritable(file.fileno(), True)
@@ -271,7 +278,7 @@ def test_a_test_that_skips_here_fails_where_it_must_run(tmp_path, must, code):
     words += ["--rootdir", str(tmp_path)]
     for name, expected in (("marked", code), ("whole", 2 * code), ("sound", 0)):
         files = [str(tmp_path / f"test_{each}.py") for each in (name, "sound")]
-        told = os.environ | {conftest.MUST_RUN: must}
+        told = os.environ | {conftest.MUST_RUN: must, "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
         ran = subprocess.run([*words, *files], env=told, capture_output=True, text=True)
         assert ran.returncode == expected, ran.stdout
     checks = (Path(__file__).parents[4] / ".ci/run").read_text()

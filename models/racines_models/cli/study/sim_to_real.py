@@ -1,0 +1,133 @@
+"""The command `racines study sim-to-real`. Heavy imports stand inside, so that --help is quick."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from racines_data.cli import options as opt
+from racines_models.cli.device import Device
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+JUDGES = Path("models/runs")
+"""Where judges lie that are not named."""
+
+
+def sim_to_real(
+    real: Annotated[
+        Path, typer.Option(help="Parquet of real A4C frames, or a folder of real echo.")
+    ],
+    grader: opt.Grader = None,
+    segmentation: Annotated[
+        Path | None, typer.Option(help="Folder of the segmentation judge's run.")
+    ] = None,
+    masks: Annotated[
+        Path | None, typer.Option(help="Parquet of the masks drawn on the real frames.")
+    ] = None,
+    no_grader: opt.NoGrader = False,
+    out: opt.Report = Path("models/runs/sim-to-real"),
+    device: Device = "auto",
+    as_json: opt.AsJson = False,
+) -> None:
+    """Ask judges that saw simulated patients alone about real frames; nothing is chosen by them.
+
+    The share of real A4C frames called A4C, beside that of the same frames upside down, scrambled
+    and mirrored, of other views, and of planes turned away; Dice and ejection fraction against
+    cardiologists. Judges that are not named are those in models/runs.
+    """
+    from racines_data.files import write_atomic, write_json
+    from racines_data.progress import image_counter
+    from racines_models.cli.output import tell
+    from racines_models.judges.grader.model import Grader
+    from racines_models.judges.segmentation.model import SegmentationJudge
+    from racines_models.studies.sim_to_real.figures import draw
+    from racines_models.studies.sim_to_real.frames import read_real_echo
+    from racines_models.studies.sim_to_real.report import images_asked, measure
+
+    at = None if no_grader else grader or _there("grader")
+    outlines = segmentation or _there("segmentation")
+    judge = Grader.load(at, device) if at else None
+    outliner = SegmentationJudge.load(outlines, device) if outlines else None
+    echo = read_real_echo(real, masks)
+    total = images_asked(echo, judge is not None, outliner is not None)
+    with image_counter("real frames", total, as_json) as advance:
+        measured = measure(echo, judge, outliner, advance)
+    endings = draw(echo, measured, outliner)
+    for ending, png in endings.items():
+        write_atomic(out.with_name(f"{out.name}{ending}.png"), png)
+    write_json(out.with_suffix(".json"), measured.content)
+    written = ", ".join(f"{out}{ending}.png" for ending in endings)
+    tell(measured.content, as_json, *_tables(measured.content), f"{out}.json, {written}")
+
+
+def _there(name: str) -> Path | None:
+    """Return the folder of a judge of that name, if one was trained here."""
+    folder = JUDGES / name
+    return folder if (folder / "config.json").is_file() else None
+
+
+def _tables(content: dict[str, Any]) -> "list[Table]":
+    """Return the tables of what was measured: who calls what A4C, and outlines."""
+    from racines_data.tables import console_table
+
+    tables = []
+    if rows := _calls(content):
+        head = ("frames", "called A4C", "95 % interval", "n", "patients")
+        tables.append(console_table(head, rows, "called A4C"))
+    if rows := _outlines(content):
+        head = ("patients", "figure", "value", "95 % interval", "n")
+        tables.append(console_table(head, rows, "outlines, against cardiologists", right=2))
+    return tables
+
+
+def _calls(content: dict[str, Any]) -> list[tuple[str, ...]]:
+    rows = []
+    for name, controls in content.get("acceptance", {}).items():
+        for control, told in controls.items():
+            figure = told["called_a4c"]
+            units = str(figure["settings"]["units"])
+            rows.append((f"{name}, {control}", *_rate(figure), str(figure["n"]), units))
+    if "other_views" in content:
+        figure = content["other_views"]["others_called_a4c"]
+        rows.append(("other views", *_rate(figure), str(figure["n"]), "not told"))
+    for name, told in content.get("rotation", {}).get("sectors", {}).items():
+        if told["frames"]:
+            where = f"turned {told['from']:.0f}°-{told['to']:.0f}° ({name})"
+            rows.append((where, f"{told['called_a4c']:.1%}", "-", str(told["frames"]), "1"))
+    return rows
+
+
+def _outlines(content: dict[str, Any]) -> list[tuple[str, ...]]:
+    rows = []
+    for name, figures in content.get("overlap", {}).items():
+        volumes = content["volumes"][name]
+        figures = dict(figures)
+        for volume, told in volumes.items():
+            name_of, less = volume.replace("_", " "), volume != "ejection_fraction"
+            shown = ("bias", "correlation") if less else tuple(told)
+            figures |= {
+                f"{name_of}, {key}": told[key] for key in shown if "value" in _of(told.get(key))
+            }
+        for key, figure in figures.items():
+            unit = f" {figure['unit']}" if figure.get("unit") else ""
+            low, high = figure["low"], figure["high"]
+            interval = "-" if low is None else f"{low:.3g} to {high:.3g}"
+            rows.append((name, key, f"{figure['value']:.3g}{unit}", interval, str(figure["n"])))
+        told = volumes["ejection_fraction"]
+        left_out = f"{told['not_seen']} and {told['impossible']}"
+        rows.append((name, "ejection fraction, not seen, impossible", left_out, "-", ""))
+    return rows
+
+
+def _of(figure: Any) -> dict[str, Any]:
+    return figure if isinstance(figure, dict) else {}
+
+
+def _rate(figure: dict[str, Any]) -> tuple[str, str]:
+    """Return a share and its interval, per cent."""
+    if figure["value"] is None:
+        return "-", "-"
+    low, high = figure["low"], figure["high"]
+    return f"{figure['value']:.1%}", "-" if low is None else f"{low:.1%} to {high:.1%}"
