@@ -11,7 +11,9 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.blind import BlindConfig, BlindTourAgent, ConstantPoseAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
+from racines_envs.evaluation.measures import METRICS
 from racines_envs.evaluation.patients import PatientsConfig, evaluate_patients, start_set
+from racines_leaderboard.records.ranges import range_of
 
 NOWHERE = Path("nowhere")  # of agents without weights
 CONFIG = PatientsConfig(view="A4C-patients", patients=3, starts=2, chunk=2)
@@ -124,3 +126,9 @@ def test_the_planner_acts_for_each_row_by_its_own_patient(still):
 
     core = make_core("AnyView-patients", 8, observation="params", phantom=still)
     assert rollout(core, PlannerAgent(), torch.arange(8)).final["success"].all()
+
+
+def test_what_is_measured_on_patients_is_what_a_record_may_say(scored):
+    for name in scored.scores["metrics"]:
+        whole = name.removesuffix("_median").removesuffix("_quartile").removesuffix("_upper")
+        assert range_of(name) == METRICS[whole][2:], name
