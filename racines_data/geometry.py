@@ -83,6 +83,14 @@ def geodesic(a: Tensor, b: Tensor) -> Tensor:
     return 2.0 * torch.asin((chord / (2.0 * 2.0**0.5)).clamp(0.0, 1.0))
 
 
+def rotation_vector(rotation: Tensor) -> Tensor:
+    """Return the (…, 3) rotation vectors, rad, of (…, 3, 3) rotations short of half a turn."""
+    flipped = rotation - rotation.transpose(-1, -2)
+    axis = torch.stack([flipped[..., 2, 1], flipped[..., 0, 2], flipped[..., 1, 0]], -1)
+    angle = geodesic(torch.eye(3, device=rotation.device).expand_as(rotation), rotation)
+    return axis / axis.norm(dim=-1, keepdim=True).clamp_min(1e-9) * angle.unsqueeze(-1)
+
+
 def parameters_to_pose(parameters: Tensor) -> Pose:
     """Read the pose off (B, 12) parameters."""
     return Pose(parameters[..., POSITION], euler_to_matrix(parameters[..., ROTATION]))

@@ -81,6 +81,27 @@ class World(Protocol):
         """Return (B, 128, 128) uint8 images of poses, unchecked; the seeds draw the noise."""
         ...
 
+    def cases(self, seeds: Tensor) -> Tensor:
+        """Return (N,) int64: of which of its cases the episodes of (N,) seeds are."""
+        return torch.zeros_like(seeds)
+
+    def scene(self, case: Tensor, time: Tensor) -> "World":
+        """Return the world of (B,) rows, each of its own case at (B,) float64 seconds.
+
+        All that is asked of a scene is asked of B poses, one a row. A world of one still case is
+        its own scene, of any number of rows.
+        """
+        return self
+
+    def at(self, rows: Tensor) -> "World":
+        """Return the scene of (M,) of its rows, in that order and as often as they are named."""
+        return self
+
+    def nominal(self, labels: Tensor) -> Pose:
+        """Return the (B,) nominal poses of a scene's rows for (B,) labels of views."""
+        found = [self.target(self.views[int(label)]) for label in labels]
+        return Pose(*(torch.cat(parts) for parts in zip(*found, strict=True)))
+
     def truth(self, parameters: Tensor) -> Truth:
         """Return the truth of (B, 12) parameters."""
         return self.judge(parameters_to_pose(parameters))

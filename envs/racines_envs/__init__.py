@@ -1,7 +1,8 @@
 """Environments and agents: the scanning tasks in Gymnasium and TorchRL, and their baselines.
 
-Importing registers `racines/<VIEW>-v0` for the heart and `racines/<organ>-<VIEW>-v0` for the other
-installed organs with Gymnasium and does nothing else; torch is loaded when an environment is made.
+Importing registers `racines/<VIEW>-v0` for the one heart, `racines/<organ>-<VIEW>-v0` for the other
+installed organs, and `racines/<VIEW>-patients-v0` and `-beating-v0` with Gymnasium and does nothing
+else; torch is loaded when an environment is made.
 """
 
 from collections.abc import Sequence
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from racines_data.views import HEART, organs
-from racines_envs.task.names import task_id
+from racines_envs.task.names import GOALS, HEART_TIER, TIERS, task_id, task_name
 
 if TYPE_CHECKING:
     from racines_envs.apis.torchrl_env import ScanEnv as ScanEnv
@@ -32,15 +33,23 @@ def register_tasks(anatomy: str, views: Sequence[str] | None = None) -> list[str
 
         views = anatomy_views(anatomy)
     for view in views:
-        gymnasium.register(
-            id=task_id(view, anatomy),
-            entry_point="racines_envs.apis.gym_env:GymScanEnv",
-            vector_entry_point="racines_envs.apis.gym_env:VectorScanEnv",
-            kwargs={"view": view} | ({"anatomy": anatomy} if anatomy != HEART else {}),
-        )
+        settings = {"view": view} | ({"anatomy": anatomy} if anatomy != HEART else {})
+        _register(task_id(view, anatomy), settings)
     return [task_id(view, anatomy) for view in views]
 
 
+def _register(name: str, settings: dict[str, Any]) -> None:
+    gymnasium.register(
+        id=name,
+        entry_point="racines_envs.apis.gym_env:GymScanEnv",
+        vector_entry_point="racines_envs.apis.gym_env:VectorScanEnv",
+        kwargs=settings,
+    )
+
+
+for _tier in TIERS:
+    for _view in GOALS if _tier != HEART_TIER else ():
+        _register(task_id(_view, tier=_tier), {"view": task_name(_view, tier=_tier)})
 for _anatomy, _views in organs().items():
     register_tasks(_anatomy, _views)
 

@@ -8,6 +8,7 @@ hangs on its own patient, pose, phase and seed alone, whatever else the pool or 
 """
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -91,14 +92,15 @@ class Pool:
         self.surface_height = SURFACE
         self.hearts = [make_heart(patient, beating) for patient in self.patients]
         self._join(self.hearts)
-        self._voxels = self._load()
         self._grid = make_grid(self.device)
         self._scanner = make_scanner(self._grid, self.device)
 
     def __len__(self) -> int:
         return len(self.seeds)
 
-    def _load(self) -> Tensor:
+    @cached_property
+    def _voxels(self) -> Tensor:
+        """All hearts' voxels, baked when they are first looked at: who asks for poses waits not."""
         voxels = torch.empty(len(self) * HEART_SIZE, dtype=torch.int64, device=self.device)
         for row, patient in enumerate(self.patients):
             voxels[row * HEART_SIZE : (row + 1) * HEART_SIZE] = baked(patient).to(self.device)

@@ -14,12 +14,19 @@ from racines_data.randomness import uniform
 from racines_envs.agents.networks import ObservationNetwork, PoseEncoder, open_encoder
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
+from racines_envs.task.names import HEART_TIER, tier_of
 from racines_models.devices import resolve_device
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.weights import load_network, read_described, save_weights
 
 POLICY = "policy.safetensors"
 _DRAWS = 23
+
+
+def told_settings(config: Any) -> dict[str, Any]:
+    """Return a training's settings as they are written down; one heart has no patients to tell."""
+    later = ("patients",) if tier_of(config.view) == HEART_TIER else ()
+    return {name: value for name, value in asdict(config).items() if name not in later}
 
 
 def make_network(
@@ -102,7 +109,7 @@ class PolicyAgent:
     def save(self, run_dir: Path, metrics: dict[str, Any], seed: int) -> None:
         """Write policy.safetensors, config.json and metrics.json."""
         save_weights(run_dir / POLICY, self.actor.state_dict())
-        config = {"agent": self.name, "config": asdict(self.config), "seed": seed}
+        config = {"agent": self.name, "config": told_settings(self.config), "seed": seed}
         if self.encoder is not None:
             config["encoder_sha256"] = self.encoder.sha256
         write_json(run_dir / "config.json", config)

@@ -29,14 +29,16 @@ class Episodes:
 
 
 @torch.no_grad()
-def rollout(core: ScanCore, agent: Agent, seeds: Tensor) -> Episodes:
+def rollout(core: ScanCore, agent: Agent, seeds: Tensor, case: Tensor | None = None) -> Episodes:
     """Run the episodes of (n,) seeds until all have ended; n is the core's number of rows.
+
+    They may be of given (n,) cases of the world, not of those that the seeds name.
 
     What has ended is looked at no more, so that episodes cost what their own steps cost. The agent
     still sees all rows, and may keep a memory of each.
     """
     agent.attach(core)
-    observation = core.reset(seeds)
+    observation = core.reset(seeds, case=case)
     positions, probabilities, actions = [core.state.position], [core.score.probability], []
     for _ in range(core.task.max_steps):
         live = (~core.state.done).nonzero().squeeze(1)

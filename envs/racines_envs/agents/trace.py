@@ -11,7 +11,7 @@ trace says what was done, not why: it does not show what the agent looked at.
 
 import json
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -58,7 +58,7 @@ class Trace:
 
 def circumstances(core: ScanCore, backend: str) -> dict[str, Any]:
     """Return what decides where the same actions lead, as JSON gives it back."""
-    told = {"backend": backend, "reward": core.reward.name, "task": asdict(core.task)}
+    told = {"backend": backend, "reward": core.reward.name, "task": core.task.definition}
     return json.loads(json.dumps(told | {"phantom": phantom_recipe(core.phantom)}))
 
 

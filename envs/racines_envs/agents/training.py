@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import deepcopy
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self, cast
 
@@ -19,15 +19,19 @@ import torch
 from tensordict import TensorDictBase
 
 from racines_data.errors import RacinesError
+from racines_data.patients.pool import MEMORY
 from racines_data.store.frames import FrameStore, open_store
 from racines_data.terminal import say
+from racines_data.world import World
 from racines_envs.agents.networks import PoseEncoder, open_encoder
-from racines_envs.agents.policy import PolicyAgent, make_actor
+from racines_envs.agents.policy import PolicyAgent, make_actor, told_settings
 from racines_envs.agents.rollout import rollout
+from racines_envs.task.names import HEART_TIER
 from racines_envs.task.rewards import RewardConfig, get_reward
 from racines_envs.task.starts import validation_seeds
 from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike, make_grader, source_weights
 from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
+from racines_envs.worlds.ward import make_ward
 from racines_models.devices import on_device
 from racines_models.protocol import Run
 from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
@@ -45,7 +49,9 @@ class TrainingConfig:
     """What is learned where, and the parts of a training that no method changes."""
 
     view: str = "SC"
-    """The target view."""
+    """The target view, or a task on patients, as `SC-patients`."""
+    patients: int = 64
+    """On patients: how many of the train split; half as many validation patients choose."""
     observation: str = "params"
     """`image`, `params` or `multimodal`."""
     encoder: str = ""
@@ -112,7 +118,7 @@ class TrainingRun(ABC):
         self.cls, self.config = cls, cast(Any, config)
         looks = config.observation != "params"
         self.encoder = open_encoder(config.encoder, config.device) if looks else None
-        anatomy = find_task(config.view, phantom).anatomy
+        world, self._validated_in = worlds(config, phantom)
         self.where: dict[str, Any] = {
             "encoder": self.encoder,
             "backend": config.backend,
@@ -123,7 +129,7 @@ class TrainingRun(ABC):
             "grader": grader or config.grader or None,
             "data": data,
             "rewards": RewardConfig(discount=config.gamma),
-            "phantom": make_phantom(phantom, config.device, anatomy),
+            "phantom": world,
             "device": config.device,
         }
         self.frames, self.seconds, self.best, self.history = 0, 0.0, (-1.0, 0.0), []
@@ -138,7 +144,8 @@ class TrainingRun(ABC):
             self._build()
             self.best_state = deepcopy(self.actor.state_dict())
             view, starts = self.config.view, self.config.validation_starts
-            self.validation = make_core(view, starts, **self.where)
+            elsewhere: dict[str, Any] = {**self.where, "phantom": self._validated_in}
+            self.validation = make_core(view, starts, **elsewhere)
             state = self.checkpoint.read(resume)
             if state is not None:
                 self._restore(state)
@@ -272,11 +279,26 @@ class LearningAgent(PolicyAgent):
         return cls.Learner(cls, config, *where).run(run.resume)
 
 
+def worlds(config: TrainingConfig, phantom: WorldLike) -> tuple[World, World]:
+    """Return where a run learns and where it is validated: one heart, or patients of two splits."""
+    task = find_task(config.view, phantom)
+    if task.tier == HEART_TIER:
+        world = make_phantom(phantom, config.device, task.anatomy)
+        return world, world
+    # Who is shown the pose alone holds no voxels.
+    memory = MEMORY if config.observation != "params" else 1 << 50
+    counts = {"train": config.patients, "validation": max(1, config.patients // 2)}
+    train, validation = (
+        make_ward(task.tier, split, count, config.device, memory) for split, count in counts.items()
+    )
+    return train, validation
+
+
 def settings_identity(
     name: str, config: Any, seed: int, encoder: PoseEncoder | None
 ) -> dict[str, Any]:
     """Return the settings of an agent's run, its encoder by content; every value is plain."""
-    settings = {key: value for key, value in asdict(config).items() if key not in PLACES}
+    settings = {key: value for key, value in told_settings(config).items() if key not in PLACES}
     settings |= {"hidden": list(config.hidden)}
     sha256 = encoder.sha256 if encoder is not None else None
     return {"agent": name, "seed": seed, **settings, "encoder": sha256}

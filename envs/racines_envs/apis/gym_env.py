@@ -1,4 +1,4 @@
-"""`racines/<VIEW>-v0` in Gymnasium: one environment, and N rows that take one step for all."""
+"""The tasks in Gymnasium: one environment, and N rows that take one step for all."""
 
 from typing import Any
 
@@ -14,8 +14,13 @@ from racines_data.geometry import Pose, euler_to_matrix
 from racines_data.imaging import IMAGE_SIZE
 from racines_envs.apis.rendering import History, compose
 from racines_envs.task.actions import ACTIONS
-from racines_envs.task.core import PARAMS_SIZE, Transition
+from racines_envs.task.core import PARAMS_SIZE, ScanCore
+from racines_envs.task.state import Transition
 from racines_envs.worlds.making import make_core
+from racines_envs.worlds.ward import Ward
+
+OPTIONS = ("pose", "patient")
+"""What a reset may be told."""
 
 
 def read_actions(actions: Any) -> torch.Tensor:
@@ -30,11 +35,12 @@ def read_actions(actions: Any) -> torch.Tensor:
 
 
 def read_pose(options: dict[str, Any] | None, count: int) -> Pose | None:
-    """Read `options["pose"]`, the one option: (6,) or (count, 6) m and extrinsic xyz angles rad."""
+    """Read `options["pose"]`: (6,) or (count, 6) m and extrinsic xyz angles rad."""
     options = options or {}
-    unknown = set(options) - {"pose"}
+    unknown = set(options) - set(OPTIONS)
     if unknown:
-        raise RacinesError(f"unknown reset option {sorted(unknown)[0]!r}: known is 'pose'")
+        known = " and ".join(map(repr, OPTIONS))
+        raise RacinesError(f"unknown reset option {sorted(unknown)[0]!r}: known are {known}")
     if "pose" not in options:
         return None
     try:
@@ -51,6 +57,21 @@ def read_pose(options: dict[str, Any] | None, count: int) -> Pose | None:
         )
     values = values.expand(count, 6)
     return Pose(values[:, :3], euler_to_matrix(values[:, 3:]))
+
+
+def read_case(options: dict[str, Any] | None, core: ScanCore) -> torch.Tensor | None:
+    """Read `options["patient"]`: the seed of a patient of the environment, or one for each row."""
+    if not options or "patient" not in options:
+        return None
+    if not isinstance(core.phantom, Ward):
+        raise RacinesError(f"options['patient']: {core.task.id} has one heart and no patients")
+    patients = np.asarray(options["patient"])
+    if patients.dtype.kind not in "iu" or patients.shape not in ((), (core.num_envs,)):
+        raise RacinesError(
+            f"options['patient'] is {options['patient']!r}: give a patient's seed, or a list of "
+            f"{core.num_envs}, one a row"
+        )
+    return core.phantom.case_of(np.broadcast_to(patients, core.num_envs).tolist())
 
 
 def read_seeds(seed: Any, count: int) -> int | torch.Tensor | None:
@@ -80,14 +101,19 @@ class Scan:
         """Return the space of one row's observation; images are (128, 128, 1), channels last."""
         image = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 1), np.uint8)
         params = spaces.Box(-1.0, 1.0, (PARAMS_SIZE,), np.float32)
-        both = spaces.Dict({"image": image, "params": params})
-        return both if self.core.observation == "multimodal" else both[self.core.observation]
+        seen: dict[str, spaces.Space[Any]] = {"image": image, "params": params}
+        if self.core.observation != "multimodal":
+            seen = {self.core.observation: seen[self.core.observation]}
+        if self.core.task.any_view:
+            seen["goal"] = spaces.Box(0.0, 1.0, (len(self.core.phantom.views),), np.float32)
+        return spaces.Dict(seen) if len(seen) > 1 else seen[self.core.observation]
 
     def reset(self, env: Any, seed: Any, options: dict[str, Any] | None) -> Any:
         """Start episodes and return what is seen; without any seed yet, `env` draws one."""
         if seed is None and not self._seeded:
             seed = int(env.np_random.integers(2**31))
-        seen = self.core.reset(seed, pose=read_pose(options, self.core.num_envs))
+        pose, case = read_pose(options, self.core.num_envs), read_case(options, self.core)
+        seen = self.core.reset(seed, pose=pose, case=case)
         self._seeded = True
         self._note()
         return self._arrays(seen)
@@ -129,7 +155,7 @@ class Scan:
             arrays["image"] = arrays["image"][..., None]
         if self._alone:
             arrays = {name: values[0] for name, values in arrays.items()}
-        return arrays if self.core.observation == "multimodal" else arrays[self.core.observation]
+        return arrays if len(arrays) > 1 else arrays[self.core.observation]
 
 
 class GymScanEnv(gymnasium.Env[Any, np.int64]):
@@ -148,6 +174,8 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start an episode, at `options["pose"]` (6 values, m and rad) if given.
+
+        A task on patients also takes `options["patient"]`, the seed of one of its patients.
 
         With a seed this is the first episode of that seed; without, the next one.
         """

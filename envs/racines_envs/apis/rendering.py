@@ -129,6 +129,7 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
     info = {name: value[row].item() for name, value in core.info(view_error=False).items()}
     task, action = core.task, steps.actions[-1] if steps.actions else None
     moved = "start" if action is None else ACTIONS[action]
+    goal = core.phantom.views[int(core.state.goal[row])]
     force, refused = info["force"], info["workspace_hits"] + info["force_hits"]
     away, turned = info["position_error"] * 1e3, math.degrees(info["rotation_error"])
     found = _GOAL if info["success"] else _TEXT
@@ -136,7 +137,7 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
     rows = [
         (f"{task.id}    step {info['steps']:.0f} / {task.max_steps}    {moved}", _TEXT),
         (f"true view {core.phantom.labels[int(info['view'])]}, grade {info['grade']:.1f}", found),
-        (f"p {info['probability']:.2f}    grade as {task.view} {info['score']:.1f}", _TEXT),
+        (f"p {info['probability']:.2f}    grade as {goal} {info['score']:.1f}", _TEXT),
         (
             f"force {force:.1f} N of {task.force_limit:.0f} N    refused steps {refused:.0f}",
             pressed,
@@ -185,7 +186,8 @@ def _view(
     draw.polygon(to_pixels(_fan(probe, *pose)), outline=_PROBE, fill=_SECTOR)
     draw.rectangle(box(_workspace(core)), outline=_SPACE)
     if goal:
-        target = (x[0].cpu().numpy() for x in core.target)
+        # Of all rows one, or one each.
+        target = (x[min(row, len(x) - 1)].cpu().numpy() for x in core.target)
         _draw_probe(draw, to_pixels, probe, *target, colour=_GOAL, width=zoom)
     if len(steps.positions) > 1:
         path = to_pixels(np.array(steps.positions))

@@ -16,12 +16,12 @@ from racines_models.devices import resolve_device
 
 
 class ScanEnv(EnvBase):
-    """N probes on one phantom; batch size (N,).
+    """N probes on one phantom, or on the patients of a ward; batch size (N,).
 
     Keys: `image` (N, 1, 128, 128) uint8, channels first (with an encoder, its `features` instead),
-    and/or `params` (N, 9) float32; `action` (N,) int64; `reward`, `done`, `terminated`, `truncated`
-    (N, 1); and under `info`, for curves and not for policies, `success` by the oracle, `steps` and
-    `return` so far.
+    and/or `params` (N, 9) float32, and `goal` (N, V) where it is drawn for each episode; `action`
+    (N,) int64; `reward`, `done`, `terminated`, `truncated` (N, 1); and under `info`, for curves and
+    not for policies, `success` by the oracle, `steps` and `return` so far.
     """
 
     def __init__(
@@ -47,6 +47,9 @@ class ScanEnv(EnvBase):
             seen["image"] = Bounded(0, 255, image, dtype=torch.uint8)
         if core.observation != "image":
             seen["params"] = Bounded(-1.0, 1.0, torch.Size([n, PARAMS_SIZE]), dtype=float32)
+        if core.task.any_view:
+            goals = torch.Size([n, len(core.phantom.views)])
+            seen["goal"] = Bounded(0.0, 1.0, goals, dtype=float32)
         info = {
             "success": Binary(1, column, dtype=torch.bool),
             "steps": Unbounded(column, dtype=torch.int64),
@@ -87,7 +90,7 @@ class ScanEnv(EnvBase):
             del seen["image"]
         elif "image" in seen:
             seen["image"] = seen["image"].unsqueeze(1)
-        told = {"success": core.sees_target(), "steps": state.steps, "return": state.total}
+        told = {"success": core.succeeds(), "steps": state.steps, "return": state.total}
         columns, info = (
             {name: value.unsqueeze(-1) for name, value in rows.items()} for rows in (values, told)
         )

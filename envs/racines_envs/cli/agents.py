@@ -1,5 +1,6 @@
 """The commands `racines train agent` and `racines eval agent`. Heavy imports stand inside."""
 
+from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -7,14 +8,17 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_data.cli.options import given, overrides, read_settings, seed_of
+from racines_data.errors import RacinesError
 from racines_data.terminal import say, say_json, say_page
-from racines_envs.cli.settings import Agent, Name, phantom_config
+from racines_envs.cli.settings import Agent, Name, Tier, on_tier, phantom_config
+from racines_envs.task.names import HEART_TIER, tier_of
 from racines_models.cli.device import OneDevice
 
 
 def train_agent(
     agent: Agent = "ppo",
     view: opt.View = None,
+    tier: Tier = None,
     observation: opt.Observation = None,
     reward: opt.Reward = None,
     backend: opt.Backend = None,
@@ -46,11 +50,14 @@ def train_agent(
 
     settings = read_settings(params, profile)
     entry = find_entry(settings, agent, name)
+    cls = agent_class(entry.agent)
+    # What learns no view of its own, as a floor, may still learn on a tier.
+    known = {each.name for each in fields(cls.Config)}
+    wanted = {"tier": tier} if "tier" in known else {"view": on_tier(view, tier)}
     chosen = given(
-        view=view, observation=observation, reward=reward, backend=backend, generator=generator,
+        **wanted, observation=observation, reward=reward, backend=backend, generator=generator,
         grader=grader, encoder=encoder, frames=frames, device=device,
     )  # fmt: skip
-    cls = agent_class(entry.agent)
     config: Any = fill(cls.Config, entry.settings | chosen, entry.where)
     folder = out or entry.folder
     where = {"phantom": phantom_config(settings), "data": data, "progress": not as_json}
@@ -67,6 +74,9 @@ def train_agent(
 def evaluate_agent(
     agent: Agent,
     view: opt.View = None,
+    tier: Tier = None,
+    split: opt.OneSplit = None,
+    patients: Annotated[int | None, typer.Option(min=1, help="Patients of the split.")] = None,
     starts: opt.Starts = None,
     backend: opt.Backend = None,
     generator: opt.Generator = None,
@@ -94,7 +104,18 @@ def evaluate_agent(
     The policy is that of envs/runs/<run>, the scores go to envs/runs/scores/<run>.json. Where an
     option asks for another view, backend or start set than the settings do, the name says so:
     <run>-pl.json. Another result that is there stays, unless --force is given.
+    With --tier patients or beating it acts on patients of --split, --starts times on each.
     """
+    task = on_tier(view, tier)
+    if task is not None and tier_of(task) != HEART_TIER:
+        chosen = given(
+            view=task, split=split, patients=patients, starts=starts, reward=reward, seed=seed,
+            device=device,
+        )  # fmt: skip
+        where = {"name": name, "run": run, "out": out, "force": force, "as_json": as_json}
+        return _on_patients(agent, chosen | overrides(settings), params, profile, **where)
+    if split or patients:
+        raise RacinesError("--split and --patients need --tier patients or beating")
     from racines_data.config import fill, section
     from racines_envs.evaluation.agent_specs import find_entry
     from racines_envs.evaluation.run import (
@@ -132,6 +153,33 @@ def evaluate_agent(
         show_metrics(title, result.scores["metrics"])
         if several := result.scores.get("trainings"):
             say("trainings: " + ", ".join(map(_told, several)))
+        say(f"written: {out}")
+
+
+def _on_patients(
+    agent: str, chosen: dict[str, Any], params: Path | None, profile: str | None, *,
+    name: str | None, run: Path | None, out: Path | None, force: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Score an agent on patients, whose settings are the section `evaluation_patients`."""
+    from racines_data.config import fill, section
+    from racines_envs.evaluation.agent_specs import find_entry, plain_name
+    from racines_envs.evaluation.patients import PatientsConfig, evaluate_patients
+    from racines_envs.evaluation.run import write_evaluation
+    from racines_models.cli.output import show_metrics
+
+    values = read_settings(params, profile)
+    entry, stated = find_entry(values, agent, name), section(values, "evaluation_patients")
+    config = fill(PatientsConfig, stated | chosen, "evaluation_patients")
+    label = name or plain_name(f"{entry.name}-{config.view}-{config.split}")
+    board = values.get("board")
+    result = evaluate_patients(entry.agent, run or entry.folder, config, run=label, board=board)
+    out = out or entry.scores.with_name(f"{label}.json")
+    write_evaluation(result, out, None, force)
+    if as_json:
+        say_json(result.scores, indent=2)
+    else:
+        title = f"{label}: {config.patients} patients, {config.starts} starts each"
+        show_metrics(title, result.scores["metrics"])
         say(f"written: {out}")
 
 

@@ -56,9 +56,10 @@ def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
     """Check that an agent that was trained for a view is asked for that one."""
     trained = getattr(agent, "view", view)
     if trained != view:
+        own = "" if Path(name).exists() else f"`racines train agent {name} --view {view}`, or "
         raise RacinesError(
-            f"{run_dir}: this policy was trained for {trained}, not {view}: train one with "
-            f"`racines train agent {name} --view {view}`, or evaluate --view {trained}"
+            f"{run_dir}: this policy was trained for {trained} and observes {agent.observation}; "
+            f"it is not for {view}: {'train one with ' * bool(own)}{own}evaluate --view {trained}"
         )
 
 

@@ -58,8 +58,16 @@ METRICS = {
     "view_rotation_error": _DEGREES,
     "out_of_support": _RATE,
     "success_grader": _RATE,
+    "success_declared": _RATE,
+    "declared": _RATE,
+    "false_declarations": _RATE,
+    "reached": _RATE,
+    "seconds": Measured("mean", "s", 0.0),
 }
-"""Every metric of episodes; the last four where environment or settings have them."""
+"""Every metric of episodes; some where environment or settings have them, or on patients alone."""
+SPREAD = ("seconds", "position_error", "rotation_error")
+"""Those on patients with a median and quartiles beside."""
+QUARTILES = {"quartile": 0.25, "upper_quartile": 0.75}
 MIDDLES = ("episode_steps", "spl", "final_grade", "return")
 """Those with an interquartile mean beside."""
 _OPTIONAL = (("view_position_error", 1e3), ("view_rotation_error", 180.0 / np.pi))
@@ -126,6 +134,54 @@ def measure(values: Values) -> tuple[Metrics, Evidence]:
         ]
         kept = evidence.add_set(f"{name}_iqm", set_replicates(middles, places))
         tell(f"{name}_iqm", kept, METRICS[name]._replace(unit=None))
+    return metrics, evidence
+
+
+def patient_values(trainings: Sequence[Mapping[str, np.ndarray]]) -> Values:
+    """Return the figures of N episodes on patients of R trainings, of their last infos."""
+    final = {name: np.stack([each[name] for each in trainings]) for name in trainings[0]}
+    success, declared = final["success"] > 0, final["declared"] > 0
+    values = {
+        "success_declared": success & declared,
+        "success_true": success,
+        "declared": declared,
+        "false_declarations": declared & ~success,
+        "reached": final["reached"],
+        "seconds": final["seconds"],
+        "episode_steps": final["steps"],
+        "position_error": final["position_error"] * 1e3,
+        "rotation_error": np.degrees(final["rotation_error"]),
+        "final_grade": final["score"],
+        "return": final["return"],
+        "peak_force": final["peak_force"],
+        "mean_force": final["mean_force"],
+        "violations": final["workspace_hits"] + final["force_hits"],
+    }
+    return {name: each.astype(np.float64) for name, each in values.items()}
+
+
+def measure_patients(values: Values, units: np.ndarray) -> tuple[Metrics, Evidence]:
+    """Return the metrics of N episodes on patients, the (N,) units, and the evidence.
+
+    Of what is skewed, or has to be read with failures included, medians and quartiles as well.
+    """
+    evidence, metrics = Evidence(), {}
+    places = np.arange(len(units))
+    for name, each in values.items():
+        what = METRICS[name]
+        figures = evidence.add(name, what.statistic, each[:, None], places, units)
+        metrics[name] = figures.interval(what.least, what.most).to_json(what.unit)
+    for name in SPREAD:
+        what = METRICS[name]
+        figures = evidence.add(f"{name}_median", "median", values[name][:, None], places, units)
+        metrics[f"{name}_median"] = figures.interval(what.least, what.most).to_json(what.unit)
+        for title, share in QUARTILES.items():
+            rows = [
+                lambda keep, row=row, share=share: float(np.quantile(row[keep], share))
+                for row in values[name]
+            ]
+            kept = evidence.add_set(f"{name}_{title}", set_replicates(rows, units))
+            metrics[f"{name}_{title}"] = kept.interval(what.least, what.most).to_json(what.unit)
     return metrics, evidence
 
 

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ from racines_data.world import World
 from racines_envs.agents import learns, load_agent, sees
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
-from racines_envs.agents.protocol import FILES, Agent
+from racines_envs.agents.protocol import FILES, Agent, Untrained
 from racines_envs.agents.rollout import Episodes, rollout
 from racines_envs.agents.trace import TraceAgent, circumstances, read_trace, write_trace
 from racines_envs.evaluation.agent_specs import check_view, plain_name
@@ -94,11 +94,17 @@ class EvaluationConfig(StudyConfig):
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """Scores of one agent, what they follow from, and the episodes of its first training."""
+class Scored:
+    """Scores of one agent, and what they follow from."""
 
     scores: dict[str, Any]
     evidence: Evidence
+
+
+@dataclass(frozen=True)
+class Evaluation(Scored):
+    """Scores on the one heart, and the episodes of the agent's first training."""
+
     episodes: Episodes
     core: ScanCore
     pictured: int
@@ -264,35 +270,44 @@ def _document(
     trainings: Sequence[Training], config: EvaluationConfig, core: ScanCore, agent: Agent,
     figures: dict[str, Any],
 ) -> dict[str, Any]:  # fmt: skip
-    several = [{"seed": each.seed, "published": each.published} for each in trainings]
     return {
         "schema": SCHEMA,
-        "agent": agent.name,
-        "submission": agent.name,
-        "sees": sees(agent),
+        **told_of_agent(agent, trainings, core.device),
         "task": {
             "view": core.task.view,
             "backend": config.backend,
             "observation": _shown(agent),
             "reward": config.reward,
             "start_set": config.start_set,
-            "definition": asdict(core.task),
+            "definition": core.task.definition,
         },
         "phantom": phantom_recipe(core.phantom),
         **figures,
         "seeds": list(config.sets),
+    }
+
+
+def told_of_agent(
+    agent: Agent, trainings: Sequence[Training], device: torch.device | str
+) -> dict[str, Any]:
+    """Return what scores say of an agent and of where it acted, whatever its task."""
+    several = [{"seed": each.seed, "published": each.published} for each in trainings]
+    return {
+        "agent": agent.name,
+        "submission": agent.name,
+        "sees": sees(agent),
         "runs": len(trainings),
         "trained": learns(agent),
         **({"trainings": several} if len(several) > 1 else {}),
         "weights": _weights(agent, trainings),
         "code": code_version(),
-        "environment": environment(str(core.device)),
+        "environment": environment(str(device)),
     }
 
 
 def _weights(agent: Agent, trainings: Sequence[Training]) -> dict[str, Any] | None:
     """Return the hashes of all trainings' files, and that of the first one's policy."""
-    files = trainings[0].files if hasattr(agent, "view") else {}
+    files = {} if isinstance(agent, Untrained) else trainings[0].files
     if isinstance(agent, (OnnxPolicyAgent, TraceAgent)):
         files = {agent.path.name: agent.sha256}
     if not files:
@@ -324,9 +339,11 @@ def result_name(run: str, config: EvaluationConfig, usual: EvaluationConfig) -> 
 
 
 def write_evaluation(
-    evaluation: Evaluation, scores: Path, picture: Path | None, force: bool = True
+    evaluation: Scored, scores: Path, picture: Path | None, force: bool = True
 ) -> None:
     """Write the scores JSON, the evidence beside it (.parquet) and, where wanted, the picture.
+
+    On patients there is none.
 
     The scores name the evidence by its hash, which they are given here.
 
@@ -334,7 +351,7 @@ def write_evaluation(
         RacinesError: without `force`, another result is there, or a file that is no evidence of it.
     """
     evaluation.scores.update(write_scores(scores, evaluation.scores, evaluation.evidence, force))
-    if picture is not None:
+    if picture is not None and isinstance(evaluation, Evaluation):
         from racines_envs.evaluation.pictures import draw_trajectories
 
         draw_trajectories(evaluation, picture)

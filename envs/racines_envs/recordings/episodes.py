@@ -29,8 +29,9 @@ from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
 from racines_envs.agents.protocol import Agent
 from racines_envs.apis.rendering import History, compose
 from racines_envs.task.actions import ACTIONS
-from racines_envs.task.core import ScanCore, Transition
+from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import RewardConfig, get_reward
+from racines_envs.task.state import Transition
 from racines_envs.task.tasks import Task
 from racines_envs.worlds.making import make_core
 from racines_models.provenance import code_version
@@ -145,7 +146,7 @@ def _header(core: ScanCore) -> dict[str, Any]:
         phantom["recipe_digest"] = recipe_digest(phantom)
     return {
         "schema": SCHEMA,
-        "task": asdict(core.task),
+        "task": core.task.definition,
         "observation": core.observation,
         "reward": core.reward.name,
         "rewards": asdict(core.rewards),

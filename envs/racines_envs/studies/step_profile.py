@@ -86,26 +86,43 @@ class Stopwatch:
 
 
 class _Timed:
-    """An object with some methods timed; all else is its own."""
+    """An object with some methods timed, as are those of what others return; all else its own."""
 
-    def __init__(self, inner: Any, watch: Stopwatch, **phases: str) -> None:
+    def __init__(
+        self, inner: Any, watch: Stopwatch, returning: tuple[str, ...] = (), **phases: str
+    ) -> None:
         self._inner = inner
         for method, phase in phases.items():
             if hasattr(inner, method):
                 setattr(self, method, watch.timed(phase, getattr(inner, method)))
+        for method in returning:
+            if hasattr(inner, method):
+                setattr(self, method, self._wrapped(getattr(inner, method), watch, **phases))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
+
+    def _wrapped(
+        self, work: Callable[..., Any], watch: Stopwatch, **phases: str
+    ) -> Callable[..., Any]:
+        """Return a method whose result is timed; what returns itself returns this."""
+
+        def run(*arguments: Any) -> Any:
+            found = work(*arguments)
+            return self if found is self._inner else _Timed(found, watch, **phases)
+
+        return run
 
 
 def attach(core: ScanCore, watch: Stopwatch) -> None:
     """Have the parts of a core timed, from now on."""
     timed: Any = _Timed  # it stands for a part of any kind
-    phantom = timed(core.phantom, watch, judge="truth", judge_alike="truth", wrench="contact")
+    truths = {"judge": "truth", "judge_alike": "truth", "wrench": "contact"}
+    phantom = timed(core.phantom, watch, ("scene",), **truths)
     own = core.forces is core.phantom
     core.forces = phantom if own else timed(core.forces, watch, wrench="contact")
     core.phantom = phantom
-    core.images = timed(core.images, watch, generate="render")
+    core.images = timed(core.images, watch, ("of",), generate="render")
     if core.grader is not None:
         core.grader = timed(core.grader, watch, probabilities_and_grade="grade")
     core._reward = watch.timed("reward", core._reward)

@@ -1,85 +1,43 @@
-"""The batched core of every environment: N probes on one phantom, pure tensors on one device.
+"""The batched core of every environment: N probes, pure tensors on one device.
+
+They scan one phantom, or a case of a world each: `World.scene` is what the rows are in now.
 
 One step, for all rows at once and without waiting for the device (a reset waits once, to look at
 the rows that ended and at no others):
 
-    action -> candidate pose -> limits -> pose, wrench -> truth (and image, and grader)
-           -> score (p, g) -> reward, hit, streak -> terminated, truncated
+    action -> candidate pose -> limits -> pose, wrench -> scene -> truth (and image, and grader)
+           -> score (p, g) -> reward, hit, streak, idle -> terminated, truncated
 
 A row's result depends on its own seed and actions alone, never on the rows beside it. A row that
 has ended stays as it is until it is reset (`reset`, or `step` with `autoreset`).
 """
 
-from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import torch
 from torch import Tensor
+from torch.nn.functional import one_hot
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, geodesic, pose_to_parameters, rotation_6d
 from racines_data.imaging import ImageSource
-from racines_data.randomness import derive
+from racines_data.randomness import derive, uniform
 from racines_data.world import World
 from racines_envs.task import sensing
-from racines_envs.task.actions import ActionTable, check_actions
+from racines_envs.task.actions import IDLE, ActionTable, check_actions
+from racines_envs.task.names import HEART_TIER
 from racines_envs.task.rewards import Reward, RewardConfig, Score, get_reward, is_hit
 from racines_envs.task.starts import check_starts, draw_starts, nearest_showing
-from racines_envs.task.tasks import Task
+from racines_envs.task.state import State, Transition
+from racines_envs.task.tasks import DECLARED, Task
+from racines_envs.task.tiers import LONGEST, STEP_SECONDS, middles
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.protocol import Judge
 
 OBSERVATIONS = ("image", "params", "multimodal")
 PARAMS_SIZE = 9
 """Position in the workspace's box (3), then the continuous rotation (6)."""
-
-
-@dataclass
-class State:
-    """The state of N rows; every field has N rows.
-
-    Position (N, 3), m; rotation (N, 3, 3); wrench (N, 6), N and N·m, of the probe at rest; int64
-    seed of the episode; hits in a row; steps that would have left the workspace, or pressed over
-    the limit, and became idle; greatest normal force of the episode, N, and its sum over the steps;
-    undiscounted return.
-    """
-
-    position: Tensor
-    rotation: Tensor
-    wrench: Tensor
-    seed: Tensor
-    steps: Tensor
-    streak: Tensor
-    workspace_hits: Tensor
-    force_hits: Tensor
-    peak_force: Tensor
-    force_sum: Tensor
-    total: Tensor
-    done: Tensor
-
-    @property
-    def pose(self) -> Pose:
-        """The poses."""
-        return Pose(self.position, self.rotation)
-
-    @property
-    def force(self) -> Tensor:
-        """(N,) normal force, N."""
-        return -self.wrench[:, 2]
-
-    def replaced(self, rows: Tensor, other: "State") -> "State":
-        """Return the state with the (K,) rows of another of K rows put in."""
-        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
-        return State(*(old.index_copy(0, rows, new) for old, new in pairs))
-
-
-class Transition(NamedTuple):
-    """What a step gave; N rows each."""
-
-    observation: dict[str, Tensor]
-    reward: Tensor
-    terminated: Tensor
-    truncated: Tensor
+_BEGAN, _GOAL = 61, 62  # random streams of an episode
 
 
 class ScanCore:
@@ -116,7 +74,9 @@ class ScanCore:
         own = images if isinstance(images, sensing.ForceSource) else phantom
         self.forces: sensing.ForceSource = own if forces is None else forces
         self.table = ActionTable.make(task.step_translation, task.step_rotation, self.device)
-        self.target = phantom.target(task.view).to(self.device)
+        self._one: Pose | None = None
+        if task.tier == HEART_TIER:
+            self._one = phantom.target(task.view).to(self.device)
         low, high = phantom.workspace.position_min, phantom.workspace.position_max
         self._centre = ((high + low) / 2).to(self.device)
         self._half = ((high - low) / 2).to(self.device)
@@ -125,22 +85,24 @@ class ScanCore:
         self.state: State
 
     def reset(
-        self, seed: int | Tensor | None = None, mask: Tensor | None = None, pose: Pose | None = None
-    ) -> dict[str, Tensor]:
+        self, seed: int | Tensor | None = None, mask: Tensor | None = None,
+        pose: Pose | None = None, case: Tensor | None = None,
+    ) -> dict[str, Tensor]:  # fmt: skip
         """Start episodes and return the observations of all rows.
 
         Row i gets `seed` + i, or its own of (N,) int64; without it each row goes on to the next
         episode of its seed. Only rows of the (N,) bool `mask` are reset; all by default, and at the
-        first reset. An episode may start at a given `pose`, in the workspace, not at a drawn one.
+        first reset. An episode may start at a given `pose`, in the workspace, not at a drawn one,
+        and be of a given `case` of the world, (N,), not of the one that its seed names.
         """
         if seed is not None:
             self._seed(seed)
         if mask is None or not self._sensed:
-            self.state = self._begin(torch.arange(self.num_envs, device=self.device), pose)
+            self.state = self._begin(torch.arange(self.num_envs, device=self.device), pose, case)
             self._sense()
         else:
             rows = mask.nonzero().squeeze(1)
-            self.state = self.state.replaced(rows, self._begin(rows, pose))
+            self.state = self.state.replaced(rows, self._begin(rows, pose, case))
             self._sense(rows)
         return self.observe()
 
@@ -151,19 +113,38 @@ class ScanCore:
             raise RacinesError(f"seeds have shape {tuple(given.shape)}: give ({self.num_envs},)")
         self._env_seed, self._episode = given, torch.full_like(given, -1)
 
-    def _begin(self, rows: Tensor, pose: Pose | None = None) -> State:
+    def _begin(self, rows: Tensor, pose: Pose | None = None, case: Tensor | None = None) -> State:
         """Return fresh states of (K,) rows, each at the next episode of its seed."""
         self._episode = self._episode.index_add(0, rows, torch.ones_like(rows))
         seed = derive(self._env_seed[rows], self._episode[rows])
+        case = self.phantom.cases(seed) if case is None else case[rows]
+        goal = self._goals(seed)
+        began = uniform(seed, 1, _BEGAN)[:, 0].double() * LONGEST
         if pose is None:
-            pose = draw_starts(self.task, self.phantom, self.target, seed)
+            about = middles(goal) if self._one is None else self._one
+            pose = draw_starts(self.task, self.phantom.scene(case, began), about, seed, goal)
         else:
             given = check_starts(pose, self.num_envs, self.phantom.workspace, self.device)
             pose = Pose(*(x[rows] for x in given))
         wrench = self.wrench(pose)
         none, zero = torch.zeros_like(seed), torch.zeros_like(wrench[:, 0])
-        done = torch.zeros_like(seed, dtype=torch.bool)
-        return State(*pose, wrench, seed, none, none, none, none, -wrench[:, 2], zero, zero, done)
+        false = torch.zeros_like(seed, dtype=torch.bool)
+        return State(
+            *pose, wrench, seed, case, goal, began, steps=none, streak=none, reached=false,
+            idle=none, workspace_hits=none, force_hits=none, peak_force=-wrench[:, 2],
+            force_sum=zero, total=zero, done=false,
+        )  # fmt: skip
+
+    def _goals(self, seed: Tensor) -> Tensor:
+        """Return the (K,) labels that episodes of (K,) seeds look for."""
+        if not self.task.any_view:
+            return torch.full_like(seed, self.task.target)
+        return (uniform(seed, 1, _GOAL)[:, 0] * len(self.phantom.views)).long()
+
+    def scene(self, rows: Tensor | None = None) -> World:
+        """Return the world that (K,) rows, or all, are in at this step."""
+        state = self.state.taken(rows)
+        return self.phantom.scene(state.case, state.began + STEP_SECONDS * state.steps)
 
     def step(
         self, action: Tensor, autoreset: bool = False, rows: Tensor | None = None,
@@ -211,6 +192,7 @@ class ScanCore:
             rotation=torch.where(free[:, None, None], candidate.rotation, state.rotation),
             wrench=wrench,
             steps=state.steps + live,
+            idle=torch.where(live, (state.idle + 1) * (action == IDLE), state.idle),
             workspace_hits=state.workspace_hits + (live & ~inside),
             force_hits=state.force_hits + (live & inside & ~soft),
             peak_force=torch.maximum(state.peak_force, force),
@@ -236,38 +218,40 @@ class ScanCore:
     def _judge(self, before: Score, live: Tensor) -> Transition:
         """Reward the live rows and end those that are through."""
         state, needed = self.state, self.task.hits_to_end
-        streak = (state.streak + 1) * is_hit(self.score, self.rewards)
-        state.streak = torch.where(live, streak, state.streak)
-        terminated = live & (state.streak >= needed) if needed else torch.zeros_like(live)
+        hit = is_hit(self.score, self.rewards)
+        state.streak = torch.where(live, (state.streak + 1) * hit, state.streak)
+        state.reached = state.reached | (state.streak >= self.task.hits)
+        if self.task.termination == DECLARED:
+            terminated = live & (state.idle >= self.task.idles)
+        else:
+            terminated = live & (state.streak >= needed) if needed else torch.zeros_like(live)
         truncated = live & ~terminated & (state.steps >= self.task.max_steps)
-        reward = self._reward(before, self.score, terminated, self.rewards) * live
+        # Who declares at the wrong place ends the episode, and wins nothing by it.
+        reward = self._reward(before, self.score, terminated & hit, self.rewards) * live
         state.total = state.total + reward
         state.done = state.done | terminated | truncated
         return Transition(self.observe(), reward, terminated, truncated)
 
     def _sense(self, rows: Tensor | None = None) -> None:
         """Look at the rows (all by default): parameters, truth, and image and scores if needed."""
-        state = self.state
+        state, scene = self.state.taken(rows), self.scene(rows)
         pose, wrench, seeds = state.pose, state.wrench, derive(state.seed, state.steps)
-        if rows is not None:
-            pose = Pose(*(x[rows] for x in pose))
-            wrench, seeds = wrench[rows], seeds[rows]
-        parameters, truth = pose_to_parameters(pose, wrench), self.phantom.judge_alike(pose)
+        parameters, truth = pose_to_parameters(pose, wrench), scene.judge_alike(pose)
         sensed = {
             "parameters": parameters,
             "view": truth.view,
             "grade": truth.grade,
-            "oracle_p": truth.membership[:, self.task.target],
-            "oracle_g": truth.view_grade[:, self.task.target],
+            "oracle_p": _of(truth.membership, state.goal),
+            "oracle_g": _of(truth.view_grade, state.goal),
         }
         if self.observation != "params" or self.reward.needs_judge:
-            sensed["image"] = self._draw(parameters, seeds)
+            sensed["image"] = self._draw(parameters, seeds, scene)
         if self.encoder is not None:
             sensed["features"] = in_fixed_batches(self.encoder, sensed["image"])
         if self.reward.needs_judge and self.grader is not None:
             p, g = self.grader.probabilities_and_grade(sensed["image"])
             sensing.check_judged(p, g, len(seeds), truth.membership.shape[1] + 1, self.grader)
-            sensed |= {"grader_p": p[:, self.task.target].float(), "grader_g": g.float()}
+            sensed |= {"grader_p": _of(p, state.goal).float(), "grader_g": g.float()}
         if rows is not None:
             sensed = {k: self._sensed[k].index_copy(0, rows, v) for k, v in sensed.items()}
         self._sensed = sensed
@@ -284,21 +268,40 @@ class ScanCore:
         metres, radians = self.pose_error()
         return metres / self.task.step_translation + radians / self.task.step_rotation
 
+    @property
+    def target(self) -> Pose:
+        """The nominal poses of the rows' goals now, (N,), or the one that all rows have."""
+        return self.scene().nominal(self.state.goal) if self._one is None else self._one
+
     def pose_error(self) -> tuple[Tensor, Tensor]:
         """Return (N,) m and (N,) rad to the nominal pose of the target view."""
-        metres = (self.state.position - self.target.position).norm(dim=-1)
-        return metres, geodesic(self.state.rotation, self.target.rotation)
+        target = self.target
+        metres = (self.state.position - target.position).norm(dim=-1)
+        return metres, geodesic(self.state.rotation, target.rotation)
 
     def view_error(self, rows: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Return m and rad, at most, from (K,) rows or all to a pose that truly shows the view."""
-        pose = self.state.pose if rows is None else Pose(*(x[rows] for x in self.state.pose))
+        state, scene = self.state.taken(rows), self.scene(rows)
+        target = scene.nominal(state.goal) if self._one is None else self._one
         units = self.task.step_translation, self.task.step_rotation
-        near = nearest_showing(self.phantom, pose, self.target, self.task.target, units)
-        return (near.position - pose.position).norm(dim=-1), geodesic(near.rotation, pose.rotation)
+        label = state.goal if self.task.any_view else self.task.target
+        near = nearest_showing(scene, state.pose, target, label, units)
+        moved = (near.position - state.position).norm(dim=-1)
+        return moved, geodesic(near.rotation, state.rotation)
 
     def sees_target(self) -> Tensor:
         """Return (N,) bool: the true view is the target's, by the oracle."""
-        return self._sensed["view"] == self.task.target
+        return self._sensed["view"] == self.state.goal
+
+    def succeeds(self) -> Tensor:
+        """Return (N,) bool: what counts as success where episodes stand now, by the oracle.
+
+        On the one heart the true view is the target's; on patients it is so with a p and a grade
+        that make a hit.
+        """
+        if self._one is not None:
+            return self.sees_target()
+        return is_hit(self.scored_by("oracle"), self.rewards)
 
     @property
     def parameters(self) -> Tensor:
@@ -313,15 +316,20 @@ class ScanCore:
         """Return the (N, 128, 128) images at the present poses, drawn now if no step drew them."""
         if "image" in self._sensed:
             return self._sensed["image"]
-        return self._draw(self.parameters, derive(self.state.seed, self.state.steps))
+        seeds = derive(self.state.seed, self.state.steps)
+        return self._draw(self.parameters, seeds, self.scene())
 
-    def _draw(self, parameters: Tensor, seeds: Tensor) -> Tensor:
-        return sensing.check_drawn(self.images.generate(parameters, seeds), len(seeds), self.images)
+    def _draw(self, parameters: Tensor, seeds: Tensor, scene: World) -> Tensor:
+        source = self.images
+        if isinstance(source, sensing.DrawsScenes):
+            source = source.of(scene)
+        return sensing.check_drawn(source.generate(parameters, seeds), len(seeds), source)
 
     def observe(self) -> dict[str, Tensor]:
         """Return what an agent sees: `image` (N, 128, 128) uint8, `params` (N, 9) float32.
 
-        With an encoder also `features`, what it says of the images.
+        With an encoder also `features`, what it says of the images; where the goal is drawn for
+        each episode also `goal`, (N, V) float32, 1 for the goal's label and else 0.
         """
         names = [] if self.observation == "params" else ["image"]
         names += [] if self.encoder is None else ["features"]
@@ -330,18 +338,22 @@ class ScanCore:
             position = (self.state.position - self._centre) / self._half
             encoded = torch.cat([position, rotation_6d(self.state.rotation)], -1)
             seen["params"] = encoded.clamp(-1.0, 1.0)
+        if self.task.any_view:
+            seen["goal"] = one_hot(self.state.goal, len(self.phantom.views)).float()
         return seen
 
     def info(self, view_error: bool = True) -> dict[str, Tensor]:
         """Return what the agent is not told, N rows each.
 
         `view` and `grade` are the oracle's; `success` is the true view being the target's,
-        `success_graded` also a true grade of at least 5. `probability` and `score` are p and g by
+        `success_graded` also a true grade of at least 5; on patients both are `succeeds`, and there
+        are `reached` (hits enough in a row on the way), `declared`, `goal`, and `seconds` that the
+        steps took. `probability` and `score` are p and g by
         the reward's own source. Forces in N, errors in m and rad: to the nominal pose, and those of
         the view (left out without `view_error`: they cost as much as some steps) to the nearest
         pose that truly shows it. `out_of_support` is there if the source of images tells it.
         """
-        state, sensed, success = self.state, self._sensed, self.sees_target()
+        state, sensed, success = self.state, self._sensed, self.succeeds()
         metres, radians = self.pose_error()
         further: dict[str, Tensor] = {}
         if view_error:
@@ -349,6 +361,8 @@ class ScanCore:
             further |= dict(zip(names, self.view_error(), strict=True))
         if isinstance(self.images, sensing.KnowsSupport):
             further["out_of_support"] = self.images.out_of_support(self.parameters)
+        if self._one is None:
+            further |= self._told_of_patients()
         return further | {
             "view": sensed["view"],
             "grade": sensed["grade"],
@@ -366,3 +380,17 @@ class ScanCore:
             "position_error": metres,
             "rotation_error": radians,
         }
+
+    def _told_of_patients(self) -> dict[str, Tensor]:
+        state = self.state
+        return {
+            "reached": state.reached,
+            "declared": state.idle >= self.task.idles,
+            "goal": state.goal,
+            "seconds": STEP_SECONDS * state.steps,
+        }
+
+
+def _of(values: Tensor, labels: Tensor) -> Tensor:
+    """Return each row's entry of (N, V) values at its label, (N,)."""
+    return values.gather(1, labels.unsqueeze(1)).squeeze(1)

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
-from racines_data.imaging import IMAGE_SIZE
+from racines_data.imaging import IMAGE_SIZE, ImageSource
+from racines_data.world import World
 
 
 class Encoder(Protocol):
@@ -31,6 +32,15 @@ class ForceSource(Protocol):
 
     def wrench(self, pose: Pose) -> Tensor:
         """Return (B, 6) force, N, and torque, N·m, in the probe's axes, of a probe at rest."""
+        ...
+
+
+@runtime_checkable
+class DrawsScenes(Protocol):
+    """A source of images that draws whatever scene the rows are in."""
+
+    def of(self, scene: World) -> ImageSource:
+        """Return the source of a scene's images; it is asked for one of each row."""
         ...
 
 

@@ -31,26 +31,41 @@ def validation_seeds(count: int, seed: int = 0) -> Tensor:
     return derive(torch.full((count,), _VALIDATION), seed, torch.arange(count))
 
 
-def draw_starts(task: Task, world: World, target: Pose, seeds: Tensor) -> Pose:
+def draw_starts(
+    task: Task, world: World, target: Pose, seeds: Tensor, labels: Tensor | None = None
+) -> Pose:
     """Draw one start a seed, (N,), inside the workspace and outside the target view.
 
     A world that knows where it can start, as recordings do, draws the starts itself. Else the
     offset along the block's top has a uniform distance and direction, and is mirrored along an axis
     on which it would leave the workspace; the height is uniform, and the rotation has a uniform
     angle about a uniform axis. The first of eight such draws that lies in the workspace and does
-    not show the view is taken; else the first in the workspace; else the nominal pose.
+    not show the view is taken; else the first in the workspace; else the pose they are drawn about.
+
+    Args:
+        task: Says how far away, and which view unless there are `labels`.
+        world: The one heart, or the scene of N rows.
+        target: What is drawn about: one pose, or (N,).
+        seeds: (N,) int64.
+        labels: (N,) of the views that may not be shown.
     """
-    own = world.own_starts(task.target, target, seeds, task.start_distance, task.start_angle)
-    if own is not None:
-        return own
+    if not task.any_view:
+        limits = task.start_distance, task.start_angle
+        own = world.own_starts(task.target, target, seeds, *limits)
+        if own is not None:
+            return own
     count, workspace = seeds.shape[0], world.workspace
+    each = torch.arange(count, device=seeds.device).repeat_interleave(TRIES)
+    about = Pose(*(part.expand(count, *part.shape[1:])[each] for part in target))
     shift, turn = _offsets(task, uniform(seeds, TRIES * 6, _STREAM).view(count * TRIES, 6))
-    place = target.position + shift
+    place = about.position + shift
     beyond = (place < workspace.position_min) | (place > workspace.position_max)
-    place = torch.where(beyond, target.position - shift, place)
-    drawn = Pose(place, matmul3(target.rotation, turn))
+    place = torch.where(beyond, about.position - shift, place)
+    drawn = Pose(place, matmul3(about.rotation, turn))
     inside = workspace.contains(drawn)
-    unseen = world.judge(drawn).membership[:, task.target] < 0.5
+    labels = torch.full_like(seeds, task.target) if labels is None else labels
+    membership = world.at(each).judge(drawn).membership
+    unseen = membership.gather(1, labels[each].unsqueeze(1)).squeeze(1) < 0.5
     worth = (2 * inside + (inside & unseen)).view(count, TRIES)
     row = torch.arange(count, device=seeds.device) * TRIES + first_max(worth)
     some = (worth > 0).any(1)
@@ -104,26 +119,38 @@ def _offsets(task: Task, u: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def nearest_showing(
-    world: World, pose: Pose, target: Pose, label: int, units: tuple[float, float]
+    world: World, pose: Pose, target: Pose, label: int | Tensor, units: tuple[float, float]
 ) -> Pose:
     """Return (N,) poses that show a view, each near, in `units` of m and rad, to one of (N,) poses.
 
     An oracle says whether a pose shows a view, not how far off it is. So poses between a pose and
-    the nominal one (`target`, a batch of one), which shows the view, are judged: any share of the
+    the nominal one (`target`, one or (N,)), which shows the view, are judged: any share of the
     shift with any share of the turn, on a grid, then on a finer one about the nearest that shows
     the view. What is found shows the view, so its distance is an upper bound: a pose that no such
     share makes may be nearer; docs/environments.md says how much. A world may know better, by its
-    `own_nearest`.
+    `own_nearest`. `label` is the view's, or (N,) of each row's.
     """
-    own = world.own_nearest(pose, label, units)
-    if own is not None:
-        return own
-    parts = zip(*(x.split(ROWS) for x in pose), strict=True)
-    found = [_search(world, Pose(*part), target, label, units) for part in parts]
+    count, device = len(pose.position), pose.position.device
+    if not isinstance(label, Tensor):
+        own = world.own_nearest(pose, label, units)
+        if own is not None:
+            return own
+        label = torch.full((count,), label, device=device)
+    target = Pose(*(part.expand(count, *part.shape[1:]) for part in target))
+    found = [
+        _search(world.at(rows), _rows(pose, rows), _rows(target, rows), label[rows], units)
+        for rows in torch.arange(count, device=device).split(ROWS)
+    ]
     return Pose(*(torch.cat(column) for column in zip(*found, strict=True)))
 
 
-def _search(world: World, pose: Pose, target: Pose, label: int, units: tuple[float, float]) -> Pose:
+def _rows(pose: Pose, rows: Tensor) -> Pose:
+    return Pose(*(part[rows] for part in pose))
+
+
+def _search(
+    world: World, pose: Pose, target: Pose, label: Tensor, units: tuple[float, float]
+) -> Pose:
     device = pose.position.device
     metres = (target.position - pose.position).norm(dim=-1, keepdim=True)
     radians = geodesic(pose.rotation, target.rotation)[:, None]
@@ -133,7 +160,9 @@ def _search(world: World, pose: Pose, target: Pose, label: int, units: tuple[flo
 
         Where none shows it: those that cost most, the nominal pose of a grid that goes all the way.
         """
-        shown = world.judge(_between(pose, target, shares)).view.view(shares.shape[:2]) == label
+        each = torch.arange(len(label), device=device).repeat_interleave(shares.shape[1])
+        view = world.at(each).judge(_between(pose, target, shares)).view
+        shown = view.view(shares.shape[:2]) == label[:, None]
         cost = shares[..., 0] * (metres / units[0]) + shares[..., 1] * (radians / units[1])
         chosen = first_max(-torch.where(shown, cost, 1e6 - cost))
         return shares.gather(1, chosen[:, None, None].expand(-1, 1, 2)).squeeze(1)

@@ -1,13 +1,24 @@
 """The tasks, as data: one a target view of an organ. A variant is `dataclasses.replace(…)`."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.views import HEART, organs
-from racines_envs.task.names import task_id, task_name
+from racines_envs.task.names import (
+    ANY_VIEW,
+    GOALS,
+    HEART_TIER,
+    TIERS,
+    task_id,
+    task_name,
+)
 
 TERMINATIONS = ("first_hit", "k_hits", "timeout")
+"""Ends that are found by looking on."""
+DECLARED = "declared"
+"""The end that the agent says: so many idle steps in a row."""
 
 
 @dataclass(frozen=True)
@@ -15,9 +26,10 @@ class Task:
     """Find one standard view: from where, with what steps, within what limits, and until when."""
 
     view: str
-    """The target view."""
+    """The target view; `AnyView` on patients: drawn for each episode."""
     start_distance: tuple[float, float] = (0.025, 0.055)
-    """Least and greatest distance of a start from the nominal pose along the block's top, m."""
+    """Least and greatest distance of a start from the nominal pose along the block's top, m; on
+    patients from the view's middle, as height and angle are (see `tiers`)."""
     start_height: tuple[float, float] = (-0.002, 0.004)
     """Least and greatest height of a start above the nominal pose, m."""
     start_angle: tuple[float, float] = (0.2, 0.7)
@@ -29,39 +41,74 @@ class Task:
     force_limit: float = 20.0
     """Greatest normal force, N; a step that would press harder becomes idle."""
     termination: str = "k_hits"
-    """`first_hit`, `k_hits` (`hits` hits in a row) or `timeout` (never before `max_steps`)."""
+    """`first_hit`, `k_hits` (`hits` hits in a row), `timeout` (never before `max_steps`), or
+    `declared`: by `idles` idle steps in a row the agent says that it is there."""
     hits: int = 3
-    """Hits in a row that end an episode under `k_hits`."""
+    """Hits in a row that end an episode under `k_hits`, and by which a view counts as reached."""
+    idles: int = 3
+    """Idle steps in a row that declare."""
     max_steps: int = 200
     """Steps after which an episode is truncated."""
     anatomy: str = HEART
     """Whose view it is: a registered anatomy, or `module:function`."""
+    tier: str = HEART_TIER
+    """In which world: `heart`, `patients` (still) or `beating`."""
 
     def __post_init__(self) -> None:
-        views = anatomy_views(self.anatomy)
-        if self.view not in views:
-            raise RacinesError(f"unknown view {self.view!r}: choose one of {', '.join(views)}")
-        if self.termination not in TERMINATIONS:
-            known = ", ".join(TERMINATIONS)
-            raise RacinesError(f"unknown termination {self.termination!r}: choose one of {known}")
-        for name in ("step_translation", "step_rotation", "force_limit", "hits", "max_steps"):
+        _check_known("tier", self.tier, TIERS)
+        views = anatomy_views(self.anatomy) if self.tier == HEART_TIER else GOALS
+        _check_known("view", self.view, views)
+        _check_known("termination", self.termination, (*TERMINATIONS, DECLARED))
+        if self.tier != HEART_TIER and self.anatomy != HEART:
+            raise RacinesError(f"tier {self.tier!r} has no {self.anatomy}: only the heart's views")
+        numbers = ("step_translation", "step_rotation", "force_limit", "hits", "idles", "max_steps")
+        for name in numbers:
             if not getattr(self, name) > 0:
                 raise RacinesError(f"task {self.view}: {name} must be positive")
 
     @property
     def id(self) -> str:
         """The Gymnasium id."""
-        return task_id(self.view, self.anatomy)
+        return task_id(self.view, self.anatomy, self.tier)
+
+    @property
+    def name(self) -> str:
+        """What commands and settings call it."""
+        return task_name(self.view, self.anatomy, self.tier)
+
+    @property
+    def definition(self) -> dict[str, Any]:
+        """What documents say of it; of the one heart's tasks what they said before patients."""
+        later = () if self.tier != HEART_TIER else ("idles", "tier")
+        return {name: value for name, value in asdict(self).items() if name not in later}
+
+    @property
+    def any_view(self) -> bool:
+        """Whether the goal is drawn for each episode, and observed."""
+        return self.view == ANY_VIEW
 
     @property
     def target(self) -> int:
-        """The label of the target view."""
+        """The label of the target view; `RacinesError` where episodes differ in it."""
+        if self.any_view:
+            raise RacinesError(f"{self.id} has no one target view: it is drawn for each episode")
         return anatomy_views(self.anatomy).index(self.view)
 
     @property
     def hits_to_end(self) -> int:
         """Hits in a row that end an episode; 0 if none do."""
-        return {"first_hit": 1, "k_hits": self.hits, "timeout": 0}[self.termination]
+        return {"first_hit": 1, "k_hits": self.hits}.get(self.termination, 0)
+
+
+def _check_known(what: str, value: str, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise RacinesError(f"unknown {what} {value!r}: choose one of {', '.join(known)}")
+
+
+def _patients_task(view: str, tier: str) -> Task:
+    """Return a task on patients: it starts about the view's middle, and the agent ends it."""
+    own: dict[str, Any] = {"start_distance": (0.010, 0.050), "start_angle": (0.1, 0.5)}
+    return Task(view, tier=tier, termination=DECLARED, **own)
 
 
 TASKS = {
@@ -71,8 +118,18 @@ TASKS = {
 }
 """The tasks of the registered organs: `SC`, …, and `<organ>-<VIEW>`."""
 
+PATIENT_TASKS = {
+    task_name(view, tier=tier): _patients_task(view, tier)
+    for tier in TIERS
+    if tier != HEART_TIER
+    for view in GOALS
+}
+"""The tasks on any patient: `SC-patients`, …, `AnyView-patients`, and the same `-beating`."""
+
 
 def get_task(name: str, anatomy: str = HEART) -> Task:
     """Return a task by its name, or by the name of a view that an anatomy has."""
+    if name in PATIENT_TASKS:
+        return PATIENT_TASKS[name]
     view = name.removeprefix(f"{anatomy}-")
     return TASKS.get(task_name(view, anatomy)) or Task(view, anatomy=anatomy)

@@ -31,6 +31,10 @@ class PhantomImages:
     def __init__(self, phantom: World) -> None:
         self.phantom = phantom
 
+    def of(self, scene: World) -> "PhantomImages":
+        """Return the images of a scene of the world."""
+        return self if scene is self.phantom else PhantomImages(scene)
+
     def generate(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 images of (B, 12) parameters that are known to be good."""
         seeds = sample_seeds(seed, len(parameters), parameters.device)

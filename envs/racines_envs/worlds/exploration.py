@@ -19,10 +19,10 @@ from racines_data.files import write_json
 from racines_data.geometry import (
     Pose,
     axis_angle_to_matrix,
-    geodesic,
     matmul3,
     orthonormalise,
     pose_to_parameters,
+    rotation_vector,
 )
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.phantom.anatomy import anatomy_views
@@ -116,17 +116,9 @@ def _between(task: Task, phantom: World, seeds: Tensor) -> Pose:
     place = target.position + (start.position - target.position) * shares[:, :1]
     place = place + jitter[:, :3] * torch.tensor(JITTER)
     nominal = target.rotation.expand(len(seeds), -1, -1)
-    turn = _rotation_vector(matmul3(nominal.transpose(1, 2), start.rotation))
+    turn = rotation_vector(matmul3(nominal.transpose(1, 2), start.rotation))
     turned = axis_angle_to_matrix(turn * shares[:, 1:] + jitter[:, 3:] * TURN)
     return Pose(place, orthonormalise(matmul3(nominal, turned)))
-
-
-def _rotation_vector(rotation: Tensor) -> Tensor:
-    """Return the (B, 3) rotation vectors, rad, of (B, 3, 3) rotations short of half a turn."""
-    flipped = rotation - rotation.transpose(1, 2)
-    axis = torch.stack([flipped[:, 2, 1], flipped[:, 0, 2], flipped[:, 1, 0]], -1)
-    angle = geodesic(torch.eye(3).expand_as(rotation), rotation)
-    return axis / axis.norm(dim=-1, keepdim=True).clamp_min(1e-9) * angle.unsqueeze(-1)
 
 
 def train_encoder(config: ExplorationConfig, run: Run, phantom: WorldLike = None) -> dict[str, Any]:

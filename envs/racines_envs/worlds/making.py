@@ -1,7 +1,7 @@
 """From names to a core: what `gymnasium.make`, `ScanEnv` and the evaluation all call."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,17 +11,20 @@ from racines_data.config import fill
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
+from racines_data.patients.patient import PATIENTS_VERSION
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
 from racines_data.phantom.model import shared_phantom
 from racines_data.views import HEART, labels_of
 from racines_data.world import World
 from racines_envs.task.core import ScanCore
+from racines_envs.task.names import BEATING, HEART_TIER, PATIENTS
 from racines_envs.task.rewards import Reward, RewardConfig, get_reward
 from racines_envs.task.sensing import Encoder, ForceSource
 from racines_envs.task.tasks import Task, get_task
 from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike, make_backend, make_grader
 from racines_envs.worlds.forces import make_forces
+from racines_envs.worlds.ward import Ward, make_ward
 from racines_models.devices import resolve_device
 
 if TYPE_CHECKING:
@@ -41,7 +44,7 @@ def make_core(
     *,
     backend: str | ImageSource = "phantom",
     observation: str = "image",
-    reward: str | Reward = "paper",
+    reward: str | Reward | None = None,
     phantom: WorldLike = None,
     anatomy: str | None = None,
     generator: ImageSource | str | Path | None = None,
@@ -53,6 +56,8 @@ def make_core(
     data: Path | str | None = None,
     forces: ForceSource | str = "auto",
     data_version: str | None = None,
+    split: str | None = None,
+    patients: int | Sequence[int] | None = None,
 ) -> ScanCore:
     """Build the batched core of a task.
 
@@ -61,8 +66,9 @@ def make_core(
         num_envs: Rows.
         backend: `phantom`, `generator`, `replay`, or an object that makes images of parameters.
         observation: `image`, `params` or `multimodal`.
-        reward: `paper` (by the grader), `oracle` (the same by the phantom's truth), `shaped`, the
-            name of another's, `module:REWARD`, or a `Reward`.
+        reward: `paper` (by the grader; the one heart's default), `oracle` (the same by the
+            phantom's truth), `shaped` (the default on patients), the name of another's,
+            `module:REWARD`, or a `Reward`.
         phantom: A phantom or its configuration; the shared one of the anatomy by default, and for
             `replay` that of the dataset. `recorded` for the recordings in its place, which stand
             there anyway where they are no phantom's.
@@ -79,6 +85,8 @@ def make_core(
             `contact`, `recorded`, `fitted` (on `data`), or an object with `wrench(pose)`.
         data_version: The dataset that generator, grader and recordings have to come from; they have
             to agree in any case, unless it is `any`. See `check_datasets`.
+        split: Whose patients: `train` (the default), `validation` or `test`; for tasks on patients.
+        patients: So many of the split, or their seeds; see `make_ward`.
 
     Raises:
         RacinesError: any name that is unknown or any artefact that is not there.
@@ -87,6 +95,8 @@ def make_core(
     if isinstance(phantom, Mapping):
         phantom = fill(PhantomConfig, phantom, "phantom")
     task = find_task(view, None if phantom == RECORDED else phantom, anatomy)
+    reward = reward or ("paper" if task.tier == HEART_TIER else "shaped")
+    phantom = _world_of(task, phantom, backend, device, split, patients)
     if termination is not None:
         task = dataclasses.replace(task, termination=termination)
     parts: dict[str, Any] = {}
@@ -110,6 +120,27 @@ def make_core(
         task, phantom, images, judge, observation, reward, rewards, num_envs, device, encoder,
         make_forces(forces, images, phantom, store, device),
     )  # fmt: skip
+
+
+def _world_of(
+    task: Task, phantom: WorldLike, backend: str | ImageSource, device: torch.device | str,
+    split: str | None, patients: int | Sequence[int] | None,
+) -> WorldLike:  # fmt: skip
+    """Return the ward that a task on patients needs; for the one heart what was given."""
+    named = split is not None or patients is not None
+    if task.tier == HEART_TIER:
+        if named or isinstance(phantom, Ward):
+            raise RacinesError(f"{task.id} has one heart and no patients: use {task.view}-patients")
+        return phantom
+    if backend == "replay" or backend == "generator":
+        raise RacinesError(f"{task.id}: backend {backend!r} knows no patients: use 'phantom'")
+    if isinstance(phantom, Ward):
+        if named or phantom.pool.beating != (task.tier == BEATING):
+            raise RacinesError(f"{task.id}: the ward that is given has its own patients and tier")
+        return phantom
+    if phantom is not None:
+        raise RacinesError(f"{task.id}: its world is a ward of patients, not {phantom!r}")
+    return make_ward(task.tier, split or "train", patients, device)
 
 
 def _open_data(
@@ -196,7 +227,12 @@ def config_of(phantom: WorldLike) -> PhantomConfig | None:
 
 
 def phantom_recipe(phantom: WorldLike) -> dict[str, Any] | None:
-    """Return the version and configuration digest of a phantom; None for a stand-in."""
+    """Return the version and configuration digest of a phantom; None for a stand-in.
+
+    Of a ward, the version of its patients: who they are is the start set's to say.
+    """
+    if isinstance(phantom, Ward):
+        return {"version": PATIENTS_VERSION, "world": BEATING if phantom.pool.beating else PATIENTS}
     config = config_of(phantom)
     if config is None:
         return None

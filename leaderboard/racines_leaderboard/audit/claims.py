@@ -6,7 +6,6 @@ import json
 import re
 import subprocess
 from collections.abc import Iterator
-from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -295,7 +294,7 @@ def task(record: Record, bench: Bench) -> Iterator[Verdict]:
     for key, value in (scores.get("phantom") or {}).items():
         yield equal(f"phantom.{key}", value, here.get(key), "the phantom of the board's settings")
     try:
-        defined = json.loads(json.dumps(asdict(find_task(claimed["view"], phantom))))
+        defined = json.loads(json.dumps(find_task(claimed["view"], phantom).definition))
     except RacinesError as error:
         yield fails("task.view", str(error), claimed["view"])
         return

@@ -17,12 +17,14 @@ CLOSE = 1e-9
 RATES = (
     r"(precision|recall|coverage)(_grader)?|(view|grade)_agreement(_truth)?|copies(_truth)?"
     r"|distinct|success_\w+|spl(_iqm)?|return_without_success|out_of_support|expert_\w+"
+    r"|(false_)?declar(ed|ations)|reached"
 )
 AMOUNTS = (
-    r"fid(_grader)?|density(_grader)?|pose_error_mm(_view)?(_truth)?|(view_)?position_error"
+    r"fid(_grader)?|density(_grader)?|pose_error_mm(_view)?(_truth)?|(view_)?position_error|seconds"
+    r"|(position_error|seconds)_(median|(upper_)?quartile)"
     r"|(episode_)?steps(_iqm|_median)?|(peak|mean)_force|violations|latency|images_per_second_\d+"
 )
-ANGLES = r"pose_error_deg(_view)?(_truth)?|(view_)?rotation_error"
+ANGLES = r"pose_error_deg(_view)?(_truth)?|(view_)?rotation_error(_median|_(upper_)?quartile)?"
 GRADES = r"grade_error(_all)?(_truth)?|final_grade(_iqm)?"
 RANGES = {
     RATES: (0.0, 1.0),

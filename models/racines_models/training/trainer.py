@@ -24,7 +24,7 @@ from racines_models.training.processes import Processes
 
 def train(
     learner: Learner,
-    store: FrameStore,
+    store: FrameStore | None,
     config: Training,
     run: Run,
     course: Course | None = None,
@@ -35,8 +35,9 @@ def train(
     On the CPU, a run that was killed and resumed ends in the same bits as an undisturbed one.
     Several processes (see `Processes`) share each batch and train as one; the first writes.
 
-    The device of `run` is there (see `resolve_device`). Without a `course` the train split is fed
-    by the config. Between two checkpoints lie `checkpoint_seconds` at least.
+    The device of `run` is there (see `resolve_device`). Without a `course`, which may bring frames
+    of its own and need no `store`, the train split is fed by the config. Between two checkpoints
+    lie `checkpoint_seconds` at least.
 
     Returns:
         Metrics: `images` and `steps` trained, `seconds` (of all attempts up to their last
@@ -78,15 +79,20 @@ class _Trainer:
     """The state of one run: networks, optimizers, average, curves, and how far it has come."""
 
     def __init__(
-        self, learner: Learner, store: FrameStore, config: Training, run: Run, course: Course | None
-    ):
+        self, learner: Learner, store: FrameStore | None, config: Training, run: Run,
+        course: Course | None,
+    ):  # fmt: skip
         self.learner, self.config, self.folder = learner, config, run.folder
         self.accelerator = accelerator = _accelerator(config, run)
         self.processes = Processes(accelerator, config.batch_size)
         if course is not None and self.processes.count > 1:
             raise RacinesError(f"{learner.name} trains in one process: start one")
         device, share = accelerator.device, self.processes.share
-        self.course = course or FrameCourse(learner, store, config, run, device, share)
+        if course is None:
+            if store is None:
+                raise RacinesError(f"{learner.name} has no frames to train on: give a store")
+            course = FrameCourse(learner, store, config, run, device, share)
+        self.course = course
         self.modules, optimizers = learner.modules(), learner.optimizers()
         # evaluation_mode: autocast without DistributedDataParallel; `Processes` says why.
         self.nets = {

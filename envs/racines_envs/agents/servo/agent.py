@@ -1,0 +1,116 @@
+"""The servo: it reads where the view is, believes the sum of its readings, and steps there."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import torch
+from torch import Tensor
+
+from racines_data.config import fill
+from racines_data.errors import RacinesError
+from racines_data.files import write_json
+from racines_data.geometry import Pose
+from racines_data.views import VIEWS
+from racines_envs.agents.protocol import SETTINGS
+from racines_envs.agents.servo.belief import Belief, reading
+from racines_envs.agents.servo.frames import shrink
+from racines_envs.agents.servo.learner import ServoConfig, ServoLearner
+from racines_envs.agents.steering import Steering
+from racines_envs.agents.training import seeded
+from racines_envs.task.core import ScanCore
+from racines_envs.task.names import HEART_TIER
+from racines_models.devices import on_device, resolve_device
+from racines_models.networks.batching import in_fixed_batches
+from racines_models.networks.servo import ServoNetwork
+from racines_models.protocol import Run
+from racines_models.training.checkpoint import discard_checkpoint
+from racines_models.training.trainer import train
+from racines_models.weights import load_network, read_described, save_weights
+
+POLICY = "policy.safetensors"
+SLACK = 2.0
+"""Squared unit steps that a step has to save after an idle one: what a belief trembles by."""
+
+
+class ServoAgent:
+    """Goes to any view of any patient; it idles, and so declares, where no step helps."""
+
+    name: ClassVar[str] = "servo"
+    Config: ClassVar[type] = ServoConfig
+    observation: str = "multimodal"
+
+    def __init__(self, config: ServoConfig, network: ServoNetwork) -> None:
+        """Take a trained network."""
+        self.config, self.network = config, network.eval()
+        self._device = next(network.parameters()).device
+
+    def attach(self, core: ScanCore) -> None:
+        """Take the steps and the workspace of an environment, and learn which view is asked for."""
+        if core.task.tier == HEART_TIER:
+            raise RacinesError(
+                f"{self.name} was trained on patients and observes {self.observation} of them; it "
+                f"is not for {core.task.id}: use --tier patients or beating"
+            )
+        self._steering = Steering(core)
+        self._label = None if core.task.any_view else core.task.target
+        self._belief: Belief | None = None
+
+    @torch.no_grad()
+    def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
+        """Return the (N,) actions that leave least to do to where the targets are believed."""
+        pose = self._steering.pose(observation)
+        read = self.read(observation, pose)
+        belief = read
+        if self._belief is not None and len(self._belief.placed) == len(seeds):
+            belief = self._belief.after(read).kept(self._steering.moved_on(pose), read)
+        self._belief = belief
+        return self._steering.towards(pose, belief.pose, SLACK)
+
+    def read(self, observation: dict[str, Tensor], pose: Pose) -> Belief:
+        """Return where the images say that the (N,) targets are."""
+        ways, deviations = self.ways(observation["image"])
+        if self._label is None:
+            label = observation["goal"].argmax(-1)
+        else:
+            label = torch.full((len(ways),), self._label, device=ways.device)
+        each = torch.arange(len(ways), device=ways.device)
+        return reading(pose, ways[each, label], deviations[each, label])
+
+    def ways(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (N, V, 6) ways to all views and their deviations, of (N, 128, 128) images."""
+        said = in_fixed_batches(
+            lambda part: torch.cat(self.network.read(shrink(part.to(self._device))), -1), images
+        )
+        return said[..., :6], said[..., 6:]
+
+    @classmethod
+    def train(
+        cls, config: ServoConfig, run_dir: Path, *, seed: int = 0, resume: bool | None = None,
+        progress: bool = True, **where: Any,
+    ) -> Self:  # fmt: skip
+        """Learn to read, from frames of train patients; arguments as of `LearningAgent.train`."""
+        config = on_device(config)
+        run = Run(Path(run_dir), seed, config.device, resume, progress)
+        with seeded(seed, config.threads):
+            learner = ServoLearner(config, run.folder, seed)
+            figures = train(learner, None, learner.training, run, learner)
+        metrics = {"training": figures, "history": learner.history, "views": list(VIEWS)}
+        save_weights(run.folder / POLICY, learner.network.state_dict())
+        told = {"agent": cls.name, "config": asdict(config), "seed": seed}
+        write_json(run.folder / SETTINGS, told)
+        write_json(run.folder / "metrics.json", metrics)
+        discard_checkpoint(run.folder)
+        return cls(config, learner.network)
+
+    @classmethod
+    def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
+        """Read what `train` left; a policy of another agent is refused."""
+        device, remedy = resolve_device(device), f"run `racines train agent {cls.name}`"
+        content = read_described(Path(run_dir), f"no trained policy: {remedy}")
+        if content.get("agent") != cls.name:
+            raise RacinesError(f"{run_dir}: a policy of {content.get('agent')!r}, not {cls.name}")
+        config = fill(ServoConfig, content["config"], f"{run_dir}/{SETTINGS}")
+        network = ServoNetwork(len(VIEWS))
+        load_network(Path(run_dir) / POLICY, network, remedy)
+        return cls(config, network.to(device))

@@ -1,0 +1,124 @@
+"""What a servo learns from: frames of train patients, and the ways from there to all views.
+
+    start about a view's middle ----- frame, strayed a little ----> nominal pose of that view
+
+Frames of one patient are a shard, a function of the patient, the settings and the world's version
+alone. It is kept on disk, for drawing frames costs more than learning from them.
+"""
+
+import math
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+from torch.nn import functional
+
+from racines_data.digest import recipe_digest
+from racines_data.files import write_once
+from racines_data.geometry import (
+    Pose,
+    axis_angle_to_matrix,
+    matmul3,
+    orthonormalise,
+    rotate,
+    rotation_vector,
+)
+from racines_data.patients.patient import PATIENTS_VERSION
+from racines_data.patients.pool import Pool
+from racines_data.randomness import derive, normal, uniform
+from racines_envs.task.tiers import LONGEST, middles
+from racines_models.networks.servo import SIDE
+
+STREAM = 311
+NEARER = 0.7
+"""Exponent on a uniform share of the way from target to start: more frames far off than near."""
+SPREAD, LEAN = 0.055, 0.6
+"""Greatest distance, m, and turn, rad, of a way's beginning from the view's middle."""
+JITTER, TURN = (0.005, 0.005, 0.0012), 0.08
+"""Standard deviations of a frame about the straight way, m and rad: agents take other ways."""
+FORCE_LIMIT = 20.0  # N, as the tasks'
+
+
+@dataclass(frozen=True)
+class FrameConfig:
+    """How a patient's frames are drawn."""
+
+    frames: int = 1_000
+    """Frames a patient."""
+    moving: float = 0.5
+    """Share of the frames drawn at a moment of the beat and the breath; the rest are still."""
+
+
+class Frames(NamedTuple):
+    """N frames."""
+
+    images: Tensor
+    """(N, SIDE, SIDE) uint8."""
+    ways: Tensor
+    """(N, V, 6) float32 to the views' nominal poses, where the heart lies when breathed out: m in
+    the probe's axes, and a rotation vector, rad."""
+
+
+def shrink(images: Tensor) -> Tensor:
+    """Return (N, SIDE, SIDE) uint8 of (N, 128, 128) uint8: what the network looks at."""
+    factor = images.shape[-1] // SIDE
+    small = functional.avg_pool2d(images.unsqueeze(1).float(), factor).round()
+    return small.squeeze(1).to(torch.uint8)
+
+
+def ways_to(pose: Pose, targets: Pose) -> Tensor:
+    """Return (N, V, 6) ways from (N,) poses to (N, V) targets, as of `Frames`."""
+    inverse = pose.rotation.transpose(-1, -2).unsqueeze(1)
+    shift = rotate(inverse, targets.position - pose.position.unsqueeze(1))
+    turn = matmul3(inverse.expand_as(targets.rotation), targets.rotation)
+    return torch.cat([shift, rotation_vector(turn)], -1)
+
+
+def draw_frames(pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig) -> Frames:
+    """Draw a frame of each of (N,) rows of a pool by (N,) seeds, but where no probe may be."""
+    time = uniform(seeds, 1, STREAM)[:, 0].double() * LONGEST
+    moving = uniform(seeds, 1, STREAM + 1)[:, 0] < config.moving
+    phase = torch.where(moving.unsqueeze(1), pool.phase(rows, time), 0.0)
+    pose = draw_poses(pool.targets(rows, phase), seeds)
+    allowed = pool.workspace.contains(pose) & (-pool.wrench(pose)[:, 2] <= FORCE_LIMIT)
+    pose = Pose(*(part[allowed] for part in pose))
+    rows, phase, seeds = rows[allowed], phase[allowed], seeds[allowed]
+    images = pool.render(pose, rows, phase, derive(seeds, STREAM))
+    return Frames(shrink(images), ways_to(pose, pool.targets(rows)))
+
+
+def draw_poses(targets: Pose, seeds: Tensor) -> Pose:
+    """Return (N,) poses on the way to one of each row's (N, V) targets, which the seed names."""
+    each, u = torch.arange(len(seeds)), uniform(seeds, 8, STREAM + 2)
+    label = (u[:, 0] * targets.position.shape[1]).long()
+    goal, about = Pose(*(part[each, label] for part in targets)), middles(label)
+    aside, round_about = SPREAD * u[:, 1].sqrt(), 2.0 * math.pi * u[:, 2]
+    height = -0.002 + 0.006 * u[:, 3]
+    shift = torch.stack([aside * round_about.cos(), aside * round_about.sin(), height], -1)
+    strayed = normal(seeds, 9, STREAM + 3)
+    axis = functional.normalize(strayed[:, 6:], dim=-1)
+    begun = matmul3(about.rotation, axis_angle_to_matrix(axis * (LEAN * u[:, 4:5])))
+    far = u[:, 5:7] ** NEARER
+    place = goal.position + (about.position + shift - goal.position) * far[:, :1]
+    place = place + strayed[:, :3] * torch.tensor(JITTER)
+    turn = rotation_vector(matmul3(goal.rotation.transpose(1, 2), begun))
+    turned = axis_angle_to_matrix(turn * far[:, 1:] + strayed[:, 3:6] * TURN)
+    return Pose(place, orthonormalise(matmul3(goal.rotation, turned)))
+
+
+def shard(patient: int, config: FrameConfig, folder: Path) -> Frames:
+    """Return a patient's frames from the folder, or draw them and put them there."""
+    told = {"world": PATIENTS_VERSION, "patient": patient, "side": SIDE, **asdict(config)}
+    path = folder / f"{patient}-{recipe_digest(told)[:16]}.safetensors"
+    if not path.is_file():
+        pool = Pool([patient], beating=True)
+        seeds = derive(torch.full((config.frames,), STREAM), patient, torch.arange(config.frames))
+        drawn = draw_frames(pool, torch.zeros_like(seeds), seeds, config)
+        columns = {"images": drawn.images, "ways": drawn.ways.half()}
+        folder.mkdir(parents=True, exist_ok=True)
+        write_once(path, lambda part: save_file(columns, part))
+    found = load_file(path)
+    return Frames(found["images"], found["ways"].float())

@@ -1,0 +1,192 @@
+"""How a servo's network learns: from a bank of frames that grows patient by patient."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.optim import AdamW, Optimizer
+
+from racines_data.errors import RacinesError
+from racines_data.patients.patient import PATIENTS_VERSION
+from racines_data.patients.splits import seeds_of
+from racines_data.randomness import derive, uniform
+from racines_data.views import VIEWS
+from racines_envs.agents.servo.frames import FrameConfig, Frames, shard
+from racines_models.networks.servo import SCALE, SIDE, ServoNetwork
+from racines_models.training.augmentation import Augmentation, augment
+from racines_models.training.objective import Course, Training, Update
+
+NEAR = 0.09, 1.6
+"""Ways longer than that, m and rad, teach nothing: the view is out of the picture."""
+FIRST = 16
+"""Patients in the bank at the start."""
+GROWN = 0.5
+"""Share of the budget after which all patients are in the bank."""
+STREAM = 331
+JUDGED = 512
+"""Frames read at once in validation."""
+
+
+@dataclass(frozen=True)
+class ServoConfig:
+    """What a servo learns from, and how."""
+
+    patients: int = 160
+    """Train patients; each costs 8 seconds on a CPU core once, and 4 MB of memory."""
+    validation_patients: int = 4
+    """Validation patients whose frames are read on the way."""
+    frames: FrameConfig = FrameConfig()
+    images: int = 600_000
+    """Training images seen, with repetition."""
+    batch_size: int = 128
+    learning_rate: float = 1.5e-3
+    """Peak of AdamW's rate; it falls to zero linearly after a short rise."""
+    weight_decay: float = 0.01
+    gradient_clip: float = 1.0
+    ema: float = 0.998
+    """Decay of the averaged weights that are kept."""
+    augmentation: Augmentation = Augmentation(gain=0.15, tgc=0.1, gamma=0.12)
+    """Of the scanner's settings; a patient's own vary beside."""
+    precision: str = "auto"
+    """As the trainer's: `fp32`, mixed `bf16` or `fp16`, or `auto`."""
+    store: str = ""
+    """Folder that keeps the frames; `frames` in the run's own if empty."""
+    threads: int = 1
+    """CPU threads; 0 leaves torch as it is."""
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        known = len(seeds_of("train")), len(seeds_of("validation"))
+        if not 0 < self.patients <= known[0] or not 0 < self.validation_patients <= known[1]:
+            raise RacinesError(
+                f"agents.servo: {self.patients} patients and {self.validation_patients} for "
+                f"validation: there are 1 to {known[0]} and {known[1]}"
+            )
+
+
+class Batch(NamedTuple):
+    """B frames of the bank."""
+
+    images: Tensor
+    ways: Tensor
+    seeds: Tensor
+
+
+class Bank:
+    """Frames of the first patients of a split, drawn when they are first needed."""
+
+    def __init__(self, split: str, patients: int, config: FrameConfig, folder: Path) -> None:
+        self._seeds, self._config, self._folder = seeds_of(split)[:patients], config, folder
+        room = patients * config.frames
+        self._images = torch.empty(room, SIDE, SIDE, dtype=torch.uint8)
+        self._ways = torch.empty(room, len(VIEWS), 6)
+        self._ends = [0]
+
+    def holding(self, patients: int) -> Frames:
+        """Return the frames of so many patients."""
+        while len(self._ends) <= patients:
+            found = shard(self._seeds[len(self._ends) - 1], self._config, self._folder)
+            begin, end = self._ends[-1], self._ends[-1] + len(found.images)
+            self._images[begin:end], self._ways[begin:end] = found
+            self._ends.append(end)
+        return Frames(self._images[: self._ends[patients]], self._ways[: self._ends[patients]])
+
+
+class ServoLearner(Course):
+    """What the trainer needs of a servo's network."""
+
+    name = "servo"
+
+    def __init__(self, config: ServoConfig, folder: Path, seed: int) -> None:
+        """Build the network; frames are kept in the folder, drawn from the seed's batches on."""
+        self.config, self.seed, self.device = config, seed, torch.device(config.device)
+        where = Path(config.store) if config.store else folder / "frames"
+        self._bank = Bank("train", config.patients, config.frames, where)
+        self._held = Bank("validation", config.validation_patients, config.frames, where)
+        self.network = ServoNetwork(len(VIEWS)).to(self.device)
+        self.scale = torch.tensor(SCALE, device=self.device)
+        aside = {"threads", "device", "store"}
+        told = {key: value for key, value in asdict(config).items() if key not in aside}
+        self.identity = {"agent": self.name, "seed": seed, "world": PATIENTS_VERSION, **told}
+        self.history: list[dict[str, float]] = []
+
+    @property
+    def training(self) -> Training:
+        """The trainer's settings."""
+        config = self.config
+        every: Any = {"log_every": 5_000, "sample_every": 40_000, "checkpoint_every": 20_000}
+        learned = Training(
+            config.images, config.batch_size, config.precision, config.ema, config.gradient_clip
+        )
+        return Training(**{**asdict(learned), **every})
+
+    def modules(self) -> dict[str, nn.Module]:
+        """Return the network."""
+        return {"network": self.network}
+
+    def averaged(self) -> tuple[str, ...]:
+        """Name it: its weights are averaged."""
+        return ("network",)
+
+    def optimizers(self) -> dict[str, Optimizer]:
+        """Return its AdamW; `rate` is the whole rate."""
+        decay = self.config.weight_decay
+        return {"network": AdamW(self.network.parameters(), lr=1.0, weight_decay=decay)}
+
+    def rate(self, step: int) -> float:
+        """Return the learning rate."""
+        done = step * self.config.batch_size / self.training.stop
+        return self.config.learning_rate * min(1.0, (step + 1) / 200) * max(0.0, 1.0 - done)
+
+    def batches(self, start: int, stop: int) -> Iterator[Batch]:
+        """Yield batches, each a function of the seed and of how many images went before."""
+        size, config = self.config.batch_size, self.config
+        first = min(FIRST, config.patients)
+        for seen in range(start, stop, size):
+            grown = min(1.0, seen / (GROWN * stop))
+            frames = self._bank.holding(first + round((config.patients - first) * grown))
+            seeds = derive(torch.full((size,), STREAM), self.seed, torch.arange(size) + seen)
+            rows = (uniform(seeds, 1, 1)[:, 0].double() * len(frames.images)).long()
+            columns = frames.images[rows], frames.ways[rows], seeds
+            yield Batch(*(column.to(self.device) for column in columns))
+
+    def updates(self, nets: Mapping[str, nn.Module], batch: Batch) -> Iterator[Update]:
+        """Yield the one step: the likelihood of the ways under Laplace distributions."""
+        light = batch.images.unsqueeze(1).float() / 127.5 - 1.0
+        varied = augment(light, batch.seeds, self.config.augmentation)
+        ways, sureness = nets["network"]((varied + 1.0) / 2.0)
+        missed = (ways.float() - batch.ways / self.scale).abs()
+        weight = _near(batch.ways)
+        loss = (missed / sureness.float().exp() + sureness.float()) * weight
+        yield Update("network", loss.sum() / (weight.sum() * 6.0).clamp_min(1.0), {})
+
+    @torch.no_grad()
+    def look(self, seen: int, folder: Path) -> dict[str, float]:
+        """Read the frames of validation patients; return the mean errors along an axis."""
+        frames = self._held.holding(self.config.validation_patients)
+        read = [self.network.read(part.to(self.device))[0] for part in frames.images.split(JUDGED)]
+        missed = (torch.cat(read).cpu() - frames.ways).abs() * _near(frames.ways)
+        mean = missed.sum((0, 1)) / _near(frames.ways).sum()
+        row = {
+            "validation/position_error": float(mean[:3].mean()) * 1e3,
+            "validation/rotation_error": float(torch.rad2deg(mean[3:]).mean()),
+        }
+        self.history.append({"images": seen, **row})
+        return row
+
+    def state(self) -> dict[str, Any]:
+        """Return the figures so far."""
+        return {"history": self.history}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a saved state."""
+        self.history = state["history"]
+
+
+def _near(ways: Tensor) -> Tensor:
+    """Return (B, V, 1) float32: 1 where a way is short enough to be seen."""
+    shift, turn = ways[..., :3].norm(dim=-1), ways[..., 3:].norm(dim=-1)
+    return ((shift < NEAR[0]) & (turn < NEAR[1])).float().unsqueeze(-1)

@@ -1,0 +1,91 @@
+"""Going to a pose by the thirteen actions, from what every agent may know.
+
+That is the probe's pose, which `params` shows, the workspace, and the unit steps. A step that
+changed nothing was refused (too deep, or out of the workspace) and is not tried again from there.
+"""
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, geodesic, matrix_from_6d
+from racines_envs.agents.planner import cost_to_go
+from racines_envs.task.actions import ACTIONS, IDLE
+from racines_envs.task.core import ScanCore
+
+STILL = 1e-5
+"""Metres and radians within which a pose is the one before."""
+
+
+class Steering:
+    """Steers the N rows of one environment."""
+
+    def __init__(self, core: ScanCore) -> None:
+        """Take workspace and unit steps from an environment, and nothing else."""
+        workspace = core.phantom.workspace
+        low, high = workspace.position_min.to(core.device), workspace.position_max.to(core.device)
+        self._centre, self._half = (high + low) / 2, (high - low) / 2
+        self._table, self._task = core.table, core.task
+        self._last: tuple[Pose, Tensor] | None = None
+        self._refused: Tensor | None = None
+
+    def pose(self, observation: dict[str, Tensor]) -> Pose:
+        """Return the (N,) poses that `params` shows."""
+        if "params" not in observation:
+            raise RacinesError("steering needs the pose: observe params or multimodal")
+        params = observation["params"]
+        return Pose(params[:, :3] * self._half + self._centre, matrix_from_6d(params[:, 3:]))
+
+    def moved_on(self, pose: Pose) -> Tensor:
+        """Return (N,) bool: the pose follows from the step before, so the episode goes on."""
+        if self._last is None:
+            return torch.zeros_like(pose.position[:, 0], dtype=torch.bool)
+        before, action = self._last
+        return _same(pose, before) | _same(pose, self._table.move(before, action))
+
+    def towards(self, pose: Pose, goal: Pose, slack: float = 0.0) -> Tensor:
+        """Return the (N,) actions that leave least to do to (N,) goals; idle where none helps.
+
+        Who idled stays where a step saves less than `slack`, in squared unit steps: a goal that
+        trembles does not keep an agent from coming to rest.
+        """
+        count, options = len(pose.position), len(ACTIONS)
+        refused = self._note(pose)
+        each = Pose(*(x.repeat_interleave(options, 0) for x in pose))
+        moved = self._table.move(
+            each, torch.arange(options, device=each.position.device).repeat(count)
+        )
+        ends = Pose(*(x.repeat_interleave(options, 0) for x in goal))
+        cost = cost_to_go(moved, ends, self._task).view(count, options)
+        if self._last is not None:
+            rested = (self._last[1] == IDLE) & self.moved_on(pose)
+            cost[:, IDLE] -= slack * rested
+        action = torch.where(refused, torch.inf, cost).argmin(1)
+        self._last = pose, action
+        return action
+
+    def rest(self, rows: Tensor, action: Tensor) -> Tensor:
+        """Return the actions with idle in the (N,) bool rows, and remember that."""
+        action = torch.where(rows, IDLE, action)
+        if self._last is not None:
+            self._last = self._last[0], action
+        return action
+
+    def _note(self, pose: Pose) -> Tensor:
+        """Return (N, 13) bool, the steps that changed nothing, and remember them until one does."""
+        refused = torch.zeros(
+            (len(pose.position), len(ACTIONS)), dtype=torch.bool, device=pose.position.device
+        )
+        if self._last is not None and self._refused is not None:
+            before, action = self._last
+            still = _same(pose, before)
+            refused = self._refused & still[:, None]
+            vain = still & (action != IDLE)
+            refused = refused | (torch.nn.functional.one_hot(action, 13).bool() & vain[:, None])
+        self._refused = refused
+        return refused
+
+
+def _same(pose: Pose, other: Pose) -> Tensor:
+    shift = (pose.position - other.position).norm(dim=-1)
+    return (shift < STILL) & (geodesic(pose.rotation, other.rotation) < 100.0 * STILL)

@@ -1,0 +1,179 @@
+"""How good an agent is on patients: fixed starts on each of them, a few patients in memory at once.
+
+A start belongs to a patient: its episode's seed is a hash of both, so that the same patient is
+found in the same state whatever else is evaluated beside it, and however the rest is cut to chunks.
+"""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from racines_data.digest import recipe_digest
+from racines_data.errors import RacinesError
+from racines_data.patients.patient import PATHOLOGIES
+from racines_data.patients.pool import check_memory
+from racines_data.patients.population import draw_patient
+from racines_data.randomness import derive
+from racines_envs.agents import learns, load_agent
+from racines_envs.agents.protocol import FILES, Agent
+from racines_envs.agents.rollout import Episodes, rollout
+from racines_envs.evaluation.agent_specs import check_view
+from racines_envs.evaluation.measures import Metrics, Values, measure_patients, patient_values
+from racines_envs.evaluation.run import SCHEMA, Scored, core_for, told_of_agent
+from racines_envs.evaluation.trainings import Training, find_trainings
+from racines_envs.task.names import HEART_TIER
+from racines_envs.task.tasks import Task, get_task
+from racines_envs.task.tiers import MIDDLES
+from racines_envs.worlds.making import phantom_recipe
+from racines_envs.worlds.ward import Ward, choose_patients, make_ward
+from racines_models.devices import on_device
+
+_EVALUATION = 0xA7157
+
+
+@dataclass(frozen=True)
+class PatientsConfig:
+    """On whom, from where and how an agent is judged."""
+
+    view: str = "A4C-patients"
+    """A task on patients, by its name."""
+    split: str = "validation"
+    """Whose patients: `train`, `validation` or `test`."""
+    patients: int = 140
+    """So many of them, the first."""
+    starts: int = 5
+    """Episodes on each patient."""
+    seed: int = 0
+    """Names the start set."""
+    chunk: int = 20
+    """Patients in memory at once, 20 MB each; no figure hangs on it."""
+    reward: str = "oracle"
+    """Whose return is reported."""
+    device: str = "cpu"
+
+    @property
+    def task(self) -> Task:
+        """The task; `RacinesError` if it is none on patients."""
+        task = get_task(self.view)
+        if task.tier == HEART_TIER:
+            raise RacinesError(
+                f"task {task.id} has one heart: name one on patients, as {self.view}-patients"
+            )
+        return task
+
+
+class StartSet(NamedTuple):
+    """Fixed starts: of each patient as many, patient after patient."""
+
+    patients: tuple[int, ...]
+    starts: int
+    seed: int
+
+    @property
+    def units(self) -> np.ndarray:
+        """(N,) the patient of each start."""
+        return np.repeat(np.array(self.patients), self.starts)
+
+    @property
+    def seeds(self) -> Tensor:
+        """(N,) int64 seeds of the episodes."""
+        patients = torch.tensor(self.patients).repeat_interleave(self.starts)
+        start = torch.arange(self.starts).repeat(len(self.patients))
+        return derive(torch.full_like(patients, _EVALUATION), self.seed, patients, start)
+
+    def chunks(self, size: int) -> Iterator["StartSet"]:
+        """Yield the starts of so many patients at a time."""
+        for first in range(0, len(self.patients), size):
+            yield self._replace(patients=self.patients[first : first + size])
+
+    def told(self, config: PatientsConfig) -> dict[str, Any]:
+        """Return the start set as documents name it, with a digest of all that decides it."""
+        told = {"split": config.split, "patients": len(self.patients)}
+        told |= {"starts": self.starts, "seeds": [self.seed]}
+        rule = {"task": config.task.definition, "middles": MIDDLES, "seeds": self.seeds.tolist()}
+        return told | {"digest": recipe_digest(rule | {"patients": list(self.patients)})}
+
+
+def evaluate_patients(
+    name: str, run_dir: Path, config: PatientsConfig, agent: Agent | None = None,
+    run: str | None = None, board: str | None = None, published: Path | None = None,
+) -> Scored:  # fmt: skip
+    """Run an agent on patients and score it; arguments as of `evaluate`.
+
+    Raises:
+        RacinesError: unknown names, missing weights, an agent that was trained for another task,
+            an unknown split, more patients than it has, or a chunk larger than memory.
+    """
+    began = time.perf_counter()
+    config = on_device(config)
+    starts = start_set(config)
+    given = agent is not None or Path(name).suffix.lower() in FILES
+    agent = agent or load_agent(name, run_dir, config.device)
+    check_view(agent, config.view, name, run_dir)
+    trainings = [Training(Path(run_dir))]
+    if learns(agent) and not given:
+        trainings = find_trainings(run_dir, published)
+    others = [load_agent(name, each.folder, config.device) for each in trainings[1:]]
+    acted = act_on_patients([agent, *others], config, starts)
+    values = patient_values(acted)
+    metrics, evidence = measure_patients(values, starts.units)
+    task = {
+        "view": config.view, "split": config.split, "observation": agent.observation,
+        "reward": config.reward, "start_set": starts.told(config),
+        "definition": config.task.definition,
+    }  # fmt: skip
+    ward = make_ward(config.task.tier, config.split, starts.patients[:1], config.device)
+    scores = {"schema": SCHEMA, **told_of_agent(agent, trainings, config.device)}
+    scores |= {"task": task, "phantom": phantom_recipe(ward), "metrics": metrics}
+    scores |= {"by_pathology": _by_pathology(values, starts.units), "seeds": [config.seed]}
+    scores |= {"agent": run or agent.name} | ({"board": board} if board else {})
+    return Scored(scores | {"seconds": time.perf_counter() - began}, evidence)
+
+
+def start_set(config: PatientsConfig) -> StartSet:
+    """Return the starts that settings name, if patients and memory allow."""
+    if config.starts < 1 or config.chunk < 1:
+        raise RacinesError("evaluation on patients: starts and chunk are at least 1")
+    patients = choose_patients(config.split, config.patients)
+    check_memory(min(config.chunk, len(patients)))
+    return StartSet(patients, config.starts, config.seed)
+
+
+def act_on_patients(
+    agents: Sequence[Agent], config: PatientsConfig, starts: StartSet
+) -> list[dict[str, np.ndarray]]:
+    """Return the last infos, (N,) each, of every agent's episodes."""
+    parts: list[list[Episodes]] = [[] for _ in agents]
+    for chunk in starts.chunks(config.chunk):
+        ward = make_ward(config.task.tier, config.split, chunk.patients, config.device)
+        for agent, own in zip(agents, parts, strict=True):
+            own.append(_act(agent, ward, config, chunk))
+    names = parts[0][0].final
+    return [{k: np.concatenate([e.final[k] for e in own]) for k in names} for own in parts]
+
+
+def _act(agent: Agent, ward: Ward, config: PatientsConfig, starts: StartSet) -> Episodes:
+    seeds, case = starts.seeds, ward.case_of(starts.units.tolist())
+    core = core_for(
+        agent, config.task, len(seeds), reward=config.reward, phantom=ward, device=config.device
+    )
+    return rollout(core, agent, seeds.to(core.device), case)
+
+
+def _by_pathology(values: Values, units: np.ndarray) -> dict[str, Metrics]:
+    """Return the metrics of the patients of each pathology; its count of patients is their unit."""
+    found: dict[int, str] = {seed: draw_patient(seed).pathology for seed in set(units.tolist())}
+    ails = np.array([PATHOLOGIES.index(found[seed]) for seed in units.tolist()])
+    return {
+        name: measure_patients(
+            {key: each[:, ails == index] for key, each in values.items()}, units[ails == index]
+        )[0]
+        for index, name in enumerate(PATHOLOGIES)
+        if (ails == index).any()
+    }

@@ -1,0 +1,59 @@
+"""The servo's network: from one image, the way to every view, and how sure it is of it."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+SIDE = 64
+"""Pixels of the images that it looks at, along a side."""
+SCALE = (0.02, 0.02, 0.02, 0.35, 0.35, 0.35)
+"""Metres and radians that count as one in what it says."""
+SURENESS = (-4.0, 3.0)
+"""Range of the logarithm of the deviations, in units of `SCALE`."""
+
+
+class ServoNetwork(nn.Module):
+    """Residual convolutions down to 2×2, then two dense layers; it owns its normalisation."""
+
+    def __init__(self, views: int, widths: Sequence[int] = (24, 40, 72, 128, 160)) -> None:
+        """Build for so many views; `widths` are channels at 32, 16, 8, 4 and 2 pixels a side."""
+        super().__init__()
+        self.views = views
+        first = nn.Conv2d(1, widths[0], 5, 2, 2, bias=False)
+        layers = [first, nn.BatchNorm2d(widths[0]), nn.ReLU()]
+        layers += [_Block(*pair) for pair in zip(widths, widths[1:], strict=False)]
+        self.body = nn.Sequential(*layers, nn.Flatten())
+        self.head = nn.Sequential(
+            nn.Linear(widths[-1] * 4, 320), nn.ReLU(), nn.Linear(320, views * 12)
+        )
+        self.register_buffer("scale", torch.tensor(SCALE), persistent=False)
+
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (B, V, 6) ways and (B, V, 6) logarithms of their deviations, in `SCALE`.
+
+        Images are (B, 1, SIDE, SIDE), black 0 and white 1.
+        """
+        said = self.head(self.body(images)).view(len(images), self.views, 12)
+        return said[..., :6], said[..., 6:].clamp(*SURENESS)
+
+    def read(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Return (B, V, 6) ways and deviations, m and rad, of (B, SIDE, SIDE) gray levels."""
+        ways, sureness = self(images.unsqueeze(1).float() / 255.0)
+        return ways * self.scale, sureness.exp() * self.scale
+
+
+class _Block(nn.Module):
+    """Two convolutions, the first of which halves the side, beside a shortcut."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(inputs, outputs, 3, 2, 1, bias=False)
+        self.first_norm = nn.BatchNorm2d(outputs)
+        self.second = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False)
+        self.second_norm = nn.BatchNorm2d(outputs)
+        self.shortcut = nn.Conv2d(inputs, outputs, 1, 2, bias=False)
+
+    def forward(self, x: Tensor) -> Tensor:
+        inner = torch.relu(self.first_norm(self.first(x)))
+        return torch.relu(self.second_norm(self.second(inner)) + self.shortcut(x))

@@ -1,0 +1,123 @@
+"""The servo: ways are read back, beliefs fuse them, training repeats, it goes where it reads."""
+
+import numpy as np
+import pytest
+import torch
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose, axis_angle_to_matrix, geodesic
+from racines_data.randomness import derive
+from racines_envs.agents.rollout import rollout
+from racines_envs.agents.servo import learner as learning
+from racines_envs.agents.servo.agent import ServoAgent
+from racines_envs.agents.servo.belief import reading
+from racines_envs.agents.servo.frames import FrameConfig, Frames, draw_poses, ways_to
+from racines_envs.agents.servo.learner import ServoConfig
+from racines_envs.worlds.making import make_core
+
+
+def test_a_way_leads_to_the_target(still):
+    rows = torch.arange(2).repeat(16)
+    targets = still.pool.targets(rows)
+    seeds = derive(torch.zeros(32, dtype=torch.int64), torch.arange(32))
+    pose = draw_poses(targets, seeds)
+    ways = ways_to(pose, targets)
+    assert ways.shape == (32, 5, 6)
+    for view in range(5):
+        near = ways[:, view, 3:].norm(dim=-1) < 2.5
+        read = reading(pose, ways[:, view], torch.full((32, 6), 0.01)).pose
+        assert torch.allclose(read.position, targets.position[:, view], atol=1e-5)
+        turned = geodesic(read.rotation, targets.rotation[:, view])
+        assert float(turned[near].max()) < 1e-3
+
+
+def test_beliefs_average_by_precision_and_mistrust_what_lies_far_off():
+    pose = Pose(torch.zeros(1, 3), torch.eye(3)[None])
+
+    def read(x: float, deviation: float):
+        way = torch.tensor([[x, 0.0, 0.0, 0.0, 0.0, x]])
+        return reading(pose, way, torch.full((1, 6), deviation))
+
+    both = read(0.0, 0.01).after(read(0.002, 0.01))
+    assert 0.0009 < float(both.pose.position[0, 0]) < 0.0012
+    sure = read(0.0, 0.001).after(read(0.002, 0.01))
+    assert float(sure.pose.position[0, 0]) < 0.0001
+    astray = read(0.0, 0.002).after(read(0.2, 0.002))
+    assert float(astray.pose.position[0, 0]) < 0.02
+    turn = axis_angle_to_matrix(torch.tensor([[0.0, 0.0, 0.2]]))
+    assert float(geodesic(astray.pose.rotation, turn)) > 0.0
+
+
+class Told(ServoAgent):
+    """A servo whose network is never wrong by more than a little noise."""
+
+    observation = "params"
+
+    def __init__(self) -> None:
+        pass
+
+    def attach(self, core) -> None:
+        super().attach(core)
+        self._core, self._draw = core, torch.Generator().manual_seed(0)
+
+    def read(self, observation, pose):
+        target = self._core.target
+        way = ways_to(pose, Pose(target.position[:, None], target.rotation[:, None]))[:, 0]
+        noise = 0.15 * torch.tensor([0.02] * 3 + [0.35] * 3)
+        strayed = way + torch.randn(way.shape, generator=self._draw) * noise
+        return reading(pose, strayed, noise.expand_as(way))
+
+
+@pytest.mark.parametrize("tier", ["still", "beating"])
+def test_it_goes_to_where_it_reads_and_declares(request, tier):
+    ward = request.getfixturevalue(tier)
+    name = "AnyView-beating" if ward.pool.beating else "AnyView-patients"
+    core = make_core(name, 12, observation="params", phantom=ward)
+    final = rollout(core, Told(), torch.arange(12)).final
+    assert final["declared"].mean() > 0.9 and final["success"].mean() > 0.8
+    assert np.median(final["position_error"]) < 0.004
+
+
+def fake_shard(patient, config, folder):
+    draw = torch.Generator().manual_seed(patient)
+    images = torch.randint(0, 256, (config.frames, 64, 64), generator=draw, dtype=torch.uint8)
+    ways = torch.randn(config.frames, 5, 6, generator=draw) * 0.01
+    return Frames(images, ways)
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    monkeypatch.setattr(learning, "shard", fake_shard)
+    return ServoConfig(
+        patients=3, validation_patients=1, frames=FrameConfig(8), images=64, batch_size=8,
+        precision="fp32",
+    )  # fmt: skip
+
+
+def test_training_saves_what_it_loads_and_acts(tiny, tmp_path, still):
+    trained = ServoAgent.train(tiny, tmp_path, progress=False)
+    loaded = ServoAgent.load(tmp_path)
+    images = torch.randint(0, 256, (3, 128, 128), dtype=torch.uint8)
+    for ours, theirs in zip(trained.ways(images), loaded.ways(images), strict=True):
+        assert torch.equal(ours, theirs) and ours.shape == (3, 5, 6)
+    assert not ServoAgent.load(tmp_path).network.training
+
+
+def test_a_bank_grows_by_patients(tiny, tmp_path):
+    bank = learning.Bank("train", 3, tiny.frames, tmp_path)
+    assert [len(bank.holding(count).images) for count in (1, 3, 2)] == [8, 24, 16]
+    assert torch.equal(bank.holding(1).images, fake_shard(1, tiny.frames, tmp_path).images)
+
+
+def test_batches_are_functions_of_what_went_before(tiny, tmp_path):
+    one, other = (learning.ServoLearner(tiny, tmp_path, 0) for _ in range(2))
+    whole, rest = list(one.batches(0, 64)), list(other.batches(32, 64))
+    for ours, theirs in zip(whole[4:], rest, strict=True):
+        assert torch.equal(ours.images, theirs.images) and torch.equal(ours.seeds, theirs.seeds)
+
+
+def test_it_is_not_for_the_one_heart(tiny, tmp_path, phantom):
+    agent = ServoAgent.train(tiny, tmp_path, progress=False)
+    core = make_core("SC", observation="multimodal", reward="oracle", phantom=phantom)
+    with pytest.raises(RacinesError, match="observes multimodal"):
+        agent.attach(core)
