@@ -12,7 +12,7 @@ export PATH := $(abspath $(VENV))/bin:$(PATH)
 # Compiled code is kept: without it each process reads all of the tests and packages anew.
 TESTS := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs
 
-.PHONY: help repro studio test test-docs test-fast test-instruction-sets test-exports mutants lint types bench docs docs-numbers clean
+.PHONY: help repro studio test test-docs test-thorough test-fast test-instruction-sets test-exports mutants lint types bench docs docs-numbers clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -30,16 +30,19 @@ endif
 	dvc repro
 
 test: $(READY) ## run the tests of the code
-	$(TESTS) -m "not docs and not instruction_sets"
+	$(TESTS) -m "not docs and not thorough and not instruction_sets"
 
-test-docs: $(READY) ## run the documentation, the walk-throughs, and what goes on after a kill
+test-docs: $(READY) ## run what the README and docs/ say, and the pages in a browser
 	$(TESTS) -m docs
+
+test-thorough: $(READY) ## run the walk-throughs, runs that are killed at any moment, every variant of the rest; some ten minutes
+	$(TESTS) -m thorough
 
 test-instruction-sets: $(READY) ## run the contracts of rows, and draw canonical frames, on each instruction set that the CPU has
 	$(TESTS) -m instruction_sets
 
 test-fast: $(READY) ## run the tests that take seconds
-	$(TESTS) -m "not docs and not instruction_sets and not slow"
+	$(TESTS) -m "not docs and not thorough and not instruction_sets and not slow"
 
 test-exports: $(READY) .venv-lerobot/.ready .venv-minari/.ready ## open exports with the real libraries
 	OMP_NUM_THREADS=1 pytest -n 0 tests/export_envs

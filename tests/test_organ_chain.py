@@ -12,7 +12,7 @@ from tests.conftest import TINY, command
 AGENTS = ("planner", "ppo")
 
 
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_the_whole_chain_runs_on_the_abdomen(tmp_path):
     params = copy.deepcopy(TINY)
     params["data"]["phantom"]["phantom"] = {"anatomy": "abdomen"}

@@ -123,7 +123,7 @@ def change(folder: Path, path: str, value: object) -> None:
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
 
 
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_a_change_runs_again_what_follows_from_it_and_nothing_else(
     reproduced: tuple[Path, list[str]],
 ):
@@ -314,7 +314,7 @@ TOUCHED = [
 """One module in each room."""
 
 
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_a_touched_module_runs_the_stages_that_use_its_room_and_no_others(
     reproduced: tuple[Path, list[str]],
 ):

@@ -14,7 +14,7 @@ from tests.documents import run_page
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.docs,
+    pytest.mark.thorough,
     pytest.mark.usefixtures("drawn_pictures"),
 ]
 WALKS = {page.stem for page in (ROOT / "docs").glob("walk-*.md")}

@@ -50,21 +50,25 @@ def test_ci_runs_what_the_project_runs():
 
 
 def test_ci_runs_every_test_once():
-    """Those of `make test`, then those that are marked to come after."""
+    """Those of `make test`, those marked to come after; each week the thorough ones."""
     ran = re.findall(r"^ *make ([\w-]+)", (ROOT / ".ci/run").read_text(), re.MULTILINE)
     assert sorted(ran) == sorted(
         ["lint", "types", "repro", "test", "test-instruction-sets", "test-docs"]
     )
+    assert [step["run"] for step in steps(read("thorough.yml")) if "run" in step] == [
+        "make test-thorough"
+    ]
     makefile = (ROOT / "Makefile").read_text()
     recipe = r"^{}: .*\n\t\$\(TESTS\) -m (.*)$"
     chosen = {
         name: re.findall(recipe.format(name), makefile, re.MULTILINE)
-        for name in ("test", "test-instruction-sets", "test-docs")
+        for name in ("test", "test-instruction-sets", "test-docs", "test-thorough")
     }
     assert chosen == {
-        "test": ['"not docs and not instruction_sets"'],
+        "test": ['"not docs and not thorough and not instruction_sets"'],
         "test-instruction-sets": ["instruction_sets"],
         "test-docs": ["docs"],
+        "test-thorough": ["thorough"],
     }
 
 

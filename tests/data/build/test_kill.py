@@ -17,7 +17,7 @@ from tests.data.build.test_build import files, staged
 from tests.data.fake_source import FakeConfig, FakeSource
 from tests.waiting import descendants, until, until_ended
 
-pytestmark = [pytest.mark.slow, pytest.mark.docs]
+pytestmark = [pytest.mark.slow, pytest.mark.thorough]
 MAIN = {"frames": 100, "trajectories": 20}
 MANY = {"frames": 72, "trajectories": 24, "sessions": 6, "seed": 5}
 PROGRAM = """

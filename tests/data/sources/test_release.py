@@ -221,7 +221,7 @@ main()
 
 
 @pytest.mark.slow
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_a_killed_import_goes_on(tmp_path: Path):
     tree = tmp_path / "release"
     for index in range(12):

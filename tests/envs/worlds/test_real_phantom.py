@@ -18,7 +18,7 @@ from racines_envs.worlds.making import make_core
 
 
 @pytest.mark.parametrize(
-    "view", [v if v == "PSMV" else pytest.param(v, marks=pytest.mark.docs) for v in VIEWS]
+    "view", [v if v == "PSMV" else pytest.param(v, marks=pytest.mark.thorough) for v in VIEWS]
 )
 def test_every_view_can_be_reached_and_is_not_reached_by_chance(real_phantom, view):
     """The planner's steps are the paper's agent's: 16 to 32 from its start points."""

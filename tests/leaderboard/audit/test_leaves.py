@@ -188,7 +188,7 @@ def with_its_file(
             yield place, "in both", value, report.verdict
 
 
-@pytest.mark.parametrize("share", [6, pytest.param(1, marks=pytest.mark.docs, id="all")])
+@pytest.mark.parametrize("share", [6, pytest.param(1, marks=pytest.mark.thorough, id="all")])
 @pytest.mark.parametrize(("name", "least"), [("judged", 250), ("handed_in", 150), ("guided", 180)])
 def test_every_leaf_is_caught_or_declared(name, least, share, request):
     held = Held(request.getfixturevalue(name))

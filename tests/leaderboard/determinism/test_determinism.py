@@ -83,7 +83,7 @@ def test_what_is_not_to_be_had_is_said(tmp_path, monkeypatch):
         measure(["nothing"])
 
 
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_a_real_stage_repeats_itself(tmp_path, capsys):
     determinism(["mean-image, drawing"], tmp_path / "report.json", as_json=False)
     document = json.loads((tmp_path / "report.json").read_text())
@@ -153,7 +153,7 @@ def processes(tmp_path):
         yield running
 
 
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_a_stage_that_differs_from_process_to_process_is_seen(tmp_path, processes, monkeypatch):
     stage = Stage("made up", "units", by_process, ("again", "process"))
     again, process = compare_stage(stage, Work(tmp_path), processes)
@@ -208,7 +208,7 @@ def test_all_processes_start_from_the_same_inputs(tmp_path):
     assert one.fit("mean-image", "cpu") is not None and len(list(tmp_path.iterdir())) == 3
 
 
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_no_process_outlives_a_run_that_is_killed(tmp_path):
     """Else it waits for ever for work that never comes."""
     script = tmp_path / "script.py"

@@ -192,7 +192,7 @@ def test_honest_generators_are_not_flagged(quick, store, tmp_path):
         assert figure["public"] != figure["secret"]
 
 
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_the_truth_drawn_again_is_not_too_good(store):
     """Nor is the mean of many scans, which is nearer to the frame than any one of them."""
     phantom = shared_phantom(recorded_phantom(store.manifest))
@@ -294,7 +294,7 @@ def test_a_policy_that_knows_the_public_starts_is_flagged(quick, tmp_path):
     assert flag.startswith("sharp drop from public to secret (True success ")
 
 
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_the_file_shows_no_seed_and_cannot_be_made_up(quick, store, tmp_path):
     path = lookup_generator(inbox(tmp_path, "in") / "m.onnx", *table(store))
     told = drawn(quick, tmp_path, ("generator", path))
@@ -339,7 +339,7 @@ def test_the_file_shows_no_seed_and_cannot_be_made_up(quick, store, tmp_path):
         draw_in_secret(folder, quick, results, unknown, DAY)
 
 
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_flags_of_a_former_file_are_told_apart(quick, store, tmp_path):
     path = lookup_generator(inbox(tmp_path, "in") / "m.onnx", *table(store))
     told = drawn(quick, tmp_path, ("generator", path))
@@ -381,7 +381,7 @@ def test_a_drop_is_sharp_beyond_interval_and_margin(public, secret, flagged):
         ]
 
 
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_the_commands_draw_in_secret(ground, store, tmp_path):
     (tmp_path / "params.yaml").write_text(yaml.safe_dump(SETTINGS))
     path = lookup_generator(inbox(tmp_path, "in") / "m.onnx", *table(store))

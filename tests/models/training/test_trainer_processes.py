@@ -125,7 +125,7 @@ def test_two_processes_end_near_one(ends, kind):
 
 
 @pytest.mark.slow
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_two_processes_resume_exactly(tmp_path):
     """One process of two dies; the other is ended, and a resumed pair ends as one undisturbed."""
     in_processes(2, fit, Flow, FLOW, tmp_path / "whole")
@@ -169,7 +169,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-@pytest.mark.docs
+@pytest.mark.thorough
 def test_killed_command_leaves_no_process_behind(tmp_path):
     (tmp_path / "script.py").write_text(SCRIPT)
     process = subprocess.Popen(

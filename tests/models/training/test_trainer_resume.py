@@ -157,7 +157,7 @@ def test_damaged_checkpoint_is_not_continued(killed, undisturbed):
     assert weights(killed) == weights(undisturbed[0])
 
 
-@pytest.mark.docs
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", LEARNERS)
 def test_every_learner_ends_in_the_same_bits_after_two_deaths(tmp_path, name, monkeypatch):
     learn(name, tmp_path / "whole")
@@ -216,7 +216,7 @@ learn(sys.argv[1], Path(sys.argv[2]))
 
 
 @pytest.mark.slow
-@pytest.mark.docs
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", LEARNERS)
 def test_sigkill_at_any_moment(tmp_path, name):
     """The process is killed once its first checkpoint stands, wherever it is by then.

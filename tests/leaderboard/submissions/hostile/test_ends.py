@@ -40,7 +40,7 @@ MIB = 2**20
             "kept = [bytearray(2**20) for _ in range(2**20)]",
             ROOMY,
             "MemoryError",
-            marks=pytest.mark.docs,
+            marks=pytest.mark.thorough,
         ),
         ("os.abort()", ROOMY, r"died \(SIGABRT\)"),
         ("ctypes.string_at(0)", ROOMY, r"died \(SIGSEGV\)"),
@@ -109,7 +109,7 @@ thread.start() if {elsewhere} else work()
     [
         ("time.sleep(1e6)", False),
         ("while True: pass", True),
-        pytest.param("while True: pass", False, marks=pytest.mark.docs),
+        pytest.param("while True: pass", False, marks=pytest.mark.thorough),
     ],
 )
 def test_nothing_outlives_a_parent_that_is_killed(attack, elsewhere):
