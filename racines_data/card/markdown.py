@@ -71,6 +71,8 @@ def write_card(manifest: Mapping[str, Any]) -> str:
     views = escape(", ".join(manifest_labels(manifest)[:-1]))
     many = MULTI_PHANTOM in manifest["configs"]
     hearts = f'hearts = racines_data.load(config="{MULTI_PHANTOM}")\n' if many else ""
+    for name in added_configs(manifest):
+        hearts += f'{name} = racines_data.load(config="{name}")\n'
     parts = [
         f"**Source: {code(source)} — {card.origin}.**",
         f"# RACINES, {escape(f'{source} {version}')}",

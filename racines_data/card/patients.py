@@ -28,8 +28,7 @@ def patients_section(manifest: Mapping[str, Any]) -> Iterator[str]:
         "*Not all shown*: patients of whom some view is shown at no pose that was found, for ribs "
         "or lung lie before it. They are kept: no patient is drawn again."
     )
-    for name in names:
-        yield from _masks(manifest[name], name)
+    yield _masks(manifest, names)
     files = " and ".join(code(measures_name(name)) for name in names)
     yield (
         f"{files}: a row a patient. Sex, body (m, kg, m²), pathology, split; volumes of chambers "
@@ -52,13 +51,17 @@ def _people_table(manifest: Mapping[str, Any], names: list[str]) -> str:
     return markdown_table(head, rows)
 
 
-def _masks(record: Mapping[str, Any], name: str) -> Iterator[str]:
-    labels = record["mask_labels"]
-    if not labels:
-        yield f"Frames of `{name}` have no masks: the column is null."
-        return
-    named = ", ".join(f"{number} {label}" for number, label in enumerate(labels))
-    yield (
-        f"A `mask` of `{name}` labels each pixel with what lies there in the middle plane of the "
-        f"slice, moved by the phase; 0 outside the sector too. Labels: {named}."
+def _masks(manifest: Mapping[str, Any], names: list[str]) -> str:
+    """Return what the masks say; the labels are one list, whichever config has masks."""
+    masked = [name for name in names if manifest[name]["mask_labels"]]
+    without = [f"Frames of `{name}` have no masks: the column is null." for name in names
+               if name not in masked]  # fmt: skip
+    if not masked:
+        return " ".join(without)
+    labels = enumerate(manifest[masked[0]]["mask_labels"])
+    named = ", ".join(f"{number} {label}" for number, label in labels)
+    told = (
+        "A `mask` labels each pixel with what lies there in the middle plane of the slice, moved by "
+        f"the phase; 0 outside the sector too. Labels: {named}."
     )
+    return " ".join([told, *without])

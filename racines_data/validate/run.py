@@ -164,7 +164,9 @@ def _check_leaks(result: Validation, prefix: str, root: Path, found: Survey) -> 
     def check() -> str:
         if found.faults["store"]:
             return "not told: the store is not whole"
-        sweeps = leaks.find_leaks(FrameStore(root, found.config))
+        store = FrameStore(root, found.config)
+        leaks.check_patients(store)
+        sweeps = leaks.find_leaks(store)
         result.figures[found.config]["leaks"] = leaks.leaks_json(sweeps)
         return leaks.check_leaks(sweeps)
 
