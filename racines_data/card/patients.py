@@ -61,7 +61,7 @@ def _masks(manifest: Mapping[str, Any], names: list[str]) -> str:
     labels = enumerate(manifest[masked[0]]["mask_labels"])
     named = ", ".join(f"{number} {label}" for number, label in labels)
     told = (
-        "A `mask` labels each pixel with what lies there in the middle plane of the slice, moved by "
-        f"the phase; 0 outside the sector too. Labels: {named}."
+        "A `mask` labels each pixel with what lies there in the middle plane of the slice, moved "
+        f"by the phase; 0 outside the sector too. Labels: {named}."
     )
     return " ".join([told, *without])
