@@ -75,7 +75,7 @@ def add_config(
     """
     name, bounds = source.adds, bounds_of(source, config.allow)
     read_manifest(root)  # before the work, and once more after it
-    units = plan_units(source, config)
+    units: Sequence[Any] = plan_units(source, config)
     recipe = {"format": FORMAT, "source": source.name, "version": source.version}
     recipe["settings"] = source.recipe()
     with staging_folder(root, source, recipe_digest(recipe), config.allow) as folder:

@@ -203,8 +203,7 @@ def _write_shard(group: Group, start: int, stop: int, path: Path) -> None:
         low, high = max(start - first, 0), min(stop - first, row["frames"])
         if low < high:
             rows = open_unit(member)[0].slice(low, high - low)
-            raw = {RAW_PIXELS, MASK_PIXELS} & {*rows.column_names}
-            parts.append(rows.drop_columns(sorted(raw)))
+            parts.append(rows.drop_columns(list({RAW_PIXELS, MASK_PIXELS} & {*rows.column_names})))
         first += row["frames"]
     # Each unit's schema carries its own digest: what a shard says must be the features alone.
     features = {b"huggingface": (parts[0].schema.metadata or {})[b"huggingface"]}

@@ -53,7 +53,8 @@ SWEEPS = AcquisitionConfig(rate=1.0 / STEP_SECONDS)
 START = 12.0
 """Spread of the starts about a view's middle, mm along and degrees about each axis: the patient's
 own view lies 30 mm and 13° from there (medians)."""
-WANDER = tuple(float(np.mean([pose[i] for pose in MIDDLES.values()])) for i in (0, 1, 5))
+_X, _Y, _Z, _RX, _RY, _TURN = np.mean([*MIDDLES.values()], axis=0).tolist()
+WANDER = _X, _Y, _TURN
 """Place, x and y, m, and turn, rad, about which a random scan wanders: between the views."""
 OPERATORS = 3
 _STREAM, _BEGAN = 0x9A71, 11
