@@ -175,6 +175,27 @@ def test_a_new_phantom_leaves_patients_where_they_are(root: Path, tmp_path: Path
     assert len(racines_data.load(config="beating", root=copy, verify=True)["test"]) == 24
 
 
+def test_a_killed_build_goes_on_where_it_stopped(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    copy, source = tmp_path / "racines", BeatingSource.from_config(SETTINGS)
+    shutil.copytree(root, copy)
+
+    def die(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("racines_data.build.beside.swap_folder", die)
+        with pytest.raises(KeyboardInterrupt):
+            build(source, copy, ONE)
+    assert read_manifest(copy) == read_manifest(root), "what stood there is untouched"
+    monkeypatch.setattr(BeatingSource, "produce", die)
+    monkeypatch.setattr(BeatingSource, "measures", die)
+    build(source, copy, ONE)
+    assert read_manifest(copy) == read_manifest(root)
+    assert not list(tmp_path.glob(".racines*"))
+
+
 def test_the_card_tells_of_patients(root: Path):
     card = (root / "README.md").read_text()
     lines = [line for line in card.splitlines() if line.startswith("| patients | train |")]

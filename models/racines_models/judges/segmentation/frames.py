@@ -73,13 +73,14 @@ class MaskSet:
         Raises:
             RacinesError: a dataset without masks.
         """
-        masks, labels = store.masks, store.mask_labels
-        if masks is None or labels is None or store.patients is None:
+        named = ("masks", "mask_labels", "patients")
+        masks, labels, patients = (getattr(store, name, None) for name in named)
+        if masks is None or labels is None or patients is None:
             raise RacinesError(
                 f"{store.root}: config {store.config} has no masks; add one that has: "
                 f"racines data build --source patients --out {store.root}"
             )
-        seeds = np.array(store.patients)[store.trajectory_index.numpy()]
+        seeds = np.array(patients)[store.trajectory_index.numpy()]
         people = store.measures()
         sick = dict(zip(*people.select(["patient", "pathology"]).to_pydict().values(), strict=True))
         views = [store.labels[view] if view >= 0 else "unknown" for view in store.views.tolist()]
