@@ -18,6 +18,7 @@ from racines_data.schema import PHASES, frame_features
 from racines_data.sources.patients import BeatingSource, PatientsSource
 from racines_data.store.frames import open_store
 from racines_data.store.sweeps import restore_stores
+from racines_data.validate.identity import same_version
 from racines_data.views import VIEWS
 from racines_models.judges.segmentation.frames import MaskSet
 from tests.data.fake_source import FakeConfig, FakeSource
@@ -71,6 +72,7 @@ def test_another_build_has_the_same_digests(root: Path, tmp_path: Path, warm_wor
     build(PatientsSource.from_config(SETTINGS), other, DataConfig(workers=2, shards=2))
     build(BeatingSource.from_config(SETTINGS), other, ONE)
     assert read_manifest(other) == read_manifest(root)
+    assert same_version(root, other) == "equal, byte for byte"
 
 
 @pytest.mark.parametrize("kind", [PatientsSource, BeatingSource])
@@ -164,6 +166,8 @@ def test_masks_can_be_left_out(root: Path, tmp_path: Path):
         MaskSet.of(store)
     assert "have no masks: the column is null" in (copy / "README.md").read_text()
     assert read_manifest(copy)["beating"] == read_manifest(root)["beating"]
+    with pytest.raises(RacinesError, match="recipe_digest of patients: "):
+        same_version(root, copy)
 
 
 def test_a_new_phantom_leaves_patients_where_they_are(root: Path, tmp_path: Path):
