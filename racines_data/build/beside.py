@@ -34,6 +34,7 @@ from racines_data.digest import check_files, recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.files import swap_folder, write_atomic
 from racines_data.manifest import (
+    ADDED,
     CARD,
     CROISSANT,
     DIGEST_VERSION,
@@ -71,13 +72,15 @@ def add_config(
         The manifest as it is of that config.
 
     Raises:
-        RacinesError: no dataset at `root`, a damaged one, or another build of it is running.
+        RacinesError: no dataset at `root`, a damaged one, another build of it is running, or a
+            config of another name.
     """
     name, bounds = source.adds, bounds_of(source, config.allow)
+    if name not in ADDED:
+        raise RacinesError(f"source {source.name} adds {name!r}: name one of {', '.join(ADDED)}")
     read_manifest(root)  # before the work, and once more after it
     units: Sequence[Any] = plan_units(source, config)
-    recipe = {"format": FORMAT, "source": source.name, "version": source.version}
-    recipe["settings"] = source.recipe()
+    recipe = _recipe(source)
     with staging_folder(root, source, recipe_digest(recipe), config.allow) as folder:
         part = Part(name, source, units, {each.id: each.split for each in units}, folder / name)
         stage_units([(source, units, part.folder, True)], config.workers, progress, config.allow)
@@ -92,6 +95,11 @@ def add_config(
         _seal(final, manifest)
         swap_folder(final, root)
     return config_manifest(manifest, name)
+
+
+def _recipe(source: Any) -> dict[str, Any]:
+    named = {"source": source.name, "version": source.version}
+    return {"format": FORMAT, **named, "settings": source.recipe()}
 
 
 def carry(root: Path, final: Path, manifest: dict[str, Any]) -> None:

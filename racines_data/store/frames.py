@@ -199,18 +199,20 @@ class FrameStore:
         self.timestamps = column("timestamp", torch.float64)
         self.trajectory_index = column("trajectory", torch.int64)
         self.frame = column("frame", torch.int64)
-        metadata = json.loads(table.schema.metadata[manifest.METADATA])
+        if "phases" in table.column_names:
+            self.phases = column("phases", torch.float64, len(PHASES))
+        if "mask" in table.column_names:
+            self.masks = column("mask", torch.uint8, IMAGE_SIZE, IMAGE_SIZE)
+            self.mask_labels = tuple(self.manifest["mask_labels"])
+        self._read_metadata(json.loads(table.schema.metadata[manifest.METADATA]))
+
+    def _read_metadata(self, metadata: dict[str, Any]) -> None:
         self.trajectories, self.sessions, self.target_views = (
             list(names) for names in metadata["trajectories"]
         )
         self.phantoms = metadata.get("phantoms", [None] * len(self.trajectories))
         self._splits: dict[str, list[int]] = metadata["splits"]
         self.patients = metadata.get("patients")
-        if self.patients is not None:
-            self.phases = column("phases", torch.float64, len(PHASES))
-        if "mask" in table.column_names:
-            self.masks = column("mask", torch.uint8, IMAGE_SIZE, IMAGE_SIZE)
-            self.mask_labels = tuple(self.manifest["mask_labels"])
 
     def split_indices(self, split: str) -> Tensor:
         """Return the (n,) int64 rows of a split, in order; empty if the split has none."""

@@ -139,24 +139,15 @@ def write_store(
         trajectories: Identity, `split` and `frames` of each, in the order of the splits; `patient`
             where one is scanned.
     """
-    splits, start = {}, 0
-    for split in SPLITS:
-        stop = start + sum(row["frames"] for row in trajectories if row["split"] == split)
-        splits[split], start = (start, stop), stop
     columns = [_store_columns(table, index) for index, table in enumerate(tables())]
     raw = {"image": RAW_PIXELS, "mask": MASK_PIXELS}
     raw = {name: each for name, each in raw.items() if each in next(iter(tables())).column_names}
     table = pa.concat_tables(columns).combine_chunks()
     zeros = pa.py_buffer(np.zeros(len(table) * PIXELS, np.uint8))
     images = pa.FixedSizeBinaryArray.from_buffers(pa.binary(PIXELS), len(table), [None, zeros])
-    names = [[row[key] for row in trajectories] for key in _IDENTITY]
-    phantoms = [row["phantom"] for row in trajectories]
-    metadata = {"trajectories": names, "phantoms": phantoms, "splits": splits}
-    if any("patient" in row for row in trajectories):
-        metadata["patients"] = [row["patient"] for row in trajectories]
     for place, name in enumerate(raw):
         table = table.add_column(place, name, images)
-    table = table.replace_schema_metadata({METADATA: json.dumps(metadata, sort_keys=True).encode()})
+    table = table.replace_schema_metadata({METADATA: _metadata(trajectories).encode()})
     with pa.OSFile(str(path), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
         writer.write_batch(table.to_batches()[0])
     with path.open("r+b") as file:
@@ -166,6 +157,20 @@ def write_store(
                 for chunk in made[own].chunks:
                     first = chunk.offset * PIXELS
                     file.write(chunk.buffers()[1][first : first + len(chunk) * PIXELS])
+
+
+def _metadata(trajectories: Sequence[Mapping[str, Any]]) -> str:
+    """Return what a store says of its trajectories and splits, as JSON."""
+    splits, start = {}, 0
+    for split in SPLITS:
+        stop = start + sum(row["frames"] for row in trajectories if row["split"] == split)
+        splits[split], start = (start, stop), stop
+    names = [[row[key] for row in trajectories] for key in _IDENTITY]
+    phantoms = [row["phantom"] for row in trajectories]
+    metadata = {"trajectories": names, "phantoms": phantoms, "splits": splits}
+    if any("patient" in row for row in trajectories):
+        metadata["patients"] = [row["patient"] for row in trajectories]
+    return json.dumps(metadata, sort_keys=True)
 
 
 def _offset(path: Path, column: str) -> int:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 from rich.table import Table
 from rich.text import Text
@@ -118,9 +119,13 @@ def _check_config(
     _check_leaks(result, prefix, root, found)
     if config in ADDED:
         _check_patients(result, prefix, root, found)
-    if config != "frames":
-        return
-    parameters = found.column("parameters")
+    if config == "frames":
+        _check_paper(result, found.column("parameters"))
+
+
+def _check_paper(result: Validation, parameters: np.ndarray) -> None:
+    """Hold (N, 12) parameters of `frames` against the paper's table, where it is the measure."""
+    manifest = result.manifest
     result.statistics.update(meaning.statistics_of(parameters))
     if meaning.has_paper(manifest):
         result.verdicts.update(meaning.verdicts_of(result.statistics))
