@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pyarrow as pa
 
@@ -79,7 +79,7 @@ def add_config(
     if name not in ADDED:
         raise RacinesError(f"source {source.name} adds {name!r}: name one of {', '.join(ADDED)}")
     read_manifest(root)  # before the work, and once more after it
-    units: Sequence[Any] = plan_units(source, config)
+    units = cast(Sequence[Any], plan_units(source, config))
     recipe = _recipe(source)
     with staging_folder(root, source, recipe_digest(recipe), config.allow) as folder:
         part = Part(name, source, units, {each.id: each.split for each in units}, folder / name)
