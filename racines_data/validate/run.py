@@ -175,7 +175,7 @@ def _check_leaks(result: Validation, prefix: str, root: Path, found: Survey) -> 
         result.figures[found.config]["leaks"] = leaks.leaks_json(sweeps)
         return leaks.check_leaks(sweeps)
 
-    # The limits are of one heart: sweeps over patients are faster and fewer frames. A patient in two
+    # The limits are of slower sweeps over one heart; they are told of patients. A patient in two
     # splits fails the check of splits.
     manifest = config_manifest(result.manifest, found.config)
     result.add(f"{prefix}leaks", check, binding=manifest["source"] == "phantom")
