@@ -77,7 +77,7 @@ MOVED = {
         "reward_trace=rewards step_profile task_table transfer transfer_pages=transfer"
     ),
     "racines_envs.task": (
-        "actions core names rewards sensing starts state=core task.state=core "
+        "actions core names rewards sensing starts state "
         "task.view_error=starts tasks view_error=starts"
     ),
     "racines_envs.worlds": (

@@ -1,6 +1,7 @@
 """Patients: simulated hearts that nobody trained on, which beat and breathe.
 
     draw_patient(seed) -> Patient       who a seed is; `dataclasses.asdict` is JSON
+    lie_anew(patient, other) -> Patient lying and examined as another; its baked voxels stay
     split_of(seed), seeds_of(split)     whose a seed is; SPLITS, and secret seeds from 1,000,000 up
     Pool(seeds, device, beating, memory)
         .render(pose, rows, phase, seeds) -> (B, 128, 128) uint8 images
@@ -25,7 +26,7 @@ where none is given, hearts stand at end diastole, breathed out. `CAMUS` maps LA
 from racines_data.patients.labels import CAMUS, LABELS
 from racines_data.patients.patient import PATHOLOGIES, PATIENTS_VERSION, Patient
 from racines_data.patients.pool import Pool
-from racines_data.patients.population import draw_patient
+from racines_data.patients.population import draw_patient, lie_anew
 from racines_data.patients.splits import SPLITS, check_split, seeds_of, split_of
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "Pool",
     "check_split",
     "draw_patient",
+    "lie_anew",
     "seeds_of",
     "split_of",
 ]

@@ -16,7 +16,7 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, rotate
 from racines_data.patients import oracle
-from racines_data.patients.bake import baked
+from racines_data.patients.bake import baked, recipe
 from racines_data.patients.chest import Chest, breathing, obstacles, shadows, undeform
 from racines_data.patients.heart import LEVELS, Heart, make_heart, nominal_targets
 from racines_data.patients.labels import CODES, shown
@@ -65,7 +65,7 @@ class Pool:
 
     def __init__(
         self,
-        seeds: Sequence[int],
+        seeds: Sequence[int | Patient],
         device: torch.device | str = "cpu",
         beating: bool = False,
         memory: int = MEMORY,
@@ -73,7 +73,8 @@ class Pool:
         """Bake patients, or fetch them from the cache.
 
         Args:
-            seeds: of the patients, in the order of their rows.
+            seeds: of the patients, in the order of their rows; or patients, as `lie_anew` makes
+                several of one, whose voxels are then held once.
             device: where voxels lie and rows are drawn.
             beating: whether nominal poses have to be good over the whole beat; the phase that is
                 given with a row moves its heart in any case.
@@ -83,9 +84,12 @@ class Pool:
             RacinesError: no seeds, a seed of no split, or more hearts than fit, before any is
                 baked.
         """
-        check_memory(len(seeds), memory)
-        self.seeds = tuple(int(seed) for seed in seeds)
-        self.patients: tuple[Patient, ...] = tuple(map(draw_patient, self.seeds))
+        self.patients: tuple[Patient, ...] = tuple(
+            each if isinstance(each, Patient) else draw_patient(int(each)) for each in seeds
+        )
+        self.seeds = tuple(patient.seed for patient in self.patients)
+        self._baked = {recipe(patient): patient for patient in self.patients}
+        check_memory(len(self._baked), memory)
         self.device = torch.device(device)
         self.beating = beating
         self.views, self.labels = VIEWS, LABELS
@@ -101,8 +105,9 @@ class Pool:
     @cached_property
     def _voxels(self) -> Tensor:
         """All hearts' voxels, baked when they are first looked at: who asks for poses waits not."""
-        voxels = torch.empty(len(self) * HEART_SIZE, dtype=torch.int64, device=self.device)
-        for row, patient in enumerate(self.patients):
+        whole = len(self._baked) * HEART_SIZE
+        voxels = torch.empty(whole, dtype=torch.int64, device=self.device)
+        for row, patient in enumerate(self._baked.values()):
             voxels[row * HEART_SIZE : (row + 1) * HEART_SIZE] = baked(patient).to(self.device)
         return voxels
 
@@ -129,8 +134,10 @@ class Pool:
         labels = [[shown(code, (a, b, c)) for code in range(CODES)] for a, b, c in stages.tolist()]
         self._shown = torch.tensor(labels, dtype=torch.uint8, device=device)
         # Offsets of more than 2^31 voxels need wider integers.
-        kind = torch.int32 if len(hearts) * HEART_SIZE < 2**31 else torch.int64
-        self._offsets = torch.arange(len(hearts), device=device).mul_(HEART_SIZE).to(kind)
+        kind = torch.int32 if len(self._baked) * HEART_SIZE < 2**31 else torch.int64
+        held = list(self._baked)
+        places = torch.tensor([held.index(recipe(patient)) for patient in self.patients])
+        self._offsets = places.mul_(HEART_SIZE).to(device, kind)
 
     @property
     def workspace(self) -> Workspace:

@@ -6,6 +6,7 @@ in people. Normal ranges: Lang et al., Recommendations for Cardiac Chamber Quant
 turned by double arithmetic and rounded, so that a patient is the same on every processor.
 """
 
+from dataclasses import replace
 from functools import lru_cache
 from statistics import NormalDist
 
@@ -71,6 +72,17 @@ def draw_patient(seed: int) -> Patient:
         tissues=_tissues(draw),
         examination=_examination(draw),
         motion=_motion(draw, kind),
+    )
+
+
+def lie_anew(patient: Patient, other: Patient) -> Patient:
+    """Return a patient who lies, is examined and moves as another one does.
+
+    Form and tissues stay, and so do the baked voxels: any number of these costs no baking.
+    """
+    chest = replace(other.chest, fat=patient.chest.fat)
+    return replace(
+        patient, place=other.place, chest=chest, examination=other.examination, motion=other.motion
     )
 
 

@@ -7,7 +7,7 @@ ones that time themselves; the core knows nothing of it and is no slower when no
 import os
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,27 +89,26 @@ class _Timed:
     """An object with some methods timed, as are those of what others return; all else its own."""
 
     def __init__(
-        self, inner: Any, watch: Stopwatch, returning: tuple[str, ...] = (), **phases: str
+        self, inner: Any, watch: Stopwatch, phases: Mapping[str, str], *returning: str
     ) -> None:
         self._inner = inner
         for method, phase in phases.items():
             if hasattr(inner, method):
                 setattr(self, method, watch.timed(phase, getattr(inner, method)))
+        self._again = lambda found: _Timed(found, watch, phases, *returning)
         for method in returning:
             if hasattr(inner, method):
-                setattr(self, method, self._wrapped(getattr(inner, method), watch, **phases))
+                setattr(self, method, self._wrapped(getattr(inner, method)))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._inner, name)
 
-    def _wrapped(
-        self, work: Callable[..., Any], watch: Stopwatch, **phases: str
-    ) -> Callable[..., Any]:
+    def _wrapped(self, work: Callable[..., Any]) -> Callable[..., Any]:
         """Return a method whose result is timed; what returns itself returns this."""
 
         def run(*arguments: Any) -> Any:
-            found = work(*arguments)
-            return self if found is self._inner else _Timed(found, watch, **phases)
+            found = work(*(x._inner if isinstance(x, _Timed) else x for x in arguments))
+            return self if found is self._inner else self._again(found)
 
         return run
 
@@ -118,13 +117,13 @@ def attach(core: ScanCore, watch: Stopwatch) -> None:
     """Have the parts of a core timed, from now on."""
     timed: Any = _Timed  # it stands for a part of any kind
     truths = {"judge": "truth", "judge_alike": "truth", "wrench": "contact"}
-    phantom = timed(core.phantom, watch, ("scene",), **truths)
+    phantom = timed(core.phantom, watch, truths, "scene", "at")
     own = core.forces is core.phantom
-    core.forces = phantom if own else timed(core.forces, watch, wrench="contact")
+    core.forces = phantom if own else timed(core.forces, watch, {"wrench": "contact"})
     core.phantom = phantom
-    core.images = timed(core.images, watch, ("of",), generate="render")
+    core.images = timed(core.images, watch, {"generate": "render"}, "of")
     if core.grader is not None:
-        core.grader = timed(core.grader, watch, probabilities_and_grade="grade")
+        core.grader = timed(core.grader, watch, {"probabilities_and_grade": "grade"})
     core._reward = watch.timed("reward", core._reward)
 
 

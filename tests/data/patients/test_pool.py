@@ -4,7 +4,7 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
-from racines_data.patients import CAMUS, LABELS, Pool, draw_patient
+from racines_data.patients import CAMUS, LABELS, Pool, draw_patient, lie_anew
 from racines_data.patients.heart import make_heart
 from racines_data.patients.pool import MEMORY, check_memory
 from racines_data.patients.settings import PROBE
@@ -162,3 +162,18 @@ def test_forces_and_coupling_know_the_skin_alone(pool: Pool) -> None:
     assert torch.equal(force[0], force[1]) and force.shape == (2, 6)
     assert bool(pool.workspace.contains(pose).all())
     assert PROBE.samples == 144
+
+
+def test_a_heart_that_lies_elsewhere_is_held_once(pool: Pool, batch: tuple) -> None:
+    own, other = draw_patient(SEEDS[0]), draw_patient(SEEDS[1])
+    moved = lie_anew(own, other)
+    two = Pool([own, moved])
+    assert two._voxels.nbytes == HEART_BYTES and two.seeds == (SEEDS[0], SEEDS[0])
+    assert moved.form == own.form and moved.place == other.place
+    rows = torch.tensor([0, 1])
+    pose = at_targets(two, rows, torch.zeros(2, dtype=torch.int64))
+    images, alone = two.render(pose, rows), Pool([SEEDS[0]])
+    first = Pose(*(part[:1] for part in pose))
+    assert torch.equal(images[:1], alone.render(first, rows[:1]))
+    assert (two.judge(pose, rows).membership[:, 0] > 0.9).all()
+    assert (pose.position[0] - pose.position[1]).norm() > 0.005

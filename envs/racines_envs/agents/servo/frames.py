@@ -2,6 +2,7 @@
 
     start about a view's middle ----- frame, strayed a little ----> nominal pose of that view
 
+A heart is drawn as it lies in several train patients, at no cost but a search for its views there.
 Frames of one patient are a shard, a function of the patient, the settings and the world's version
 alone. It is kept on disk, for drawing frames costs more than learning from them.
 """
@@ -26,8 +27,10 @@ from racines_data.geometry import (
     rotate,
     rotation_vector,
 )
-from racines_data.patients.patient import PATIENTS_VERSION
+from racines_data.patients.patient import PATIENTS_VERSION, Patient
 from racines_data.patients.pool import Pool
+from racines_data.patients.population import draw_patient, lie_anew
+from racines_data.patients.splits import seeds_of, split_of
 from racines_data.randomness import derive, normal, uniform
 from racines_envs.task.tiers import LONGEST, middles
 from racines_models.networks.servo import SIDE
@@ -48,6 +51,9 @@ class FrameConfig:
 
     frames: int = 1_000
     """Frames a patient."""
+    places: int = 12
+    """Ways in which a patient lies, is examined and moves: their own, and other train patients'.
+    A network that sees a heart in one place only learns that place by heart."""
     moving: float = 0.5
     """Share of the frames drawn at a moment of the beat and the breath; the rest are still."""
 
@@ -109,14 +115,22 @@ def draw_poses(targets: Pose, seeds: Tensor) -> Pose:
     return Pose(place, orthonormalise(matmul3(goal.rotation, turned)))
 
 
+def places_of(patient: int, count: int) -> list[Patient]:
+    """Return a patient, then as they would lie in the place of others of the split, by chance."""
+    own, split = draw_patient(patient), seeds_of(split_of(patient))
+    chance = uniform(derive(torch.tensor([STREAM + 4]), patient), count, STREAM + 4)[0].double()
+    others = (chance * len(split)).long().tolist()
+    return [own, *(lie_anew(own, draw_patient(split[other])) for other in others[1:])]
+
+
 def shard(patient: int, config: FrameConfig, folder: Path) -> Frames:
     """Return a patient's frames from the folder, or draw them and put them there."""
     told = {"world": PATIENTS_VERSION, "patient": patient, "side": SIDE, **asdict(config)}
     path = folder / f"{patient}-{recipe_digest(told)[:16]}.safetensors"
     if not path.is_file():
-        pool = Pool([patient], beating=True)
+        pool = Pool(places_of(patient, config.places), beating=True)
         seeds = derive(torch.full((config.frames,), STREAM), patient, torch.arange(config.frames))
-        drawn = draw_frames(pool, torch.zeros_like(seeds), seeds, config)
+        drawn = draw_frames(pool, torch.arange(config.frames) % len(pool), seeds, config)
         columns = {"images": drawn.images, "ways": drawn.ways.half()}
         folder.mkdir(parents=True, exist_ok=True)
         write_once(path, lambda part: save_file(columns, part))
