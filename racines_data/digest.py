@@ -19,6 +19,7 @@ import numpy as np
 from racines_data.errors import RacinesError
 from racines_data.files import sampled_sha256, sha256_file, write_atomic
 from racines_data.manifest import (
+    ADDED,
     CARD,
     CROISSANT,
     DIGEST_VERSION,
@@ -29,6 +30,8 @@ from racines_data.manifest import (
     STORES,
     VERIFY_VARIABLE,
     check_split,
+    config_manifest,
+    measures_name,
     rebuild_hint,
     store_name,
 )
@@ -57,7 +60,18 @@ def trajectory_digest(trajectory: Trajectory) -> str:
         if column.dtype.kind == "f":
             column = np.where(np.isnan(column), np.array(np.nan, dtype), column)
         digest.update(column.tobytes())
+    _add_patient(digest, trajectory)
     return digest.hexdigest()
+
+
+def _add_patient(digest: "hashlib._Hash", trajectory: Trajectory) -> None:
+    """Add what the frames of a patient have besides; nothing for all others."""
+    if trajectory.patient is not None:
+        digest.update(canonical_json({"patient": trajectory.patient}).encode())
+    for name, dtype in (("phases", "<f8"), ("masks", "u1")):
+        column = getattr(trajectory, name)
+        if column is not None:
+            digest.update(name.encode() + np.asarray(column, dtype=dtype).tobytes())
 
 
 def content_digest(
@@ -144,10 +158,10 @@ def refuse_strays(root: Path, manifest: Mapping[str, Any]) -> None:
             f"{root}: {_some(strays)} {'is' if len(strays) == 1 else 'are'} no part of the "
             "dataset (not in manifest.json): remove, or rebuild into an empty folder"
         )
-    used = {CARD, CROISSANT, REPORT, *map(store_name, STORES)}
+    used = {CARD, CROISSANT, REPORT, *map(store_name, STORES), *map(measures_name, ADDED)}
     for shards in manifest["configs"].values():
         used.update(chain.from_iterable(shards.values()))
-    for part in (manifest, manifest.get(MULTI_PHANTOM) or {}):
+    for part in (manifest, *(manifest.get(config) or {} for config in (MULTI_PHANTOM, *ADDED))):
         used.update(frame["file"] for frame in part.get("canonical", ()))
     idle = [name for name in files if name not in used and not name.startswith(PICTURES)]
     if idle:
@@ -186,7 +200,11 @@ def checked_shards(
     """Return the shards of a config by split, or of one; they and `more` files are checked."""
     if config not in manifest["configs"]:
         known = ", ".join(manifest["configs"])
-        raise RacinesError(f"{root}: unknown config {config!r}; this dataset has {known}")
+        add = f"; add it: racines data build --source {config} --out {root}"
+        raise RacinesError(
+            f"{root}: unknown config {config!r}; this dataset has {known}"
+            + (add if config in ADDED else "")
+        )
     shards = manifest["configs"][config]
     if split is not None and check_split(split) not in shards:
         raise RacinesError(f"{root}: config {config!r} has no split {split!r}: too few rows")
@@ -198,7 +216,7 @@ def checked_shards(
             f"{rebuild_hint(manifest)}"
         )
     files = {name: manifest["files"][name] for name in names}
-    check_files(root, files, rebuild_hint(manifest), verify)
+    check_files(root, files, rebuild_hint(config_manifest(manifest, config)), verify)
     return wanted
 
 

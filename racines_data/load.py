@@ -33,7 +33,7 @@ def load(
 
     Args:
         version: The version wanted, x.y.z, or its tag; any if absent, of the Hub the newest.
-        config: `frames`, `trajectories`, `sessions` or `multi_phantom`.
+        config: `frames`, `trajectories`, `sessions`, `multi_phantom`, `patients` or `beating`.
         split: `train`, `validation` or `test`; all if absent.
         root: The dataset's folder; default `RACINES_DATA` or `data/racines`.
         streaming: Read while iterating instead of through the cache.

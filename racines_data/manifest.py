@@ -22,7 +22,12 @@ VERIFY_VARIABLE = "RACINES_VERIFY"  # hash every file again, as `racines --verif
 DIGEST_VERSION = 2
 """What a content digest is of. 1: splits, ids and trajectories; 2: the source as well, so that
 frames of a simulator cannot be passed off as recorded ones. A manifest that names none has 1."""
-STORES = ("frames", MULTI_PHANTOM)  # configs with a store; `sessions` are rows of `frames`
+ADDED = ("patients", "beating")
+"""Configs of simulated patients: still hearts, and hearts that beat and breathe. A source of the
+same name adds each to a dataset that stands. It has a source, a version, a recipe, digests and
+counts of its own, under its name in the manifest, and more columns than `frames`."""
+STORES = ("frames", MULTI_PHANTOM, *ADDED)
+"""Configs with a store; `sessions` are rows of `frames`."""
 
 
 def default_root(root: Path | str | None = None) -> Path:
@@ -71,8 +76,19 @@ def digest_note(manifest: Mapping[str, Any]) -> str:
 
 
 def config_digest(manifest: Mapping[str, Any], config: str = "frames") -> str:
-    """Return the content digest of a config: `multi_phantom` has its own, the others share one."""
-    return manifest[MULTI_PHANTOM]["digest"] if config == MULTI_PHANTOM else manifest["digest"]
+    """Return the content digest of a config: `frames`, `sessions`, `trajectories` share one."""
+    own = config in (MULTI_PHANTOM, *ADDED)
+    return manifest[config]["digest"] if own else manifest["digest"]
+
+
+def added_configs(manifest: Mapping[str, Any]) -> list[str]:
+    """Return the names of the configs that sources have added to a dataset."""
+    return [name for name in ADDED if name in manifest.get("configs", ())]
+
+
+def config_manifest(manifest: Mapping[str, Any], config: str) -> dict[str, Any]:
+    """Return the manifest as it is of a config: of an added one, source and recipe are its own."""
+    return {**manifest, **(manifest[config] if config in ADDED and config in manifest else {})}
 
 
 def manifest_labels(manifest: Mapping[str, Any]) -> tuple[str, ...]:
@@ -94,6 +110,11 @@ def store_name(config: str) -> str:
     return f"store/{config}.arrow"
 
 
+def measures_name(config: str) -> str:
+    """Return the file with the true measures of an added config's patients, in the dataset."""
+    return f"measures/{config}.parquet"
+
+
 def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:
     """Return the description of a config.
 
@@ -103,6 +124,7 @@ def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:
     """
     from racines_data.sources.base import manifest_card
 
+    manifest = config_manifest(manifest, config)
     origin = manifest_card(manifest).origin
     annotation = manifest.get("annotation") if config in ("frames", "sessions") else None
     return (

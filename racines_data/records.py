@@ -3,7 +3,7 @@
 import io
 import zlib
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -11,7 +11,15 @@ from PIL import Image
 
 from racines_data.files import image_bytes
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.schema import CONTROLS, PARAMETERS, SOURCES, Trajectory, frame_features
+from racines_data.manifest import ADDED
+from racines_data.schema import (
+    CONTROLS,
+    PARAMETERS,
+    PHASES,
+    SOURCES,
+    Trajectory,
+    frame_features,
+)
 from racines_data.sources.gate.check import check_trajectory as check_trajectory
 from racines_data.views import LABELS
 
@@ -19,10 +27,14 @@ if TYPE_CHECKING:
     from datasets import Features
 
 PIXELS = IMAGE_SIZE * IMAGE_SIZE
+RAW_PIXELS, MASK_PIXELS = "pixels", "mask_pixels"
+"""Columns of images and masks as they are in memory, while a dataset is made."""
 
 
 def features_of(source: str, labels: Sequence[str] = LABELS) -> "Features":
     """Return the features of `frames` for one source, a third party's included, and its labels."""
+    if source in ADDED:
+        return frame_features((*SOURCES, *ADDED), labels, patients=True)
     return frame_features(SOURCES if source in SOURCES else (*SOURCES, source), labels)
 
 
@@ -47,9 +59,7 @@ def trajectory_to_table(
     columns: dict[str, pa.Array] = {
         name: pa.array(values, pa.float32(), from_pandas=True) for name, values in floats.items()
     }
-    names = [f"{trajectory.id}-{frame:05d}.png" for frame in range(count)]
-    pngs = pa.array([encode_png(image) for image in trajectory.images], pa.binary())
-    columns["image"] = pa.StructArray.from_arrays([pngs, pa.array(names)], ["bytes", "path"])
+    columns["image"] = _png_column(trajectory.images, trajectory.id)
     columns["timestamp"] = pa.array(trajectory.timestamps, pa.float64(), from_pandas=True)
     columns["view"] = pa.array(trajectory.views, pa.int64(), mask=trajectory.views < 0)
     # What a grader makes of the frames is filled in later, by `racines data annotate`.
@@ -61,7 +71,28 @@ def trajectory_to_table(
     columns["session"] = pa.repeat(trajectory.session, count)
     columns["trajectory"] = pa.repeat(trajectory.id, count)
     columns["frame"] = pa.array(np.arange(count), pa.int32())
+    if "patient" in features:
+        columns |= _patient_columns(trajectory)
     return pa.table([columns[name] for name in features], schema=features.arrow_schema)
+
+
+def _png_column(images: np.ndarray, name: str) -> pa.StructArray:
+    names = [f"{name}-{frame:05d}.png" for frame in range(len(images))]
+    pngs = pa.array([encode_png(image) for image in images], pa.binary())
+    return pa.StructArray.from_arrays([pngs, pa.array(names)], ["bytes", "path"])
+
+
+def _patient_columns(trajectory: Trajectory) -> dict[str, pa.Array]:
+    """Return what the frames of a patient have besides the columns of `frames`."""
+    count, phases, masks = len(trajectory), trajectory.phases, trajectory.masks
+    columns = {"patient": pa.array([trajectory.patient] * count, pa.int64())}
+    for index, name in enumerate(PHASES):
+        known = phases is not None
+        columns[name] = pa.array(phases[:, index]) if known else pa.nulls(count, pa.float64())
+    kind = pa.struct({"bytes": pa.binary(), "path": pa.string()})
+    named = f"{trajectory.id}-mask"
+    columns["mask"] = pa.nulls(count, kind) if masks is None else _png_column(masks, named)
+    return columns
 
 
 def pixels_array(images: np.ndarray) -> pa.FixedSizeBinaryArray:
@@ -73,20 +104,34 @@ def pixels_array(images: np.ndarray) -> pa.FixedSizeBinaryArray:
 
 def table_to_trajectory(table: pa.Table) -> Trajectory:
     """Return the trajectory that some rows of the `frames` config hold, in order."""
-    pngs = table["image"].combine_chunks().field("bytes")
-    images = [np.asarray(Image.open(io.BytesIO(png.as_buffer()))) for png in pngs]
     return Trajectory(
         id=table["trajectory"][0].as_py(),
         session=table["session"][0].as_py(),
         target_view=table["target_view"][0].as_py(),
-        images=np.stack(images),
+        images=decode_images(table["image"]),
         parameters=float_columns(table, PARAMETERS),
         timestamps=table["timestamp"].fill_null(np.nan).to_numpy(),
         controls=float_columns(table, CONTROLS),
         views=table["view"].fill_null(-1).to_numpy(),
         grades=float_columns(table, ["grade"])[:, 0],
         phantom=table["phantom"][0].as_py(),
+        **(_of_patient(table) if "patient" in table.column_names else {}),
     )
+
+
+def decode_images(column: pa.ChunkedArray) -> np.ndarray:
+    """Return (T, 128, 128) uint8 of a column of PNG."""
+    pngs = column.combine_chunks().field("bytes")
+    return np.stack([np.asarray(Image.open(io.BytesIO(png.as_buffer()))) for png in pngs])
+
+
+def _of_patient(table: pa.Table) -> dict[str, Any]:
+    phases = np.stack([table[name].to_numpy() for name in PHASES], -1)
+    return {
+        "patient": table["patient"][0].as_py(),
+        "phases": None if np.isnan(phases).all() else phases,
+        "masks": None if table["mask"].null_count else decode_images(table["mask"]),
+    }
 
 
 def float_columns(table: pa.Table, names: Sequence[str]) -> np.ndarray:

@@ -20,12 +20,20 @@ PARAMETERS = tuple(
 CONTROLS = ("control_x", "control_y", "control_z", "control_rx", "control_ry", "control_rz")
 """Commanded velocity: m/s and rad/s; nullable."""
 
+PHASES = ("cardiac_phase", "respiratory_phase")
+"""Where a patient's heart and chest are in beat and breath, in [0, 1)."""
+
 SPLITS = ("train", "validation", "test")
 SOURCES = ("phantom", "release", "cactus", "tracked")
 
 
-def frame_features(sources: Sequence[str] = SOURCES, labels: Sequence[str] = LABELS) -> "Features":
-    """Return the features of `frames`; `sources` and `labels` name the classes of source, view."""
+def frame_features(
+    sources: Sequence[str] = SOURCES, labels: Sequence[str] = LABELS, patients: bool = False
+) -> "Features":
+    """Return the features of `frames`; `sources` and `labels` name the classes of source, view.
+
+    With `patients`, those of simulated patients, who have four more.
+    """
     from datasets import ClassLabel, Features, Image, Value
 
     columns = {"image": Image(mode="L")}
@@ -43,6 +51,9 @@ def frame_features(sources: Sequence[str] = SOURCES, labels: Sequence[str] = LAB
         "trajectory": Value("string"),
         "frame": Value("int32"),
     }
+    if patients:
+        columns |= {"patient": Value("int64"), **dict.fromkeys(PHASES, Value("float64"))}
+        columns |= {"mask": Image(mode="L")}
     return Features(columns)
 
 
@@ -77,13 +88,21 @@ class Trajectory:
     """(T,) float32, 0-10; NaN where unknown."""
     phantom: int | None = None
     """Seed of the simulated anatomy, 0 the canonical one; absent for recordings."""
+    patient: int | None = None
+    """Seed of the simulated patient; absent where none is scanned."""
+    phases: np.ndarray | None = None
+    """(T, 2) float64 cardiac and respiratory phase in [0, 1), of a patient."""
+    masks: np.ndarray | None = None
+    """(T, 128, 128) uint8 labels of what each pixel shows, where there are any."""
 
     def __post_init__(self) -> None:
         """Check that every column has one entry a frame."""
-        for name in ("parameters", "timestamps", "controls", "views", "grades"):
-            if len(getattr(self, name)) != len(self.images):
+        columns = "parameters", "timestamps", "controls", "views", "grades", "phases", "masks"
+        for name in columns:
+            column = getattr(self, name)
+            if column is not None and len(column) != len(self.images):
                 raise RacinesError(
-                    f"trajectory {self.id}: {name} has {len(getattr(self, name))} rows for "
+                    f"trajectory {self.id}: {name} has {len(column)} rows for "
                     f"{len(self.images)} images"
                 )
 

@@ -16,6 +16,11 @@ from racines_data.geometry import Pose, parameters_to_pose
 if TYPE_CHECKING:
     from racines_data.phantom.config import PhantomConfig
 
+STEP_SECONDS = 0.1
+"""What one step of an environment takes where hearts beat, and from frame to frame of patients."""
+LONGEST = 60.0
+"""An episode, or a sweep, begins so late in a patient's rhythm at most, s."""
+
 
 @dataclass(frozen=True)
 class Workspace:

@@ -16,27 +16,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from racines_data.build import writer
+from racines_data.build import beside, writer
+from racines_data.build.planning import FORMAT, check_part, plan_units
 from racines_data.build.staging import stage_units, staging_folder
 from racines_data.config import Settings, fill, section
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.files import recover_folder, swap_folder
 from racines_data.manifest import MANIFEST, MULTI_PHANTOM
-from racines_data.records import float_columns
-from racines_data.schema import PARAMETERS
 from racines_data.sources.base import (
-    Finding,
     Source,
-    Unit,
-    has_poses,
     source_class,
     source_names,
 )
 from racines_data.sources.gate.bounds import bounds_of
-from racines_data.sources.gate.check import check_scales, scale_of
-
-FORMAT = 3  # version of the layout of units, shards and store; part of every recipe
 
 
 @dataclass(frozen=True)
@@ -120,13 +113,15 @@ def build(
 
     Args:
         source: Where the trajectories come from.
-        out: Folder of the dataset. An older dataset there is replaced when the new one is whole.
+        out: Folder of the dataset. An older dataset there is replaced when the new one is whole,
+            but for configs that other sources have added. A source that adds one (`adds`) leaves
+            all others as they are.
         config: Splits, shards, workers, limits.
         progress: Show a progress bar on stderr.
         many: Source of the config `multi_phantom`; each of its sessions is one heart.
 
     Returns:
-        The manifest.
+        The manifest; as it is of the added config, where one was.
 
     Raises:
         RacinesError: the source refuses its input, too much is refused, `out` holds something
@@ -135,15 +130,17 @@ def build(
     config = config or DataConfig()
     out = out.resolve()  # a link to the dataset stays a link
     recover_folder(out)
-    if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
-        raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
     if config.workers < 1 or config.shards < 1:
         raise RacinesError("data.workers and data.shards must be one or more")
     if not re.fullmatch(r"\d+\.\d+\.\d+", source.version):
         raise RacinesError(f"source {source.name}: version {source.version!r} is not x.y.z")
+    if getattr(source, "adds", ""):
+        return beside.add_config(source, out, config, progress)
+    if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
+        raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
     bounds = bounds_of(source, config.allow)
-    units = _plan(source, config)
-    many_units = [] if many is None else _plan(many, config)
+    units = plan_units(source, config)
+    many_units = [] if many is None else plan_units(many, config)
     recipe = _recipe(source, config, many)
     out.parent.mkdir(parents=True, exist_ok=True)
     with staging_folder(out, source, recipe_digest(recipe), config.allow) as folder:
@@ -157,9 +154,10 @@ def build(
             parts.append((many, many_units, part.folder, True))
         stage_units(parts, config.workers, progress, config.allow)
         for each in filter(None, (main, part)):
-            _check_scales(each, bounds.allow)
+            check_part(each, bounds.allow)
         final = folder / f"final-{config.shards}"  # what is whole there has the same bounds
         manifest = writer.write_dataset(final, main, part, recipe, config.shards, progress, bounds)
+        beside.carry(out, final, manifest)
         swap_folder(final, out)
     return manifest
 
@@ -186,33 +184,6 @@ def peak_memory(workers: int) -> int:
     return 1024 * (own + (workers * child if workers > 1 else 0))
 
 
-def _plan(source: Source, config: DataConfig) -> list[Unit]:
-    units = list(source.plan())
-    _check_report(source.report, units, config)
-    if not units:
-        raise RacinesError(f"source {source.name}: no trajectory to build from")
-    ids = [unit.id for unit in units]
-    if len(set(ids)) < len(ids):
-        twice = next(name for name in ids if ids.count(name) > 1)
-        raise RacinesError(f"source {source.name}: trajectory {twice!r} occurs twice")
-    return units
-
-
-def _check_scales(part: writer.Part, allow: Sequence[str]) -> None:
-    """Hold the staged trajectories of a source against one another."""
-    if has_poses(part.source):
-        scales = [
-            scale_of(
-                row["trajectory"],
-                float_columns(table, PARAMETERS[:6]),
-                float_columns(table, PARAMETERS[6:9]),
-                table["timestamp"].to_numpy(),
-            )
-            for row, table in zip(part.rows, part.tables(), strict=True)
-        ]
-        check_scales(scales, part.source.name, allow)
-
-
 def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str, Any]:
     return {
         "format": FORMAT,
@@ -222,19 +193,3 @@ def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str
         "settings": source.recipe(),
         **({} if many is None else {MULTI_PHANTOM: many.recipe()}),
     }
-
-
-def _check_report(report: Sequence[Finding], units: Sequence[Unit], config: DataConfig) -> None:
-    refused = [finding for finding in report if finding.refused]
-    if not refused:
-        return
-    first = f"{refused[0].file} {refused[0].item}: {refused[0].reason}"
-    if config.strict:
-        raise RacinesError(f"refused (--strict): {first}")
-    lost = sum(finding.frames for finding in refused)
-    total = lost + sum(unit.frames for unit in units)
-    if lost > config.max_refused * total:
-        raise RacinesError(
-            f"{lost} of {total} frames refused, more than max_refused {config.max_refused}; "
-            f"first: {first}"
-        )

@@ -27,7 +27,7 @@ from racines_data.digest import trajectory_digest
 from racines_data.errors import RacinesError
 from racines_data.files import naming, working_folder
 from racines_data.progress import progress_bar
-from racines_data.records import pixels_array, trajectory_to_table
+from racines_data.records import MASK_PIXELS, RAW_PIXELS, pixels_array, trajectory_to_table
 from racines_data.sources.base import Source, Unit, has_poses, labels_of_source
 from racines_data.sources.gate.bounds import Bounds, bounds_of
 from racines_data.sources.gate.check import check_trajectory
@@ -165,7 +165,9 @@ def _stage(
         trajectory = source.produce(unit)
         check_trajectory(trajectory, unit, labels, has_poses(source), bounds, source.name)
         table = trajectory_to_table(trajectory, source.name, labels)
-        table = table.append_column("pixels", pixels_array(trajectory.images))
+        table = table.append_column(RAW_PIXELS, pixels_array(trajectory.images))
+        if trajectory.masks is not None:
+            table = table.append_column(MASK_PIXELS, pixels_array(trajectory.masks))
         digest = {_DIGEST: trajectory_digest(trajectory).encode()}
         table = table.replace_schema_metadata((table.schema.metadata or {}) | digest)
         aside = path.with_suffix(f".{os.getpid()}")

@@ -28,6 +28,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import naming, sha256_file, write_once
 from racines_data.manifest import CARD, DIGEST_VERSION, MANIFEST, MULTI_PHANTOM, REPORT, store_name
 from racines_data.progress import progress_bar
+from racines_data.records import MASK_PIXELS, RAW_PIXELS
 from racines_data.schema import PARAMETERS, SPLITS, trajectory_features
 from racines_data.sources.base import Finding, Source, Unit, has_poses, labels_of_source, own_card
 from racines_data.sources.gate.bounds import Bounds, to_manifest
@@ -57,7 +58,7 @@ class Group:
 class Part:
     """The staged trajectories of one config."""
 
-    config: str  # `frames` or `multi_phantom`
+    config: str  # `frames`, `multi_phantom`, or what a source adds
     source: Source
     units: Sequence[Unit]  # all, in the source's order
     splits: Mapping[str, str]  # split of each unit's id
@@ -97,6 +98,7 @@ def _trajectory_row(unit: Unit, split: str, path: Path) -> dict[str, Any]:
         "frames": len(table),
         "duration": None if first is None else last - first,
         "digest": digest,
+        **({"patient": table["patient"][0].as_py()} if "patient" in table.column_names else {}),
     }
 
 
@@ -123,7 +125,7 @@ def write_dataset(
         "source": source.name,
         "version": source.version,
         "tag": f"{source.name}-v{source.version}",
-        "digest": _digest(rows, source.name),
+        "digest": digest_rows(rows, source.name),
         "digest_version": DIGEST_VERSION,
         "recipe_digest": recipe_digest(recipe),
         "recipe": recipe,
@@ -137,15 +139,18 @@ def write_dataset(
             "refused_frames": sum(each.frames for each in source.report if each.refused),
             "flagged": sum(not each.refused for each in source.report),
         },
-        "configs": _configs(_write_part(final, main, shards, progress)),
-        "canonical": _write_canonical(final, main.tables()),
+        "configs": _configs(write_part(final, main, shards, progress)),
+        "canonical": write_canonical(final, main.tables()),
     }
     manifest["configs"]["trajectories"] = _write_trajectories(final, rows)
     if many is not None:
-        paths = _write_part(final, many, shards, progress)
+        paths = write_part(final, many, shards, progress)
         manifest["configs"][many.config] = {split: others for split, (others, _) in paths.items()}
-        canonical = _write_canonical(final, many.tables(), f"canonical/{many.config}")
-        manifest[MULTI_PHANTOM] = {**_count_hearts(many.rows, source.name), "canonical": canonical}
+        canonical = write_canonical(final, many.tables(), f"canonical/{many.config}")
+        counted = count_wholes(many.rows, "hearts") | {
+            "digest": digest_rows(many.rows, source.name)
+        }
+        manifest[MULTI_PHANTOM] = {**counted, "canonical": canonical}
     _write_report(final / REPORT, source.report)
     write_pictures(final, manifest)
     (final / CARD).write_text(write_card(manifest))
@@ -164,7 +169,7 @@ def _keep_finished(final: Path) -> None:
             path.unlink()
 
 
-def _write_part(final: Path, part: Part, shards: int, progress: bool) -> Paths:
+def write_part(final: Path, part: Part, shards: int, progress: bool) -> Paths:
     """Write a config's shards, `shards` or more, and its store, where they are not there already.
 
     Return the paths of the shards.
@@ -197,7 +202,8 @@ def _write_shard(group: Group, start: int, stop: int, path: Path) -> None:
     for member, row in zip(group.members, group.rows, strict=True):
         low, high = max(start - first, 0), min(stop - first, row["frames"])
         if low < high:
-            parts.append(open_unit(member)[0].slice(low, high - low).drop_columns("pixels"))
+            rows = open_unit(member)[0].slice(low, high - low)
+            parts.append(rows.drop_columns(list({RAW_PIXELS, MASK_PIXELS} & {*rows.column_names})))
         first += row["frames"]
     # Each unit's schema carries its own digest: what a shard says must be the features alone.
     features = {b"huggingface": (parts[0].schema.metadata or {})[b"huggingface"]}
@@ -233,7 +239,7 @@ def _configs(frames: Paths) -> dict[str, dict[str, list[str]]]:
     return configs
 
 
-def _write_canonical(
+def write_canonical(
     final: Path, tables: Iterable[pa.Table], folder: str = "canonical"
 ) -> list[dict[str, Any]]:
     """Write the middle frame of the first trajectory of each target view, and return its figures.
@@ -255,7 +261,8 @@ def _write_canonical(
     return list(chosen.values())
 
 
-def _digest(rows: Sequence[dict[str, Any]], source: str) -> str:
+def digest_rows(rows: Sequence[dict[str, Any]], source: str) -> str:
+    """Return the content digest of rows of the `trajectories` config, in order."""
     return content_digest(
         ((row["split"], row["trajectory"], row["digest"]) for row in rows), source
     )
@@ -273,12 +280,14 @@ def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _count_hearts(rows: Sequence[dict[str, Any]], source: str) -> dict[str, Any]:
+def count_wholes(rows: Sequence[dict[str, Any]], wholes: str) -> dict[str, Any]:
+    """Count trajectories, frames, and sessions, which are called `wholes`; in all and by split."""
+
     def counts(rows: Sequence[dict[str, Any]]) -> dict[str, int]:
-        return {"hearts": len({row["session"] for row in rows}), **_size(rows)}
+        return {wholes: len({row["session"] for row in rows}), **_size(rows)}
 
     splits = {split: counts(chosen) for split, chosen in _by_split(rows).items()}
-    return {**counts(rows), "splits": splits, "digest": _digest(rows, source)}
+    return {**counts(rows), "splits": splits}
 
 
 def _by_split(rows: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:

@@ -21,7 +21,14 @@ from datasets import ClassLabel, Features, Image
 from racines_data.card.frames import unit_of
 from racines_data.escape import visible
 from racines_data.files import sha256_file, write_atomic
-from racines_data.manifest import CROISSANT, MULTI_PHANTOM, describe, manifest_labels
+from racines_data.manifest import (
+    CROISSANT,
+    MULTI_PHANTOM,
+    added_configs,
+    config_manifest,
+    describe,
+    manifest_labels,
+)
 from racines_data.records import features_of
 from racines_data.schema import CONTROLS, PARAMETERS, SPLITS, trajectory_features
 from racines_data.sources.base import manifest_card
@@ -64,6 +71,10 @@ _COLUMNS = {
     "session": "Recording session.",
     "trajectory": "Name of the sweep; a sweep lies wholly in one split.",
     "frame": "Number of the frame in its trajectory.",
+    "patient": "Seed of the simulated patient; a patient lies wholly in one split.",
+    "cardiac_phase": "Where the heart is in its beat, in [0, 1) from end diastole.",
+    "respiratory_phase": "Where the chest is in its breath, in [0, 1) from breathed out.",
+    "mask": "Label of what each pixel of the image shows; PNG; null where there are no masks.",
     "split": "Split of the trajectory.",
     "frames": "Number of frames of the trajectory.",
     "duration": "Duration of the trajectory, s.",
@@ -212,7 +223,8 @@ def config_features(manifest: Mapping[str, Any], config: str) -> Features:
     """Return the features of a config of the dataset."""
     if config == "trajectories":
         return trajectory_features()
-    return features_of(manifest["source"], manifest_labels(manifest))
+    own = config_manifest(manifest, config)
+    return features_of(own["source"], manifest_labels(own))
 
 
 def _file_objects(manifest: Mapping[str, Any], folder: Path) -> Iterator[dict[str, Any]]:
@@ -313,6 +325,11 @@ def datasheet(manifest: Mapping[str, Any]) -> str:
         instances += (
             f"; and, in `{MULTI_PHANTOM}`, {many['frames']:,} of {many['hearts']} other simulated "
             "hearts"
+        )
+    for name in added_configs(manifest):
+        own = manifest[name]["counts"]
+        instances += (
+            f"; and, in `{name}`, {own['frames']:,} of {own['patients']} simulated patients"
         )
     told = {
         name.removeprefix("rai:"): text if isinstance(text, str) else " ".join(text)

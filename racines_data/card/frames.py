@@ -4,7 +4,7 @@ The figures are those of the twelve parameters, and shares of classes and grades
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.manifest import METADATA, MULTI_PHANTOM, manifest_labels
+from racines_data.manifest import METADATA, MULTI_PHANTOM, added_configs, manifest_labels
 from racines_data.records import PIXELS
 from racines_data.schema import PARAMETERS, SPLITS
 from racines_data.sources.base import manifest_card
@@ -47,6 +47,13 @@ COLUMNS = (
     ("frame", "int32", "", "number of the frame in its trajectory, from 0"),
 )
 """Name, type, unit and meaning of the columns of `frames`."""
+PATIENT_COLUMNS = (
+    ("patient", "int64", "", "seed of the patient; wholly in one split"),
+    ("cardiac_phase", "float64", "", "of the beat, in [0, 1) from end diastole; 0 where still"),
+    ("respiratory_phase", "float64", "", "of the breath, in [0, 1) from breathed out; 0 if still"),
+    ("mask", "PNG, 8-bit labels", "", "what each pixel shows; null where none was asked for"),
+)
+"""The same of what frames of patients have besides."""
 
 
 def has_paper(manifest: Mapping[str, Any]) -> bool:
@@ -146,9 +153,9 @@ def number(value: float, digits: int = 4) -> str:
     return text.replace("-", "" if not float(text) else "−")
 
 
-def columns_table() -> str:
-    """Return the columns of `frames`."""
-    rows = [(Markdown(f"`{names}`".replace(", ", "`, `")), *about) for names, *about in COLUMNS]
+def columns_table(columns: Sequence[tuple[str, str, str, str]] = COLUMNS) -> str:
+    """Return a table of columns, those of `frames` by default."""
+    rows = [(Markdown(f"`{names}`".replace(", ", "`, `")), *about) for names, *about in columns]
     return markdown_table(("column", "type", "unit", "meaning"), rows)
 
 
@@ -162,6 +169,10 @@ def splits_table(manifest: Mapping[str, Any]) -> str:
     for split, count in (many or {}).get("splits", {}).items():
         told = f"{count['trajectories']:,} ({count['hearts']} hearts)"
         rows.append((MULTI_PHANTOM, split, told, f"{count['frames']:,}"))
+    for name in added_configs(manifest):
+        for split, count in manifest[name]["counts"]["splits"].items():
+            told = f"{count['trajectories']:,} ({count['patients']} patients)"
+            rows.append((name, split, told, f"{count['frames']:,}"))
     return markdown_table(("config", "split", "trajectories", "frames"), rows, right=2)
 
 

@@ -7,9 +7,10 @@ import yaml
 
 from racines_data.card import frames
 from racines_data.card.croissant import config_features, datasheet, rai_fields
+from racines_data.card.patients import patients_section
 from racines_data.card.realism import realism_section
 from racines_data.escape import visible
-from racines_data.manifest import MULTI_PHANTOM, describe, manifest_labels
+from racines_data.manifest import MULTI_PHANTOM, added_configs, describe, manifest_labels
 from racines_data.sources.base import manifest_card
 from racines_data.tables import Markdown, code, escape, markdown_table
 from racines_data.views import LABELS
@@ -70,6 +71,8 @@ def write_card(manifest: Mapping[str, Any]) -> str:
     views = escape(", ".join(manifest_labels(manifest)[:-1]))
     many = MULTI_PHANTOM in manifest["configs"]
     hearts = f'hearts = racines_data.load(config="{MULTI_PHANTOM}")\n' if many else ""
+    for name in added_configs(manifest):
+        hearts += f'{name} = racines_data.load(config="{name}")\n'
     parts = [
         f"**Source: {code(source)} — {card.origin}.**",
         f"# RACINES, {escape(f'{source} {version}')}",
@@ -82,6 +85,7 @@ def write_card(manifest: Mapping[str, Any]) -> str:
         "\n".join(_configs(manifest)),
         frames.splits_table(manifest),
         _picture(manifest, "hearts"),
+        *patients_section(manifest),
         "## Load",
         _LOADING.format(
             tag=_quoted(manifest.get("tag", version)), version=_quoted(version), hearts=hearts
@@ -163,6 +167,12 @@ def _configs(manifest: Mapping[str, Any]) -> Iterator[str]:
             f"- `{MULTI_PHANTOM}`: the columns of `frames`, from {many['hearts']} other simulated "
             "hearts (seeds in the column `phantom`); splits by heart."
         )
+    for name in added_configs(manifest):
+        still = "hearts that beat and breathe" if name == "beating" else "hearts that stand still"
+        yield (
+            f"- `{name}`: frames of {manifest[name]['counts']['patients']} simulated patients, "
+            f"{still}; more columns than `frames`; splits by patient."
+        )
 
 
 def _versions(manifest: Mapping[str, Any]) -> str:
@@ -174,6 +184,11 @@ def _versions(manifest: Mapping[str, Any]) -> str:
     many, annotation = manifest.get(MULTI_PHANTOM), manifest.get("annotation")
     if many:
         rows.append((Markdown(f"content digest of `{MULTI_PHANTOM}`"), code(many["digest"])))
+    for name in added_configs(manifest):
+        own = manifest[name]
+        rows.append((Markdown(f"`{name}`"), f"{own['source']} {own['version']}"))
+        rows.append((Markdown(f"content digest of `{name}`"), code(own["digest"])))
+        rows.append((Markdown(f"recipe digest of `{name}`"), code(own["recipe_digest"])))
     rows.append(("recipe digest", code(manifest["recipe_digest"])))
     if annotation:
         rows.append(("annotated by the grader", code(annotation.get("grader"))))

@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,7 @@ def rewrite_card(
     beside = Path(tempfile.mkdtemp(dir=root.parent, prefix=f".{root.name}.card-"))
     try:
         beside.chmod(root.stat().st_mode)
-        _link(root, beside, manifest)
+        link_files(root, beside, manifest["files"])
         if shown:
             for name in manifest.get("realism_pictures", []):
                 (beside / name).unlink(missing_ok=True)
@@ -67,7 +67,8 @@ def rewrite_card(
                 (beside / FOLDER / f"{name}.png").unlink()
             write_pictures(beside, manifest)
         write_atomic(beside / CARD, write_card(manifest))
-        _seal(beside, manifest)
+        record_files(beside, manifest)
+        write_atomic(beside / MANIFEST, json.dumps(manifest, indent=1) + "\n")
         swap_folder(beside, root)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
@@ -87,19 +88,20 @@ def _read_picture(path: Path) -> bytes:
     return data
 
 
-def _link(root: Path, beside: Path, manifest: dict[str, Any]) -> None:
-    """Bring over all files by links; whatever is written later gets a file of its own."""
-    for name in manifest["files"]:
+def link_files(root: Path, beside: Path, names: Iterable[str]) -> None:
+    """Bring over files by links; whatever is written later gets a file of its own."""
+    for name in names:
         source, target = (root / name).resolve(), beside / name
         target.parent.mkdir(parents=True, exist_ok=True)
+        target.unlink(missing_ok=True)
         try:
             os.link(source, target)
         except OSError:  # a file system without links
             shutil.copyfile(source, target)
 
 
-def _seal(beside: Path, manifest: dict[str, Any]) -> None:
-    """Record the files anew; of those that were linked, what is known of them holds."""
+def record_files(beside: Path, manifest: dict[str, Any]) -> None:
+    """Enter the files in the manifest anew; of those that were linked, what is known holds."""
     known, files = manifest["files"], {}
     for path in beside.rglob("*"):
         name = path.relative_to(beside).as_posix()
@@ -107,4 +109,3 @@ def _seal(beside: Path, manifest: dict[str, Any]) -> None:
             record = None if name == CARD or name.startswith(f"{FOLDER}/") else known.get(name)
             files[name] = record or {"sha256": sha256_file(path), "bytes": path.stat().st_size}
     manifest["files"] = dict(sorted(files.items()))
-    write_atomic(beside / MANIFEST, json.dumps(manifest, indent=1) + "\n")

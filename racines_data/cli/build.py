@@ -20,7 +20,9 @@ _KEYS = ("source", "version", "digest", "recipe_digest", "counts", "report")
 
 
 def build(
-    source: Annotated[str | None, typer.Option(help="phantom, tracked, or another's name.")] = None,
+    source: Annotated[
+        str | None, typer.Option(help="phantom, patients, beating, tracked, or another's name.")
+    ] = None,
     inputs: Annotated[
         list[Path] | None, typer.Option("--input", help="Input file; repeat for several.")
     ] = None,
@@ -46,9 +48,10 @@ def build(
     config, sections = dataset.read_data_section(values)
     known = {field.name for field in fields(source_class(config.source).Config)}
     if frames is not None and "frames" not in known:
-        raise RacinesError(
-            f"--frames: source {config.source} has the frames of its inputs; leave it out"
-        )
+        own = "has the frames of its inputs; leave it out"
+        if "frames_per_sweep" in known:
+            own = f"has so many a sweep: set data.{config.source}.frames_per_sweep"
+        raise RacinesError(f"--frames: source {config.source} {own}")
     made = dataset.make_source(config, sections.get(config.source), inputs or [])
     many = dataset.make_multi_phantom(made, config, sections.get("multi_phantom"))
     manifest = dataset.build(made, out, config, progress=not as_json, many=many)

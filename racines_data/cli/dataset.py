@@ -69,13 +69,15 @@ def export(
     root: Annotated[Path, typer.Argument(help="Folder of the dataset.")],
     format: Annotated[str, typer.Option("--format", help="release, lerobot or minari.")],
     out: opt.Out,
+    config: opt.Config = "frames",
     split: opt.OneSplit = None,
     limit: Annotated[int | None, typer.Option(min=1, help="Frames to write, the first.")] = None,
     as_json: opt.AsJson = False,
 ) -> None:
     """Write a dataset, or one split, in another format; images are never compressed with loss."""
-    from racines_data.export.registry import load_exporter
+    from racines_data.export.registry import check_config, load_exporter
 
+    check_config(config, format)
     made = load_exporter(format)(root, out, split=split, limit=limit, progress=not as_json)
     if as_json:
         say_json(made)

@@ -22,6 +22,7 @@ Root = Annotated[
 ]
 Data = Annotated[Path, typer.Option(help="Folder of the dataset.")]
 OtherData = Annotated[Path | None, typer.Option("--data", help="Folder of the dataset.")]
+Config = Annotated[str, typer.Option(help="Config of the dataset, such as patients or beating.")]
 Split = Annotated[str, typer.Option(help="train, validation or test.")]
 OneSplit = Annotated[str | None, typer.Option("--split", help="train, validation or test.")]
 Samples = Annotated[

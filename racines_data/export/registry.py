@@ -3,7 +3,10 @@
 from pathlib import Path
 from typing import Any, Protocol
 
+from racines_data.errors import RacinesError
+from racines_data.manifest import ADDED
 from racines_data.plugins import Plugins
+from racines_data.schema import PHASES
 
 EXPORTERS = Plugins("format", "racines.exporters", or_give="module:function")
 
@@ -32,6 +35,23 @@ class Exporter(Protocol):
             RacinesError: `out` exists, or there is no such dataset or split.
         """
         ...
+
+
+def check_config(config: str, name: str) -> None:
+    """Refuse to export a config whose columns a format has no place for: all but `frames`.
+
+    Raises:
+        RacinesError: such a config, with the columns that would be lost.
+    """
+    if config == "frames":
+        return
+    if config in ADDED:
+        lost = ", ".join(("patient", *PHASES, "mask"))
+        raise RacinesError(
+            f"--config {config}: format {name} has no place for {lost}: read the Parquet files of "
+            f"data/{config}, or racines_data.load(config={config!r})"
+        )
+    raise RacinesError(f"--config {config}: formats hold `frames` alone; leave --config out")
 
 
 def exporter_names() -> tuple[str, ...]:

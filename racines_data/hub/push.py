@@ -18,7 +18,14 @@ from pyarrow import ArrowException
 from racines_data.digest import check_files, refuse_strays
 from racines_data.errors import RacinesError
 from racines_data.hub.fetch import KIND, STORE_FOLDER, hub_errors, hub_files
-from racines_data.manifest import MANIFEST, STORES, describe, read_manifest, rebuild_hint
+from racines_data.manifest import (
+    MANIFEST,
+    STORES,
+    config_manifest,
+    describe,
+    read_manifest,
+    rebuild_hint,
+)
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
@@ -103,8 +110,9 @@ def _check_content(root: Path, manifest: dict[str, Any], workers: int) -> None:
         for config in STORES:
             if config in manifest["configs"]:
                 found = survey(root, manifest, config, workers)
-                check_content(found, manifest)
-                check_splits(found, root, manifest)
+                own = config_manifest(manifest, config)
+                check_content(found, own)
+                check_splits(found, root, own)
     except (RacinesError, ArrowException, OSError, LookupError, ValueError) as error:
         said = f"{error}" if isinstance(error, RacinesError) else f"{error!r}"
         raise RacinesError(

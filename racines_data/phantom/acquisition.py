@@ -12,7 +12,7 @@ down, in which the probe's leaning and turning are nearly independent.
 import itertools
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -24,6 +24,7 @@ from racines_data.phantom.model import Phantom
 from racines_data.phantom.truth import deepest
 from racines_data.randomness import derive, normal, sample_seeds, uniform
 from racines_data.views import RANDOM
+from racines_data.world import Workspace
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,21 @@ class AcquisitionConfig:
     pose_noise: float = 0.00005  # of the measured position, m; a tenth of it a millimetre in rad
     force_noise: float = 0.15  # of the force sensor, N; a tenth of it in N·m for torque
     phantom: PhantomConfig = field(default_factory=PhantomConfig)
+
+
+class Felt(Protocol):
+    """Whatever says what is felt at a pose."""
+
+    def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
+        """Return (B, 6) force, N, and torque, N·m, in the probe's axes."""
+        ...
+
+
+class Limits(NamedTuple):
+    """What holds a path back."""
+
+    space: Workspace
+    floor: float  # height of the tip at which the robot's force limit stops it, m
 
 
 class PlannedSweep(NamedTuple):
@@ -86,29 +102,45 @@ def make_sweep(
     seed: Tensor,
 ) -> PlannedSweep:
     """Draw one sweep of `length` frames from a (1,) seed."""
-    draw = _Draw(seed)
+    draw = Draw(seed)
     if target == RANDOM:
-        points, shares = _random_points(phantom, draw)
+        points, shares = random_points(phantom.wander, phantom.surface_height, draw)
     else:
         points, shares = _view_points(phantom, target, draw)
+    limits = limits_of(phantom.workspace, phantom.surface_height, phantom.config)
+    return follow(points, shares, limits, config, session, length, draw)
+
+
+def follow(
+    points: Tensor,
+    shares: Tensor,
+    limits: Limits,
+    config: AcquisitionConfig,
+    session: int,
+    length: int,
+    draw: "Draw",
+) -> PlannedSweep:
+    """Move a hand through (P, 6) way-points in `length` frames; (P - 1,) shares of time a move."""
     points[:, 2] -= 0.0008 * (session % 3 - 1)  # sessions press harder or softer
-    smooth = _limit(_minimum_jerk(points, shares, length), phantom)
+    smooth = _limit(_minimum_jerk(points, shares, length), limits)
     shaky = smooth + _tremor(length, config, draw) * (0.8 + 0.25 * (session % 3))
-    shaky = _limit(shaky, phantom)
+    shaky = _limit(shaky, limits)
     times = torch.arange(length, dtype=torch.float64) / config.rate
     return PlannedSweep(_pose(shaky), _velocity(shaky, config), _velocity(smooth, config), times)
 
 
-class _Draw:
+class Draw:
     """A stream of draws from one seed."""
 
     def __init__(self, seed: Tensor):
         self._seed, self._streams = seed, itertools.count(101)
 
     def uniform(self, *shape: int) -> Tensor:
+        """Draw numbers in [0, 1)."""
         return uniform(self._seed, math.prod(shape), next(self._streams)).view(shape)
 
     def normal(self, *shape: int) -> Tensor:
+        """Draw standard normal numbers."""
         return normal(self._seed, math.prod(shape), next(self._streams)).view(shape)
 
 
@@ -128,40 +160,52 @@ _SPREAD = torch.tensor([1.0, 1.0, 0.15, 1.0, 1.0, 1.0])
 _DEGREES_A_MILLIMETRE = math.radians(1.0) / 0.001
 
 
-def _around(point: Tensor, millimetres: float, draw: _Draw, count: int = 1) -> Tensor:
+def around(point: Tensor, millimetres: float, draw: Draw, count: int = 1) -> Tensor:
     """Scatter points by some millimetres in position and as many degrees in angle."""
     scale = _SPREAD * millimetres * 1e-3
     scale[3:] *= _DEGREES_A_MILLIMETRE
     return point + draw.normal(count, 6) * scale
 
 
-def _view_points(phantom: Phantom, view: str, draw: _Draw) -> tuple[Tensor, Tensor]:
+def _view_points(phantom: Phantom, view: str, draw: Draw) -> tuple[Tensor, Tensor]:
     """Return way-points (P, 6) of a sweep to a view, and the share of time of each move."""
     target = coordinates(phantom.target(view))[0].cpu()
     home = target.new_tensor(phantom.home)
     home[2] = target[2]
     start = torch.lerp(target, home, 0.25 + 0.6 * draw.uniform(1)[0])
-    touch = _around(start, 7.0, draw)
+    return sweep_points(around(start, 7.0, draw), start, target, phantom.surface_height, draw)
+
+
+def sweep_points(
+    touch: Tensor, start: Tensor, target: Tensor, surface: float, draw: Draw
+) -> tuple[Tensor, Tensor]:
+    """Return way-points (P, 6) from a (1, 6) touch near a (6,) start to a (6,) target, and shares.
+
+    The target is overshot as seen from the start, corrected, held and left; `surface` is the height
+    of what is touched, m.
+    """
     above = touch.clone()
-    above[:, 2] = phantom.surface_height + 0.008 + 0.061 * draw.uniform(1)
-    overshoot = _around(target + 0.18 * (target - start), 5.0, draw)
-    holds = _around(target, 1.7, draw, 5)
-    holds[0] = _around(target, 3.5, draw)[0]
-    leave = _around(holds[-1:], 8.0, draw)
-    leave[:, 2] = phantom.surface_height + 0.012 * draw.uniform(1)
+    above[:, 2] = surface + 0.008 + 0.061 * draw.uniform(1)
+    overshoot = around(target + 0.18 * (target - start), 5.0, draw)
+    holds = around(target, 1.7, draw, 5)
+    holds[0] = around(target, 3.5, draw)[0]
+    leave = around(holds[-1:], 8.0, draw)
+    leave[:, 2] = surface + 0.012 * draw.uniform(1)
     points = torch.cat([above, touch, overshoot, holds, leave])
     shares = torch.tensor([0.10, 0.13, 0.08, *[DWELL / 5] * 4, DWELL / 5, 0.07])
     return points, shares[: len(points) - 1] * (0.7 + 0.6 * draw.uniform(len(points) - 1))
 
 
-def _random_points(phantom: Phantom, draw: _Draw) -> tuple[Tensor, Tensor]:
-    """Return way-points of a wandering scan over the whole surface."""
+def random_points(
+    wander: tuple[float, float, float], surface: float, draw: Draw
+) -> tuple[Tensor, Tensor]:
+    """Return way-points of a scan that wanders about a place, x and y, m, and a turn, rad."""
     count = 7
     spread = torch.tensor([0.036, 0.016, 0.0022, 0.26, 0.20, 0.70])
-    x, y, turn = phantom.wander
-    centre = torch.tensor([x, y, phantom.surface_height - 0.006, 0.0, 0.0, turn])
+    x, y, turn = wander
+    centre = torch.tensor([x, y, surface - 0.006, 0.0, 0.0, turn])
     points = centre + draw.normal(count, 6) * spread
-    points[0, 2] = points[-1, 2] = phantom.surface_height + 0.006
+    points[0, 2] = points[-1, 2] = surface + 0.006
     return points, 0.5 + draw.uniform(count - 1)
 
 
@@ -175,7 +219,7 @@ def _minimum_jerk(points: Tensor, shares: Tensor, length: int) -> Tensor:
     return torch.lerp(points[leg], points[leg + 1], blend.unsqueeze(-1))
 
 
-def _tremor(length: int, config: AcquisitionConfig, draw: _Draw) -> Tensor:
+def _tremor(length: int, config: AcquisitionConfig, draw: Draw) -> Tensor:
     """Draw (length, 6) of smooth noise: white noise averaged over a third of a second."""
     width = max(1, round(config.rate / 3))
     white = draw.normal(length + width - 1, 6)
@@ -186,12 +230,16 @@ def _tremor(length: int, config: AcquisitionConfig, draw: _Draw) -> Tensor:
     return smooth * scale
 
 
-def _limit(path: Tensor, phantom: Phantom) -> Tensor:
+def limits_of(space: Workspace, surface: float, config: PhantomConfig) -> Limits:
+    """Return the limits of a workspace over a surface at a height, m."""
+    return Limits(space, deepest(config.workspace.press, surface, config.contact))
+
+
+def _limit(path: Tensor, limits: Limits) -> Tensor:
     """Hold a path within the workspace and the force limit, as the robot's safety does."""
-    space, config = phantom.workspace, phantom.config
+    space = limits.space
     low = space.position_min.cpu().clone()
-    floor = deepest(config.workspace.press, phantom.surface_height, config.contact)
-    low[2] = max(float(low[2]), floor)
+    low[2] = max(float(low[2]), limits.floor)
     position = torch.clamp(path[:, :3], low, space.position_max.cpu())
     lean = path[:, 3:5]
     size = lean.norm(dim=-1, keepdim=True)
@@ -210,9 +258,7 @@ def _velocity(path: Tensor, config: AcquisitionConfig) -> Tensor:
     return torch.cat([rate[:, :3], spin], -1)
 
 
-def record(
-    phantom: Phantom, config: AcquisitionConfig, sweep: PlannedSweep, seed: Tensor
-) -> Tensor:
+def record(phantom: Felt, config: AcquisitionConfig, sweep: PlannedSweep, seed: Tensor) -> Tensor:
     """Return (T, 12) measured parameters: the true ones with the sensors' noise."""
     noise = normal(derive(seed, 7), len(sweep.times) * 12, 0).view(-1, 12).to(sweep.control)
     wrench = phantom.wrench(sweep.pose, sweep.velocity)

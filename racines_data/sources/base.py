@@ -64,6 +64,9 @@ class Source(Protocol):
     A source of other views than the five also has `labels: tuple[str, ...]`, `Random` last. One of
     single images, without poses and times, has `poses = False`; both are then NaN. What there is to
     say of its data is its `card`, a `SourceCard`.
+
+    A source whose config stands beside those of a dataset that is there, and does not take its
+    place, names that config as `adds`; see `racines_data.build.beside`.
     """
 
     name: str

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import torch
 from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
@@ -23,9 +24,9 @@ from racines_data import manifest
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.manifest import MULTI_PHANTOM, STORES
+from racines_data.manifest import ADDED, MULTI_PHANTOM, STORES
 from racines_data.records import PIXELS
-from racines_data.schema import CONTROLS, PARAMETERS
+from racines_data.schema import CONTROLS, PARAMETERS, PHASES
 from racines_data.views import LABELS
 
 
@@ -113,6 +114,14 @@ class FrameStore:
     """Session of each trajectory."""
     phantoms: list[int | None]
     """Seed of each trajectory's simulated anatomy; absent for recordings."""
+    patients: list[int] | None = None
+    """Seed of each trajectory's patient; None where no patients are scanned."""
+    phases: Tensor | None = None
+    """(N, 2) float64 cardiac and respiratory phase in [0, 1), of patients."""
+    masks: Tensor | None = None
+    """(N, 128, 128) uint8, a view of the file: numbers of `mask_labels`; None without masks."""
+    mask_labels: tuple[str, ...] | None = None
+    """Names of the masks' labels by number; None without masks."""
 
     def __init__(
         self, root: Path | str | None = None, config: str = "frames", verify: bool = False
@@ -121,14 +130,13 @@ class FrameStore:
             raise RacinesError(f"config {config!r} has no store: choose one of {', '.join(STORES)}")
         self.config = config
         self.root = manifest.default_root(root)
-        self.manifest = manifest.read_manifest(self.root)
+        self.manifest = manifest.config_manifest(manifest.read_manifest(self.root), config)
         self.labels = manifest.manifest_labels(self.manifest)
         files = self.manifest["files"]
         name = manifest.store_name(config)
         if name not in files:
             raise RacinesError(
-                f"{self.root / 'manifest.json'}: names no {name}; rebuild"
-                + (f" with data.{MULTI_PHANTOM}.hearts set" if config == MULTI_PHANTOM else "")
+                f"{self.root / 'manifest.json'}: names no {name}; {self._remedy(config)}"
             )
         hint = manifest.rebuild_hint(self.manifest)
         check_files(self.root, {name: files[name]}, hint, verify)
@@ -137,8 +145,29 @@ class FrameStore:
         except (pa.ArrowInvalid, KeyError, ValueError) as error:
             raise RacinesError(f"{self.root / name}: damaged ({error}); {hint}") from error
 
+    def _remedy(self, config: str) -> str:
+        if config in ADDED:
+            return f"add it: racines data build --source {config} --out {self.root}"
+        many = f" with data.{MULTI_PHANTOM}.hearts set" if config == MULTI_PHANTOM else ""
+        return f"rebuild{many}"
+
     def __len__(self) -> int:
         return len(self.images)
+
+    def measures(self) -> pa.Table:
+        """Return who the patients are and what is true of their hearts, a row a patient.
+
+        Volumes in ml at `phases` of the beat, lengths and diameters in mm, body in m, kg and m².
+
+        Raises:
+            RacinesError: a config without patients, or a damaged file.
+        """
+        name, files = manifest.measures_name(self.config), self.manifest["files"]
+        if name not in files:
+            raise RacinesError(f"{self.root}: config {self.config} has no patients to tell of")
+        hint = manifest.rebuild_hint(self.manifest)
+        check_files(self.root, {name: files[name]}, hint)
+        return pq.read_table(self.root / name)
 
     @property
     def digest(self) -> str:
@@ -170,12 +199,20 @@ class FrameStore:
         self.timestamps = column("timestamp", torch.float64)
         self.trajectory_index = column("trajectory", torch.int64)
         self.frame = column("frame", torch.int64)
-        metadata = json.loads(table.schema.metadata[manifest.METADATA])
+        if "phases" in table.column_names:
+            self.phases = column("phases", torch.float64, len(PHASES))
+        if "mask" in table.column_names:
+            self.masks = column("mask", torch.uint8, IMAGE_SIZE, IMAGE_SIZE)
+            self.mask_labels = tuple(self.manifest["mask_labels"])
+        self._read_metadata(json.loads(table.schema.metadata[manifest.METADATA]))
+
+    def _read_metadata(self, metadata: dict[str, Any]) -> None:
         self.trajectories, self.sessions, self.target_views = (
             list(names) for names in metadata["trajectories"]
         )
         self.phantoms = metadata.get("phantoms", [None] * len(self.trajectories))
         self._splits: dict[str, list[int]] = metadata["splits"]
+        self.patients = metadata.get("patients")
 
     def split_indices(self, split: str) -> Tensor:
         """Return the (n,) int64 rows of a split, in order; empty if the split has none."""

@@ -1,6 +1,5 @@
 """A dataset by trajectory: read for an exporter, written into a training store and a new folder."""
 
-import io
 import json
 import os
 import shutil
@@ -14,14 +13,20 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from PIL import Image
 
 from racines_data.digest import checked_shards
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file, write_atomic, write_once
-from racines_data.manifest import MANIFEST, METADATA, STORES, read_manifest, store_name
-from racines_data.records import PIXELS, float_columns, pixels_array
-from racines_data.schema import CONTROLS, PARAMETERS, SPLITS
+from racines_data.manifest import ADDED, MANIFEST, METADATA, STORES, read_manifest, store_name
+from racines_data.records import (
+    MASK_PIXELS,
+    PIXELS,
+    RAW_PIXELS,
+    decode_images,
+    float_columns,
+    pixels_array,
+)
+from racines_data.schema import CONTROLS, PARAMETERS, PHASES, SPLITS
 
 _BATCH = 1024
 _IDENTITY = ("trajectory", "session", "target_view")
@@ -52,7 +57,12 @@ class Sweep:
 
     def images(self) -> np.ndarray:
         """Return (T, 128, 128) uint8."""
-        return np.stack([np.asarray(Image.open(io.BytesIO(png))) for png in self.pngs()])
+        return decode_images(self.table["image"])
+
+    def masks(self) -> np.ndarray | None:
+        """Return (T, 128, 128) uint8 labels; None where frames have no masks."""
+        has = "mask" in self.table.column_names and not self.table["mask"].null_count
+        return decode_images(self.table["mask"]) if has else None
 
 
 def read_sweeps(
@@ -125,37 +135,49 @@ def write_store(
 
     Args:
         path: The file to write.
-        tables: Gives the rows of `frames` with a `pixels` column, one table a trajectory.
-        trajectories: Identity, `split` and `frames` of each, in the order of the splits.
+        tables: Gives the rows of `frames` with their raw pixels, one table a trajectory.
+        trajectories: Identity, `split` and `frames` of each, in the order of the splits; `patient`
+            where one is scanned.
     """
+    columns = [_store_columns(table, index) for index, table in enumerate(tables())]
+    raw = {"image": RAW_PIXELS, "mask": MASK_PIXELS}
+    raw = {name: each for name, each in raw.items() if each in next(iter(tables())).column_names}
+    table = pa.concat_tables(columns).combine_chunks()
+    zeros = pa.py_buffer(np.zeros(len(table) * PIXELS, np.uint8))
+    images = pa.FixedSizeBinaryArray.from_buffers(pa.binary(PIXELS), len(table), [None, zeros])
+    for place, name in enumerate(raw):
+        table = table.add_column(place, name, images)
+    table = table.replace_schema_metadata({METADATA: _metadata(trajectories).encode()})
+    with pa.OSFile(str(path), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
+        writer.write_batch(table.to_batches()[0])
+    with path.open("r+b") as file:
+        for name, own in raw.items():
+            file.seek(_offset(path, name))
+            for made in tables():
+                for chunk in made[own].chunks:
+                    first = chunk.offset * PIXELS
+                    file.write(chunk.buffers()[1][first : first + len(chunk) * PIXELS])
+
+
+def _metadata(trajectories: Sequence[Mapping[str, Any]]) -> str:
+    """Return what a store says of its trajectories and splits, as JSON."""
     splits, start = {}, 0
     for split in SPLITS:
         stop = start + sum(row["frames"] for row in trajectories if row["split"] == split)
         splits[split], start = (start, stop), stop
-    columns = [_store_columns(table, index) for index, table in enumerate(tables())]
-    table = pa.concat_tables(columns).combine_chunks()
-    zeros = pa.py_buffer(np.zeros(len(table) * PIXELS, np.uint8))
-    images = pa.FixedSizeBinaryArray.from_buffers(pa.binary(PIXELS), len(table), [None, zeros])
     names = [[row[key] for row in trajectories] for key in _IDENTITY]
     phantoms = [row["phantom"] for row in trajectories]
     metadata = {"trajectories": names, "phantoms": phantoms, "splits": splits}
-    table = table.add_column(0, "image", images).replace_schema_metadata(
-        {METADATA: json.dumps(metadata, sort_keys=True).encode()}
-    )
-    with pa.OSFile(str(path), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
-        writer.write_batch(table.to_batches()[0])
-    with path.open("r+b") as file:
-        file.seek(_image_offset(path))
-        for made in tables():
-            for chunk in made["pixels"].chunks:
-                first = chunk.offset * PIXELS
-                file.write(chunk.buffers()[1][first : first + len(chunk) * PIXELS])
+    if any("patient" in row for row in trajectories):
+        metadata["patients"] = [row["patient"] for row in trajectories]
+    return json.dumps(metadata, sort_keys=True)
 
 
-def _image_offset(path: Path) -> int:
+def _offset(path: Path, column: str) -> int:
+    """Return the byte of a store's file at which a column of images begins."""
     with pa.memory_map(str(path)) as mapped:
         whole = mapped.read_buffer()
-        images = pa.ipc.open_file(pa.BufferReader(whole)).read_all()["image"].chunk(0)
+        images = pa.ipc.open_file(pa.BufferReader(whole)).read_all()[column].chunk(0)
         return images.buffers()[1].address - whole.address
 
 
@@ -164,6 +186,10 @@ def _store_columns(table: pa.Table, index: int) -> pa.Table:
         flat = pa.array(float_columns(table, names).ravel(), pa.float32())
         return pa.FixedSizeListArray.from_arrays(flat, len(names))
 
+    phases = {}
+    if "patient" in table.column_names:
+        both = np.stack([table[name].fill_null(np.nan).to_numpy() for name in PHASES], -1)
+        phases["phases"] = pa.FixedSizeListArray.from_arrays(pa.array(both.ravel()), len(PHASES))
     return pa.table(
         {
             "parameters": stacked(PARAMETERS),
@@ -173,6 +199,7 @@ def _store_columns(table: pa.Table, index: int) -> pa.Table:
             "timestamp": table["timestamp"].fill_null(np.nan).combine_chunks(),
             "trajectory": pa.array(np.full(len(table), index, np.int64)),
             "frame": table["frame"].cast(pa.int64()).combine_chunks(),
+            **phases,
         }
     )
 
@@ -196,15 +223,18 @@ def restore_stores(root: Path) -> list[str]:
 
 
 def _restore(root: Path, config: str, path: Path) -> None:
+    more = ("phantom", "patient") if config in ADDED else ("phantom",)
     rows = [
-        {key: sweep.first(key) for key in (*_IDENTITY, "phantom")}
+        {key: sweep.first(key) for key in (*_IDENTITY, *more)}
         | {"split": sweep.split, "frames": len(sweep)}
         for sweep in read_sweeps(root, config=config)
     ]
 
     def tables() -> Iterable[pa.Table]:
         for sweep in read_sweeps(root, config=config):
-            yield sweep.table.append_column("pixels", pixels_array(sweep.images()))
+            table = sweep.table.append_column(RAW_PIXELS, pixels_array(sweep.images()))
+            masks = sweep.masks()
+            yield table if masks is None else table.append_column(MASK_PIXELS, pixels_array(masks))
 
     write_store(path, tables, rows)
     manifest = read_manifest(root)

@@ -24,6 +24,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.geometry import geodesic, parameters_to_pose
 from racines_data.manifest import (
+    ADDED,
     CARD,
     MULTI_PHANTOM,
     config_digest,
@@ -32,6 +33,7 @@ from racines_data.manifest import (
     digest_version,
     read_manifest,
 )
+from racines_data.patients.splits import split_of
 from racines_data.schema import SPLITS
 from racines_data.sources.gate.numbers import runs_on
 from racines_data.validate.canonical import compare
@@ -100,11 +102,12 @@ def check_counts(survey: Survey, manifest: dict[str, Any]) -> str:
     """Check the numbers of frames and trajectories of each split against those recorded."""
     many = survey.config == MULTI_PHANTOM
     recorded = (manifest[MULTI_PHANTOM] if many else manifest["counts"])["splits"]
+    wholes = "patients" if survey.config in ADDED else "hearts" if many else ""
     for split in SPLITS:
         sweeps = [sweep for sweep in survey.sweeps if sweep.split == split]
         found = {"trajectories": len(sweeps), "frames": sum(len(sweep) for sweep in sweeps)}
-        if many:
-            found["hearts"] = len({sweep.phantom for sweep in sweeps})
+        if wholes:
+            found[wholes] = len({sweep.session for sweep in sweeps})
         wanted = {key: recorded.get(split, {}).get(key, 0) for key in found}
         if found != wanted:
             raise RacinesError(f"{split} has {found}, recorded {wanted}")
@@ -127,6 +130,8 @@ def check_content(survey: Survey, manifest: dict[str, Any]) -> str:
 def check_splits(survey: Survey, root: Path, manifest: dict[str, Any]) -> str:
     """Check that no trajectory, and in `multi_phantom` no heart, is in two splits."""
     _check_apart("trajectory", [(sweep.id, sweep.split) for sweep in survey.sweeps])
+    if survey.config in ADDED:
+        return _check_patients(survey)
     if survey.config == MULTI_PHANTOM:
         _check_apart("heart", [(f"{sweep.phantom}", sweep.split) for sweep in survey.sweeps])
         return f"{len({sweep.phantom for sweep in survey.sweeps})} hearts, each in one split"
@@ -145,6 +150,17 @@ def _check_apart(kind: str, pairs: list[tuple[str, str]]) -> None:
             raise RacinesError(f"{kind} {name} is in {split} and in {seen[name]}")
     if kind == "trajectory" and len(seen) < len(pairs):
         raise RacinesError("a trajectory occurs twice in its split")
+
+
+def _check_patients(survey: Survey) -> str:
+    """Check that each patient is in one split, the one to which the seed belongs."""
+    _check_apart("patient", [(f"{sweep.patient}", sweep.split) for sweep in survey.sweeps])
+    for sweep in survey.sweeps:
+        if sweep.patient is None:
+            raise RacinesError(f"trajectory {sweep.id}: has no patient")
+        if (own := split_of(sweep.patient)) != sweep.split:
+            raise RacinesError(f"patient {sweep.patient} of {own} is in {sweep.split}")
+    return f"{len({sweep.patient for sweep in survey.sweeps})} patients, each in its own split"
 
 
 def _check_listed(survey: Survey, root: Path, manifest: dict[str, Any]) -> None:
@@ -215,10 +231,16 @@ def same_version(root: Path, other: Path) -> str:
     for key in ("source", "version", "recipe_digest"):
         if one[key] != two[key]:
             raise RacinesError(f"{key} is {one[key]} here and {two[key]} in {other}")
-    more = [manifest.get(MULTI_PHANTOM, {}) for manifest in (one, two)]
-    if one["digest"] == two["digest"] and more[0].get("digest") == more[1].get("digest"):
+    _check_same_added(one, two, other)
+    more = [
+        [manifest[name] for name in (MULTI_PHANTOM, *ADDED) if name in manifest]
+        for manifest in (one, two)
+    ]
+    digests = [[part["digest"] for part in parts] for parts in more]
+    if one["digest"] == two["digest"] and digests[0] == digests[1]:
         return "equal, byte for byte"
-    files = [frame["file"] for frame in [*one["canonical"], *more[0].get("canonical", [])]]
+    canonical = [*one["canonical"], *(each for part in more[0] for each in part["canonical"])]
+    files = [frame["file"] for frame in canonical]
     frames = (
         np.stack([np.asarray(Image.open(folder / f)) for f in files]) for folder in (root, other)
     )
@@ -228,6 +250,14 @@ def same_version(root: Path, other: Path) -> str:
     if digest_version(one) != digest_version(two):
         return f"same recipe; the digests are of two versions, canonical frames differ by {found}"
     return f"same recipe; content differs, canonical frames by {found}"
+
+
+def _check_same_added(one: dict[str, Any], two: dict[str, Any], other: Path) -> None:
+    for name in ADDED:
+        recipes = [manifest.get(name, {}).get("recipe_digest") for manifest in (one, two)]
+        if recipes[0] != recipes[1]:
+            told = " and ".join(str(each) for each in recipes)
+            raise RacinesError(f"recipe_digest of {name}: {told}, the latter in {other}")
 
 
 # --- copies of training frames --------------------------------------------------------------------

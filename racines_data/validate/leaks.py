@@ -113,6 +113,22 @@ def find_leaks(
     return found
 
 
+def check_patients(store: FrameStore) -> None:
+    """Check that no patient is in two splits: sweeps of one may have no frame in common, and leak.
+
+    Raises:
+        RacinesError: some are; the first is named with its splits.
+    """
+    seen: dict[int, str] = {}
+    for split in SPLITS if store.patients is not None else ():
+        rows = store.trajectory_index[slice(*store.bounds(split))].unique().tolist()
+        for patient in sorted({(store.patients or [])[row] for row in rows}):
+            if seen.setdefault(patient, split) != split:
+                raise RacinesError(
+                    f"patient {patient} is in {seen[patient]} and in {split}: keep patients whole"
+                )
+
+
 def bands(images: Tensor) -> Tensor:
     """Return the (B, 64, 64) float32 bands of (B, 128, 128) uint8 images: 2 to 8 pixels wide."""
     pixels = images[:, None].float()

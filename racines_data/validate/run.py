@@ -2,7 +2,8 @@
 
 manifest ──> files, card, recipe
 shards   ──> survey (each shard read once, in parallel) ──> rows, counts, content, splits,
-             store, times, rate, labels, views, annotation, duplicates, oracle, leaks, paper, modes
+             store, times, rate, labels, views, annotation, duplicates, oracle, leaks, paper,
+             modes; of patients: phases, masks, measures, people, reference
 """
 
 import dataclasses
@@ -11,17 +12,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 from rich.table import Table
 from rich.text import Text
 
 from racines_data.errors import RacinesError
-from racines_data.manifest import MULTI_PHANTOM, digest_version, manifest_labels, read_manifest
+from racines_data.manifest import (
+    ADDED,
+    STORES,
+    config_manifest,
+    digest_version,
+    manifest_labels,
+    read_manifest,
+)
 from racines_data.sources.gate.bounds import manifest_bounds
 from racines_data.store.frames import FrameStore
 from racines_data.tables import console_table
 from racines_data.terminal import console
-from racines_data.validate import identity, leaks, meaning
+from racines_data.validate import identity, leaks, meaning, patients
 from racines_data.validate.survey import Survey, survey
 from racines_data.views import PAPER_STATISTICS, ParameterStatistics
 
@@ -76,7 +85,7 @@ def validate(
     result.add("files", lambda: identity.rehash_files(root, manifest, workers))
     result.add("card", lambda: identity.check_card(root, manifest))
     result.add("recipe", lambda: identity.check_recipe(manifest))
-    for config in ("frames", MULTI_PHANTOM):
+    for config in STORES:
         if config in manifest["configs"]:
             _check_config(result, root, config, workers, progress)
     if against is not None:
@@ -88,7 +97,7 @@ def _check_config(
     result: Validation, root: Path, config: str, workers: int, progress: bool
 ) -> None:
     """Read the rows of a config once, and run all checks of them."""
-    manifest = result.manifest
+    manifest = config_manifest(result.manifest, config)
     prefix = "" if config == "frames" else f"{config}, "
     surveys: list[Survey] = []
 
@@ -108,9 +117,15 @@ def _check_config(
     result.add(f"{prefix}store", lambda: found.unless_faulty("store", stored))
     _check_meaning(result, prefix, found)
     _check_leaks(result, prefix, root, found)
-    if config != "frames":
-        return
-    parameters = found.column("parameters")
+    if config in ADDED:
+        _check_patients(result, prefix, root, found)
+    if config == "frames":
+        _check_paper(result, found.column("parameters"))
+
+
+def _check_paper(result: Validation, parameters: np.ndarray) -> None:
+    """Hold (N, 12) parameters of `frames` against the paper's table, where it is the measure."""
+    manifest = result.manifest
     result.statistics.update(meaning.statistics_of(parameters))
     if meaning.has_paper(manifest):
         result.verdicts.update(meaning.verdicts_of(result.statistics))
@@ -120,8 +135,8 @@ def _check_config(
 
 
 def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
-    manifest, named = result.manifest, manifest_labels(result.manifest)
-    simulated = manifest["source"] == "phantom"
+    manifest = config_manifest(result.manifest, found.config)
+    named, simulated = manifest_labels(manifest), _is_simulated(manifest)
     repeats = manifest_bounds(manifest).repeats
     if manifest.get("poses", True):  # single images have neither poses nor times
         result.add(f"{prefix}times", lambda: identity.check_times(found, repeats))
@@ -138,7 +153,8 @@ def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
         judged: list[Any] = []
 
         def oracle() -> str:
-            judged.append(meaning.rejudge(found, manifest))
+            again = patients.rejudge if found.config in ADDED else meaning.rejudge
+            judged.append(again(found, manifest))
             return meaning.check_rejudged(judged[0])
 
         result.add(f"{prefix}oracle", oracle)
@@ -153,11 +169,38 @@ def _check_leaks(result: Validation, prefix: str, root: Path, found: Survey) -> 
     def check() -> str:
         if found.faults["store"]:
             return "not told: the store is not whole"
-        sweeps = leaks.find_leaks(FrameStore(root, found.config))
+        store = FrameStore(root, found.config)
+        leaks.check_patients(store)
+        sweeps = leaks.find_leaks(store)
         result.figures[found.config]["leaks"] = leaks.leaks_json(sweeps)
         return leaks.check_leaks(sweeps)
 
-    result.add(f"{prefix}leaks", check, binding=result.manifest["source"] == "phantom")
+    # The limits are of slower sweeps over one heart; they are told of patients. A patient in two
+    # splits fails the check of splits.
+    manifest = config_manifest(result.manifest, found.config)
+    result.add(f"{prefix}leaks", check, binding=manifest["source"] == "phantom")
+
+
+def _check_patients(result: Validation, prefix: str, root: Path, found: Survey) -> None:
+    """Check what the frames of patients have besides, and hold them beside their reference."""
+    manifest = config_manifest(result.manifest, found.config)
+    checks = {
+        "phases": lambda: patients.check_phases(found, found.config),
+        "masks": lambda: patients.check_masks(found, manifest["mask_labels"]),
+        "measures": lambda: patients.check_measures(FrameStore(root, found.config).measures()),
+        "people": lambda: patients.check_people(found, FrameStore(root, found.config).measures()),
+    }
+    for name, check in checks.items():
+        result.add(f"{prefix}{name}", check)
+    statistics = meaning.statistics_of(found.column("parameters"))
+    binding = patients.must_meet_reference(manifest)
+    told = {name: vars(each) for name, each in statistics.items()}
+    result.figures[found.config]["statistics"] = told
+    result.add(f"{prefix}reference", lambda: patients.check_reference(statistics), binding)
+
+
+def _is_simulated(manifest: dict[str, Any]) -> bool:
+    return manifest["source"] in ("phantom", *ADDED)
 
 
 def to_json(result: Validation) -> dict[str, Any]:

@@ -17,12 +17,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from torch import Tensor
 
 from racines_data.build.staging import in_workers
 from racines_data.digest import trajectory_digest
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.manifest import manifest_labels
+from racines_data.manifest import config_manifest, manifest_labels
 from racines_data.progress import progress_bar
 from racines_data.records import features_of, table_to_trajectory
 from racines_data.schema import Trajectory
@@ -35,8 +36,11 @@ from racines_data.store.sweeps import run_edges, trajectories
 WORTH_WORKERS = 8192  # frames from which starting worker processes costs less than they save
 POOL = 8  # edge, in pixels, of the blocks whose means are an image's signature
 
-_KEPT = ("id", "session", "target_view", "phantom", "parameters", "timestamps", "views", "grades")
-_STORED = ("images", "views", "parameters", "controls", "grades", "timestamps")
+_KEPT = (
+    *("id", "session", "target_view", "phantom", "patient"),
+    *("parameters", "timestamps", "views", "grades", "phases"),
+)
+_STORED = ("images", "views", "parameters", "controls", "grades", "timestamps", "phases", "masks")
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,9 @@ class CheckedSweep:
     predicted: np.ndarray  # (T, 2) float32, the grader's view and grade, NaN where absent
     hashes: np.ndarray  # (T,) uint64 of the pixels
     signatures: np.ndarray  # (T, 256) float16, block means of the image, gray levels
+    patient: int | None = None  # seed
+    phases: np.ndarray | None = None  # (T, 2) float64, of a patient
+    mask_labels: tuple[int, ...] = ()  # the numbers that occur in its masks, if it has any
     faults: tuple[tuple[str, str], ...] = ()  # names of checks that do not hold here, and why
 
     def __len__(self) -> int:
@@ -112,6 +119,7 @@ class Survey:
 
 def plan_pieces(root: Path, manifest: dict[str, Any], config: str) -> list[Piece]:
     """Divide the rows of a config, whose columns must be the schema's, into pieces for workers."""
+    manifest = config_manifest(manifest, config)
     schema = features_of(manifest["source"], manifest_labels(manifest)).arrow_schema
     pieces: list[Piece] = []
     known = manifest.get("poses", True), manifest_bounds(manifest)
@@ -119,7 +127,7 @@ def plan_pieces(root: Path, manifest: dict[str, Any], config: str) -> list[Piece
     for split, names in manifest["configs"][config].items():
         for name in names:
             if not pq.read_schema(root / name).equals(schema):
-                raise RacinesError(f"{name}: columns differ from the schema of `frames`")
+                raise RacinesError(f"{name}: columns differ from the schema of `{config}`")
         tables = [pq.read_table(root / name, columns=["trajectory"]) for name in names]
         ends = np.cumsum([0, *map(len, tables)]).tolist()
         edges = np.array(run_edges(pa.concat_tables(tables)["trajectory"].to_numpy()) or [0])
@@ -213,6 +221,7 @@ def _sweep(
         predicted=np.stack([c.fill_null(np.nan).to_numpy() for c in predicted], -1),
         hashes=np.frombuffer(b"".join(hashes), "<u8"),
         signatures=signatures(trajectory.images),
+        mask_labels=() if trajectory.masks is None else tuple(np.unique(trajectory.masks).tolist()),
         faults=tuple(faults),
     )
 
@@ -229,7 +238,8 @@ def _check_rows(
     unit = Unit(trajectory.id, trajectory.session, trajectory.target_view, len(trajectory))
     check_trajectory(trajectory, unit, labels, piece.poses, piece.bounds)
     where = f"trajectory {trajectory.id}"
-    for name in ("session", "target_view", "phantom", "source"):
+    names = "session", "target_view", "phantom", "source", "patient"
+    for name in names if trajectory.patient is not None else names[:-1]:
         if len(rows[name].unique()) > 1:
             raise RacinesError(f"{where}: {name} changes within it")
     if not np.array_equal(rows["frame"].to_numpy(), np.arange(len(rows))):
@@ -241,12 +251,20 @@ def _in_store(store: FrameStore, place: slice, split: str, trajectory: Trajector
     if place.stop > len(store) or not start <= place.start < stop:
         return False
     index = store.trajectory_index[place]
-    pairs = ((getattr(store, name)[place].numpy(), getattr(trajectory, name)) for name in _STORED)
+    patient = None if store.patients is None else store.patients[int(index[0])]
     return (
         store.trajectories[int(index[0])] == trajectory.id
+        and patient == trajectory.patient
         and bool((index == index[0]).all())
-        and all(np.array_equal(stored, read, equal_nan=True) for stored, read in pairs)
+        and all(_equal(getattr(store, name), getattr(trajectory, name), place) for name in _STORED)
     )
+
+
+def _equal(stored: Tensor | None, read: np.ndarray | None, place: slice) -> bool:
+    """Return whether the rows of a store are what was read; both may lack the column."""
+    if stored is None or read is None:
+        return stored is None and read is None
+    return np.array_equal(stored[place].numpy(), read, equal_nan=True)
 
 
 def signatures(images: np.ndarray) -> np.ndarray:

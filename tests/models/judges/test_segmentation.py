@@ -125,7 +125,7 @@ def test_what_does_not_fit_is_refused(frames, tmp_path):
         MaskSet(frames.images[1:], frames.masks, frames.patients, frames.splits, LABELS)
     store = LabelledStore()
     store.root = tmp_path
-    with pytest.raises(RacinesError, match="has no masks; build one that has"):
+    with pytest.raises(RacinesError, match="has no masks; add one that has"):
         MaskSet.of(store)
     with pytest.raises(RacinesError, match="input_size 96: choose 64 or 128"):
         SegmentationConfig(input_size=96)

@@ -163,6 +163,7 @@ def floor(
 def leakage(
     root: opt.Root = None,
     out: opt.Report = Path("models/runs/leakage"),
+    config: opt.Config = "frames",
     samples: Annotated[int, typer.Option(min=2, help="Test frames looked up.")] = 2000,
     seed: opt.DrawSeed = 0,
     as_json: opt.AsJson = False,
@@ -178,11 +179,13 @@ def leakage(
     from racines_data.progress import image_counter
     from racines_data.store.frames import open_store
     from racines_data.tables import console_table
+    from racines_data.validate.leaks import check_patients
     from racines_models.cli.output import ranged, tell
     from racines_models.pictures import pick_columns, write_strip
     from racines_models.studies.leakage import LeakageConfig, measure_leakage
 
-    store = open_store(default_root(root))
+    store = open_store(default_root(root), config)
+    check_patients(store)
     total = 2 * min(samples, len(store.split_indices("test")))
     held = store.manifest.get("held_out_session")
     if held is not None:

@@ -9,6 +9,7 @@ from racines_models.cli.device import Device
 
 def train_segmentation(
     data: opt.Data = opt.DATA,
+    config: opt.Config = "patients",
     out: opt.Out = Path("models/runs/segmentation"),
     params: opt.Params = None,
     profile: opt.Profile = None,
@@ -30,8 +31,8 @@ def train_segmentation(
     from racines_models.protocol import Run
 
     values = read_settings(params, profile)
-    config = fill(SegmentationConfig, section(values, "segmentation"), "segmentation")
+    settings = fill(SegmentationConfig, section(values, "segmentation"), "segmentation")
     run = Run(out, seed_of(values, seed), device, resume, progress=not as_json)
-    frames = MaskSet.of(open_store(data))
-    metrics = segmentation_training.train_segmentation(frames, config, run)
+    frames = MaskSet.of(open_store(data, config))
+    metrics = segmentation_training.train_segmentation(frames, settings, run)
     show_training("segmentation judge", out, metrics, as_json)

@@ -73,20 +73,23 @@ class MaskSet:
         Raises:
             RacinesError: a dataset without masks.
         """
-        masks, labels = (getattr(store, name, None) for name in ("masks", "mask_labels"))
-        if masks is None or labels is None:
+        named = ("masks", "mask_labels", "patients")
+        masks, labels, patients = (getattr(store, name, None) for name in named)
+        if masks is None or labels is None or patients is None:
             raise RacinesError(
-                f"{store.root}: config {store.config} has no masks; build one that has: "
-                "racines data build --profile patients"
+                f"{store.root}: config {store.config} has no masks; add one that has: "
+                f"racines data build --source patients --out {store.root}"
             )
-        seeds = np.array([seed or 0 for seed in store.phantoms])
+        seeds = np.array(patients)[store.trajectory_index.numpy()]
+        people = store.measures()
+        sick = dict(zip(*people.select(["patient", "pathology"]).to_pydict().values(), strict=True))
         views = [store.labels[view] if view >= 0 else "unknown" for view in store.views.tolist()]
         return cls(
             store.images,
             masks,
-            seeds[store.trajectory_index.numpy()],
+            seeds,
             {name: store.split_indices(name) for name in ("train", "validation", "test")},
             tuple(labels),
             dataset_card(store),
-            {"view": views},
+            {"view": views, "pathology": [sick[seed] for seed in seeds.tolist()]},
         )

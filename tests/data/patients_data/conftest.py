@@ -1,0 +1,37 @@
+"""One dataset with patients, built once: three of them, still and beating, beside a phantom's."""
+
+from pathlib import Path
+
+import pytest
+
+from racines_data.build.dataset import DataConfig, build
+from racines_data.sources.patients import BeatingSource, PatientsSource
+from tests import warm
+from tests.data.fake_source import FakeConfig, FakeSource
+
+SETTINGS = {"train": 1, "validation": 1, "test": [20_000], "frames_per_sweep": 4}
+SEEDS = {"train": 1, "validation": 10_000, "test": 20_000}
+ONE = DataConfig(workers=1, shards=2)
+
+
+@pytest.fixture(scope="session")
+def hearts(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache in which this folder's hearts are baked once, by the code under test."""
+    return tmp_path_factory.mktemp("hearts")
+
+
+@pytest.fixture(autouse=True)
+def own_hearts(own_caches: None, hearts: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(hearts))
+
+
+@pytest.fixture(scope="session")
+def root(tmp_path_factory: pytest.TempPathFactory, hearts: Path) -> Path:
+    folder = tmp_path_factory.mktemp("patients") / "racines"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(hearts))
+        warm.plain_pictures(patch.setattr)
+        build(FakeSource(FakeConfig()), folder, ONE)
+        for kind in (BeatingSource, PatientsSource):  # the order does not matter
+            build(kind.from_config(SETTINGS), folder, ONE)
+    return folder
