@@ -10,9 +10,10 @@ from racines_data.randomness import derive
 from racines_envs.agents.rollout import rollout
 from racines_envs.agents.servo import learner as learning
 from racines_envs.agents.servo.agent import ServoAgent
-from racines_envs.agents.servo.belief import reading
+from racines_envs.agents.servo.belief import FARTHEST, Belief, reading
 from racines_envs.agents.servo.frames import FrameConfig, Frames, draw_poses, ways_to
 from racines_envs.agents.servo.learner import ServoConfig
+from racines_envs.task.tiers import middles
 from racines_envs.worlds.making import make_core
 
 
@@ -46,6 +47,18 @@ def test_beliefs_average_by_precision_and_mistrust_what_lies_far_off():
     assert float(astray.pose.position[0, 0]) < 0.02
     turn = axis_angle_to_matrix(torch.tensor([[0.0, 0.0, 0.2]]))
     assert float(geodesic(astray.pose.rotation, turn)) > 0.0
+
+
+def test_a_belief_goes_no_farther_than_targets_lie():
+    about = middles(torch.tensor([2, 2]))
+    turn = axis_angle_to_matrix(torch.tensor([[0.0, 0.0, 0.2], [1.5, 0.0, 0.0]]))
+    place = about.position + torch.tensor([[0.02, 0.0, 0.0], [0.0, 0.3, 0.0]])
+    lost = Belief(Pose(place, about.rotation @ turn), torch.ones(2), torch.ones(2))
+    kept = lost.confined(torch.tensor([2, 2])).pose
+    assert torch.allclose(kept.position[0], lost.pose.position[0])
+    assert torch.allclose(kept.rotation[0], lost.pose.rotation[0], atol=1e-5)
+    assert float((kept.position - about.position)[1].norm()) == pytest.approx(FARTHEST[0])
+    assert float(geodesic(kept.rotation, about.rotation)[1]) == pytest.approx(FARTHEST[1], 1e-4)
 
 
 class Told(ServoAgent):

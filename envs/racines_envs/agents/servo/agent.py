@@ -59,23 +59,26 @@ class ServoAgent:
     @torch.no_grad()
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
         """Return the (N,) actions that leave least to do to where the targets are believed."""
-        pose = self._steering.pose(observation)
+        pose, labels = self._steering.pose(observation), self._labels(observation)
         read = self.read(observation, pose)
         belief = read
         if self._belief is not None and len(self._belief.placed) == len(seeds):
             belief = self._belief.after(read).kept(self._steering.moved_on(pose), read)
-        self._belief = belief
+        self._belief = belief = belief.confined(labels)
         return self._steering.towards(pose, belief.pose, SLACK)
 
     def read(self, observation: dict[str, Tensor], pose: Pose) -> Belief:
         """Return where the images say that the (N,) targets are."""
         ways, deviations = self.ways(observation["image"])
-        if self._label is None:
-            label = observation["goal"].argmax(-1)
-        else:
-            label = torch.full((len(ways),), self._label, device=ways.device)
-        each = torch.arange(len(ways), device=ways.device)
+        label, each = self._labels(observation), torch.arange(len(ways), device=ways.device)
         return reading(pose, ways[each, label], deviations[each, label])
+
+    def _labels(self, observation: dict[str, Tensor]) -> Tensor:
+        """Return the (N,) labels that are looked for."""
+        if self._label is None:
+            return observation["goal"].argmax(-1)
+        poses = observation["params"]
+        return torch.full((len(poses),), self._label, device=poses.device)
 
     def ways(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """Return (N, V, 6) ways to all views and their deviations, of (N, 128, 128) images."""

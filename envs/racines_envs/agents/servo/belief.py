@@ -19,11 +19,14 @@ from racines_data.geometry import (
     rotate,
     rotation_vector,
 )
+from racines_envs.task.tiers import middles
 
-FADE = 0.92
+FADE = 0.7
 """Share of what is known that the next step leaves."""
 HUBER = 1.5
 """Deviations from which on a reading counts less."""
+FARTHEST = 0.07, 0.55
+"""Metres and radians from a view's middle within which nearly all train patients' nominal poses lie."""
 UNITS = 0.02, 0.35
 """Metres and radians whose squares are the units of the precisions."""
 
@@ -44,8 +47,23 @@ class Belief(NamedTuple):
         pose = Pose(*(choose(a, b) for a, b in zip(self.pose, other.pose, strict=True)))
         return Belief(pose, choose(self.placed, other.placed), choose(self.turned, other.turned))
 
+    def confined(self, labels: Tensor) -> "Belief":
+        """Return the belief no farther from the middles of (N,) labels than targets lie.
+
+        Readings far from any heart are guesses that point ever farther: who follows them is lost.
+        """
+        about = middles(labels)
+        shift = self.pose.position - about.position
+        turn = rotation_vector(matmul3(about.rotation.transpose(1, 2), self.pose.rotation))
+        shift, turn = (
+            part * (most / part.norm(dim=-1, keepdim=True).clamp_min(most))
+            for part, most in zip((shift, turn), FARTHEST, strict=True)
+        )
+        rotation = orthonormalise(matmul3(about.rotation, axis_angle_to_matrix(turn)))
+        return Belief(Pose(about.position + shift, rotation), self.placed, self.turned)
+
     def after(self, read: "Belief") -> "Belief":
-        """Return the belief after a reading."""
+        """Return the belief after a reading, which fades what was known before."""
         shift = read.pose.position - self.pose.position
         turn = rotation_vector(matmul3(self.pose.rotation.transpose(1, 2), read.pose.rotation))
         placed, near = _share(FADE * self.placed, read.placed, shift.norm(dim=-1) / UNITS[0])
