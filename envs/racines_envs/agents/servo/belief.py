@@ -26,7 +26,7 @@ FADE = 0.7
 HUBER = 1.5
 """Deviations from which on a reading counts less."""
 FARTHEST = 0.07, 0.55
-"""Metres and radians from a view's middle within which nearly all train patients' nominal poses lie."""
+"""Metres and radians from a view's middle within which nearly all train patients' targets lie."""
 UNITS = 0.02, 0.35
 """Metres and radians whose squares are the units of the precisions."""
 
