@@ -91,7 +91,7 @@ MATERIALS: dict[int, Material] = {
     MYOCARDIUM: Material(0.0, SOFT, 1.687, True),
     RV_WALL: Material(-4.0, SOFT, 1.687, True),
     PAPILLARY: Material(1.0, SOFT, 1.687, True),
-    ATRIAL_WALL: Material(-1.0, 2, 1.763, True),
+    ATRIAL_WALL: Material(-3.0, 2, 1.763, True),
     VESSEL_WALL: Material(0.5, 2, 1.763, True),
     PERICARDIUM: Material(4.0, 3, 1.865, True),
     **{blood: Material(-34.0, 0, 1.657, False) for blood in BLOOD},

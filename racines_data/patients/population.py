@@ -166,14 +166,14 @@ def _chest(draw: _Draw, late: _Draw, body: Body) -> Chest:
         lung_loss=draw.between(8.0, 14.0),
         notch=draw.between(0.036, 0.046),
         slope=draw.between(-0.12, 0.12),
-        cover=late.between(0.5, 2.0),
+        cover=late.between(0.8, 3.2),
     )
 
 
 def _tissues(draw: _Draw) -> Tissues:
     return Tissues(
         surroundings=draw.between(-8.0, 4.0),
-        unevenness=draw.between(4.0, 8.0),
+        unevenness=draw.between(5.0, 9.0),
         grain=draw.between(1.0, 3.0),
         layers=draw.between(0.15, 0.7),
         liver=draw.between(-9.0, -3.0),
@@ -185,17 +185,17 @@ def _tissues(draw: _Draw) -> Tissues:
 
 def _examination(draw: _Draw, late: _Draw) -> Examination:
     return Examination(
-        half_angle=draw.between(0.635, 0.655),
+        half_angle=draw.between(0.646, 0.662),
         margin=draw.between(0.0, 0.16),
-        gain=draw.between(-12.0, -2.0),
-        dynamic_range=draw.between(58.0, 78.0),
-        gray_map=draw.between(1.6, 2.5),
-        noise=draw.between(-56.0, -44.0),
+        gain=draw.between(-11.0, -1.0),
+        dynamic_range=draw.between(51.0, 69.0),
+        gray_map=draw.between(1.5, 2.3),
+        noise=draw.between(-55.0, -42.0),
         reverberation=draw.between(-32.0, -22.0),
-        haze=draw.between(-28.0, -16.0),
+        haze=draw.between(-27.0, -14.0),
         near_gain=draw.between(-14.0, -6.0),
-        far_gain=late.between(-4.0, 4.0),
-        grain=late.between(4.0, 9.0),
+        far_gain=late.between(-3.0, 4.0),
+        grain=late.between(5.0, 10.0),
     )
 
 
