@@ -23,6 +23,10 @@ PROBE = replace(ProbeConfig(), lateral_sigma=0.014, smoothing=(0.5, 1.1))
 """Face, beams, samples and pulse of the one probe; width, depth and gains are a patient's."""
 SOFT_LOSS = ATTENUATIONS[0] + SOFT * ATTENUATIONS[1]  # dB/cm/MHz, which the TGC undoes
 
+MIDDLE_GAIN = 4.5, 0.48, 0.12
+"""What examiners turn the middle depths up by, where blood is, dB; where that is most, and how
+widely, shares of the depth."""
+
 
 class Settings(NamedTuple):
     """Of K patients, or of the B rows of a batch. Lengths in mm, geometry in float64."""
@@ -62,7 +66,9 @@ def settings_of(
     fraction = (torch.arange(PROBE.samples, dtype=torch.float64) + 0.5) / PROBE.samples
     tgc = 2.0 * SOFT_LOSS * frequency * 100.0 * depth * fraction
     near = exam.near_gain * torch.exp(-fraction * depth / NEAR_FIELD)
-    far = 2.0 * exam.far_gain * (fraction - 0.5)
+    lift, middle, width = MIDDLE_GAIN
+    off = 2.0 * exam.far_gain * (fraction - 0.5)
+    off = off + lift * torch.exp(-0.5 * ((fraction - middle) / width).square())
     fading = torch.exp(-fraction * PROBE.depth / RINGING_DEPTH)
     decibel = math.log(10.0) / 10.0
 
@@ -77,8 +83,8 @@ def settings_of(
         torch.tensor(patient.chest.thickness * 1e3, dtype=torch.float64),
         torch.tensor(diaphragm, dtype=torch.float64),
         scalar(frequency * 100.0 * step),
-        (tgc + near + far).float().unsqueeze(0),
-        torch.exp(decibel * (exam.noise + 0.62 * tgc)).float().unsqueeze(0),
+        (tgc + near + off).float().unsqueeze(0),
+        torch.exp(decibel * (exam.noise + 0.62 * tgc + off)).float().unsqueeze(0),
         (10.0 ** (exam.reverberation / 10.0) * fading).float().unsqueeze(0),
         scalar(10.0 ** (exam.haze / 10.0)),
         scalar(10.0 ** (patient.tissues.blood / 20.0)),
