@@ -187,7 +187,7 @@ def _examination(draw: _Draw, late: _Draw) -> Examination:
     return Examination(
         half_angle=draw.between(0.646, 0.662),
         margin=draw.between(0.0, 0.16),
-        gain=draw.between(-11.5, -1.5),
+        gain=draw.between(-13.0, -3.0),
         dynamic_range=draw.between(55.0, 73.0),
         gray_map=draw.between(1.5, 2.3),
         noise=draw.between(-55.0, -42.0),
