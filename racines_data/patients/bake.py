@@ -39,6 +39,7 @@ from racines_data.phantom.volume import ALONG_SHEET, REFLECTOR_STEP, blur, sheet
 CACHE_BYTES = 4 << 30
 """Cap of the cache on disk, some 215 hearts; RACINES_HEARTS_BYTES in the environment changes it."""
 _CHUNK = 1 << 17
+_DECIBEL = math.log(10.0) / 20.0
 _NEAR = 3  # voxels about the heart that are blurred with it; beyond, the box is the tile
 
 
@@ -120,13 +121,14 @@ def _box(patient: Patient, fields: Fields, label: Tensor, around: Surroundings) 
     echo = _spread({code: each.echogenicity for code, each in MATERIALS.items()}, label)
     sheets = _spread({code: each.sheets for code, each in MATERIALS.items()}, label) > 0
     tiled = {name: _tiled(getattr(around, name)) for name in ("echo", "impedance", "attenuation")}
-    echo = echo + tissues.patchiness * _tiled(fields.slow) * sheets
+    patches = tissues.patchiness * _tiled(fields.slow) * sheets  # dB: walls drop out in places
+    echo = echo + patches
     leaf = label >= MITRAL
     echo[leaf] += tissues.valves - MATERIALS[MITRAL].echogenicity
     echo = torch.where(outside, tiled["echo"], echo)
     impedance = _spread({code: each.impedance for code, each in MATERIALS.items()}, label)
     impedance = torch.where(outside, tiled["impedance"], impedance)
-    gradient = _gradient(impedance, sheets)
+    gradient = _gradient(impedance, sheets) * torch.exp(patches.clamp_max(0.0) * _DECIBEL)
     attenuation = _spread({code: each.attenuation for code, each in MATERIALS.items()}, label)
     attenuation = torch.where(outside, tiled["attenuation"], attenuation.to(torch.uint8))
     # Leaflets are not smeared into the blood around: it is blood in other stages.

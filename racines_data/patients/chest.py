@@ -7,6 +7,7 @@ them; they are laid so that the parasternal and apical windows lie in spaces, wh
 echocardiographers find them. Lung covers what is far from these. Both end at the costal margin.
 """
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -17,6 +18,7 @@ from racines_data.patients.form import FOOT
 from racines_data.patients.patient import Patient
 from racines_data.patients.placement import SURFACE, Placement
 from racines_data.patients.settings import PROBE
+from racines_data.randomness import derive, uniform
 
 GIVE = 45.0
 """Distance from the tip at which tissue is pushed half as far as under it, mm."""
@@ -24,6 +26,9 @@ RIB_DEPTH, LUNG_DEPTH = 0.62, 1.0
 """Where ribs and pleura lie, shares of the chest wall's thickness."""
 MARGIN = 22.0  # from the costal margin to the subcostal window, mm
 EDGE = 2.0  # over which an obstacle begins, mm
+COVER_DEPTH, WAVES = 0.4, 8
+"""Where uneven fat and muscle lie, share of the chest wall's thickness, and the waves they are."""
+WAVELENGTHS = 9.0, 40.0  # of these, mm
 
 
 class Chest(NamedTuple):
@@ -40,6 +45,7 @@ class Chest(NamedTuple):
     lung_loss: Tensor
     notch: Tensor  # (K,) radius around the way from the first to the second window
     windows: Tensor  # (K, 2, 2) parasternal and apical
+    cover: Tensor  # (K, 4, WAVES) of uneven tissue: turns a mm along x and y, phase, dB one way
     sway: Tensor  # (K, 3) of the heart, at full breath
 
     def rows(self, rows: Tensor) -> "Chest":
@@ -70,9 +76,20 @@ def chest_of(patient: Patient, placement: Placement, poses: Pose) -> list[Tensor
         number(chest.thickness * 1e3), across, along[1], spacing,
         number(chest.rib_width * 1e3), margin, below @ margin - MARGIN,
         number(chest.rib_loss), number(chest.lung_loss), number(chest.notch * 1e3),
-        torch.stack([front, apical]),
+        torch.stack([front, apical]), _waves(patient),
         torch.cat([foot, foot.new_zeros(1)]) * (patient.motion.sway * 1e3),
     ]  # fmt: skip
+
+
+def _waves(patient: Patient) -> Tensor:
+    """Draw the (4, WAVES) plane waves of a patient's uneven cover."""
+    draw = uniform(derive(torch.tensor([patient.seed]), 853), 3 * WAVES, 1)[0].double()
+    length, way, phase = draw.view(3, WAVES)
+    short, long = WAVELENGTHS
+    turns = 1.0 / (short * (long / short) ** length)
+    turn = 2.0 * math.pi * way
+    size = torch.full_like(turns, patient.chest.cover * (2.0 / WAVES) ** 0.5)
+    return torch.stack([turns * turn.cos(), turns * turn.sin(), phase, size])
 
 
 def _crossing(poses: Pose, depth: float) -> Tensor:
@@ -115,21 +132,41 @@ class Obstacles(NamedTuple):
 
 def obstacles(pose: Pose, half_angle: Tensor, chest: Chest) -> Obstacles:
     """Find where the beams of (B,) float64 poses cross ribs and lung."""
+    beam, tip = _beams(pose, half_angle)
+    found: list[tuple[Tensor, Tensor]] = []
+    for share, loss in ((RIB_DEPTH, _rib), (LUNG_DEPTH, _lung)):
+        place, reach = _cross(beam, tip, share, chest)
+        found.append((loss(place, chest), reach))
+    losses, reaches = zip(*found, strict=True)
+    return Obstacles(torch.stack(losses, -1), torch.stack(reaches, -1))
+
+
+def _beams(pose: Pose, half_angle: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the (B, L, 3) directions of beams and the (B, 1, 3) tips they begin at, mm."""
     fan = torch.linspace(-1.0, 1.0, PROBE.beams, dtype=torch.float64, device=half_angle.device)
     angle = fan * half_angle.unsqueeze(1)
     x, z = pose.rotation[:, None, :, 0], pose.rotation[:, None, :, 2]
     beam = x * angle.sin().unsqueeze(-1) + z * angle.cos().unsqueeze(-1)
-    tip = pose.position.unsqueeze(1) * 1e3
+    return beam, pose.position.unsqueeze(1) * 1e3
+
+
+def _cross(beam: Tensor, tip: Tensor, share: float, chest: Chest) -> tuple[Tensor, Tensor]:
+    """Return where beams cross a share of the chest wall, (B, L, 2), and how far that is, mm."""
     # What touches the tip was skin: the wall under it is as thick as ever.
     down = beam.neg()[..., 2].clamp_min(0.05)
-    found: list[tuple[Tensor, Tensor]] = []
-    for share, loss in ((RIB_DEPTH, _rib), (LUNG_DEPTH, _lung)):
-        depth = share * chest.thickness.unsqueeze(1)
-        reach = (depth / down).clamp_max(200.0)
-        place = tip[..., :2] + beam[..., :2] * reach.unsqueeze(-1)
-        found.append((loss(place, chest), reach))
-    losses, reaches = zip(*found, strict=True)
-    return Obstacles(torch.stack(losses, -1), torch.stack(reaches, -1))
+    reach = (share * chest.thickness.unsqueeze(1) / down).clamp_max(200.0)
+    return tip[..., :2] + beam[..., :2] * reach.unsqueeze(-1), reach
+
+
+def cover(pose: Pose, half_angle: Tensor, chest: Chest) -> Tensor:
+    """Return (B, L) float32 dB, one way, that uneven fat and muscle take more or less than usual.
+
+    It streaks the picture and hides nothing, so the oracle does not ask for it.
+    """
+    place, _ = _cross(*_beams(pose, half_angle), COVER_DEPTH, chest)
+    across, aside, phase, size = chest.cover.unsqueeze(1).unbind(2)
+    turns = place[..., :1] * across + place[..., 1:] * aside + phase
+    return (torch.sin(2.0 * math.pi * turns) * size).sum(-1).float()
 
 
 def _rib(place: Tensor, chest: Chest) -> Tensor:
@@ -159,11 +196,12 @@ def _lung(place: Tensor, chest: Chest) -> Tensor:
     return chest.lung_loss.unsqueeze(1) * covered * _over_margin(place, chest)
 
 
-def shadows(found: Obstacles, step: Tensor, samples: int) -> Tensor:
+def shadows(found: Obstacles, uneven: Tensor, step: Tensor, samples: int) -> Tensor:
     """Return (B, L, S) float32 dB that are lost in each sample; `step` is (B,) mm."""
     loss = found.loss.float()
     index = (found.at / step.view(-1, 1, 1)).long().clamp(0, samples - 1)
     dense = loss.new_zeros((*loss.shape[:2], samples))
+    dense[..., 0] = uneven
     return dense.scatter_add_(2, index, loss)
 
 

@@ -89,11 +89,11 @@ SOFT = 1
 MATERIALS: dict[int, Material] = {
     BACKGROUND: Material(-6.0, SOFT, 1.602, False),
     MYOCARDIUM: Material(0.0, SOFT, 1.687, True),
-    RV_WALL: Material(0.0, SOFT, 1.687, True),
+    RV_WALL: Material(-4.0, SOFT, 1.687, True),
     PAPILLARY: Material(1.0, SOFT, 1.687, True),
-    ATRIAL_WALL: Material(2.0, 2, 1.763, True),
-    VESSEL_WALL: Material(2.5, 2, 1.763, True),
-    PERICARDIUM: Material(6.0, 3, 1.865, True),
+    ATRIAL_WALL: Material(-3.0, 2, 1.763, True),
+    VESSEL_WALL: Material(0.5, 2, 1.763, True),
+    PERICARDIUM: Material(4.0, 3, 1.865, True),
     **{blood: Material(-34.0, 0, 1.657, False) for blood in BLOOD},
     **{valve: Material(4.0, SOFT, 1.720, False) for valve in VALVES},
 }

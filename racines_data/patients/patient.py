@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass
 
-PATIENTS_VERSION = "0.1.0"
+PATIENTS_VERSION = "0.2.0"
 """Of this world, apart from the phantom's: raise it whenever an image, a force or a truth moves."""
 
 PATHOLOGIES = ("healthy", "dilated", "hypertrophied", "small", "atria", "right")
@@ -64,6 +64,7 @@ class Chest:
     lung_loss: float  # the same in lung, dB
     notch: float  # radius of what the lung leaves free around the windows, m
     slope: float  # of the ribs against the crosswise direction, rad
+    cover: float  # by which uneven fat and muscle dim and brighten beams, dB one way
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,8 @@ class Examination:
     reverberation: float  # dB
     haze: float  # dB
     near_gain: float  # dB
+    far_gain: float  # at the sector's end against its middle, dB
+    grain: float  # of the finished picture, gray levels
 
 
 @dataclass(frozen=True)

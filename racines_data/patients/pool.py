@@ -17,7 +17,7 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, rotate
 from racines_data.patients import oracle
 from racines_data.patients.bake import baked, recipe
-from racines_data.patients.chest import Chest, breathing, obstacles, shadows, undeform
+from racines_data.patients.chest import Chest, breathing, cover, obstacles, shadows, undeform
 from racines_data.patients.heart import LEVELS, Heart, make_heart, nominal_targets
 from racines_data.patients.labels import CODES, shown
 from racines_data.patients.measures import Measures, measure
@@ -127,8 +127,8 @@ class Pool:
         self._radii, self._weights = hearts[0].radii.to(device), hearts[0].weights.to(device)
         self._targets = nominal_targets(hearts).to(device)
         pixels = [pixel_map(each.examination.half_angle) for each in self.patients]
-        self._pixels = torch.stack([pixel for pixel, _ in pixels]).to(device)
-        self._nearest = torch.stack([near for _, near in pixels]).to(device)
+        maps = (torch.stack(each).to(device) for each in zip(*pixels, strict=True))
+        self._pixels, self._nearest, self._covered = maps
         stages = all_stages()
         self._solid = solid_table(stages).to(device)
         labels = [[shown(code, (a, b, c)) for code in range(CODES)] for a, b, c in stages.tolist()]
@@ -189,13 +189,15 @@ class Pool:
         samples = place_samples(nodes, elevation_axis(pose, settings), self._grid)
         solid = self._solid.index_select(0, self._stages(rows, phase))
         found = obstacles(pose, settings.half_angle, chest)
-        shadow = shadows(found, settings.step, PROBE.samples)
+        uneven = cover(pose, settings.half_angle, chest)
+        shadow = shadows(found, uneven, settings.step, PROBE.samples)
         at = self._offsets.index_select(0, rows)
         scanner = self._scanner
         echoes = hear(self._voxels, at, samples, solid, settings, shadow, scanner, seeds)
         coupling = truth.coupling(pose, SURFACE, PROBE).float()
         polar = picture(echoes, coupling, settings, scanner, seeds)
-        return convert(polar, self._pixels.index_select(0, rows), scanner)
+        pixels, covered = (x.index_select(0, rows) for x in (self._pixels, self._covered))
+        return convert(polar, pixels, covered, settings, scanner, seeds)
 
     def _nodes(
         self, pose: Pose, rows: Tensor, phase: Tensor, settings: Settings, chest: Chest

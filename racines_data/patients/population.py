@@ -33,8 +33,8 @@ _DRAWS = 128
 class _Draw:
     """Numbers of one patient, in order; rounded, so that all processors agree on them."""
 
-    def __init__(self, seed: int):
-        drawn = uniform(sample_seeds(torch.tensor([seed]), 1), _DRAWS, 501)
+    def __init__(self, seed: int, stream: int = 501):
+        drawn = uniform(sample_seeds(torch.tensor([seed]), 1), _DRAWS, stream)
         self._numbers = iter(drawn[0].tolist())
 
     def between(self, low: float, high: float) -> float:
@@ -58,7 +58,7 @@ def draw_patient(seed: int) -> Patient:
         RacinesError: a seed of no split.
     """
     split_of(seed)
-    draw = _Draw(seed)
+    draw, late = _Draw(seed), _Draw(seed, 503)  # late: what came to be drawn after the rest
     sick, which = draw.happens(SICK), 1 + int(draw.between(0.0, 4.999999))
     kind = PATHOLOGIES[which if sick else 0]
     body = _body(draw)
@@ -68,9 +68,9 @@ def draw_patient(seed: int) -> Patient:
         body=body,
         form=_form(draw, body, kind),
         place=_place(draw),
-        chest=_chest(draw, body),
+        chest=_chest(draw, late, body),
         tissues=_tissues(draw),
-        examination=_examination(draw),
+        examination=_examination(draw, late),
         motion=_motion(draw, kind),
     )
 
@@ -167,7 +167,7 @@ def _place(draw: _Draw) -> Place:
     )
 
 
-def _chest(draw: _Draw, body: Body) -> Chest:
+def _chest(draw: _Draw, late: _Draw, body: Body) -> Chest:
     stout = (body.weight / body.height**2 - 25.5) / 3.8
     return Chest(
         thickness=round(max(0.009, 0.0140 + 0.0023 * stout + draw.between(-0.002, 0.002)), 6),
@@ -178,33 +178,36 @@ def _chest(draw: _Draw, body: Body) -> Chest:
         lung_loss=draw.between(8.0, 14.0),
         notch=draw.between(0.036, 0.046),
         slope=draw.between(-0.12, 0.12),
+        cover=late.between(0.8, 3.2),
     )
 
 
 def _tissues(draw: _Draw) -> Tissues:
     return Tissues(
-        surroundings=draw.between(-10.0, 2.0),
-        unevenness=draw.between(2.5, 5.0),
-        grain=draw.between(1.5, 4.5),
+        surroundings=draw.between(-8.0, 4.0),
+        unevenness=draw.between(5.0, 9.0),
+        grain=draw.between(1.0, 3.0),
         layers=draw.between(0.15, 0.7),
-        liver=draw.between(-5.0, 1.0),
+        liver=draw.between(-9.0, -3.0),
         blood=draw.between(-37.0, -29.0),
-        patchiness=draw.between(2.0, 5.0),
-        valves=draw.between(2.0, 7.0),
+        patchiness=draw.between(4.0, 7.0),
+        valves=draw.between(-1.0, 5.0),
     )
 
 
-def _examination(draw: _Draw) -> Examination:
+def _examination(draw: _Draw, late: _Draw) -> Examination:
     return Examination(
-        half_angle=draw.between(0.58, 0.76),
+        half_angle=draw.between(0.646, 0.662),
         margin=draw.between(0.0, 0.16),
-        gain=draw.between(-11.0, -1.0),
-        dynamic_range=draw.between(58.0, 78.0),
-        gray_map=draw.between(1.6, 2.5),
-        noise=draw.between(-56.0, -44.0),
-        reverberation=draw.between(-30.0, -19.0),
-        haze=draw.between(-33.0, -20.0),
-        near_gain=draw.between(-11.0, -3.0),
+        gain=draw.between(-13.0, -3.0),
+        dynamic_range=draw.between(55.0, 73.0),
+        gray_map=draw.between(1.5, 2.3),
+        noise=draw.between(-55.0, -42.0),
+        reverberation=draw.between(-32.0, -22.0),
+        haze=draw.between(-27.0, -14.0),
+        near_gain=draw.between(-14.0, -6.0),
+        far_gain=late.between(-4.0, 3.5),
+        grain=late.between(4.5, 9.0),
     )
 
 

@@ -18,9 +18,9 @@ from racines_data.patients.settings import PROBE, SOFT_LOSS, Settings
 from racines_data.phantom.acoustics import (
     NOISE_BANK,
     SPECKLE_GAIN,
-    SPECULAR_GAIN,
     SPECULAR_LOSS,
     Beams,
+    averaging,
     echo_power,
     make_beams,
 )
@@ -30,6 +30,8 @@ from racines_data.randomness import derive
 FAINTEST = 1e-8
 """Least power of a look, below any black: an echo that cancels itself hangs on rounding alone."""
 AIR_LOSS = 6.0  # one-way loss of a sample above the skin, dB
+SPECULAR_GAIN = 0.035  # less than the phantom's: tissue has no polished faces as gel has
+APEX_BEAMS = 3.0  # reach of the mean over beams where many of them fill a pixel, beams
 BLOOD_GAIN = 0.9  # blood's speckle has no memory from voxel to voxel: the blur gives it less
 
 
@@ -47,6 +49,7 @@ class Scanner(NamedTuple):
     nodes: tuple[Tensor, Tensor]  # (L, 13) and (19, S), from them
     smoothing: tuple[tuple[float, ...], tuple[float, ...]]  # taps over samples, and over beams
     level: Tensor  # (L, S) undoes what the smoothing loses at the grid's edges
+    apex: tuple[Tensor, Tensor]  # (L, L) mean over neighbours, and (N,) its share in the first N
 
 
 def make_scanner(grid: Grid, device: torch.device) -> Scanner:
@@ -71,8 +74,19 @@ def make_scanner(grid: Grid, device: torch.device) -> Scanner:
         veil=(across[node_beam].contiguous(), beams.veil_along[:, node_sample].contiguous()),
         nodes=(grid.across / SPACING, grid.along / SPACING),
         smoothing=(kernels[0], kernels[1]),
+        apex=(averaging(PROBE.beams, APEX_BEAMS, 3).to(device), _apex_share().to(device)),
         level=(1.0 / shifted(shifted(flat, kernels[0], 3), kernels[1], 2))[0, 0].to(device),
     )
+
+
+def _apex_share() -> Tensor:
+    """Return (N,) how far the first samples are averaged over beams, many of which fill a pixel."""
+    pixels = (
+        IMAGE_SIZE / PROBE.samples
+    )  # a sample; the sector is about as deep as the image is high
+    arc = 2.0 * PROBE.half_angle * pixels * (torch.arange(PROBE.samples) + 0.5)
+    share = (PROBE.beams / arc - 1.0) / APEX_BEAMS
+    return share[share > 0.05].clamp_max(1.0)
 
 
 def _taps(sigma: float, reach: float) -> tuple[float, ...]:
@@ -213,27 +227,43 @@ def _level(field: Tensor, gain: Tensor, settings: Settings, scanner: Scanner) ->
 
 
 def _run(beams: Beams, seeds: Tensor, shape: torch.Size) -> Tensor:
-    """Return standard normal numbers of (B, 2, L, S), a run of the bank for each seed."""
+    """Return standard normal numbers of a (B, ...) shape, a run of the bank for each seed."""
     size = shape[1:].numel()
     start = derive(seeds, 11).remainder(NOISE_BANK - size)
     return beams.noise.unfold(0, size, 1).index_select(0, start).view(shape)
 
 
-def convert(polar: Tensor, pixels: Tensor, scanner: Scanner) -> Tensor:
-    """Turn (B, L, S) gray 0-255 into (B, 128, 128) uint8 images; `pixels` as `pixel_map` gives."""
+def convert(
+    polar: Tensor,
+    pixels: Tensor,
+    covered: Tensor,
+    settings: Settings,
+    scanner: Scanner,
+    seeds: Tensor,
+) -> Tensor:
+    """Turn (B, L, S) gray 0-255 into (B, 128, 128) uint8 images; `pixel_map` gives two of them.
+
+    What a scanner's filters leave is as fine as the picture, at any depth: the grain comes last.
+    """
     along, across = scanner.smoothing
     polar = shifted(shifted(polar.unsqueeze(1), along, 3), across, 2).mul_(scanner.level)
+    matrix, share = scanner.apex
+    near = polar[..., : len(share)]
+    near.lerp_(torch.matmul(matrix, near), share)
+    grain = _run(scanner.beams, derive(seeds, 29), polar.shape)
+    polar.addcmul_(grain, settings.grain.unsqueeze(1))
     image = functional.grid_sample(polar, pixels, "bilinear", "zeros", align_corners=True)
-    return image.squeeze(1).add_(0.5).to(torch.uint8)
+    return image.squeeze(1).mul_(covered).add_(0.5).clamp_(0.0, 255.0).to(torch.uint8)
 
 
-def pixel_map(half_angle: float) -> tuple[Tensor, Tensor]:
+def pixel_map(half_angle: float) -> tuple[Tensor, Tensor, Tensor]:
     """Lay a sector of unit depth into the image: apex at the top centre, as wide as the image.
 
     Returns:
         (128, 128, 2) float32, for `grid_sample`: sample and beam of each pixel in -1 to 1, far off
-        outside the sector; and (16384,) int64, the nearest of the polar grid's samples, or the one
-        past the last outside.
+        outside the sector; (16384,) int64, the nearest of the polar grid's samples, or the one
+        past the last outside; and (128, 128) float32, the share of each pixel that lies in the
+        sector, as scanners draw their edges.
     """
     place = torch.arange(IMAGE_SIZE, dtype=torch.float64)
     pixel = 2.0 * math.sin(half_angle) / IMAGE_SIZE
@@ -244,7 +274,9 @@ def pixel_map(half_angle: float) -> tuple[Tensor, Tensor]:
     sample = (radius * PROBE.samples - 0.5).clamp(0, PROBE.samples - 1)
     scale = torch.tensor([PROBE.samples - 1, PROBE.beams - 1], dtype=torch.float64)
     grid = torch.stack([sample, beam], -1) / scale * 2.0 - 1.0
-    grid[~inside] = -3.0
+    to_edge = torch.minimum((half_angle - angle.abs()) * radius, 1.0 - radius) / pixel
+    covered = (to_edge + 0.5).clamp(0.0, 1.0)
+    grid[covered == 0.0] = -3.0
     nearest = beam.round() * PROBE.samples + sample.round()
     nearest[~inside] = PROBE.beams * PROBE.samples
-    return grid.float(), nearest.long().flatten()
+    return grid.float(), nearest.long().flatten(), covered.float()

@@ -7,6 +7,7 @@ pulse, as scanners do.
 """
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -18,9 +19,13 @@ from racines_data.patients.placement import Placement
 from racines_data.phantom.acoustics import NEAR_FIELD, RINGING_DEPTH
 from racines_data.phantom.config import ProbeConfig
 
-PROBE = ProbeConfig()
+PROBE = replace(ProbeConfig(), lateral_sigma=0.014, smoothing=(0.5, 1.1))
 """Face, beams, samples and pulse of the one probe; width, depth and gains are a patient's."""
 SOFT_LOSS = ATTENUATIONS[0] + SOFT * ATTENUATIONS[1]  # dB/cm/MHz, which the TGC undoes
+
+MIDDLE_GAIN = 4.5, 0.48, 0.12
+"""What examiners turn the middle depths up by, where blood is, dB; where that is most, and how
+widely, shares of the depth."""
 
 
 class Settings(NamedTuple):
@@ -33,7 +38,7 @@ class Settings(NamedTuple):
     thickness: Tensor  # (K,) of the chest wall
     diaphragm: Tensor  # (K,) distance of the liver from the organ's origin
     loss: Tensor  # (K, 1, 1) float32 from here: dB a sample of soft tissue's attenuation of 1
-    along: Tensor  # (K, 1, S) dB: TGC and the near field's gain
+    along: Tensor  # (K, 1, S) dB: TGC, and what the examiner set it off by, near and far
     hiss: Tensor  # (K, 1, S) power of electronic noise
     ringing: Tensor  # (K, 1, S) power of what bounces under the face
     veil: Tensor  # (K, 1, 1) power of multiple scattering, of the mean echo around
@@ -41,6 +46,7 @@ class Settings(NamedTuple):
     contrast: Tensor  # (K, 1, 1) gray 0-1 a decade of power
     lift: Tensor  # (K, 1, 1) gray 0-1 of myocardium
     curve: Tensor  # (K, 1, 1) exponent of the gray map
+    grain: Tensor  # (K, 1, 1) gray levels of grain in the finished picture
 
     def rows(self, rows: Tensor) -> "Settings":
         """Return those of (B,) rows."""
@@ -60,6 +66,9 @@ def settings_of(
     fraction = (torch.arange(PROBE.samples, dtype=torch.float64) + 0.5) / PROBE.samples
     tgc = 2.0 * SOFT_LOSS * frequency * 100.0 * depth * fraction
     near = exam.near_gain * torch.exp(-fraction * depth / NEAR_FIELD)
+    lift, middle, width = MIDDLE_GAIN
+    off = 2.0 * exam.far_gain * (fraction - 0.5)
+    off = off + lift * torch.exp(-0.5 * ((fraction - middle) / width).square())
     fading = torch.exp(-fraction * PROBE.depth / RINGING_DEPTH)
     decibel = math.log(10.0) / 10.0
 
@@ -74,12 +83,13 @@ def settings_of(
         torch.tensor(patient.chest.thickness * 1e3, dtype=torch.float64),
         torch.tensor(diaphragm, dtype=torch.float64),
         scalar(frequency * 100.0 * step),
-        (tgc + near).float().unsqueeze(0),
-        torch.exp(decibel * (exam.noise + 0.62 * tgc)).float().unsqueeze(0),
+        (tgc + near + off).float().unsqueeze(0),
+        torch.exp(decibel * (exam.noise + 0.62 * tgc + off)).float().unsqueeze(0),
         (10.0 ** (exam.reverberation / 10.0) * fading).float().unsqueeze(0),
         scalar(10.0 ** (exam.haze / 10.0)),
         scalar(10.0 ** (patient.tissues.blood / 20.0)),
         scalar(10.0 / exam.dynamic_range),
         scalar(1.0 + exam.gain / exam.dynamic_range),
         scalar(exam.gray_map),
+        scalar(exam.grain),
     ]

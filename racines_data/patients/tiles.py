@@ -44,7 +44,7 @@ def draw_fields(patient: Patient) -> Fields:
     scatter = torch.stack([smooth(_white(seed, TILE, 1 + i), SCATTER_BLUR) for i in range(2)])
     scatter = scatter / (scatter.square().sum(0).mean().sqrt())
     slow, fine = _white(seed, (TILE[0] // 4, TILE[1] // 4, TILE[2] // 4), 3), _white(seed, TILE, 4)
-    slow = smooth(slow, 1.1).repeat_interleave(4, 0).repeat_interleave(4, 1).repeat_interleave(4, 2)
+    slow = smooth(slow, 1.7).repeat_interleave(4, 0).repeat_interleave(4, 1).repeat_interleave(4, 2)
     return Fields(scatter, _unit(smooth(slow, 2.5)), _unit(smooth(fine, 1.2)), _waves(seed))
 
 
@@ -160,7 +160,7 @@ def chest_tile(patient: Patient, fields: Fields) -> Tensor:
     depth = (torch.arange(TILE[2]) + 0.5) / TILE[2] + 0.022 * wave
     fat, slow = patient.chest.fat, _unit(smooth(_white(seed, TILE, 2), 2.0))
     stripes = torch.sin(2.0 * math.pi * (depth * 9.0 + 0.25 * slow))
-    echo = torch.where(depth < fat, -7.0 + 3.0 * slow, -5.0 + 4.0 * stripes + 1.5 * slow)
+    echo = torch.where(depth < fat, -13.0 + 3.0 * slow, -11.0 + 4.0 * stripes + 1.5 * slow)
     edges = ((0.06, 8.0), (fat, 9.0), (0.55 + 0.45 * fat, 6.0), (0.94, 9.0))
     impedance = torch.full(TILE, 1.60, dtype=torch.float64)
     for place, lift in edges:

@@ -18,6 +18,7 @@ SWING = (0.36, 0.64, 0.98, 1.30)
 APART = (0.0, 0.30, 0.62, 0.90)
 """How far the cusps' free edges have gone to the wall in each stage."""
 CUSP = 0.85  # height of a cusp, against the radius of the root
+MET = 0.5  # share of that height from which closed cusps meet
 
 
 def leaflets(points: Tensor, shape: Shape) -> Tensor:
@@ -72,11 +73,12 @@ def _cusps(points: Tensor, shape: Shape, stage: int) -> Tensor:
     turn = torch.remainder(torch.atan2(y, x), third) - third / 2.0  # from a cusp's middle
     wide = torch.lerp(out.new_tensor(radius), out.new_tensor(shape.aorta.radii[2]), 0.5)
     edge = (APART[stage] * 0.5 / turn.cos()).clamp_max(1.0) * wide  # a triangle when open
-    climb = (height / tall).clamp(0.0, 1.0)
+    reach = tall if stage else MET * tall
+    climb = (height / reach).clamp(0.0, 1.0)
     belly = wide + (edge - wide) * climb.sqrt()
-    sheet = ((out - belly).abs() < 1.1 * THICK) & (height > 0.0) & (height < tall)
-    if stage == 0:  # closed: the edges lie against each other in a star
+    sheet = ((out - belly).abs() < 1.1 * THICK) & (height > 0.0) & (height < reach)
+    if stage == 0:  # closed: above their bellies the edges lie against each other in a star
         seam = out * (third / 2.0 - turn.abs()).sin()
-        met = (height > 0.45 * tall) & (height < 1.3 * tall)
+        met = (height > MET * tall) & (height < 1.4 * tall)
         sheet |= (seam.abs() < THICK) & (out < wide) & met
     return sheet

@@ -19,9 +19,8 @@ from racines_models.studies.realism.patients import (
     patient_lists,
     patients_of,
 )
-from racines_models.studies.realism.report import compare_with_real, one_each, read_real
-from tests.models.scores.test_scores import Coarse
-from tests.models.studies.test_realism import CONFIG, phantom_like, png, speckle
+from racines_models.studies.realism.report import one_each, read_real
+from tests.models.studies.test_realism import compared, phantom_like, png, speckle
 
 __all__ = ["phantom_like"]
 SHARED = Path(os.environ.get("RACINES_REAL", Path(__file__).parents[4] / "shared" / "real"))
@@ -63,9 +62,9 @@ def test_realism_of_one_list_reads_its_patients_alone(listed, phantom_like):
     both, half = read_real(listed), read_real(listed, "reporting")
     assert (len(both.images), len(half.images)) == (80, 40) and half.sha256 == both.sha256
     assert (half.images == both.images[40:]).all() and one_each(half, 5).chosen == "reporting"
-    told = compare_with_real(half, phantom_like, CONFIG, Coarse()).content["real"]
+    told = compared(half, phantom_like).content["real"]
     assert told["list"] == "reporting" and told["patients"] == 20
-    assert "list" not in compare_with_real(both, phantom_like, CONFIG, Coarse()).content["real"]
+    assert "list" not in compared(both, phantom_like).content["real"]
 
 
 def test_a_file_of_other_patients_and_an_unknown_list_are_refused(tmp_path):

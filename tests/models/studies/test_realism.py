@@ -13,12 +13,14 @@ from racines_data.errors import RacinesError
 from racines_models.studies.realism.report import (
     RULES,
     RealFrames,
+    Realism,
     RealismConfig,
     Sector,
     choose_rows,
     common_sector,
     compare_with_real,
     local_deviation,
+    of_store,
     one_each,
     read_real,
     wasserstein,
@@ -72,8 +74,13 @@ def phantom_like():
 CONFIG = RealismConfig(frames=15, splits=5)
 
 
+def compared(real: RealFrames, store: LabelledStore) -> Realism:
+    """Hold a dataset beside real frames."""
+    return compare_with_real(real, of_store(store, CONFIG), CONFIG, Coarse())
+
+
 def test_the_phantom_stands_beside_two_halves_of_the_real_set(real_file, phantom_like):
-    result = compare_with_real(read_real(real_file), phantom_like, CONFIG, Coarse())
+    result = compared(read_real(real_file), phantom_like)
     content = result.content
     assert content["n"] == 15 and content["phantom_frames"] == 15
     assert content["real"]["patients"] == 30 and set(content["figures"]) == set(RULES)
@@ -84,13 +91,13 @@ def test_the_phantom_stands_beside_two_halves_of_the_real_set(real_file, phantom
     assert content["figures"]["gray"]["phantom"]["value"] > 20
     assert content["figures"]["gray"]["real"]["value"] < 2
     assert content["gray"]["phantom"]["mean"] > content["gray"]["real"]["mean"]
-    again = compare_with_real(read_real(real_file), phantom_like, CONFIG, Coarse()).content
+    again = compared(read_real(real_file), phantom_like).content
     assert again["figures"] == content["figures"]
 
 
 def test_frames_of_the_same_law_are_as_near_as_the_halves(real_file, phantom_like):
     phantom_like.images = speckle(120, 50, seed=3)
-    content = compare_with_real(read_real(real_file), phantom_like, CONFIG, Coarse()).content
+    content = compared(read_real(real_file), phantom_like).content
     for name in ("gray", "gray_by_depth", "local_contrast", "gray_by_cell"):
         figure = content["figures"][name]
         assert figure["phantom"]["value"] < 2 * figure["real"]["high"], name
@@ -128,12 +135,12 @@ def test_frames_of_many_hearts_are_taken_evenly_over_the_hearts(phantom_like):
 
 
 def test_the_report_on_many_hearts_names_its_config_and_digest(real_file, phantom_like):
-    plain = compare_with_real(read_real(real_file), phantom_like, CONFIG, Coarse()).content
+    plain = compared(read_real(real_file), phantom_like).content
     assert plain["config"] == "frames" and plain["phantom_hearts"] == 1
     phantom_like.config = "multi_phantom"
     phantom_like.manifest["multi_phantom"] = {"digest": "of many"}
     phantom_like.phantoms = list(range(1, 11))
-    many = compare_with_real(read_real(real_file), phantom_like, CONFIG, Coarse()).content
+    many = compared(read_real(real_file), phantom_like).content
     assert many["config"] == "multi_phantom" and many["phantom_hearts"] == 5
     assert many["dataset"]["digest"] == "of many" != plain["dataset"]["digest"]
 
@@ -203,6 +210,6 @@ def test_broken_real_files_are_refused(tmp_path, real_file):
 def test_real_frames_are_nearer_to_each_other_than_speckle_is(phantom_like):
     real = read_real(REAL)
     assert len(real.images) == 500 and len(set(real.patient)) == 250
-    figures = compare_with_real(real, phantom_like, CONFIG, Coarse()).content["figures"]
+    figures = compared(real, phantom_like).content["figures"]
     figure = figures["local_contrast"]  # raw Rayleigh speckle is rougher than a scanner's picture
     assert figure["phantom"]["value"] > 2 * figure["real"]["high"]

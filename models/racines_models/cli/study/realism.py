@@ -1,5 +1,8 @@
 """The command `racines study realism`. Heavy imports stand inside, so that --help is instant."""
 
+from collections.abc import Callable
+from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,11 +13,13 @@ from racines_data.cli.options import given, read_settings
 from racines_data.errors import RacinesError
 from racines_data.terminal import say
 from racines_models.cli.device import Device
+from racines_models.cli.output import tell
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from racines_models.studies.realism.report import RealismConfig
+    from racines_models.scores.features import Extractor
+    from racines_models.studies.realism.report import RealFrames, RealismConfig, Simulated
 
 Real = Annotated[Path | None, typer.Option(help="Parquet of real frames. Default: realism.real.")]
 
@@ -25,9 +30,19 @@ Patients = Annotated[
 ]
 
 
+class World(StrEnum):
+    """Whose frames are held beside real ones."""
+
+    phantom = "phantom"
+    patients = "patients"
+
+
 def realism(
     real: Real = None,
     patients: Patients = None,
+    world: Annotated[
+        World, typer.Option(help="Frames of a dataset (phantom), or of patients drawn anew.")
+    ] = World.phantom,
     frames: Annotated[int | None, typer.Option(min=2, help="Default: realism.frames.")] = None,
     data: opt.Data = opt.DATA,
     out: opt.Report = Path("models/runs/realism"),
@@ -39,26 +54,23 @@ def realism(
     device: Device = "auto",
     as_json: opt.AsJson = False,
 ) -> None:
-    """Hold the phantom's A4C frames beside real ones: one heart, and many where there are.
+    """Hold simulated A4C frames beside real ones: those of a dataset, or patients drawn anew.
 
-    The report on many hearts goes to OUT-multi_phantom.
+    Of a dataset, one heart and many, where it has them (OUT, OUT-multi_phantom). Of patients, still
+    hearts and beating ones (OUT-patients, OUT-beating).
     """
-    import torch
-
     from racines_data.files import write_json
-    from racines_data.manifest import read_manifest, store_name
-    from racines_data.progress import image_counter
-    from racines_data.store.frames import open_store
-    from racines_models.cli.output import tell
-    from racines_models.pictures import COLUMNS, write_strip
     from racines_models.scores.features import InceptionFeatures
     from racines_models.studies.realism.patients import patients_of
-    from racines_models.studies.realism.report import compare_with_real, not_compared, read_real
+    from racines_models.studies.realism.report import not_compared, read_real
 
     config, path = realism_settings(real, frames, params, profile)
     if patients is not None:
         patients_of(patients)  # refused before a file is looked for
-    outs = {"frames": out, "multi_phantom": out.with_name(f"{out.name}-multi_phantom")}
+    sets = _sets(world, data, config)
+    outs = {
+        name: out.with_name(out.name + ("" if name == "frames" else f"-{name}")) for name in sets
+    }
     if path is None or (optional and not path.is_file()):
         if not optional:
             raise RacinesError(no_real(path))
@@ -69,24 +81,62 @@ def realism(
         return
     images, extractor, reports = read_real(path, patients), InceptionFeatures(device), {}
     for name, report in outs.items():
-        if name != "frames" and store_name(name) not in read_manifest(data)["files"]:
+        simulated = sets[name]()
+        if simulated is None:
             reports[name] = not_compared(name, f"the dataset has no config {name}")
             write_json(report.with_suffix(".json"), reports[name])
             report.with_suffix(".png").unlink(missing_ok=True)  # of an earlier dataset
             continue
-        total = min(len(images.images), 2 * config.frames) + config.frames
-        with image_counter(f"realism of {name}", total, as_json) as advance:
-            result = compare_with_real(images, open_store(data, name), config, extractor, advance)
-        places = 2 * torch.arange(min(COLUMNS, len(result.phantom))) + 1
-        sets = (result.real, result.phantom)
-        rows = [each[places * len(each) // (2 * len(places))] for each in sets]
-        write_strip(report.with_suffix(".png"), rows)
-        reports[name] = result.content
-        write_json(report.with_suffix(".json"), reports[name])
-        if not as_json:
-            written = f"{report}.json, {report}.png (above real, below phantom)"
-            tell(reports[name], False, _table(reports[name]), written)
+        reports[name] = _compare(images, simulated, config, extractor, report, as_json)
     tell(reports, as_json)
+
+
+def _sets(
+    world: World, data: Path, config: "RealismConfig"
+) -> "dict[str, Callable[[], Simulated | None]]":
+    """Return by name what makes each set of simulated frames; None where the dataset has none."""
+    from racines_data.manifest import MULTI_PHANTOM, read_manifest, store_name
+    from racines_data.store.frames import open_store
+    from racines_models.studies.realism.patient_frames import CONFIGS, of_patients
+    from racines_models.studies.realism.report import of_store
+
+    def of_config(name: str) -> "Simulated | None":
+        if name != "frames" and store_name(name) not in read_manifest(data)["files"]:
+            return None
+        return of_store(open_store(data, name), config)
+
+    if world is World.patients:
+        return {name: partial(of_patients, config, beats) for name, beats in CONFIGS.items()}
+    return {name: partial(of_config, name) for name in ("frames", MULTI_PHANTOM)}
+
+
+def _compare(
+    real: "RealFrames",
+    simulated: "Simulated",
+    config: "RealismConfig",
+    extractor: "Extractor",
+    report: Path,
+    as_json: bool,
+) -> dict[str, Any]:
+    """Write the report on one set of simulated frames, and a strip of both."""
+    import torch
+
+    from racines_data.files import write_json
+    from racines_data.progress import image_counter
+    from racines_models.pictures import COLUMNS, write_strip
+    from racines_models.studies.realism.report import compare_with_real
+
+    total = min(len(real.images), 2 * config.frames) + config.frames
+    with image_counter(f"realism of {simulated.told['config']}", total, as_json) as advance:
+        result = compare_with_real(real, simulated, config, extractor, advance)
+    places = 2 * torch.arange(min(COLUMNS, len(result.phantom))) + 1
+    rows = [each[places * len(each) // (2 * len(places))] for each in (result.real, result.phantom)]
+    write_strip(report.with_suffix(".png"), rows)
+    write_json(report.with_suffix(".json"), result.content)
+    if not as_json:
+        written = f"{report}.json, {report}.png (above real, below simulated)"
+        tell(result.content, False, _table(result.content), written)
+    return result.content
 
 
 def realism_settings(

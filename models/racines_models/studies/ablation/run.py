@@ -8,7 +8,6 @@ that a change of KID is the part's alone. What the halves leave open is the rang
 """
 
 import json
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -21,20 +20,18 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
-from racines_data.geometry import Pose, euler_to_matrix
+from racines_data.geometry import Pose
 from racines_data.phantom import PHANTOM_VERSION, Phantom, PhantomConfig
-from racines_data.phantom.acquisition import coordinates
 from racines_data.phantom.config import heart_config
-from racines_data.randomness import derive, normal, sample_seeds
+from racines_data.randomness import derive, sample_seeds
 from racines_models.provenance import code_version, environment, sha256_bytes
 from racines_models.sample import Progress
 from racines_models.scores import metrics
 from racines_models.scores.features import Extractor
+from racines_models.studies.realism.poses import JITTER, scattered
 from racines_models.studies.realism.report import RealFrames, RealismConfig, common_sector, one_each
 
 SCHEMA = "racines.ablation/1"
-JITTER = (0.0025, 0.0025, 0.0005, 0.04, 0.04, 0.04)
-"""Standard deviation of the poses around the nominal one: m, and rad of the Euler angles."""
 PROBED = 3
 """Hearts whose frames decide the mask and the gain without gray map."""
 HALVINGS = 12
@@ -170,11 +167,9 @@ def ablate(
 
 
 def poses_near(phantom: Phantom, view: str, count: int, seed: int) -> Pose:
-    """Return `count` poses scattered by `JITTER` around the nominal one of a view."""
-    noise = normal(sample_seeds(seed, 1), 6 * count, 71).view(count, 6)
-    path = coordinates(phantom.target(view)).cpu() + noise * noise.new_tensor(JITTER)
-    angles = path[:, 3:] + path.new_tensor([math.pi, 0.0, 0.0])
-    return Pose(path[:, :3].contiguous(), euler_to_matrix(angles))
+    """Return `count` poses scattered around the nominal one of a view."""
+    position, rotation = phantom.target(view)
+    return scattered(Pose(position.expand(count, -1), rotation.expand(count, -1, -1)), seed)
 
 
 def merge_into(report: Path, ablation: dict[str, Any]) -> None:

@@ -66,6 +66,15 @@ class RealFrames(NamedTuple):
     """Name of the list that the patients are of; None for all that the file has."""
 
 
+class Simulated(NamedTuple):
+    """Simulated frames for comparison."""
+
+    images: Tensor
+    """(N, 128, 128) uint8."""
+    told: dict[str, Any]
+    """What the report says of them: `config`, `phantom_hearts`, and `dataset` or `world`."""
+
+
 class Realism(NamedTuple):
     """The report, and the frames it speaks of, as they were before masking."""
 
@@ -263,17 +272,27 @@ def not_compared(config: str, reason: str) -> dict[str, Any]:
     return {"schema": SCHEMA, "compared": False, "config": config, "reason": reason}
 
 
+def of_store(store: FrameStore, config: RealismConfig) -> Simulated:
+    """Take the frames of a dataset that `choose_rows` picks."""
+    rows = choose_rows(store, config)
+    told = {
+        "config": store.config,
+        "dataset": dataset_card(store) | {"digest": store.digest},
+        "phantom_hearts": len(_hearts(store)[rows].unique()),
+    }
+    return Simulated(store.take(rows).images, told)
+
+
 def compare_with_real(
     real: RealFrames,
-    store: FrameStore,
+    simulated: Simulated,
     config: RealismConfig,
     extractor: Extractor,
     progress: Progress | None = None,
 ) -> Realism:
-    """Hold the phantom's frames beside the real ones."""
+    """Hold simulated frames beside the real ones."""
     began = time.perf_counter()
-    rows = choose_rows(store, config)
-    phantom, real = store.take(rows).images, one_each(real, 2 * config.frames)
+    phantom, real = simulated.images, one_each(real, 2 * config.frames)
     mask = common_sector(real.images, phantom, config.support)
     sector = Sector.of(mask)
     ours, theirs = (images * mask for images in (phantom, real.images))
@@ -282,14 +301,12 @@ def compare_with_real(
     content = {
         "schema": SCHEMA,
         "compared": True,
-        "config": store.config,
-        "dataset": dataset_card(store) | {"digest": store.digest},
+        **simulated.told,
         "real": {"sha256": real.sha256, "frames": len(theirs), "patients": len(set(real.patient))}
         | ({"list": real.chosen} if real.chosen else {}),
         "view": config.view,
         "grade_at_least": config.grade,
         "phantom_frames": len(ours),
-        "phantom_hearts": len(_hearts(store)[rows].unique()),
         "n": n,
         "splits": config.splits,
         "mask": {"pixels": int(mask.sum()), "support": config.support},
