@@ -21,7 +21,7 @@ from racines_data.geometry import (
 )
 from racines_envs.task.tiers import middles
 
-FADE = 0.7
+FADE = 0.85
 """Share of what is known that the next step leaves."""
 HUBER = 1.5
 """Deviations from which on a reading counts less."""
