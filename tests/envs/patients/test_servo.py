@@ -21,7 +21,7 @@ def test_a_way_leads_to_the_target(still):
     rows = torch.arange(2).repeat(16)
     targets = still.pool.targets(rows)
     seeds = derive(torch.zeros(32, dtype=torch.int64), torch.arange(32))
-    pose = draw_poses(targets, seeds)
+    pose = draw_poses(targets, seeds, 1.3)
     ways = ways_to(pose, targets)
     assert ways.shape == (32, 5, 6)
     for view in range(5):

@@ -36,8 +36,6 @@ from racines_envs.task.tiers import LONGEST, middles
 from racines_models.networks.servo import SIDE
 
 STREAM = 311
-NEARER = 0.7
-"""Exponent on a uniform share of the way from target to start: more frames far off than near."""
 SPREAD, LEAN = 0.055, 0.6
 """Greatest distance, m, and turn, rad, of a way's beginning from the view's middle."""
 JITTER, TURN = (0.005, 0.005, 0.0012), 0.08
@@ -56,6 +54,9 @@ class FrameConfig:
     A network that sees a heart in one place only learns that place by heart."""
     moving: float = 0.5
     """Share of the frames drawn at a moment of the beat and the breath; the rest are still."""
+    nearer: float = 1.3
+    """Exponent on a uniform share of the way from target to start: above 1, more frames near the
+    target, where an agent has to be exact, than far off."""
 
 
 class Frames(NamedTuple):
@@ -88,7 +89,7 @@ def draw_frames(pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig) ->
     time = uniform(seeds, 1, STREAM)[:, 0].double() * LONGEST
     moving = uniform(seeds, 1, STREAM + 1)[:, 0] < config.moving
     phase = torch.where(moving.unsqueeze(1), pool.phase(rows, time), 0.0)
-    pose = draw_poses(pool.targets(rows, phase), seeds)
+    pose = draw_poses(pool.targets(rows, phase), seeds, config.nearer)
     allowed = pool.workspace.contains(pose) & (-pool.wrench(pose)[:, 2] <= FORCE_LIMIT)
     pose = Pose(*(part[allowed] for part in pose))
     rows, phase, seeds = rows[allowed], phase[allowed], seeds[allowed]
@@ -96,7 +97,7 @@ def draw_frames(pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig) ->
     return Frames(shrink(images), ways_to(pose, pool.targets(rows)))
 
 
-def draw_poses(targets: Pose, seeds: Tensor) -> Pose:
+def draw_poses(targets: Pose, seeds: Tensor, nearer: float) -> Pose:
     """Return (N,) poses on the way to one of each row's (N, V) targets, which the seed names."""
     each, u = torch.arange(len(seeds)), uniform(seeds, 8, STREAM + 2)
     label = (u[:, 0] * targets.position.shape[1]).long()
@@ -107,7 +108,7 @@ def draw_poses(targets: Pose, seeds: Tensor) -> Pose:
     strayed = normal(seeds, 9, STREAM + 3)
     axis = functional.normalize(strayed[:, 6:], dim=-1)
     begun = matmul3(about.rotation, axis_angle_to_matrix(axis * (LEAN * u[:, 4:5])))
-    far = u[:, 5:7] ** NEARER
+    far = u[:, 5:7] ** nearer
     place = goal.position + (about.position + shift - goal.position) * far[:, :1]
     place = place + strayed[:, :3] * torch.tensor(JITTER)
     turn = rotation_vector(matmul3(goal.rotation.transpose(1, 2), begun))
