@@ -1,7 +1,5 @@
-from .bootstrap import LEVEL as LEVEL
 from .bootstrap import Estimate as Estimate
 from .bootstrap import bootstrap_mean as bootstrap_mean
-from .bootstrap import bootstrap_median as bootstrap_median
 from .bootstrap import jackknife as jackknife
 from .bootstrap import jackknife_all as jackknife_all
 from .bootstrap import median as median
@@ -10,6 +8,7 @@ from .evidence import Evidence as Evidence
 from .evidence import Figures as Figures
 from .evidence import figure as figure
 from .evidence import write_scores as write_scores
+from .intervals import LEVEL as LEVEL
 from .intervals import Interval as Interval
 from .intervals import Replicates as Replicates
 from .intervals import interval as interval
@@ -27,7 +26,6 @@ __all__ = [
     "Interval",
     "Replicates",
     "bootstrap_mean",
-    "bootstrap_median",
     "figure",
     "interval",
     "jackknife",

@@ -7,15 +7,12 @@ a set, which inflates the distance itself, and leaving out does not.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy import stats
 
-LEVEL = 0.95
-"""Coverage of every interval."""
-_Z = float(stats.norm.ppf(0.5 + LEVEL / 2))
-SIDES: tuple[Literal["left"], Literal["right"]] = ("left", "right")
+from racines_models.statistics.intervals import LEVEL, wilson_ends
 
 
 @dataclass(frozen=True)
@@ -47,41 +44,6 @@ def bootstrap_mean(
 
     NaN values are absent measurements and are left out; a `ValueError` says that none is present.
     """
-
-    def means(values: np.ndarray, cluster: np.ndarray, draws: np.ndarray) -> np.ndarray:
-        return (draws @ np.bincount(cluster, weights=values)) / (draws @ np.bincount(cluster))
-
-    return _clustered(values, clusters, seed, resamples, np.mean, means, "")
-
-
-def bootstrap_median(
-    values: np.ndarray, clusters: np.ndarray, seed: int = 0, resamples: int = 1000
-) -> Estimate:
-    """Estimate the median of (N,) values, as `bootstrap_mean` does the mean."""
-
-    def medians(values: np.ndarray, cluster: np.ndarray, draws: np.ndarray) -> np.ndarray:
-        order = np.argsort(values, kind="stable")
-        found = []
-        for draw in draws:
-            reached = np.cumsum(draw[cluster[order]])
-            # The lower and the upper median, which differ where the middle falls between values.
-            middle = [np.searchsorted(reached, reached[-1] / 2, side) for side in SIDES]
-            found.append(values[order[middle]].mean())
-        return np.array(found)
-
-    return _clustered(values, clusters, seed, resamples, np.median, medians, "median, ")
-
-
-def _clustered(
-    values: np.ndarray,
-    clusters: np.ndarray,
-    seed: int,
-    resamples: int,
-    statistic: Callable[[np.ndarray], Any],
-    resampled: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-    what: str,
-) -> Estimate:
-    """Bootstrap by cluster; `resampled` turns values, clusters and (R, K) draws into (R,)."""
     present = np.isfinite(values)
     values = np.asarray(values, np.float64)[present]
     if not len(values):
@@ -91,10 +53,10 @@ def _clustered(
     if count > 1:
         generator = np.random.default_rng(seed)
         draws = generator.multinomial(count, np.full(count, 1 / count), size=resamples)
-        found = resampled(values, cluster, draws)
-        low, high = _interval(found)
-    method = f"{what}percentile bootstrap by trajectory, {resamples} resamples"
-    return Estimate(float(statistic(values)), low, high, len(values), count, method)
+        means = (draws @ np.bincount(cluster, weights=values)) / (draws @ np.bincount(cluster))
+        low, high = _interval(means)
+    method = f"percentile bootstrap by trajectory, {resamples} resamples"
+    return Estimate(float(values.mean()), low, high, len(values), count, method)
 
 
 def jackknife(
@@ -145,11 +107,7 @@ def wilson(hits: np.ndarray) -> dict[str, Any]:
     if n == 0:
         return {"value": None, "low": None, "high": None, "n": 0}
     rate = float(np.mean(hits))
-    centre = (rate + _Z**2 / (2 * n)) / (1 + _Z**2 / n)
-    half = _Z / (1 + _Z**2 / n) * np.sqrt(rate * (1 - rate) / n + _Z**2 / (4 * n**2))
-    # The interval reaches its end exactly where no or every trial was a hit.
-    low = 0.0 if rate == 0.0 else float(centre - half)
-    high = 1.0 if rate == 1.0 else float(centre + half)
+    low, high = wilson_ends(rate, n)
     return {"value": rate, "low": low, "high": high, "n": n, "settings": {"interval": "Wilson"}}
 
 

@@ -14,7 +14,7 @@ from racines_models.scores.metrics import (
     psnr,
     ssim,
 )
-from racines_models.statistics import bootstrap_mean, bootstrap_median, jackknife
+from racines_models.statistics import bootstrap_mean, jackknife
 
 
 def images(n: int, seed: int = 0) -> torch.Tensor:
@@ -187,27 +187,6 @@ def test_bootstrap_leaves_out_absent_values_and_needs_two_trajectories() -> None
     assert (estimate.value, estimate.low, estimate.high, estimate.n) == (2.0, None, None, 2)
     with pytest.raises(ValueError, match="no values"):
         bootstrap_mean(np.array([np.nan]), np.array([0]))
-
-
-def test_bootstrap_of_a_median_is_that_of_the_resampled_frames() -> None:
-    generator = np.random.default_rng(0)
-    clusters = np.repeat(np.arange(7), [3, 5, 1, 8, 2, 4, 6])
-    values = generator.exponential(size=len(clusters))
-    values[4] = np.nan
-    estimate = bootstrap_median(values, clusters, seed=2, resamples=200)
-    assert estimate.value == np.nanmedian(values) and estimate.n == len(values) - 1
-    repeated = np.random.default_rng(2)
-    medians = []
-    for _ in range(200):
-        draws = repeated.multinomial(7, np.full(7, 1 / 7))
-        frames = np.concatenate([np.repeat(values[clusters == c], draws[c]) for c in range(7)])
-        medians.append(np.nanmedian(frames))
-    expected = np.quantile(medians, [0.025, 0.975])
-    assert [estimate.low, estimate.high] == pytest.approx(expected)
-    one = bootstrap_median(values[:3], clusters[:3])
-    assert (one.low, one.high) == (None, None)
-    with pytest.raises(ValueError, match="no values"):
-        bootstrap_median(np.array([np.nan]), np.array([0]))
 
 
 def test_jackknife_of_a_mean_is_its_standard_error() -> None:

@@ -68,6 +68,26 @@ def test_skewed_units_reach_further_where_their_tail_is():
     assert (-turned.high, -turned.low) == pytest.approx((found.low, found.high))
 
 
+def test_its_ends_are_where_halls_transformation_is_students_t():
+    values = np.random.default_rng(3).exponential(size=36)
+    found = interval(mean_replicates(values, np.arange(36)))
+    error, g = values.std(ddof=1) / 6.0, stats.skew(values, bias=False) / 6.0
+    t = stats.t.ppf(0.975, 35)
+    below, above = (found.value - found.low) / error, (found.high - found.value) / error
+    assert above > below
+    for end, expected in ((below, t), (-above, -t)):
+        transformed = end + g * end**2 / 3 + g**2 * end**3 / 27 + g / 6
+        assert transformed == pytest.approx(expected)
+
+
+def test_few_units_reach_at_least_as_far_as_students_t():
+    values = np.random.default_rng(3).exponential(size=9)
+    found = interval(mean_replicates(values, np.arange(9)))
+    half = stats.t.ppf(0.975, 8) * values.std(ddof=1) / 3.0
+    assert found.value - found.low == pytest.approx(half)
+    assert found.high - found.value > 1.1 * half
+
+
 def test_trainings_widen_it_and_equal_ones_do_not():
     one = interval(mean_replicates(VALUES[0], UNITS))
     same = interval(mean_replicates(np.stack([VALUES[0]] * 3), UNITS))
@@ -77,6 +97,7 @@ def test_trainings_widen_it_and_equal_ones_do_not():
     # Student's t of three values, 2 degrees of freedom, added in squares.
     half = 4.302652729911275 * 1.0 / 3**0.5
     assert apart.high - apart.value == pytest.approx(np.hypot(one.high - one.value, half))
+    assert apart.value - apart.low == pytest.approx(np.hypot(one.value - one.low, half))
     assert "t over 3 trainings" in apart.method and apart.trainings == 3
 
 
@@ -87,11 +108,16 @@ def test_a_rate_of_all_or_none_is_wilsons_over_units():
         assert (found.low, found.high) == pytest.approx(wilson_ends(rate, 8))
     some = rate_interval(UNITS > 2, UNITS)
     assert 0.0 <= some.low < some.value < some.high <= 1.0
+    # Ten times as many frames of the same units say no more.
+    longer = rate_interval(np.repeat(UNITS > 2, 10), np.repeat(UNITS, 10))
+    assert (longer.low, longer.high) == pytest.approx((some.low, some.high))
 
 
 def test_wilson_is_that_of_statsmodels_and_scipy():
     theirs = stats.binomtest(45, 50).proportion_ci(0.95, "wilson")
     assert wilson_ends(0.9, 50) == pytest.approx((theirs.low, theirs.high))
+    for n in range(1, 60):  # no rounding leaves the rate outside
+        assert wilson_ends(0.0, n)[0] == 0.0 and wilson_ends(1.0, n)[1] == 1.0
 
 
 def test_one_unit_or_training_alone_gives_what_it_can():
@@ -159,6 +185,12 @@ def test_a_median_inverts_the_interval_of_the_share_below():
     low, high = np.sort(values)[stats.binom.ppf([0.025, 0.975], 4000, 0.5).astype(int)]
     assert (found.low, found.high) == pytest.approx((low, high), abs=0.02)
     assert found.value == pytest.approx(np.median(values))
+    # The same shares are inverted where the mean lies far from the median.
+    far = np.exp(2.0 * values)
+    skewed = median_interval(far, np.arange(4000))
+    assert skewed.value == pytest.approx(np.median(far))
+    assert (far < skewed.low).mean() == pytest.approx((values < found.low).mean(), abs=1e-3)
+    assert (far < skewed.high).mean() == pytest.approx((values < found.high).mean(), abs=1e-3)
 
 
 def coverage(kind: str, units: int, draws: int = 300) -> float:
