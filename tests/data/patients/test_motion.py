@@ -1,8 +1,9 @@
 import pytest
 import torch
 
+from racines_data.geometry import rotate
 from racines_data.patients import Pool, draw_patient
-from racines_data.patients.chest import GIVE, deform, undeform
+from racines_data.patients.chest import GIVE, breathing, deform, undeform
 from racines_data.patients.form import shape_of
 from racines_data.patients.heart import make_heart
 from racines_data.patients.measures import measure
@@ -14,6 +15,7 @@ from racines_data.patients.motion import (
     to_diastole,
     valve_stages,
 )
+from racines_data.patients.placement import SURFACE
 from racines_data.patients.rhythm import Rhythm, phases, rhythm_of
 
 SIDES = ((-88.0, 50.0), (-60.0, 68.0), (-68.0, 100.0))
@@ -105,6 +107,46 @@ def test_tissue_gives_under_the_probe() -> None:
     lifted = (undeform(points, tip) - points)[0, :, 2]
     assert lifted.tolist() == pytest.approx([8.0, 4.0, 8.0 / 9.67], abs=0.1)
     assert torch.allclose(undeform(deform(points, tip), tip), points, atol=1e-3)
+
+
+@pytest.mark.parametrize("indent", [0.0, 4.0, 11.0])
+def test_beat_breath_and_probe_together_fold_nothing(pool: Pool, indent: float) -> None:
+    """From the base frame to end diastole, as every sample goes: the Jacobian stays positive."""
+    rows = torch.arange(len(pool)).repeat_interleave(4)
+    time = torch.rand(len(rows), generator=torch.Generator().manual_seed(5)).double() * 6.0
+    phase = pool.phase(rows, time)
+    settings, chest = pool._settings.rows(rows), pool._chest.rows(rows)
+    motion, act = pool._dynamics.rows(rows), pool._act(rows, phase)
+    tip = pool.targets(rows).position[:, 0].double() * 1e3
+    tip[:, 2] = SURFACE * 1e3 - indent
+    near = tip.unsqueeze(1) + torch.cartesian_prod(
+        *[torch.linspace(-30.0, 30.0, 7, dtype=torch.float64)] * 3
+    )
+    organ = rotate(settings.axes.transpose(1, 2)[:, None], GRID.expand(len(rows), -1, -1))
+    points = torch.cat([near, organ + settings.origin.unsqueeze(1)], 1)
+
+    def still(points: torch.Tensor) -> torch.Tensor:
+        shifted = undeform(points, tip) - (settings.origin + breathing(chest, phase[:, 1]))[:, None]
+        return to_diastole(rotate(settings.axes[:, None], shifted), motion, act)
+
+    steps = torch.eye(3, dtype=torch.float64) * 1e-4
+    columns = [still(points + step) - still(points - step) for step in steps]
+    least = float(torch.linalg.det(torch.stack(columns, -1) / 2e-4).min())
+    assert least > 0.15, least
+
+
+def test_the_heart_goes_with_the_breath_and_comes_back(pool: Pool) -> None:
+    """Landmarks and nominal poses alike, by the patient's own sway."""
+    rows = torch.arange(len(pool))
+    full = torch.tensor([[0.0, 0.5]], dtype=torch.float64).expand(len(pool), 2)
+    way = pool._marks(rows, full) - pool._marks(rows, torch.zeros_like(full))
+    expected = torch.tensor([each.motion.sway * 1e3 for each in pool.patients])
+    assert torch.allclose(way.norm(dim=-1), expected[:, None].double(), atol=1e-6)
+    assert torch.allclose(pool.targets(rows, full).position * 1e3, (
+        pool.targets(rows).position * 1e3 + way[:, :1].float()
+    ), atol=1e-3)  # fmt: skip
+    ends = torch.tensor([[0.0, 0.0]]).expand(len(pool), 2)
+    assert torch.equal(pool.targets(rows, ends).position, pool.targets(rows).position)
 
 
 def test_pressing_brings_the_heart_nearer(pool: Pool) -> None:
