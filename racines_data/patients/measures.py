@@ -36,7 +36,7 @@ PHASES = 10
 LATTICE = 2.4  # mm
 LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Of contraction, at which volumes are counted; between them they are interpolated."""
-_PARTS = {
+PARTS = {
     "lv": (LV, PAPILLARY, MITRAL),  # as clinicians trace it: papillaries and leaflets in the cavity
     "myocardium": (MYOCARDIUM,),
     "la": (LA,),
@@ -44,6 +44,7 @@ _PARTS = {
     "rv_wall": (RV_WALL,),
     "ra": (RA,),
 }
+"""Labels of the parts whose volumes are told."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def measure(heart: Heart) -> Measures:
     counted = [volumes(box, heart.dynamics, level) for level in LEVELS]
     parts = {
         name: tuple(float(x) for x in np.interp([*levels, 1.0], LEVELS, [c[name] for c in counted]))
-        for name in _PARTS
+        for name in PARTS
     }
     form, ends = heart.patient.form, [_calipers(box, heart, level) for level in (0.0, 1.0)]
     first, last = ends
@@ -116,7 +117,7 @@ def volumes(box: Tensor, dynamics: Dynamics, level: float) -> dict[str, float]:
     found = torch.cat([_labels(part, box, dynamics, level) for part in points.split(1 << 17)])
     counts = torch.bincount(found.long(), minlength=AORTIC + 1)
     cell = LATTICE**3 / 1000.0
-    return {name: float(sum(counts[i] for i in own)) * cell for name, own in _PARTS.items()}
+    return {name: float(sum(counts[i] for i in own)) * cell for name, own in PARTS.items()}
 
 
 def _labels(points: Tensor, box: Tensor, dynamics: Dynamics, level: float) -> Tensor:

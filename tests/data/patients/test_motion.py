@@ -6,7 +6,8 @@ from racines_data.patients import Pool, draw_patient
 from racines_data.patients.chest import GIVE, breathing, deform, undeform
 from racines_data.patients.form import shape_of
 from racines_data.patients.heart import make_heart
-from racines_data.patients.measures import measure
+from racines_data.patients.labels import CAMUS
+from racines_data.patients.measures import PARTS, measure
 from racines_data.patients.motion import (
     Dynamics,
     activation,
@@ -69,6 +70,8 @@ def test_walls_keep_their_volume_and_the_ventricle_ejects(seed: int) -> None:
         assert 0.55 <= found.ejection_fraction <= 0.70
         assert 12.0 <= found.shortening <= 18.0
         assert found.wall[1] > 1.2 * found.wall[0], "the wall thickens"
+    traced = {label for label, theirs in CAMUS.items() if theirs == 1}
+    assert traced == set(PARTS["lv"]), "volumes and masks trace one cavity"
     atrium = found.volumes["la"]
     assert atrium[-1] > 1.1 * atrium[0], "the atrium fills while the ventricle empties"
     assert found.volumes["rv"][-1] < 0.87 * found.volumes["rv"][0]
@@ -147,6 +150,14 @@ def test_the_heart_goes_with_the_breath_and_comes_back(pool: Pool) -> None:
     ), atol=1e-3)  # fmt: skip
     ends = torch.tensor([[0.0, 0.0]]).expand(len(pool), 2)
     assert torch.equal(pool.targets(rows, ends).position, pool.targets(rows).position)
+
+
+def test_landmarks_glide_through_the_beat(pool: Pool) -> None:
+    rows = torch.zeros(200, dtype=torch.int64)
+    phase = torch.stack([torch.linspace(0.0, 0.35, 200), torch.zeros(200)], 1).double()
+    marks = pool._marks(rows, phase)
+    assert float((marks[-1] - marks[0]).norm(dim=-1).max()) > 8.0
+    assert float(marks.diff(dim=0).norm(dim=-1).max()) < 0.25, "no jump from level to level"
 
 
 def test_pressing_brings_the_heart_nearer(pool: Pool) -> None:

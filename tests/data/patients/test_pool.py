@@ -5,7 +5,9 @@ import torch
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
 from racines_data.patients import CAMUS, LABELS, Pool, draw_patient, lie_anew
+from racines_data.patients.chest import undeform
 from racines_data.patients.heart import make_heart
+from racines_data.patients.oracle import look
 from racines_data.patients.pool import MEMORY, check_memory
 from racines_data.patients.settings import PROBE
 from racines_data.patients.volume import HEART_BYTES
@@ -92,6 +94,8 @@ def test_masks_lie_as_images_do(pool: Pool) -> None:
         return down[there].mean(), right[there].mean()
 
     assert middle("LV")[0] < middle("LA")[0] and middle("RV")[1] < middle("LV")[1]
+    cavity = {CAMUS[LABELS.index(name)] for name in ("LV", "papillary muscle", "mitral leaflet")}
+    assert cavity == {1}, "cardiologists trace the cavity with all that is in it"
     camus = torch.zeros_like(mask)
     for ours, theirs in CAMUS.items():
         camus[mask == ours] = theirs
@@ -118,6 +122,41 @@ def test_what_a_rib_shades_is_not_seen(pool: Pool) -> None:
     clear = pool.render(Pose(*(x[worst : worst + 1] for x in pose)), rows[:1]).float()[0]
     darker = clear - images[worst].float()
     assert float((darker > 15.0).float().mean()) > 0.02, "the shadow is in the picture, too"
+
+
+def test_what_lies_below_the_picture_is_not_seen(pool: Pool) -> None:
+    """At half the depth the picture ends above the atria, and so does what is seen."""
+    rows = torch.zeros(1, dtype=torch.int64)
+    pose, before = at_targets(pool, rows, rows), pool._settings
+    free = pool.judge(pose, rows)
+    try:
+        pool._settings = before._replace(step=before.step * 0.5)
+        shallow, mask = pool.judge(pose, rows), pool.mask(pose, rows)
+    finally:
+        pool._settings = before
+    assert int((mask == LABELS.index("LA")).sum()) == 0 < int((mask == LABELS.index("LV")).sum())
+    lost = free.visibility - shallow.visibility
+    assert float(free.visibility.max()) > 0.8
+    assert float(lost.max()) > 0.8 and float(lost.min()) > -1e-6
+
+
+def test_the_oracle_knows_that_tissue_gives(pool: Pool) -> None:
+    """What the probe pushes before itself is seen as the same structure at the same place is."""
+    rows, seen = torch.zeros(1, dtype=torch.int64), []
+    target = at_targets(pool, rows, rows + 2)
+    settings, chest = pool._settings.rows(rows), pool._chest.rows(rows)
+    grid = [torch.linspace(-14.0, 14.0, 5).double()] * 2 + [torch.tensor([-16.0, -30.0]).double()]
+    near = torch.cartesian_prod(*grid)  # where they lie from the face, whatever the pressure
+    for indent in (0.011, 0.016):  # where all of the face touches
+        position = target.position.double().clone()
+        position[:, 2] = pool.surface_height - indent
+        marks = undeform((position * 1e3 + near).unsqueeze(0), position * 1e3)
+        pose = Pose(position, target.rotation.double())
+        radii = torch.full((len(near),), 6.0, dtype=torch.float64)
+        seen.append(look(pose, marks, radii, settings, chest))
+    assert torch.allclose(seen[0].clarity, seen[1].clarity, atol=2e-3)
+    assert torch.allclose(seen[0].visibility, seen[1].visibility, atol=2e-3)
+    assert float(seen[0].visibility.std()) > 0.1
 
 
 def test_the_box_is_never_seen(pool: Pool) -> None:

@@ -11,7 +11,7 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.blind import BlindConfig, BlindTourAgent, ConstantPoseAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
-from racines_envs.evaluation.measures import METRICS
+from racines_envs.evaluation.measures import METRICS, patient_values
 from racines_envs.evaluation.patients import PatientsConfig, evaluate_patients, start_set
 from racines_leaderboard.records.ranges import range_of
 
@@ -35,6 +35,24 @@ def test_the_planner_succeeds_and_all_is_told(scored):
     assert set(scored.scores["by_pathology"]) <= {
         "healthy", "dilated", "hypertrophied", "small", "atria", "right"
     }  # fmt: skip
+
+
+def test_only_who_says_it_at_the_view_succeeds():
+    """Four ends: declared there, declared elsewhere, there without a word, passed through."""
+    final = dict.fromkeys(
+        ("seconds", "steps", "position_error", "rotation_error", "score", "return", "peak_force",
+         "mean_force", "workspace_hits", "force_hits"), np.zeros(4)
+    )  # fmt: skip
+    final |= {
+        "success": np.array([1, 0, 1, 0]),
+        "declared": np.array([1, 1, 0, 0]),
+        "reached": np.ones(4),
+    }
+    told = patient_values([final])
+    assert told["success_declared"].tolist() == [[1, 0, 0, 0]]
+    assert told["success_true"].tolist() == [[1, 0, 1, 0]]
+    assert told["false_declarations"].tolist() == [[0, 1, 0, 0]]
+    assert told["reached"].tolist() == [[1, 1, 1, 1]]
 
 
 def test_patients_are_the_units(scored):
