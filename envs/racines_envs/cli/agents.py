@@ -103,7 +103,8 @@ def evaluate_agent(
     of the same settings where the run has none of that seed; of --run FOLDER, those in it.
     The policy is that of envs/runs/<run>, the scores go to envs/runs/scores/<run>.json. Where an
     option asks for another view, backend or start set than the settings do, the name says so:
-    <run>-pl.json. Another result that is there stays, unless --force is given.
+    <run>-pl.json; so in --out, if that is a folder. Another result that is there stays, unless
+    --force is given.
     With --tier patients or beating it acts on patients of --split, --starts times on each.
     """
     task = on_tier(view, tier)
@@ -136,14 +137,15 @@ def evaluate_agent(
     stated = section(values, "evaluation")
     config = fill(EvaluationConfig, stated | chosen, "evaluation")
     usual = fill(EvaluationConfig, stated | given(view=entry.view), "evaluation")
-    label = entry.name if name or out else result_name(entry.name, config, usual)
+    own = name or (out and not out.is_dir())
+    label = entry.name if own else result_name(entry.name, config, usual)
+    out = _result_file(out, entry.scores.with_name(f"{label}.json"))
     phantom, board = phantom_config(values), values.get("board")
     published = None if run else published_run(board, entry.name)
     result = evaluate(
         entry.agent, run or entry.folder, config, phantom, run=label, board=board,
         published=published,
     )  # fmt: skip
-    out = out or entry.scores.with_name(f"{label}.json")
     write_evaluation(result, out, picture or out.with_suffix(".png"), force)
     if as_json:
         say_json(result.scores, indent=2)
@@ -171,9 +173,8 @@ def _on_patients(
     entry, stated = find_entry(values, agent, name), section(values, "evaluation_patients")
     config = fill(PatientsConfig, stated | chosen, "evaluation_patients")
     label = name or plain_name(f"{entry.name}-{config.view}-{config.split}")
-    board = values.get("board")
+    board, out = values.get("board"), _result_file(out, entry.scores.with_name(f"{label}.json"))
     result = evaluate_patients(entry.agent, run or entry.folder, config, run=label, board=board)
-    out = out or entry.scores.with_name(f"{label}.json")
     write_evaluation(result, out, None, force)
     if as_json:
         say_json(result.scores, indent=2)
@@ -181,6 +182,16 @@ def _on_patients(
         title = f"{label}: {config.patients} patients, {config.starts} starts each"
         show_metrics(title, result.scores["metrics"])
         say(f"written: {out}")
+
+
+def _result_file(out: Path | None, usual: Path) -> Path:
+    """Return the file to write, before any work: in a folder under the usual name."""
+    if out is None:
+        return usual
+    if out.is_dir():
+        return out / usual.name
+    opt.check_ending(out, ".json")
+    return out
 
 
 def _told(training: dict[str, Any]) -> str:

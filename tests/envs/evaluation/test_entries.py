@@ -89,6 +89,12 @@ def test_the_commands_train_and_score_runs_by_name(real_phantom, tmp_path, monke
     run("eval", "agent", "planner", "--name", "ceiling", "--view", "SC")
     scores = json.loads((tmp_path / "envs/runs/scores/ceiling.json").read_text())
     assert scores["agent"] == "ceiling" and scores["task"]["view"] == "SC"
+    # Into a folder under its usual name; another kind of file is refused before any work.
+    (tmp_path / "mine").mkdir()
+    run("eval", "agent", "planner", "--view", "SC", "--starts", "1", "--out", "mine")
+    assert {path.suffix for path in (tmp_path / "mine").iterdir()} == {".json", ".parquet", ".png"}
+    refused = CliRunner().invoke(app, ["eval", "agent", "planner", "--out", "mine/x.txt"])
+    assert refused.exit_code == 2 and "end the name with .json" in refused.output
 
 
 def test_a_result_of_another_view_or_start_set_has_a_name_of_its_own():
