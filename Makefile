@@ -1,6 +1,6 @@
 # Every target sets up .venv when it is missing or older than what it is made from.
 #   make repro                 the whole benchmark at the size of params.yaml (the default profile)
-#   make repro PROFILE=smoke   write a profile (smoke, default, reference, paper or abdomen) to params.yaml first
+#   make repro PROFILE=smoke   write a profile (smoke, default, patients, reference, paper or abdomen) to params.yaml first
 VENV ?= .venv
 PYTHON ?= python3
 PROFILE ?=
@@ -28,6 +28,8 @@ ifneq ($(PROFILE),)
 	mv params.yaml.part params.yaml
 endif
 	dvc repro
+	@test ! -f data/racines/card/patients.png || echo "patients: data/racines/card/patients.png; how agents fare on them: envs/runs/patients"
+	@echo "one heart: leaderboard/LEADERBOARD.md"
 
 test: $(READY) ## run the tests of the code
 	$(TESTS) -m "not docs and not thorough and not instruction_sets"

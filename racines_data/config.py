@@ -17,7 +17,7 @@ from typing_extensions import TypedDict
 
 from racines_data.errors import RacinesError
 
-PROFILES = ("smoke", "default", "reference", "paper", "abdomen")
+PROFILES = ("smoke", "default", "patients", "reference", "paper", "abdomen")
 T = TypeVar("T")
 
 

@@ -74,7 +74,9 @@ def recover_folder(out: Path) -> None:
     """Put back the folder that a process killed between the two renames of a swap moved aside."""
     old = _aside(out)
     if old.exists() and not out.exists():
-        os.replace(old, out)
+        with locked_place(out):  # else it may be one that is between the two at this moment
+            if old.exists() and not out.exists():
+                os.replace(old, out)
 
 
 @contextmanager
@@ -109,12 +111,30 @@ def locked(folder: Path, seconds: float = 120) -> Iterator[None]:
         RacinesError: another has not let go of it after so many seconds.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / ".lock"
+    busy = f"{folder}: another process has been writing there for {seconds:g} s"
+    with _held(folder / ".lock", seconds, f"{busy}: wait for it, or end it"):
+        yield
+
+
+@contextmanager
+def locked_place(out: Path, seconds: float = 600) -> Iterator[None]:
+    """Let one process at a time read a folder and put another in its place; others wait.
+
+    Raises:
+        RacinesError: another has not let go of it after so many seconds.
+    """
+    busy = f"{out}: another process has been writing it for {seconds:g} s"
+    with _held(out.parent / f".{out.name}.lock", seconds, f"{busy}: wait for it, or end it"):
+        yield
+
+
+@contextmanager
+def _held(path: Path, seconds: float, busy: str) -> Iterator[None]:
+    """Hold a file's lock; the file is gone when nobody does."""
     try:
         lock = FileLock(path, timeout=seconds).acquire()
     except Timeout as error:
-        busy = f"another process has been writing there for {seconds:g} s"
-        raise RacinesError(f"{folder}: {busy}: wait for it, or end it") from error
+        raise RacinesError(busy) from error
     with lock:
         try:
             yield

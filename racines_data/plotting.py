@@ -64,13 +64,16 @@ def view_colours(labels: Sequence[str]) -> dict[str, str]:
     return {**views, labels[-1]: NO_VIEW}
 
 
-def encode(figure: Figure, gray: bool = False) -> bytes:
-    """Return a figure as PNG without a date or a program's name, in gray or in few colours."""
+def encode(figure: Figure, gray: bool = False, few: bool = True) -> bytes:
+    """Return a figure as PNG without a date or a program's name, in gray, in few colours or all."""
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    few = picture.convert("L") if gray else picture.quantize(_COLOURS, dither=Image.Dither.NONE)
-    return image_bytes(few, optimize=True)
+    if gray:
+        picture = picture.convert("L")
+    elif few:
+        picture = picture.quantize(_COLOURS, dither=Image.Dither.NONE)
+    return image_bytes(picture, optimize=True)
 
 
 def evenly(count: int, wanted: int) -> np.ndarray:

@@ -21,6 +21,10 @@ FILES = {f"{package}.cli" for package in FOLDERS}
 """Rooms whose modules have nothing to do with one another: a stage names the one that it runs."""
 
 
+ON_PATIENTS = ("patient_agents", "evaluate_patients", "evaluate_beating")
+"""Stages whose keys are agents on patients: the profile `patients` has all of them."""
+
+
 def command_module(command: str) -> str:
     """Return the module that implements a command line `racines …`."""
     words = command.split()[1:]
@@ -38,10 +42,10 @@ def plugins(stage: str, key: str, params: dict[str, Any]) -> set[str]:
     """Return the modules of the plug-ins that a stage's key names."""
     names = {"racines.anatomies": {"heart"}, "racines.sources": set[str]()}
     if stage == "data":
-        names["racines.sources"] = {params["data"]["source"]}
+        names["racines.sources"] = {params["data"]["source"], *params["data"]["also"]}
     if stage in ("generators", "scores"):
         names["racines.generators"] = {key}
-    if stage in ("agents", "evaluate"):
+    if stage in ("agents", "evaluate", *ON_PATIENTS):
         names["racines.agents"] = {find_entry(params, key).agent}
     return {
         point.module
@@ -53,9 +57,10 @@ def plugins(stage: str, key: str, params: dict[str, Any]) -> set[str]:
 
 @cache
 def stage_code() -> dict[str, set[str]]:
-    """Return the modules that each stage runs, over all keys of the default profile."""
-    params, found = read_params(profile="default"), {}
+    """Return the modules that each stage runs, over all keys of a profile, mostly the default."""
+    found = {}
     for stage, content in yaml.safe_load((ROOT / "dvc.yaml").read_text())["stages"].items():
+        params = read_params(profile="patients" if stage in ON_PATIENTS else "default")
         keys = params[content["foreach"].strip("${}")] if "foreach" in content else [""]
         command = content.get("do", content)["cmd"].replace("${key}", "KEY")
         starts = {command_module(command)}

@@ -27,7 +27,8 @@ from tests.stage_code import is_code, stage_code, stages_that_use
 STAND_IN = """#!{python}
 import hashlib, json, pathlib, sys
 command = " ".join(["racines", *sys.argv[1:]])
-stage = json.loads(pathlib.Path("stages.json").read_text())[command]
+stages = json.loads(pathlib.Path("stages.json").read_text())
+stage, needed = stages[command], [dep for each in stages.values() for dep in each["deps"]]
 with open("ran.txt", "a") as log:
     log.write(stage["name"] + "\\n")
 digest = hashlib.sha256(json.dumps(stage["params"]).encode())
@@ -35,12 +36,12 @@ for path in map(pathlib.Path, stage["deps"]):
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
     for file in files:
         digest.update(file.read_bytes())
-for path in map(pathlib.Path, stage["outs"]):
-    if not path.suffix:
-        path.mkdir(parents=True, exist_ok=True)
-        path = path / "out.txt"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps({{"digest": digest.hexdigest()}}))
+for out in map(pathlib.Path, stage["outs"]):
+    # In a folder what other stages need of it, and one file more.
+    within = [path for path in map(pathlib.Path, needed) if out in path.parents]
+    for path in [out] if out.suffix else [out / "out.txt", *within]:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps({{"digest": digest.hexdigest()}}))
 """
 
 
@@ -143,6 +144,13 @@ def test_a_change_runs_again_what_follows_from_it_and_nothing_else(
     change(pipeline, "agents.ppo.actor_lr", 0.5)
     assert repro(pipeline) == ["agents@ppo", "evaluate@ppo", "leaderboard"]
 
+    change(pipeline, "patient_agents.constant-pose.patients", 9)
+    assert repro(pipeline) == [
+        "patient_agents@constant-pose",
+        "evaluate_patients@constant-pose",
+        "evaluate_beating@constant-pose",
+    ]
+
     entry = {"agent": "ppo", "view": "PL"}
     change(pipeline, "agents.ppo-pl", entry)
     assert repro(pipeline) == ["agents@ppo-pl", "evaluate@ppo-pl", "leaderboard"]
@@ -171,13 +179,36 @@ def test_profiles_have_the_same_sections():
         assert {"random", "planner", "ppo"} <= set(content["agents"])
 
 
+ON_PATIENTS = {"constant-pose", "blind-tour", "servo"}
+"""Agents that know patients only."""
+
+
+def test_the_profile_of_patients_runs_every_agent_that_knows_them():
+    params = read_params(profile="patients")
+    entries = [find_entry(params, run) for run in params["patient_agents"]]
+    assert {entry.agent for entry in entries} == ON_PATIENTS | {"planner"}
+    assert {entry.section for entry in entries} == {"patient_agents"}
+    for name in PROFILES:
+        runs = read_params(profile=name)["patient_agents"]
+        assert set(runs) <= set(params["patient_agents"]), "what the stages depend on"
+        assert not set(runs) & set(read_params(profile=name)["agents"]), "one folder a run"
+
+
+def test_the_first_look_has_patients():
+    for name in ("smoke", "default", "patients"):
+        params = read_params(profile=name)
+        assert params["data"]["also"] == ["patients", "beating"]
+        assert "constant-pose" in params["patient_agents"]
+
+
 @pytest.mark.parametrize("name", ["smoke", "reference"])
 def test_the_first_and_the_last_profile_run_every_agent(name: str):
     """One to see that all run, the other for the published table, on every view."""
     params = read_params(profile=name)
     entries = [find_entry(params, run) for run in params["agents"]]
-    others = {"onnx", "constant-pose", "blind-tour", "servo"}  # a file; three that know patients
-    assert {entry.agent for entry in entries} == set(agent_names()) - others
+    assert {entry.agent for entry in entries} == set(agent_names()) - ON_PATIENTS - {
+        "onnx"
+    }  # a file
     if name == "reference":
         seen = {(entry.agent, entry.view or "SC") for entry in entries}
         assert seen >= {(agent, view) for agent in ("random", "planner", "ppo") for view in VIEWS}
@@ -201,6 +232,9 @@ def test_every_stage_is_a_plain_command_of_ours():
         assert command.startswith("racines ") and "dvc" not in command, name
     assert list(pipeline) == [
         "data",
+        "patient_agents",
+        "evaluate_patients",
+        "evaluate_beating",
         "grader",
         "student",
         "pose",
@@ -236,9 +270,12 @@ def test_what_dvc_caches_is_ignored_by_git():
 
 def test_runs_of_every_profile_are_ignored_by_git():
     """So that a switch of profile leaves nothing that a commit would take along."""
-    names = {name for profile in PROFILES for name in read_params(profile=profile)["agents"]}
+    contents = [read_params(profile=profile) for profile in PROFILES]
+    names = {name for content in contents for name in content["agents"]}
+    others = {name for content in contents for name in content["patient_agents"]}
     paths = [f"envs/runs/{name}" for name in sorted(names)]
     paths += [f"envs/runs/scores/{name}.png" for name in sorted(names)] + ["models/runs/encoder"]
+    paths += [f"envs/runs/{name}" for name in [*sorted(others), "servo-frames"]]
     done = subprocess.run(["git", "check-ignore", *paths], cwd=ROOT, capture_output=True, text=True)
     assert done.stdout.split() == paths
 

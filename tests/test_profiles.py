@@ -4,11 +4,12 @@ from importlib.metadata import entry_points
 
 import pytest
 
-from racines_data.build.dataset import make_source, read_data_section
+from racines_data.build.dataset import make_also, make_source, read_data_section
 from racines_data.config import PROFILES, fill, read_params, section
 from racines_data.phantom import PhantomConfig
 from racines_envs.agents import agent_class
 from racines_envs.evaluation.agent_specs import find_entry
+from racines_envs.evaluation.patients import PatientsConfig
 from racines_envs.evaluation.run import EvaluationConfig
 from racines_envs.worlds.exploration import ExplorationConfig
 from racines_models.judges.grader.model import GraderConfig
@@ -25,6 +26,8 @@ def test_every_section_is_known_to_its_owner(profile: str):
     params = read_params(profile=profile)
     config, sources = read_data_section(section(params, "data"))
     make_source(config, sources.get(config.source))
+    for source in make_also(config, sources):
+        assert source.recipe()
     fill(PhantomConfig, section(params, "data.phantom.phantom"), "data.phantom.phantom")
     fill(GraderConfig, section(params, "grader"), "grader")
     fill(StudentConfig, section(params, "student"), "student")
@@ -36,7 +39,8 @@ def test_every_section_is_known_to_its_owner(profile: str):
     for name in params["generators"]:
         path = f"generators.{name}"
         fill(generator_class(name).Config, section(params, path), path)
-    for name in params["agents"]:
+    fill(PatientsConfig, section(params, "evaluation_patients"), "evaluation_patients")
+    for name in [*params["agents"], *params["patient_agents"]]:
         entry = find_entry(params, name)
         fill(agent_class(entry.agent).Config, entry.settings, entry.where)
         assert entry.name == name

@@ -27,18 +27,20 @@ from racines_data.build.writer import (
     write_parquet,
     write_part,
 )
+from racines_data.card.contact_sheet import write_sheet
 from racines_data.card.croissant import add_croissant
 from racines_data.card.markdown import write_card
 from racines_data.card.rewrite import link_files, record_files
 from racines_data.digest import check_files, recipe_digest
 from racines_data.errors import RacinesError
-from racines_data.files import swap_folder, write_atomic
+from racines_data.files import locked_place, swap_folder, write_atomic
 from racines_data.manifest import (
     ADDED,
     CARD,
     CROISSANT,
     DIGEST_VERSION,
     MANIFEST,
+    PICTURES,
     added_configs,
     config_manifest,
     measures_name,
@@ -86,14 +88,18 @@ def add_config(
         stage_units([(source, units, part.folder, True)], config.workers, progress, config.allow)
         check_part(part, bounds.allow)
         people = _measure(source, units, folder, config.workers)
-        manifest, final = _without(root, name), folder / "final"
-        shutil.rmtree(final, ignore_errors=True)
-        link_files(root, final, manifest["files"])
-        paths = write_part(final, part, config.shards, progress)
-        manifest["configs"][name] = {split: others for split, (others, _) in paths.items()}
-        manifest[name] = _record(final, part, people, recipe)
-        _seal(final, manifest)
-        swap_folder(final, root)
+        final = folder / "final"
+        # Whoever adds another config at this moment seals before this reads, or after it is sealed.
+        with locked_place(root):
+            manifest = _without(root, name)
+            shutil.rmtree(final, ignore_errors=True)
+            link_files(root, final, manifest["files"])
+            paths = write_part(final, part, config.shards, progress)
+            manifest["configs"][name] = {split: others for split, (others, _) in paths.items()}
+            manifest[name] = _record(final, part, people, recipe)
+            write_sheet(final, name, manifest[name])
+            _seal(final, manifest)
+            swap_folder(final, root)
     return config_manifest(manifest, name)
 
 
@@ -134,6 +140,7 @@ def _without(root: Path, name: str) -> dict[str, Any]:
 def _files_of(name: str, files: Iterable[str]) -> list[str]:
     """Return the files of an added config among those of a dataset."""
     own = f"data/{name}/", f"canonical/{name}/", store_name(name), measures_name(name)
+    own = *own, f"{PICTURES}{name}.png"
     return [file for file in files if file.startswith(own)]
 
 

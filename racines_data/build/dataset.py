@@ -22,8 +22,8 @@ from racines_data.build.staging import stage_units, staging_folder
 from racines_data.config import Settings, fill, section
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
-from racines_data.files import recover_folder, swap_folder
-from racines_data.manifest import MANIFEST, MULTI_PHANTOM
+from racines_data.files import locked_place, recover_folder, swap_folder
+from racines_data.manifest import ADDED, MANIFEST, MULTI_PHANTOM
 from racines_data.sources.base import (
     Source,
     source_class,
@@ -56,6 +56,8 @@ class DataConfig:
     """Largest share of frames that may be refused."""
     allow: tuple[str, ...] = ()
     """Opinions of the gate that are not held against this data, by name (docs/import.md)."""
+    also: tuple[str, ...] = ()
+    """Sources that add a config each once the dataset stands, in order: `patients`, `beating`."""
 
 
 def read_data_section(values: Mapping[str, Any]) -> tuple[DataConfig, dict[str, Settings]]:
@@ -100,6 +102,23 @@ def make_multi_phantom(
     settings = {"seed": config.seed} | (section or {})
     many = MultiPhantomSource.from_config(settings, acquisition=source.config)
     return many if many.config.hearts else None
+
+
+def make_also(config: DataConfig, sections: Mapping[str, Settings]) -> list[Source]:
+    """Make the sources that a config has add a config each, before anything is built.
+
+    Raises:
+        RacinesError: no such source, one that adds nothing, or it refuses its settings.
+    """
+    made = []
+    for name in config.also:
+        if not getattr(source_class(name), "adds", ""):
+            raise RacinesError(
+                f"data.also: source {name} adds no config to a dataset: name one of "
+                f"{', '.join(ADDED)}, or build it by itself with --source"
+            )
+        made.append(make_source(dataclasses.replace(config, source=name), sections.get(name)))
+    return made
 
 
 def build(
@@ -157,8 +176,9 @@ def build(
             check_part(each, bounds.allow)
         final = folder / f"final-{config.shards}"  # what is whole there has the same bounds
         manifest = writer.write_dataset(final, main, part, recipe, config.shards, progress, bounds)
-        beside.carry(out, final, manifest)
-        swap_folder(final, out)
+        with locked_place(out):
+            beside.carry(out, final, manifest)
+            swap_folder(final, out)
     return manifest
 
 

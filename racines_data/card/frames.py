@@ -92,6 +92,10 @@ class Frames:
     splits: dict[str, tuple[int, int]]
     """First and past-the-last row of each split."""
     labels: tuple[str, ...]
+    patients: list[int] | None = None
+    """Seed of each trajectory's patient, where patients are scanned."""
+    masks: np.ndarray | None = None
+    """(N, 128, 128) uint8 labels, where frames have masks."""
 
     def rows_of(self, trajectory: int) -> slice:
         """Return the rows of one trajectory; they are neighbours."""
@@ -104,10 +108,10 @@ def read_frames(path: Path, manifest: Mapping[str, Any]) -> Frames:
     table = pa.ipc.open_file(pa.memory_map(str(path))).read_all()
     named = json.loads(table.schema.metadata[METADATA])
     target_views = list(named["trajectories"][2])
-    pixels = np.frombuffer(table["image"].chunk(0).buffers()[1], np.uint8, len(table) * PIXELS)
+    masks = _pixels(table, "mask") if "mask" in table.column_names else None
     parameters = table["parameters"].chunk(0).flatten().to_numpy()
     return Frames(
-        images=pixels.reshape(-1, IMAGE_SIZE, IMAGE_SIZE),
+        images=_pixels(table, "image"),
         parameters=parameters.reshape(-1, len(PARAMETERS)),
         views=table["view"].to_numpy(),
         grades=table["grade"].to_numpy(),
@@ -117,7 +121,14 @@ def read_frames(path: Path, manifest: Mapping[str, Any]) -> Frames:
         phantoms=list(named.get("phantoms") or [None] * len(target_views)),
         splits={name: tuple(named["splits"][name]) for name in SPLITS if name in named["splits"]},
         labels=manifest_labels(manifest),
+        patients=named.get("patients"),
+        masks=masks,
     )
+
+
+def _pixels(table: pa.Table, column: str) -> np.ndarray:
+    pixels = np.frombuffer(table[column].chunk(0).buffers()[1], np.uint8, len(table) * PIXELS)
+    return pixels.reshape(-1, IMAGE_SIZE, IMAGE_SIZE)
 
 
 def card_statistics(frames: Frames) -> dict[str, Any]:

@@ -23,6 +23,7 @@ def patients_section(manifest: Mapping[str, Any]) -> Iterator[str]:
         "these columns besides:"
     )
     yield columns_table(PATIENT_COLUMNS)
+    yield from _sheets(manifest, names)
     yield _people_table(manifest, names)
     yield (
         "*Not all shown*: patients of whom some view is shown at no pose that was found, for ribs "
@@ -37,6 +38,16 @@ def patients_section(manifest: Mapping[str, Any]) -> Iterator[str]:
         "shown at their nominal poses. They are counted in what is drawn, no formula's. "
         f'`racines_data.open_store(config="{names[0]}").measures()` reads them, digest checked.'
     )
+
+
+def _sheets(manifest: Mapping[str, Any], names: list[str]) -> Iterator[str]:
+    """Yield each config's contact sheet; older datasets have none."""
+    for name in names:
+        own = manifest[name]
+        if "sheet" in own:
+            over = ", and a mask over a frame" if own["mask_labels"] else ""
+            caption = f"Patients of `{name}`, a row each: the best frame of each view{over}"
+            yield f"![{caption}]({own['sheet']})\n\n*{caption}.*"
 
 
 def _people_table(manifest: Mapping[str, Any], names: list[str]) -> str:

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from racines_data.card.frames import CACTUS_COUNTS, Frames, card_statistics, has_paper, read_frames
 from racines_data.card.plots import parameters_figure, shares_figure, trajectories_figure
 from racines_data.geometry import POSITION
-from racines_data.manifest import MULTI_PHANTOM, store_name
+from racines_data.manifest import ADDED, MULTI_PHANTOM, store_name
 from racines_data.plotting import MUTED, card_style, encode, evenly
 from racines_data.views import VIEW_TITLES
 
@@ -63,7 +63,9 @@ def write_pictures(final: Path, manifest: dict[str, Any]) -> None:
 def draw(name: str, figure: Callable[[], Figure | None]) -> bytes | None:
     """Return the PNG of a picture; None where there is nothing to show."""
     made = figure()
-    return None if made is None else encode(made, gray=name in ("samples", "hearts"))
+    # Of colours over many grays few would be left: those of a mask would turn into each other.
+    gray, few = name in ("samples", "hearts"), name not in ADDED
+    return None if made is None else encode(made, gray=gray, few=few)
 
 
 def samples_figure(frames: Frames) -> Figure:
@@ -74,7 +76,7 @@ def samples_figure(frames: Frames) -> Figure:
     ]
     text = _LINE * max((len(values) for _, line in rows for _, values in line), default=0)
     step = _IMAGE + text + 0.12
-    figure, axis = _sheet(_MARGIN + COLUMNS * _STEP, step * len(rows))
+    figure, axis = sheet(_MARGIN + COLUMNS * _STEP, step * len(rows))
     for number, (name, line) in enumerate(rows):
         top = step * number + 0.04
         axis.text(_MARGIN - 0.1, top, name, size=12, weight="bold", ha="right", va="top")
@@ -82,7 +84,7 @@ def samples_figure(frames: Frames) -> Figure:
         axis.text(_MARGIN - 0.1, top + 0.24, title, size=7.5, color=MUTED, ha="right", va="top")
         for column, (image, values) in enumerate(line):
             left = _MARGIN + column * _STEP
-            _place(axis, image, left, top, _IMAGE)
+            place(axis, image, left, top, _IMAGE)
             for index, value in enumerate(values):
                 weight = "bold" if value.startswith("grade") else "normal"
                 below = top + _IMAGE + 0.03 + _LINE * index
@@ -91,7 +93,7 @@ def samples_figure(frames: Frames) -> Figure:
     return figure
 
 
-def _sheet(width: float, height: float) -> tuple[Figure, Axes]:
+def sheet(width: float, height: float) -> tuple[Figure, Axes]:
     """Return a figure and axes over the whole of it, in inches from its upper left corner."""
     figure = Figure(figsize=(width, height))
     axis = figure.add_axes((0, 0, 1, 1))
@@ -100,7 +102,8 @@ def _sheet(width: float, height: float) -> tuple[Figure, Axes]:
     return figure, axis
 
 
-def _place(axis: Axes, image: np.ndarray, left: float, top: float, edge: float) -> None:
+def place(axis: Axes, image: np.ndarray, left: float, top: float, edge: float) -> None:
+    """Put a picture, (H, W) gray or (H, W, 3), at a place of a sheet, in inches."""
     gray = {"cmap": "gray", "vmin": 0, "vmax": 255, "interpolation": "bilinear"}
     axis.imshow(image, extent=(left, left + edge, top + edge, top), aspect="auto", **gray)
 
@@ -155,10 +158,10 @@ def hearts_figure(frames: Frames) -> Figure | None:
     best = [best[i] for i in evenly(len(best), min(whole, HEARTS))]  # full rows
     across = min(HEARTS_ACROSS, len(best))
     edge, gap, head = 1.22, 0.03, 0.17
-    figure, axis = _sheet(across * (edge + gap), -(-len(best) // across) * (edge + head))
+    figure, axis = sheet(across * (edge + gap), -(-len(best) // across) * (edge + head))
     for number, (each, row) in enumerate(best):
         left, top = number % across * (edge + gap), number // across * (edge + head) + head
-        _place(axis, frames.images[row], left, top, edge)
+        place(axis, frames.images[row], left, top, edge)
         title = f"heart {each}, grade {frames.grades[row]:.1f}"
         axis.text(left + edge / 2, top - 0.03, title, size=7.5, ha="center", va="bottom")
     return figure

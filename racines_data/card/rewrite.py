@@ -16,12 +16,13 @@ from typing import Any
 
 from PIL import Image, UnidentifiedImageError
 
+from racines_data.card.contact_sheet import write_sheets
 from racines_data.card.markdown import write_card
 from racines_data.card.pictures import FOLDER, write_pictures
 from racines_data.card.realism import read_realism
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
-from racines_data.files import recover_folder, sha256_file, swap_folder, write_atomic
+from racines_data.files import locked_place, recover_folder, sha256_file, swap_folder, write_atomic
 from racines_data.manifest import CARD, MANIFEST, read_manifest, rebuild_hint
 
 LARGEST = 2_000_000
@@ -45,6 +46,14 @@ def rewrite_card(
     """
     root = root.resolve()
     recover_folder(root)
+    read_manifest(root)
+    with locked_place(root):
+        return _rewrite(root, realism, pictures, draw)
+
+
+def _rewrite(
+    root: Path, realism: Sequence[Path], pictures: Sequence[Path], draw: bool
+) -> dict[str, Any]:
     manifest = read_manifest(root)
     check_files(root, manifest["files"], rebuild_hint(manifest))
     if realism:
@@ -66,6 +75,7 @@ def rewrite_card(
             for name in manifest.get("pictures", []):
                 (beside / FOLDER / f"{name}.png").unlink()
             write_pictures(beside, manifest)
+            write_sheets(beside, manifest)
         write_atomic(beside / CARD, write_card(manifest))
         record_files(beside, manifest)
         write_atomic(beside / MANIFEST, json.dumps(manifest, indent=1) + "\n")

@@ -36,7 +36,10 @@ def build(
     profile: opt.Profile = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Acquire or import a dataset, and write it as shards, a training store and a card."""
+    """Acquire or import a dataset, and write it as shards, a training store and a card.
+
+    Without --source, the configs that `data.also` of the settings names are added to it.
+    """
     from racines_data.build import dataset
     from racines_data.config import section
     from racines_data.sources.base import source_class
@@ -54,10 +57,13 @@ def build(
         raise RacinesError(f"--frames: source {config.source} {own}")
     made = dataset.make_source(config, sections.get(config.source), inputs or [])
     many = dataset.make_multi_phantom(made, config, sections.get("multi_phantom"))
+    others = [] if source else dataset.make_also(config, sections)
     manifest = dataset.build(made, out, config, progress=not as_json, many=many)
+    added = [dataset.build(other, out, config, progress=not as_json) for other in others]
     if as_json:
         summary = {key: manifest[key] for key in (*_KEYS, "tag")}
         summary["multi_phantom"] = manifest.get("multi_phantom")
+        summary["also"] = [{key: each[key] for key in (*_KEYS, "tag")} for each in added]
         summary["findings"] = [vars(finding) for finding in made.report]
         summary["seconds"] = round(time.perf_counter() - start, 2)
         summary["peak_memory"] = dataset.peak_memory(config.workers)
@@ -65,6 +71,8 @@ def build(
     else:
         _print_dataset(out, manifest)
         say(f"recipe  {manifest['recipe_digest']}")
+        for each in added:
+            _print_dataset(out, each)
         _print_findings(made.report)
 
 

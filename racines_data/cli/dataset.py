@@ -75,10 +75,10 @@ def export(
     as_json: opt.AsJson = False,
 ) -> None:
     """Write a dataset, or one split, in another format; images are never compressed with loss."""
-    from racines_data.export.registry import check_config, load_exporter
+    from racines_data.export.registry import for_config, load_exporter
 
-    check_config(config, format)
-    made = load_exporter(format)(root, out, split=split, limit=limit, progress=not as_json)
+    exporter = for_config(load_exporter(format), config, format)
+    made = exporter(root, out, split=split, limit=limit, progress=not as_json)
     if as_json:
         say_json(made)
         return

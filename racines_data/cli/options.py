@@ -29,7 +29,7 @@ Samples = Annotated[
     int | None, typer.Option(min=2, help="Frames that are scored.  [default: the settings']")
 ]
 
-_PROFILES = "smoke, default, reference, paper or abdomen"
+_PROFILES = "smoke, default, patients, reference, paper or abdomen"
 Params = Annotated[
     Path | None, typer.Option(help="Settings.  [default: ./params.yaml, if it is there]")
 ]

@@ -1,5 +1,7 @@
 """The registry of exporters: a file with a function each, an entry point `racines.exporters`."""
 
+import inspect
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -12,7 +14,10 @@ EXPORTERS = Plugins("format", "racines.exporters", or_give="module:function")
 
 
 class Exporter(Protocol):
-    """Writes a dataset in another format: aside first, then renamed to a path that is new."""
+    """Writes a dataset in another format: aside first, then renamed to a path that is new.
+
+    One that can write the configs of patients takes `config`, by name, besides.
+    """
 
     def __call__(
         self,
@@ -37,21 +42,24 @@ class Exporter(Protocol):
         ...
 
 
-def check_config(config: str, name: str) -> None:
-    """Refuse to export a config whose columns a format has no place for: all but `frames`.
+def for_config(exporter: Exporter, config: str, name: str) -> Exporter:
+    """Return an exporter of one config: `frames`, or patients where it takes `config`.
 
     Raises:
-        RacinesError: such a config, with the columns that would be lost.
+        RacinesError: another config, with the columns that would be lost.
     """
     if config == "frames":
-        return
-    if config in ADDED:
+        return exporter
+    if config not in ADDED:
+        raise RacinesError(f"--config {config}: formats hold `frames` alone; leave --config out")
+    if "config" not in inspect.signature(exporter).parameters:
         lost = ", ".join(("patient", *PHASES, "mask"))
         raise RacinesError(
-            f"--config {config}: format {name} has no place for {lost}: read the Parquet files of "
-            f"data/{config}, or racines_data.load(config={config!r})"
+            f"--config {config}: format {name} has no place for {lost}: use --format lerobot, or "
+            f"read the Parquet files of data/{config} by racines_data.load(config={config!r})"
         )
-    raise RacinesError(f"--config {config}: formats hold `frames` alone; leave --config out")
+    for_any: Any = exporter
+    return partial(for_any, config=config)
 
 
 def exporter_names() -> tuple[str, ...]:

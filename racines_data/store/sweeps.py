@@ -51,9 +51,9 @@ class Sweep:
         """Name of the trajectory."""
         return self.first("trajectory")
 
-    def pngs(self) -> list[bytes]:
-        """Return the images as they are stored."""
-        return self.table["image"].combine_chunks().field("bytes").to_pylist()
+    def pngs(self, column: str = "image") -> list[bytes]:
+        """Return the images, or the masks, as they are stored."""
+        return self.table[column].combine_chunks().field("bytes").to_pylist()
 
     def images(self) -> np.ndarray:
         """Return (T, 128, 128) uint8."""

@@ -11,7 +11,8 @@ The section `agents` of a params file holds an entry a run, under a name of its 
         encoder: models/runs/encoder
         repeats: 3                  # trained with three seeds: the first, and the two that follow
 
-The run's name is that of its folder, of its scores and of its row on a board.
+The run's name is that of its folder, of its scores and of its row on a board. Runs that scan
+patients stand in the section `patient_agents`, in the same way; a name is in one of the two.
 """
 
 import json
@@ -29,6 +30,8 @@ from racines_envs.agents import Agent, agent_class, learns, load_agent
 from racines_envs.agents.protocol import FILES
 
 RUNS = Path("envs/runs")
+SECTIONS = ("agents", "patient_agents")
+"""Sections of a params file that hold runs: on one heart, and on patients."""
 
 
 @dataclass(frozen=True)
@@ -131,11 +134,13 @@ class Entry:
     """The target view, where the entry names one."""
     repeats: int = 1
     """With how many seeds it is trained."""
+    section: str = SECTIONS[0]
+    """Where it stands in the params file."""
 
     @property
     def where(self) -> str:
         """The entry's place in the params file."""
-        return f"agents.{self.name}"
+        return f"{self.section}.{self.name}"
 
     @property
     def folder(self) -> Path:
@@ -151,18 +156,25 @@ class Entry:
 def find_entry(settings: dict[str, Any], spec: str, name: str | None = None) -> Entry:
     """Return the run that a spec names, in all sections' settings; called `name`, if given.
 
-    A spec is the name of an entry, a mapping, of the section `agents`; or a registered agent,
+    A spec is the name of an entry, a mapping, of one of `SECTIONS`; or a registered agent,
     `module:Class` or `FILE.onnx`, whose entry is the one of its own name, if there is one. A file's
     run is called as the file.
     """
-    entries = section(settings, "agents")
-    own = spec if spec in entries else agent_class(spec).name
-    values = section(settings, ("agents", own))
+    listed = {each: section(settings, each) for each in SECTIONS}
+    known_here = any(spec in entries for entries in listed.values())
+    own = spec if known_here else agent_class(spec).name
+    held = [each for each in SECTIONS if own in listed[each]]
+    if len(held) > 1:
+        raise RacinesError(
+            f"{own}: stands in {' and in '.join(held)}, which would share a folder: rename one"
+        )
+    place = held[0] if held else SECTIONS[0]
+    values = section(settings, (place, own))
     agent = values.get("agent", own)
     if not isinstance(agent, str):
-        raise RacinesError(f"agents.{own}.agent: {agent!r}: give the name of an agent")
-    if spec not in entries:  # an entry of that name may be another agent's
-        values, agent = values if agent == own else section({}, "agents"), spec
+        raise RacinesError(f"{place}.{own}.agent: {agent!r}: give the name of an agent")
+    if not known_here:  # an entry of that name may be another agent's
+        values, agent = values if agent == own else section({}, place), spec
     known = {field.name for field in fields(agent_class(agent).Config)}
     # What learns for a view has it among its settings; for others it is the evaluation's alone.
     apart = {"agent", "repeats"} | (set() if "view" in known else {"view"})
@@ -171,10 +183,10 @@ def find_entry(settings: dict[str, Any], spec: str, name: str | None = None) -> 
     called = plain_name(Path(agent).stem) if of_file and spec == agent else own
     repeats = values.get("repeats", 1)
     if not isinstance(repeats, int) or isinstance(repeats, bool) or repeats < 1:
-        raise RacinesError(f"agents.{own}.repeats: {repeats!r}: give 1 or more")
+        raise RacinesError(f"{place}.{own}.repeats: {repeats!r}: give 1 or more")
     if repeats > 1 and not learns(agent_class(agent)):
-        raise RacinesError(f"agents.{own}.repeats: {agent} learns nothing: one run is all it has")
-    return Entry(name or called or own, agent, chosen, values.get("view"), repeats)
+        raise RacinesError(f"{place}.{own}.repeats: {agent} learns nothing: one run is all it has")
+    return Entry(name or called or own, agent, chosen, values.get("view"), repeats, place)
 
 
 def plain_name(text: str) -> str:

@@ -18,11 +18,12 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 from PIL import Image
 
+from racines_data.card.contact_sheet import coloured
 from racines_data.card.plots import block_axes
 from racines_data.errors import RacinesError
 from racines_data.files import image_bytes
 from racines_data.geometry import parameters_to_pose
-from racines_data.manifest import MANIFEST, MULTI_PHANTOM, store_name
+from racines_data.manifest import ADDED, MANIFEST, STORES, store_name
 from racines_data.plotting import MUTED, evenly, view_colours
 from racines_data.schema import PARAMETERS, SPLITS
 from racines_data.store.frames import FrameStore
@@ -83,7 +84,7 @@ def configs(root: Path | None) -> list[str]:
     """Return the configs of a dataset that can be browsed; none where there is no dataset."""
     if root is None or not (root / MANIFEST).is_file():
         return []
-    return [name for name in ("frames", MULTI_PHANTOM) if (root / store_name(name)).is_file()]
+    return [name for name in STORES if (root / store_name(name)).is_file()]
 
 
 def opened(root: Path | None, config: Any) -> FrameStore:
@@ -192,7 +193,7 @@ def _marked(
 
 
 def image_html(trajectory: Trajectory, frame: int) -> str:
-    """Return a frame's image on black, with its view and grade below."""
+    """Return a frame's image on black, with its view and grade below, and its mask over it."""
     store, row = trajectory.store, trajectory.first + frame
     label, grade = int(store.views[row]), float(store.grades[row])
     view = store.labels[label] if label >= 0 else "view unknown"
@@ -200,19 +201,29 @@ def image_html(trajectory: Trajectory, frame: int) -> str:
     seconds = f", {trajectory.times[frame]:.2f} s" if trajectory.timed else ""
     caption = f"{view}, {graded} · frame {frame + 1} of {trajectory.frames}{seconds}"
     source = store.manifest["source"]
-    simulated = "simulated" if source == "phantom" else f"source: {source}"
-    png = image_bytes(Image.fromarray(store.images[row].numpy()))
-    return ultrasound(png, caption) + note(f"{caption} · {simulated}")
+    simulated = "simulated" if source in ("phantom", *ADDED) else f"source: {source}"
+    image = store.images[row].numpy()
+    shown = ultrasound(image_bytes(Image.fromarray(image)), caption)
+    if store.masks is not None:
+        over = coloured(image, store.masks[row].numpy(), store.mask_labels or ())
+        shown += ultrasound(image_bytes(Image.fromarray(over)), f"{caption}, with its mask")
+    if store.phases is not None:
+        beat, breath = store.phases[row].tolist()
+        caption += f" · beat {beat:.2f}, breath {breath:.2f}"
+    return shown + note(f"{caption} · {simulated}")
 
 
 def facts_html(trajectory: Trajectory) -> str:
     """Return what a trajectory is."""
     seconds = f", {trajectory.times[-1]:.1f} s" if trajectory.timed else ""
     manifest = trajectory.store.manifest
+    store = trajectory.store
+    index = int(store.trajectory_index[trajectory.first])
+    who = f"patient {store.patients[index]}, " if store.patients else ""
     return note(
-        f"{trajectory.name}: {trajectory.split} split, aimed at {trajectory.target_view}, session "
-        f"{trajectory.session}, {trajectory.frames} frames{seconds}. Data: {manifest['source']} "
-        f"{manifest['version']}, digest {manifest['digest'][:12]}."
+        f"{trajectory.name}: {who}{trajectory.split} split, aimed at {trajectory.target_view}, "
+        f"session {trajectory.session}, {trajectory.frames} frames{seconds}. Data: "
+        f"{manifest['source']} {manifest['version']}, digest {manifest['digest'][:12]}."
     )
 
 

@@ -29,10 +29,16 @@ from PIL import Image as Picture
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.manifest import describe, manifest_labels, read_manifest
+from racines_data.manifest import (
+    ADDED,
+    config_manifest,
+    describe,
+    manifest_labels,
+    read_manifest,
+)
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
-from racines_data.schema import CONTROLS, PARAMETERS, SPLITS
+from racines_data.schema import CONTROLS, PARAMETERS, PHASES, SPLITS
 from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 from racines_data.tables import escape
 
@@ -56,6 +62,12 @@ _FEATURES: dict[str, dict[str, Any]] = {
         *((name, "int64", [1], None) for name in _INDICES),
     )
 }
+MASK = "observation.images.mask"
+_OF_PATIENTS: dict[str, dict[str, Any]] = {
+    "patient": {"dtype": "int64", "shape": [1], "names": None},
+    **{name: {"dtype": "float32", "shape": [1], "names": None} for name in PHASES},
+}
+"""What frames of patients have besides; and a mask, an image, where they have one."""
 
 
 def export(
@@ -64,17 +76,20 @@ def export(
     split: str | None = None,
     limit: int | None = None,
     progress: bool = False,
+    config: str = "frames",
 ) -> dict[str, Any]:
     """Write a dataset in the LeRobot format: `LeRobotDataset(NAME, root=out)` opens it.
 
     Arguments and errors as of `registry.Exporter`, and an error where there is no commanded
-    velocity. Returns `out`, counts, `fps`, `splits` as ranges of episodes, and notes.
+    velocity. A config of patients has their columns besides, and masks as images of labels, which
+    `meta/racines.json` names by number. Returns `out`, counts, `fps`, `splits` as ranges of
+    episodes, and notes.
     """
-    manifest = read_manifest(root)
+    manifest = config_manifest(read_manifest(root), config)
     with new_folder(out) as folder, progress_bar(progress) as bar:
         task = bar.add_task("frames", total=None)
-        writer = _Writer(folder, manifest_labels(manifest))
-        for sweep in read_sweeps(root, split, limit):
+        writer = _Writer(folder, manifest_labels(manifest), features_of(manifest, config))
+        for sweep in read_sweeps(root, split, limit, config):
             writer.add(sweep)
             bar.advance(task, len(sweep))
         writer.close()
@@ -83,7 +98,7 @@ def export(
             raise RacinesError(
                 f"{root}: {manifest['source']} data have no commanded velocity, hence no actions"
             )
-        info = _write_meta(folder, writer, manifest)
+        info = _write_meta(folder, writer, manifest, config)
     note = f"{missing} of {writer.frames} frames have no commanded velocity: NaN"
     return {
         "out": str(out),
@@ -109,13 +124,15 @@ class _Writer:
 
     folder: Path
     labels: tuple[str, ...]
+    features: dict[str, dict[str, Any]]
     frames: int = 0
     episodes: list[dict[str, Any]] = field(default_factory=list)
     tasks: dict[str, int] = field(default_factory=dict)
     intervals: list[np.ndarray] = field(default_factory=list)
     columns: dict[str, list[np.ndarray]] = field(default_factory=dict)
     """Numbers of each feature, by episode."""
-    histograms: list[np.ndarray] = field(default_factory=list)
+    histograms: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    """Gray levels, or labels, of each image feature, by episode."""
     _files: int = 0
     _bytes: int = 0
     _open: pq.ParquetWriter | None = None
@@ -125,9 +142,15 @@ class _Writer:
         task = task_of(sweep.first("target_view"), self.labels[-1])
         index = self.tasks.setdefault(task, len(self.tasks))
         columns = _columns(sweep, len(self.episodes), self.frames, index)
+        if "patient" in self.features:
+            columns["patient"] = sweep.table["patient"].to_numpy()
+            columns |= {name: float_columns(sweep.table, [name])[:, 0] for name in PHASES}
         chunk, number = self._write(sweep, columns)
-        self.histograms.append(_histogram(sweep, self.frames))
-        own: dict[str, Any] = {IMAGE: _image_statistics(self.histograms[-1:])}
+        own: dict[str, Any] = {}
+        for name in images_of(self.features):
+            counted = _histogram(sweep.pngs(images_of(self.features)[name]), self.frames)
+            self.histograms.setdefault(name, []).append(counted)
+            own[name] = _image_statistics([counted])
         for name, values in columns.items():
             self.columns.setdefault(name, []).append(values)
             own[name] = _statistics([values])
@@ -153,9 +176,11 @@ class _Writer:
 
     def _write(self, sweep: Sweep, columns: Mapping[str, np.ndarray]) -> tuple[int, int]:
         """Write the rows; return the chunk and the number of the file they went to."""
-        features = hf_features()
-        arrays = [sweep.table["image"].combine_chunks()]
-        arrays += [_array(columns[name]) for name in features if name != IMAGE]
+        features, images = hf_features(self.features), images_of(self.features)
+        arrays = [
+            sweep.table[images[name]].combine_chunks() if name in images else _array(columns[name])
+            for name in features
+        ]
         table = pa.table(arrays, schema=features.arrow_schema)
         if self._open is not None and self._bytes + table.nbytes > FILE_MEGABYTES * 2**20:
             self.close()
@@ -175,11 +200,25 @@ class _Writer:
             self._open, self._bytes, self._files = None, 0, self._files + 1
 
 
-def hf_features() -> Features:
-    """Return the features of the data files as `datasets` has them."""
-    made: dict[str, Any] = {IMAGE: Image()}
-    for name, about in _FEATURES.items():
-        if name != IMAGE:
+def features_of(manifest: Mapping[str, Any], config: str) -> dict[str, dict[str, Any]]:
+    """Return the features of a config's frames, as `meta/info.json` has them."""
+    if config not in ADDED:
+        return _FEATURES
+    masked = {MASK: _FEATURES[IMAGE]} if manifest["mask_labels"] else {}
+    return {**_FEATURES, **_OF_PATIENTS, **masked}
+
+
+def images_of(features: Mapping[str, Any]) -> dict[str, str]:
+    """Return the image features, each with the column that it is."""
+    return {name: column for name, column in ((IMAGE, "image"), (MASK, "mask")) if name in features}
+
+
+def hf_features(features: Mapping[str, Mapping[str, Any]]) -> Features:
+    """Return features as `datasets` has them, images first."""
+    images = images_of(features)
+    made: dict[str, Any] = {name: Image() for name in images}
+    for name, about in features.items():
+        if name not in images:
             value, size = Value(about["dtype"]), about["shape"][0]
             made[name] = value if size == 1 else List(value, length=size)
     return Features(made)
@@ -206,12 +245,11 @@ def _array(values: np.ndarray) -> pa.Array:
     return flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
 
 
-def _histogram(sweep: Sweep, start: int) -> np.ndarray:
-    """Return (257,) int64: counts of the 256 gray levels in some frames, and of these frames.
+def _histogram(pngs: Sequence[bytes], start: int) -> np.ndarray:
+    """Return (257,) int64: counts of the 256 gray levels in some images, and of these images.
 
     Chosen are those whose rows, the first of which is `start`, are multiples of STRIDE, or one.
     """
-    pngs = sweep.pngs()
     chosen = pngs[-start % STRIDE :: STRIDE] or pngs[:1]
     counts = np.zeros(257, np.int64)
     for png in chosen:
@@ -256,7 +294,9 @@ def _image_statistics(histograms: Sequence[np.ndarray]) -> dict[str, Any]:
     return {**{key: [[[value]]] for key, value in made.items()}, "count": [int(histogram[256])]}
 
 
-def _write_meta(folder: Path, writer: _Writer, manifest: Mapping[str, Any]) -> dict[str, Any]:
+def _write_meta(
+    folder: Path, writer: _Writer, manifest: Mapping[str, Any], config: str
+) -> dict[str, Any]:
     info = {
         "codebase_version": "v3.0",
         "robot_type": f"racines-{manifest['source']}",
@@ -270,21 +310,23 @@ def _write_meta(folder: Path, writer: _Writer, manifest: Mapping[str, Any]) -> d
         "splits": _splits(writer.episodes),
         "data_path": _DATA,
         "video_path": None,
-        "features": _FEATURES,
+        "features": writer.features,
     }
     write_json(folder / "meta/info.json", info)
-    found: dict[str, Any] = {IMAGE: _image_statistics(writer.histograms)}
+    found: dict[str, Any] = {n: _image_statistics(each) for n, each in writer.histograms.items()}
     found |= {name: _statistics(parts) for name, parts in writer.columns.items()}
     write_json(folder / "meta/stats.json", found)
     about = {key: manifest[key] for key in ("source", "version", "digest", "recipe_digest")}
-    about |= {"labels": list(writer.labels), "description": describe(manifest)}
+    about |= {"labels": list(writer.labels), "description": describe(manifest, config)}
+    if MASK in writer.features:
+        about["mask_labels"] = list(manifest["mask_labels"])
     write_json(folder / "meta/racines.json", about)
     tasks = pd.Series(writer.tasks, name="task_index").rename_axis("task").to_frame()
     tasks.to_parquet(folder / "meta/tasks.parquet")
     path = folder / "meta/episodes/chunk-000/file-000.parquet"
     path.parent.mkdir(parents=True)
     pq.write_table(pa.Table.from_pylist(writer.episodes), path)
-    (folder / "README.md").write_text(_card(manifest, info))
+    (folder / "README.md").write_text(_card(describe(manifest, config), info))
     return info
 
 
@@ -301,11 +343,11 @@ def _splits(episodes: list[dict[str, Any]]) -> dict[str, str]:
     return {split: f"{of[0]}:{of[-1] + 1}" for split, of in inside.items() if of}
 
 
-def _card(manifest: Mapping[str, Any], info: Mapping[str, Any]) -> str:
+def _card(described: str, info: Mapping[str, Any]) -> str:
     return (
         "---\ntags: [LeRobot, ultrasound, robotics]\ntask_categories: [robotics]\n"
         'configs:\n- config_name: default\n  data_files: "data/*/*.parquet"\n---\n'
-        f"**RACINES, {escape(describe(manifest))}.**\n\n"
+        f"**RACINES, {escape(described)}.**\n\n"
         f"LeRobot v3.0: {info['total_episodes']} episodes, "
         f"{info['total_frames']} frames at {info['fps']} per second; splits as ranges of episodes: "
         f"{json.dumps(info['splits'])}.\n\n`observation.state` and `action` in the robot's base "

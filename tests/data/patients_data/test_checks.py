@@ -1,18 +1,22 @@
 """Checks of patients' frames: a sound dataset passes, and each planted error is found."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
+import torch
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_data.manifest import config_manifest, read_manifest
 from racines_data.patients import LABELS
 from racines_data.store.frames import open_store
+from racines_data.store.sweeps import read_sweeps
 from racines_data.validate import identity, leaks, patients
 from racines_data.validate.meaning import statistics_of
 from racines_data.validate.run import validate
@@ -45,6 +49,7 @@ def test_a_sound_dataset_passes(root: Path):
         name.removeprefix("beating, ") for name in own
     }
     assert "3 patients" in checks["patients, splits"].detail
+    assert checks["patients, leaks"].binding and checks["beating, leaks"].binding
 
 
 def test_a_patient_in_two_splits_is_found(root: Path, found: dict[str, Survey]):
@@ -64,6 +69,29 @@ def test_the_leakage_audit_finds_a_patient_in_two_splits(root: Path):
     store.patients = [1 if seed == 20_000 else seed for seed in store.patients]
     with pytest.raises(RacinesError, match="patient 1 is in train and in test"):
         leaks.check_patients(store)
+
+
+def test_a_patient_in_two_splits_of_two_configs_is_found(root: Path):
+    still, beating = (open_store(root, name) for name in ("patients", "beating"))
+    leaks.check_patients(still, beating)
+    assert beating.patients is not None
+    beating.patients = [1 if seed == 20_000 else 3 for seed in beating.patients]
+    with pytest.raises(RacinesError, match="patient 1 is in train and in test of beating: keep"):
+        beating._splits["train"] = beating._splits["validation"] = [0, 0]
+        leaks.check_patients(still, beating)
+
+
+def test_a_frame_of_train_in_the_test_of_patients_leaks(root: Path):
+    store = open_store(root, "patients")
+    assert not any(sweep.leaks for sweep in leaks.find_leaks(store))
+    held, train = (store.split_indices(split) for split in ("test", "train"))
+    first = held[store.trajectory_index[held] == store.trajectory_index[held[0]]]
+    darker = (store.images[train[: len(first)]] * 0.9).round().to(torch.uint8)
+    store.images[first] = darker  # in this process's memory, not in the file
+    found = [sweep for sweep in leaks.find_leaks(store) if sweep.leaks]
+    assert [(sweep.split, sweep.copies) for sweep in found] == [("test", 1.0)]
+    with pytest.raises(RacinesError, match="of test leaks: 100% of its 4 frames are copies"):
+        leaks.check_leaks(found)
 
 
 def test_phases_outside_are_found(found: dict[str, Survey]):
@@ -118,9 +146,40 @@ def test_numbers_far_from_the_reference_are_found(found: dict[str, Survey]):
         patients.check_reference(statistics_of(parameters))
 
 
+def export(root: Path, out: Path, name: str, config: str = "beating"):
+    words = ["data", "export", str(root), "--format", name, "--out", str(out), "--config", config]
+    return CliRunner().invoke(app, words)
+
+
 def test_an_export_that_would_lose_columns_is_refused(root: Path, tmp_path: Path):
-    words = ["data", "export", str(root), "--format", "lerobot", "--out", str(tmp_path / "out")]
-    done = CliRunner().invoke(app, [*words, "--config", "beating"])
+    done = export(root, tmp_path / "out", "release")
+    told = str(done.exception) + done.output
     assert done.exit_code == 1
-    told = str(done.exception) + done.output + getattr(done, "stderr", "")
-    assert "format lerobot has no place for patient, cardiac_phase, respiratory_phase, mask" in told
+    assert "format release has no place for patient, cardiac_phase, respiratory_phase, mask" in told
+    done = export(root, tmp_path / "out", "lerobot", "multi_phantom")
+    assert done.exit_code == 1 and "formats hold `frames` alone" in str(done.exception)
+
+
+@pytest.mark.parametrize("config", ["patients", "beating"])
+def test_lerobot_has_patients_phases_and_masks(root: Path, tmp_path: Path, config: str):
+    out = tmp_path / "out"
+    done = export(root, out, "lerobot", config)
+    assert done.exit_code == 0, done.output
+    table = pa.concat_tables(
+        pq.read_table(path) for path in sorted(out.glob("data/*/*.parquet"))
+    ).to_pydict()
+    manifest = config_manifest(read_manifest(root), config)
+    rows = [row for path in read_sweeps(root, config=config) for row in path.table.to_pylist()]
+    assert table["patient"] == [row["patient"] for row in rows]
+    for name in ("cardiac_phase", "respiratory_phase"):
+        assert np.allclose(table[name], [row[name] for row in rows], atol=1e-6)
+    for name, column in (("ultrasound", "image"), ("mask", "mask")):
+        kept = [each["bytes"] for each in table[f"observation.images.{name}"]]
+        assert kept == [row[column]["bytes"] for row in rows]
+    info = json.loads((out / "meta/info.json").read_text())
+    assert info["features"]["observation.images.mask"]["shape"] == [128, 128, 1]
+    assert set(info["features"]) == set(table)
+    stats = json.loads((out / "meta/stats.json").read_text())
+    assert stats["observation.images.mask"]["max"][0][0][0] <= (len(LABELS) - 1) / 255
+    about = json.loads((out / "meta/racines.json").read_text())
+    assert about["mask_labels"] == list(LABELS) and about["digest"] == manifest["digest"]

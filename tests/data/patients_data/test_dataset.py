@@ -1,16 +1,22 @@
 """Patients as configs of a dataset: what is loaded, and that nothing else has changed."""
 
+import json
 import shutil
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import datasets
 import numpy as np
 import pytest
 import torch
+from typer.testing import CliRunner
 
 import racines_data
-from racines_data.build.dataset import DataConfig, build
+from racines_data.build.dataset import DataConfig, build, make_also, read_data_section
+from racines_data.digest import check_files
 from racines_data.errors import RacinesError
+from racines_data.files import locked_place
 from racines_data.geometry import Pose
 from racines_data.manifest import read_manifest
 from racines_data.patients import LABELS, Pool, split_of
@@ -20,9 +26,12 @@ from racines_data.store.frames import open_store
 from racines_data.store.sweeps import restore_stores
 from racines_data.validate.identity import same_version
 from racines_data.views import VIEWS
+from racines_leaderboard.cli.command import app
 from racines_models.judges.segmentation.frames import MaskSet
+from tests.conftest import command
 from tests.data.fake_source import FakeConfig, FakeSource
 from tests.data.patients_data.conftest import ONE, SEEDS, SETTINGS
+from tests.waiting import until
 
 TIERS = ("patients", "beating")
 
@@ -200,12 +209,37 @@ def test_a_killed_build_goes_on_where_it_stopped(
     assert not list(tmp_path.glob(".racines*"))
 
 
+def test_two_additions_at_one_moment_both_stay(built: Path, tmp_path: Path):
+    """Each in a process of its own; both come to where the dataset is sealed while it is held."""
+    copy = tmp_path / "racines"
+    shutil.copytree(built, copy)
+    before = read_manifest(copy)
+    settings = {"train": [1], "frames_per_sweep": 2}
+    params = {"data": {"workers": 1, "patients": settings, "beating": settings}}
+    (tmp_path / "params.yaml").write_text(json.dumps(params))
+    words = ["racines", "data", "build", "--params", "params.yaml", "--out", "racines", "--source"]
+    with ThreadPoolExecutor(2) as pool:
+        with locked_place(copy):
+            added = [pool.submit(command, tmp_path, *words, name) for name in TIERS]
+            until(lambda: len([*tmp_path.glob(".racines.staging-*/measures/*.json")]) == 2)
+            time.sleep(0.2)  # what is left is done in that time, where nobody waits
+            assert read_manifest(copy) == before, "who does not hold the place changes nothing"
+        assert [done.result().returncode for done in added] == [0, 0]
+    after = read_manifest(copy)
+    assert set(after["configs"]) == {*before["configs"], *TIERS}
+    assert after["digest"] == before["digest"]
+    check_files(copy, after["files"], "rebuild", verify=True)
+    assert not list(tmp_path.glob(".racines*"))
+
+
 def test_the_card_tells_of_patients(root: Path):
     card = (root / "README.md").read_text()
     lines = [line for line in card.splitlines() if line.startswith("| patients | train |")]
     assert lines[0].endswith("| 6 (1 patients) | 24 |") and "healthy 1" in lines[1]
     assert "no patient is drawn again" in card and "19 aortic cusp" in card
     assert "`measures/patients.parquet`" in card
+    assert "the best frame of each view, and a mask over a frame](card/beating.png)" in card
+    assert "card/beating.png" in read_manifest(root)["files"]
 
 
 BAD = [
@@ -237,3 +271,45 @@ def test_other_bad_input(root: Path, built: Path, tmp_path: Path):
     for ask in (racines_data.load, open_store):
         with pytest.raises(RacinesError, match="add it: racines data build --source beating"):
             ask(config="beating", root=built)
+
+
+PARAMS = """
+data:
+  frames: 60
+  workers: 1
+  also: [patients, beating]
+  phantom: {shortest: 10, longest: 20}
+  patients: {train: [1], frames_per_sweep: 2}
+  beating: {train: [1], frames_per_sweep: 2}
+"""
+
+
+def test_a_build_adds_what_its_settings_name_also(tmp_path: Path):
+    """And the frames of the one heart have the digests and the bytes that they have alone."""
+    (tmp_path / "params.yaml").write_text(PARAMS)
+    alone = PARAMS.replace("[patients, beating]", "[]")
+    (tmp_path / "alone.yaml").write_text(alone)
+    told = {}
+    for name in ("params", "alone"):
+        words = ["data", "build", "--params", str(tmp_path / f"{name}.yaml"), "--json"]
+        done = CliRunner().invoke(app, [*words, "--out", str(tmp_path / name)])
+        assert done.exit_code == 0, done.output
+        told[name] = json.loads(done.stdout)
+    assert told["params"]["digest"] == told["alone"]["digest"]
+    assert told["params"]["recipe_digest"] == told["alone"]["recipe_digest"]
+    assert [each["source"] for each in told["params"]["also"]] == [*TIERS]
+    assert told["alone"]["also"] == []
+    own = [path for path in (tmp_path / "alone").rglob("*") if path.is_file()]
+    for path in own:
+        if path.name not in ("README.md", "manifest.json", "croissant.json"):
+            other = tmp_path / "params" / path.relative_to(tmp_path / "alone")
+            assert other.read_bytes() == path.read_bytes(), path
+    assert set(read_manifest(tmp_path / "params")["configs"]) >= set(TIERS)
+
+
+def test_what_adds_nothing_is_refused_before_anything_is_built(tmp_path: Path):
+    values = {"also": ["patients", "tracked"], "patients": {"train": 1}}
+    with pytest.raises(RacinesError, match="data.also: source tracked adds no config.*patients"):
+        make_also(*read_data_section(values))
+    with pytest.raises(RacinesError, match="data.patients: no patient: set train"):
+        make_also(*read_data_section({"also": ["patients"]}))

@@ -57,6 +57,18 @@ def test_an_agent_without_an_entry_has_its_own_name_or_the_one_given():
     assert find_entry(SETTINGS, spec).settings == {"frames": 9}
 
 
+def test_runs_on_patients_stand_in_a_section_of_their_own():
+    settings = {"agents": {"ppo": {}}, "patient_agents": {"told": {"agent": "planner"}}}
+    told = find_entry(settings, "told")
+    assert (told.agent, told.where) == ("planner", "patient_agents.told")
+    assert find_entry(settings, "ppo").where == "agents.ppo"
+    with pytest.raises(RacinesError, match="ppo: stands in agents and in patient_agents.*rename"):
+        find_entry({**settings, "patient_agents": {"ppo": {}}}, "ppo")
+    with pytest.raises(RacinesError, match=r"patient_agents\.floor\.repeats: 0: give 1 or more"):
+        wrong = {"floor": {"agent": "constant-pose", "repeats": 0}}
+        find_entry({"patient_agents": wrong}, "floor")
+
+
 def test_entries_that_are_none_are_refused():
     with pytest.raises(RacinesError, match="unknown agent 'ghost'"):
         find_entry(SETTINGS, "ghost")
