@@ -11,6 +11,8 @@ READY := $(VENV)/.ready
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 # Compiled code is kept: without it each process reads all of the tests and packages anew.
 TESTS := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs
+# The files that have tests of a mark: to read all others takes each process longer than some of those.
+marked = $$(grep -rlw --include="test_*.py" "mark.$(1)" tests)
 
 .PHONY: help repro studio test test-docs test-thorough test-fast test-instruction-sets test-exports mutants lint types bench docs docs-numbers clean
 
@@ -35,13 +37,13 @@ test: $(READY) ## run the tests of the code
 	$(TESTS) -m "not docs and not thorough and not instruction_sets"
 
 test-docs: $(READY) ## run what the README and docs/ say, and the pages in a browser
-	$(TESTS) -m docs
+	$(TESTS) -m docs $(call marked,docs)
 
 test-thorough: $(READY) ## run the walk-throughs, runs that are killed at any moment, every variant of the rest; some ten minutes
 	$(TESTS) -m thorough
 
 test-instruction-sets: $(READY) ## run the contracts of rows, and draw canonical frames, on each instruction set that the CPU has
-	$(TESTS) -m instruction_sets
+	$(TESTS) -m instruction_sets $(call marked,instruction_sets)
 
 test-fast: $(READY) ## run the tests that take seconds
 	$(TESTS) -m "not docs and not thorough and not instruction_sets and not slow"

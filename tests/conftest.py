@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,9 @@ TINY = {
 """Settings with which every command ends within seconds; its figures mean nothing."""
 
 
+text_of = cache(Path.read_text)
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the contracts' tests of rows, also the inherited ones, by their name.
@@ -51,6 +54,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "ignores_its_batch" in item.name:
             item.add_marker("contract")
+        for mark in ("docs", "instruction_sets"):
+            if item.get_closest_marker(mark) and f"mark.{mark}" not in text_of(item.path):
+                raise pytest.UsageError(f"{item.nodeid}: the Makefile looks for mark.{mark} here")
     slow = {item.path for item in items if item.get_closest_marker("slow")}
     items.sort(key=lambda item: item.path not in slow)
 

@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -25,6 +26,9 @@ MARKDOWN = re.compile(r"(?:^|\n)(?:\||#{1,6} |!\[|- \0)|\]\(\0|\*\*\0")
 SAFE = ("racines_data.escape", "racines_data.tables", "racines_leaderboard.studio.html")
 
 
+parsed = cache(ast.parse)
+
+
 def dotted(node: ast.AST) -> str:
     match node:
         case ast.Name(id=name):
@@ -36,7 +40,7 @@ def dotted(node: ast.AST) -> str:
 
 def writes(source: str) -> Iterator[tuple[int, str]]:
     """Yield line and name of what writes to a terminal by itself."""
-    tree = ast.parse(source)
+    tree = parsed(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and (name := dotted(node.func)):
             if name in ECHOES or name.split(".")[-1] == "Console" or name == "print":
@@ -71,7 +75,7 @@ def imported(tree: ast.Module) -> set[str]:
 
 def unescaped(source: str) -> list[tuple[int, str]]:
     """Return the Markdown and HTML of a module that fills in text and has no escape."""
-    tree = ast.parse(source)
+    tree = parsed(source)
     if imported(tree) & set(SAFE):
         return []
     found = filled_texts(tree)
@@ -80,7 +84,7 @@ def unescaped(source: str) -> list[tuple[int, str]]:
 
 def csv_written(source: str) -> list[int]:
     names = ("csv.writer", "csv.DictWriter", "html.escape", "markupsafe.escape")
-    calls = (n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Call))
+    calls = (n for n in ast.walk(parsed(source)) if isinstance(n, ast.Call))
     return [
         n.lineno
         for n in calls

@@ -66,8 +66,8 @@ def test_ci_runs_every_test_once():
     }
     assert chosen == {
         "test": ['"not docs and not thorough and not instruction_sets"'],
-        "test-instruction-sets": ["instruction_sets"],
-        "test-docs": ["docs"],
+        "test-instruction-sets": ["instruction_sets $(call marked,instruction_sets)"],
+        "test-docs": ["docs $(call marked,docs)"],
         "test-thorough": ["thorough"],
     }
 

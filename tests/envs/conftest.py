@@ -21,8 +21,9 @@ def grader() -> FakeGrader:
 
 @pytest.fixture
 def short_episodes(monkeypatch) -> None:
-    """Episodes of SC end after thirty steps: for what does not ask how long they are."""
-    monkeypatch.setitem(TASKS, "SC", replace(TASKS["SC"], max_steps=30))
+    """Episodes of SC and PL end after thirty steps: for what does not ask how long they are."""
+    for view in ("SC", "PL"):
+        monkeypatch.setitem(TASKS, view, replace(TASKS[view], max_steps=30))
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ from racines_data.phantom.model import shared_phantom
 from racines_envs.worlds.making import make_core
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
-from racines_models.networks.batching import in_fixed_batches
+from racines_models.networks.batching import SIZE, in_fixed_batches
 from racines_models.registry import load_generator
 from racines_models.scores.features import InceptionFeatures
 from racines_models.testing import check_rows
@@ -41,7 +41,7 @@ SEEDS = torch.arange(11) * 7 + 1
 def test_a_drawn_image_ignores_its_batch(name: str) -> None:
     generator = load_generator(name, WEIGHTS / name)
     if name == "flow":
-        generator = generator.with_steps(2, "heun")  # pyright: ignore[reportAttributeAccessIssue]
+        generator = generator.with_steps(2, "euler")  # pyright: ignore[reportAttributeAccessIssue]
     check_rows(generator.generate, POSES, SEEDS)
 
 
@@ -61,11 +61,9 @@ def test_a_scan_ignores_its_batch(anatomy: str) -> None:
 
 
 def test_inception_features_ignore_their_batch() -> None:
-    """Few of the cases: the network is large."""
-    extractor, images = InceptionFeatures(), pictures(POSES[:9])
-    together = extractor(images)
-    assert torch.equal(extractor(images.roll(3, 0)), together.roll(3, 0))
-    assert torch.equal(extractor(images[2:3]), together[2:3])
+    """Few of the cases, for the network is large: of nine, the last is alone in its chunk."""
+    extractor, images = InceptionFeatures(), pictures(POSES[: SIZE["cpu"] + 1])
+    assert torch.equal(extractor(images.roll(3, 0)), extractor(images).roll(3, 0))
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])

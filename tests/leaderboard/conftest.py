@@ -4,6 +4,7 @@ import copy
 import hashlib
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -115,8 +116,13 @@ def ground(workplace, monkeypatch):
     return lay_ground(workplace, monkeypatch)
 
 
+SHORT = 30
+"""Steps after which episodes of SC end on the tiny board."""
+
+
 def lay_ground(workplace: Path, patch: pytest.MonkeyPatch):
     """Go to a workplace, and return the ground of a tiny board there."""
+    from racines_envs.task.tasks import TASKS
     from racines_leaderboard.board.recompute import Ground
     from racines_leaderboard.submissions.confined.session import Limits
     from racines_models.scores import scoring
@@ -125,6 +131,7 @@ def lay_ground(workplace: Path, patch: pytest.MonkeyPatch):
     from tests.waiting import PATIENCE
 
     patch.chdir(workplace)
+    patch.setitem(TASKS, "SC", replace(TASKS["SC"], max_steps=SHORT))
     patch.setattr(scoring, "InceptionFeatures", Coarse)
     limits = Limits(memory=2**30, open_seconds=int(PATIENCE), call_seconds=int(PATIENCE))
     return Ground("tiny", TINY, workplace / "data/racines", grader=None, limits=limits)

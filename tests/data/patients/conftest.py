@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import pytest
 
 from racines_data.patients import Pool
@@ -7,10 +9,10 @@ SEEDS = (10_000, 10_008, 10_039)
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_cache(tmp_path_factory: pytest.TempPathFactory) -> object:
+def own_cache(hearts: Path) -> object:
     """Hearts are baked by the code under test, never read from a user's cache."""
     patch = pytest.MonkeyPatch()
-    patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("hearts")))
+    patch.setenv("XDG_CACHE_HOME", str(hearts))
     yield
     patch.undo()
 

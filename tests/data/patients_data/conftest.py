@@ -14,12 +14,6 @@ SEEDS = {"train": 1, "validation": 10_000, "test": 20_000}
 ONE = DataConfig(workers=1, shards=2)
 
 
-@pytest.fixture(scope="session")
-def hearts(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache in which this folder's hearts are baked once, by the code under test."""
-    return tmp_path_factory.mktemp("hearts")
-
-
 @pytest.fixture(autouse=True)
 def own_hearts(own_caches: None, hearts: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(hearts))

@@ -54,6 +54,7 @@ def test_it_learns_an_easy_view(tmp_path):
     assert learned > chance + 0.25
 
 
+@pytest.mark.usefixtures("short_episodes")
 def test_it_is_reproducible_and_explores_less_and_less(phantom, tmp_path):
     folders = [tmp_path / str(i) for i in range(2)]
     agents = [DQNAgent.train(TINY, f, phantom=phantom, progress=False) for f in folders]
@@ -65,6 +66,7 @@ def test_it_is_reproducible_and_explores_less_and_less(phantom, tmp_path):
     assert shares == sorted(shares, reverse=True)
 
 
+@pytest.mark.usefixtures("short_episodes")
 def test_it_resumes_after_a_kill_with_its_target_network(phantom, tmp_path, monkeypatch):
     from racines_envs.agents import dqn
 

@@ -31,6 +31,7 @@ from racines_models.protocol import Run
 from racines_models.provenance import weights_sha256
 from tests.envs.fakes import FakePhantom
 from tests.models.conftest import pictures
+from tests.variants import first_of
 
 TINY = PPOConfig(
     observation="image", frames=512, envs=16, update_every=256, minibatch=128, epochs=1,
@@ -72,7 +73,7 @@ def test_torchrl_sees_features_instead_of_images(phantom, folder):
 
 
 @pytest.mark.usefixtures("short_episodes")
-@pytest.mark.parametrize("observation", ["image", "multimodal"])
+@pytest.mark.parametrize("observation", first_of(["multimodal", "image"]))
 def test_ppo_acts_on_images_alone_after_training_on_features(
     phantom, folder, tmp_path, observation
 ):

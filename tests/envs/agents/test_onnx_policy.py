@@ -20,6 +20,7 @@ from racines_envs.evaluation.run import EvaluationConfig, evaluate
 from racines_envs.task.core import OBSERVATIONS
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core
+from tests.variants import first_of
 
 
 def policy(observation, encoder=None, cls=PPOAgent, config=None):
@@ -66,7 +67,7 @@ def test_acts_exactly_as_the_class(observation, phantom, tmp_path):
     assert torch.equal(opened.logits(alone), opened.logits(seen)[4:5])
 
 
-@pytest.mark.parametrize("observation", ["image", "multimodal"])
+@pytest.mark.parametrize("observation", first_of(["multimodal", "image"]))
 def test_a_frozen_encoder_is_part_of_the_file(observation, phantom, tmp_path):
     agent = policy(observation, pose_encoder())
     export_policy(agent, tmp_path / "policy.onnx")
@@ -79,6 +80,7 @@ def test_a_frozen_encoder_is_part_of_the_file(observation, phantom, tmp_path):
     assert opened.interface.card["encoder"] == "e" * 64
 
 
+@pytest.mark.usefixtures("short_episodes")
 def test_a_temperature_draws_the_same_actions(phantom, tmp_path):
     config = BehaviourCloningConfig(observation="params", hidden=(32, 32), temperature=3.0)
     agent = policy("params", cls=BehaviourCloningAgent, config=config)
@@ -90,6 +92,7 @@ def test_a_temperature_draws_the_same_actions(phantom, tmp_path):
     assert (ours.positions == theirs.positions).all()
 
 
+@pytest.mark.usefixtures("short_episodes")
 def test_a_run_is_exported_with_its_card_and_evaluated_by_its_path(phantom, tmp_path):
     agent = policy("params")
     agent.save(tmp_path / "run", {"phantom": {"version": "9"}, "history": []}, 5)

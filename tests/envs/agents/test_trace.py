@@ -11,7 +11,9 @@ from racines_envs.agents.trace import read_trace
 from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
 from tests.envs.agents.test_onnx_policy import policy
 from tests.envs.fakes import FakeGrader, FakePhantom
+from tests.variants import crossed
 
+pytestmark = pytest.mark.usefixtures("short_episodes")
 FEW = EvaluationConfig(starts=6, seeds=(0, 2), resamples=50, latency=0)
 
 
@@ -26,8 +28,9 @@ def figures(name, path, config, phantom, **more):
     return {key: scores[key] for key in ("metrics", "by_seed", "task", "seeds", "phantom")}
 
 
-@pytest.mark.parametrize("name", ["planner", "random"])
-@pytest.mark.parametrize("reward", ["oracle", "shaped"])
+@pytest.mark.parametrize(
+    ("name", "reward"), crossed(["planner", "random"], ["oracle", "shaped"], every=2)
+)
 def test_a_trace_has_the_figures_of_its_agent(name, reward, phantom, tmp_path):
     config = replace(FEW, reward=reward)
     made = record_trace(name, tmp_path, config, tmp_path / "t.json", phantom)

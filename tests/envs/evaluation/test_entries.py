@@ -80,6 +80,7 @@ def test_entries_that_are_none_are_refused():
         find_entry({"agents": {"x": {"agent": 3}}}, "x")
 
 
+@pytest.mark.usefixtures("short_episodes")
 def test_the_commands_train_and_score_runs_by_name(real_phantom, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "params.yaml").write_text(PARAMS)
@@ -124,6 +125,7 @@ def test_a_result_of_another_view_or_start_set_has_a_name_of_its_own():
         assert result_name("ppo", dataclasses.replace(usual, **changes), usual) == name
 
 
+@pytest.mark.usefixtures("short_episodes")
 def test_no_result_is_overwritten_in_silence(real_phantom, tmp_path, monkeypatch):
     """A file's policy on two views, another file, another policy under the name of one."""
     monkeypatch.chdir(tmp_path)

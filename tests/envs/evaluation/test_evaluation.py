@@ -173,6 +173,7 @@ def test_impossible_evaluations_are_refused(phantom, tmp_path):
         evaluate("random", tmp_path, EvaluationConfig(grader=str(tmp_path)), phantom)
 
 
+@pytest.mark.usefixtures("short_episodes")
 def test_the_commands_train_and_score(real_phantom, tmp_path, monkeypatch):
     from racines_leaderboard.cli.command import app
 

@@ -73,6 +73,7 @@ def publish(run, tmp_path, *seeds):
     return place
 
 
+@pytest.mark.usefixtures("short_episodes")
 def test_all_trainings_of_a_run_act_from_the_same_starts(run, phantom, tmp_path):
     result = evaluate("ppo", run, FEW, phantom)
     write_evaluation(result, tmp_path / "ppo.json", None)
@@ -101,6 +102,7 @@ def test_an_agent_that_is_open_already_is_one_training(run, phantom):
     assert evaluate("ppo", run, FEW, phantom, agent=agent).scores["runs"] == 1
 
 
+@pytest.mark.usefixtures("short_episodes")
 def test_published_trainings_go_on_where_the_run_ends(run, phantom, tmp_path):
     whole = evaluate("ppo", run, FEW, phantom).scores
     place = publish(run, tmp_path, 5, 6)

@@ -13,6 +13,7 @@ from racines_envs.task.rewards import RewardConfig
 from racines_envs.task.tasks import get_task
 from racines_envs.worlds.making import make_core
 from racines_models.protocol import Judge
+from tests.variants import crossed
 
 STEPS = 60
 
@@ -32,8 +33,10 @@ def actions(count: int, steps: int = STEPS) -> torch.Tensor:
     return torch.randint(0, 13, (steps, count), generator=torch.Generator().manual_seed(0))
 
 
-@pytest.mark.parametrize("observation", ["params", "image", "multimodal"])
-@pytest.mark.parametrize("reward", ["oracle", "paper", "shaped"])
+@pytest.mark.parametrize(
+    ("reward", "observation"),
+    crossed(["oracle", "paper", "shaped"], ["params", "image", "multimodal"]),
+)
 def test_a_batch_equals_single_environments_step_by_step(phantom, grader, observation, reward):
     task = dataclasses.replace(get_task("SC"), max_steps=17)  # several episodes
     more = {"task": task, "observation": observation, "reward": reward, "grader": grader}

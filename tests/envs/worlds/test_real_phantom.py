@@ -15,6 +15,7 @@ from racines_envs.agents.random import RandomAgent
 from racines_envs.agents.rollout import rollout
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core
+from tests.variants import crossed
 
 
 @pytest.mark.parametrize(
@@ -34,8 +35,7 @@ def test_every_view_can_be_reached_and_is_not_reached_by_chance(real_phantom, vi
     assert rollout(core, RandomAgent(), seeds).final["success"].mean() < 0.1
 
 
-@pytest.mark.parametrize("view", VIEWS)
-@pytest.mark.parametrize("observation", ["image", "params", "multimodal"])
+@pytest.mark.parametrize(("view", "observation"), crossed(VIEWS, ["image", "params", "multimodal"]))
 def test_the_checkers_pass(real_phantom, view, observation):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -1,7 +1,7 @@
 """Each leaf of a record is changed in turn and sealed again: it is noticed, or nothing rests on it.
 
 The numbers are made again once; every audit is held against those. `make test` changes a sixth of
-the leaves, drawn by a seed; `make test-docs` all of them.
+the leaves, drawn by a seed; `make test-thorough` all of them.
 """
 
 import copy

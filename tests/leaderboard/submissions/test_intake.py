@@ -101,7 +101,7 @@ DISGUISES = ("pickle", "old pickle", "zip bomb", "tar", "gzip", "script")
 @pytest.mark.parametrize(
     ("kind", "name", "disguise"),
     [
-        # Each disguise under one name here, each name under some; all of them in `make test-docs`.
+        # Each disguise under one name here, each name under some; all in `make test-thorough`.
         pytest.param(kind, name, told, marks=[] if (i - j) % 4 == 0 else [pytest.mark.thorough])
         for i, (kind, name) in enumerate(NAMES.items())
         for j, told in enumerate(DISGUISES)

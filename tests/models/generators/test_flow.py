@@ -15,6 +15,7 @@ from racines_models.protocol import Run
 from racines_models.registry import open_generator
 from racines_models.testing import GeneratorContract
 from racines_models.training.objective import Training
+from tests.variants import first_of
 
 TINY = FlowConfig(
     width=8,
@@ -40,10 +41,11 @@ class TestFlow(GeneratorContract):
         assert len(set(drawn)) == 4
 
     @pytest.mark.slow
-    def test_exported_file_draws_the_same(self, store, tmp_path):
+    @pytest.mark.parametrize("steps", first_of([1, 2]))
+    def test_exported_file_draws_the_same(self, store, tmp_path, steps):
         pytest.importorskip("onnxscript")
         generator, poses = self.fitted(store, tmp_path), self.parameters(store, 5)
-        generator = generator.with_steps(2, "euler")
+        generator = generator.with_steps(steps, "euler")
         export_generator(generator, tmp_path / "flow.onnx")
         drawn = open_generator(str(tmp_path / "flow.onnx")).generate(poses, 3).int()
         assert (drawn - generator.generate(poses, 3).int()).abs().max() <= 1

@@ -94,8 +94,7 @@ class TestNearestPose(GeneratorContract):
 
 
 class TestVaeGan(GeneratorContract):
-    generator_class = VaeGan
-    exportable = True
+    generator_class = VaeGan  # its exported file: tests/models/exchange/test_onnx.py
     config = TINY
 
     def test_posterior_and_prior_noise_differ_by_sample(self, store, tmp_path):

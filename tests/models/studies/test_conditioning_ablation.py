@@ -23,7 +23,7 @@ CONFIG = CganConfig(
     latent=4,
     embedding=4,
     learning_rate=0.03,
-    training=Training(images=160, batch_size=16, precision="fp32", ema=0.0),
+    training=Training(images=64, batch_size=16, precision="fp32", ema=0.0),
 )
 NAMES = ["continuous-concat", "continuous-norm", "euler-concat", "euler-norm"]
 
@@ -80,14 +80,15 @@ def test_command_trains_judges_and_prints(workplace, monkeypatch):
     """On phantom frames, as a user types it; a second call reads what the first left."""
     monkeypatch.chdir(workplace)
     settings = {"width": 2, "discriminator_width": 2, "latent": 4, "embedding": 4}
-    settings |= {"learning_rate": 0.03, "training": {"ema": 0.0, "precision": "fp32"}}
+    training = {"ema": 0.0, "precision": "fp32", "batch_size": 16}
+    settings |= {"learning_rate": 0.03, "training": training}
     params = {"seed": 0, "generators": {"cgan": settings}}
     (workplace / "params.yaml").write_text(yaml.safe_dump(params))
-    words = ["study", "conditioning", "cgan", "--images", "160", "--frames", "20"]
+    words = ["study", "conditioning", "cgan", "--images", "64", "--frames", "20"]
     printed = CliRunner().invoke(app, words)
     assert printed.exit_code == 0, printed.output
     assert "own_frame" in printed.stdout and "euler" in printed.stdout
     again = json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)
     assert [row["name"] for row in again["variants"]] == NAMES
-    assert again["config"]["training"]["images"] == 160
+    assert again["config"]["training"]["images"] == 64
     assert (workplace / "models/runs/conditioning-cgan/euler-norm/samples.png").is_file()

@@ -71,18 +71,27 @@ def test_no_test_frame_finds_itself(sweeps):
         assert (retrieval.figures["psnr"] < 100).all()
 
 
-def test_independent_frames_do_not_leak():
-    content = measure_leakage(SweepStore(sweeps=False), CONFIG).content
+@pytest.fixture(scope="module")
+def independent():
+    return SweepStore(sweeps=False)
+
+
+@pytest.fixture(scope="module")
+def unleaked(independent):
+    return measure_leakage(independent, CONFIG).content
+
+
+def test_independent_frames_do_not_leak(unleaked):
+    content = unleaked
     for figure in content["gain"].values():
         assert figure["low"] < 0 < figure["high"]
     assert content["splits"]["frame"]["same_trajectory"] < 0.3
 
 
-def test_seeds_decide_the_split_of_frames(sweeps):
-    again = measure_leakage(SweepStore(sweeps=False), CONFIG).content
-    same = measure_leakage(SweepStore(sweeps=False), CONFIG).content
-    other = measure_leakage(SweepStore(sweeps=False), LeakageConfig(60, 1, 200)).content
-    assert again["gain"] == same["gain"] != other["gain"]
+def test_seeds_decide_the_split_of_frames(independent, unleaked):
+    same = measure_leakage(independent, CONFIG).content
+    other = measure_leakage(independent, LeakageConfig(60, 1, 200)).content
+    assert unleaked["gain"] == same["gain"] != other["gain"]
 
 
 def test_a_held_out_session_is_a_split_of_its_own():

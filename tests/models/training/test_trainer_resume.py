@@ -21,6 +21,7 @@ from racines_models.training.objective import Training
 from tests.conftest import ROOT
 from tests.models.conftest import FakeStore
 from tests.models.training.learners import LEARNERS, learn
+from tests.variants import first_of
 from tests.waiting import until
 
 CONFIG = VaeGanConfig(
@@ -131,18 +132,22 @@ def test_resume_without_a_checkpoint_is_refused(tmp_path):
         fit(tmp_path, resume=True)
 
 
-@pytest.mark.parametrize(
-    ("change", "named"),
-    [
-        ({"config": dataclasses.replace(CONFIG, learning_rate=0.5)}, "config"),
-        ({"seed": 9}, "seed"),
-        ({"store": FakeStore(seed=4, train=60)}, "data"),
-    ],
-    ids=["config", "seed", "data"],
-)
-def test_checkpoint_of_another_run_is_not_continued(killed, tmp_path, change, named):
+OTHERS = {
+    "config": {"config": dataclasses.replace(CONFIG, learning_rate=0.5)},
+    "seed": {"seed": 9},
+    "data": {"store": FakeStore(seed=4, train=60)},
+}
+
+
+@pytest.mark.parametrize("named", OTHERS)
+def test_checkpoint_of_another_run_is_not_continued(killed, named):
     with pytest.raises(RacinesError, match=f"made with another {named};"):
-        fit(killed, resume=True, **change)
+        fit(killed, resume=True, **OTHERS[named])
+
+
+@pytest.mark.parametrize("named", first_of(OTHERS))
+def test_beside_the_checkpoint_of_another_run_a_run_starts_anew(killed, tmp_path, named):
+    change = OTHERS[named]
     fit(killed, **change)
     fit(tmp_path / "clean", **change)
     assert weights(killed) == weights(tmp_path / "clean")
