@@ -55,7 +55,7 @@ def make_heart(patient: Patient, beating: bool) -> Heart:
     tracks = _tracks(torch.tensor([mark.centre for mark in marks], dtype=torch.float64), dynamics)
     moments = tracks[list(BEATING if beating else STILL)]
     scene = Scene(placement.to_base(moments) * 1e3, radii, weights, settings, chest)
-    found = find_poses(start, scene, patient.seed)
+    found = find_poses(start, scene)
     return Heart(
         patient, shape, placement, settings, chest, dynamics, tracks, radii, weights, found
     )

@@ -3,8 +3,14 @@
 The planes that the shape gives are where a search begins; ribs, the tilt of the chest and a
 pathology move the best place away from there. A beating heart's nominal pose is good over the
 whole beat: the worst moment counts most.
+
+The search is an evolution strategy whose covariance adapts (rank-mu update: Hansen, Müller and
+Koumoutsakos, 2003): around a view's best pose some directions cost little, and one that shrinks
+the same in all of them stops anywhere along these, millimetres from where it stops the next time.
 """
 
+import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -20,12 +26,18 @@ from racines_data.phantom.config import ContactConfig, WorkspaceConfig
 from racines_data.phantom.truth import deepest
 from racines_data.randomness import sample_seeds
 
-ROUNDS, CANDIDATES = 10, 40
+ROUNDS, CANDIDATES, CHOSEN = 24, 32, 8
+WIDE, MANY = 3, 256
+"""Rounds at the start that try many: a view may show through two spaces between ribs."""
+MIX = 0.5
+"""Share of the covariance that each round's chosen candidates make."""
 FIRST = (0.008, 0.008, 0.0015, 0.10, 0.10, 0.08)
 """Spread of the first round's candidates: position, m, and turns about the probe's axes, rad."""
-SHRINK = 0.74  # of the spread, from round to round
 AWAY = 0.020, 0.30
-"""Distance, m, and turn, rad, from the shape's own pose at which the search is reined in."""
+"""Distance, m, and turn, rad, from the shape's own pose that cost as much as `REINED`."""
+REINED = 0.1
+"""Of completeness: enough to choose among poses that show the same, such as short-axis ones."""
+STREAM = 19
 
 
 class Scene(NamedTuple):
@@ -46,24 +58,39 @@ class Found(NamedTuple):
     clarity: Tensor  # (V,)
 
 
-def find_poses(start: Pose, scene: Scene, seed: int) -> Found:
-    """Search the best pose of each view around (V,) starts."""
+def find_poses(start: Pose, scene: Scene, stream: int = STREAM) -> Found:
+    """Search the best pose of each view around (V,) starts, with the same draws for everyone."""
     views = len(start.position)
-    spread = torch.tensor(FIRST, dtype=torch.float64)
-    best = Pose(start.position.clone(), start.rotation.clone())
-    for turn in range(ROUNDS):
-        draw = exact_normal(sample_seeds(seed * 64 + turn, views), CANDIDATES * 6, 19)
-        move = draw.round(decimals=6).view(views, CANDIDATES, 6) * spread * SHRINK**turn
-        move[:, 0] = 0.0  # what is best so far stays in the field
-        tried = _moved(best, move)
-        value = _value(tried, start, scene)
-        row = value.argmax(1)
-        each = torch.arange(views)
-        best = Pose(tried.position[each, row], tried.rotation[each, row])
+    unit = torch.tensor(FIRST, dtype=torch.float64)
+    weights = math.log(CHOSEN + 0.5) - torch.arange(1.0, CHOSEN + 1.0, dtype=torch.float64).log()
+    weights = (weights / weights.sum()).unsqueeze(1)
+    best, covariance = start, torch.eye(6, dtype=torch.float64).expand(views, 6, 6)
+    for draw in _draws(views, stream):
+        move = draw @ torch.linalg.cholesky(covariance).transpose(-1, -2)
+        value = _value(_moved(best, move * unit), start, scene)
+        top = value.topk(CHOSEN, dim=1).indices.unsqueeze(-1).expand(-1, -1, 6)
+        chosen = move.gather(1, top)
+        # About the old mean, not the new one: along a slope the spread grows.
+        spread = (chosen * weights).transpose(1, 2) @ chosen
+        covariance = (1.0 - MIX) * covariance + MIX * spread + 1e-8 * torch.eye(6).double()
+        mean = (chosen * weights).sum(1, keepdim=True) * unit
+        best = Pose(*(each.squeeze(1) for each in _moved(best, mean)))
+        best = Pose(best.position, orthonormalise(best.rotation))
     best = Pose(best.position.round(decimals=6), orthonormalise(best.rotation.round(decimals=7)))
     alone = Pose(best.position.unsqueeze(1), best.rotation.unsqueeze(1))
     complete, clarity = _seen(alone, scene)
-    return Found(best, complete.amin(0)[:, 0], clarity.amin(0)[:, 0])
+    return Found(best, complete.amin(0)[:, 0], clarity[:, 0])
+
+
+@lru_cache(maxsize=1)
+def _draws(views: int, stream: int) -> list[Tensor]:
+    """Return what the rounds draw, (V, N, 6) each."""
+    drawn: list[Tensor] = []
+    for turn in range(ROUNDS):
+        count = MANY if turn < WIDE else CANDIDATES
+        normal = exact_normal(sample_seeds(turn, views), count * 6, stream)
+        drawn.append(normal.round(decimals=6).view(views, count, 6))
+    return drawn
 
 
 def _moved(pose: Pose, move: Tensor) -> Pose:
@@ -78,31 +105,26 @@ def _moved(pose: Pose, move: Tensor) -> Pose:
 
 
 def _seen(pose: Pose, scene: Scene) -> tuple[Tensor, Tensor]:
-    """Return (A, V, N) completeness of each view at its own candidates, and their clarity."""
-    moments, (views, count) = len(scene.marks), pose.position.shape[:2]
+    """Return (A, V, N) completeness of each view at its own candidates, and (V, N) clarity."""
+    (moments, marks), (views, count) = scene.marks.shape[:2], pose.position.shape[:2]
     total = views * count
     flat = Pose(pose.position.reshape(total, 3), pose.rotation.reshape(total, 3, 3))
     rows = torch.zeros(total, dtype=torch.int64)
     settings, chest = scene.settings.rows(rows), scene.chest.rows(rows)
-    complete: list[Tensor] = []
-    clarity: list[Tensor] = []
-    view = torch.arange(views).repeat_interleave(count).view(-1, 1)
-    for moment in range(moments):
-        marks = scene.marks[moment].expand(total, -1, -1)
-        sight = look(flat, marks, scene.radii, settings, chest)
-        every = completeness(sight.visibility, scene.weights)
-        complete.append(every.gather(1, view).view(views, count))
-        clarity.append(sight.clarity.view(views, count))
-    return torch.stack(complete), torch.stack(clarity)
+    # Ribs and lung are the same at all moments, so they are looked through once.
+    every = scene.marks.flatten(0, 1).expand(total, -1, -1)
+    sight = look(flat, every, scene.radii.repeat(moments), settings, chest)
+    visibility = sight.visibility.view(views, count, moments, marks)
+    complete = completeness(visibility, scene.weights[:, None, None])
+    return complete.permute(2, 0, 1), sight.clarity.view(views, count)
 
 
 def _value(pose: Pose, start: Pose, scene: Scene) -> Tensor:
     """Return (V, N) how good candidates are."""
     complete, clarity = _seen(pose, scene)
-    score = 0.6 * complete.amin(0) + 0.4 * complete.mean(0)
-    score = score + 0.15 * clarity.mean(0).clamp_max(0.95)
+    score = 0.6 * complete.amin(0) + 0.4 * complete.mean(0) + 0.15 * clarity.clamp_max(0.95)
     away = (pose.position - start.position.unsqueeze(1)).norm(dim=-1) / AWAY[0]
     chord = (pose.rotation - start.rotation.unsqueeze(1)).square().sum((-2, -1))
     chord = chord / (2.0 * AWAY[1] ** 2)
-    lean = (-pose.rotation[..., 2, 2] < torch.cos(torch.tensor(TILT_MAX - 0.02)).item()).double()
-    return score - 0.02 * (away.square() + chord) - lean
+    lean = (-pose.rotation[..., 2, 2] < math.cos(TILT_MAX - 0.02)).double()
+    return score - REINED * (away.square() + chord) - lean

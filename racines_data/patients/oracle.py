@@ -69,13 +69,13 @@ def _between(values: Tensor, beam: Tensor) -> Tensor:
 
 
 def completeness(seen: Tensor, weights: Tensor) -> Tensor:
-    """Return (B, V): weighted geometric means, since one lost structure spoils a view."""
-    return (weights * seen.clamp_min(0.02).log().unsqueeze(1)).sum(-1).exp()
+    """Return weighted geometric means of (..., S), since one lost structure spoils a view."""
+    return (weights * seen.clamp_min(0.02).log()).sum(-1).exp()
 
 
 def judge(pose: Pose, sight: Sight, weights: Tensor, targets: Pose) -> Truth:
     """Judge (B,) poses by what they show and by the (B, V) nominal poses of their patients."""
-    score = completeness(sight.visibility, weights) * _display(pose, targets)
+    score = completeness(sight.visibility.unsqueeze(1), weights) * _display(pose, targets)
     score = score * _window(pose, targets)
     membership = torch.sigmoid((score - MEMBERSHIP_CENTRE) / MEMBERSHIP_WIDTH)
     membership = membership * torch.sigmoid((sight.clarity - 0.35) / 0.04).unsqueeze(-1)
