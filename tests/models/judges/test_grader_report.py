@@ -16,6 +16,7 @@ from racines_models.judges.grader.evaluation import evaluate_grader
 from racines_models.judges.grader.model import Grader, GraderNetwork
 from racines_models.judges.grader.report import (
     BINS,
+    balanced_accuracy,
     calibrate,
     examine,
     fit_temperature,
@@ -91,6 +92,22 @@ def test_training_calibrates_on_the_validation_split(trained, store):
     for when in ("before", "after"):
         assert metrics["calibration"][when]["n"] == 72
         assert 0 <= metrics["calibration"][when]["value"] <= 1
+
+
+def test_balanced_accuracy_is_the_mean_over_labels(trained):
+    metrics, by_label = trained[1]["metrics"], trained[1]["views"]
+    expected = np.mean([each["value"] for each in by_label.values()])
+    assert metrics["balanced_accuracy"]["value"] == pytest.approx(expected)
+    assert metrics["balanced_accuracy"]["value"] != metrics["view_accuracy"]["value"]
+    assert "pathologies" not in trained[1], "one heart has no patients"
+
+
+def test_balanced_accuracy_leaves_out_what_is_unknown_and_blocks_units():
+    right = torch.tensor([1.0, 1.0, 1.0, 0.0, torch.nan, 0.0]).double()
+    views = torch.tensor([0, 0, 0, 0, -1, 2])
+    found = balanced_accuracy(right, views, np.array([0, 0, 1, 1, 1, 2]))
+    assert found["value"] == pytest.approx((0.75 + 0.0) / 2) and found["n"] == 5
+    assert found["settings"]["units"] == 3
 
 
 def test_the_report_has_the_grade_error_of_each_view(trained, store):
@@ -177,7 +194,7 @@ def test_an_unknown_architecture_is_refused(trained, tmp_path):
 
 
 def test_the_command_reports_and_refuses(trained, store, tmp_path, monkeypatch):
-    monkeypatch.setattr("racines_data.store.frames.open_store", lambda root: store)
+    monkeypatch.setattr("racines_data.store.frames.open_store", lambda root, config: store)
     words = ["eval", "grader", str(trained[0]), "--out", str(tmp_path), "--split", "train"]
     told = CliRunner().invoke(app, [*words, "--device", "cpu", "--json"])
     assert told.exit_code == 0, told.output
