@@ -169,6 +169,21 @@ class FrameStore:
         check_files(self.root, {name: files[name]}, hint)
         return pq.read_table(self.root / name)
 
+    def units(self, rows: Tensor) -> np.ndarray:
+        """Return (N,) of what (N,) rows were drawn independently: their patient, or trajectory."""
+        trajectory = self.trajectory_index[rows].numpy()
+        return trajectory if self.patients is None else np.array(self.patients)[trajectory]
+
+    def pathologies(self, rows: Tensor) -> np.ndarray:
+        """Return the (N,) pathologies of (N,) rows' patients, as text.
+
+        Raises:
+            RacinesError: a config without patients, or a damaged file.
+        """
+        people = self.measures().select(["patient", "pathology"]).to_pydict()
+        named = dict(zip(*people.values(), strict=True))
+        return np.array([named[patient] for patient in self.units(rows).tolist()], dtype=str)
+
     @property
     def digest(self) -> str:
         """The content digest of this config."""

@@ -19,7 +19,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import locked_place
 from racines_data.geometry import Pose
 from racines_data.manifest import read_manifest
-from racines_data.patients import LABELS, Pool, split_of
+from racines_data.patients import LABELS, Pool, draw_patient, split_of
 from racines_data.schema import PHASES, frame_features
 from racines_data.sources.patients import BeatingSource, PatientsSource
 from racines_data.store.frames import open_store
@@ -27,6 +27,8 @@ from racines_data.store.sweeps import restore_stores
 from racines_data.validate.identity import same_version
 from racines_data.views import VIEWS
 from racines_leaderboard.cli.command import app
+from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork
+from racines_models.judges.grader.report import examine
 from racines_models.judges.segmentation.frames import MaskSet
 from tests.conftest import command
 from tests.data.fake_source import FakeConfig, FakeSource
@@ -160,6 +162,23 @@ def test_the_segmentation_judge_gets_its_masks(root: Path):
     assert frames.labels == LABELS and set(frames.patients.tolist()) == set(SEEDS.values())
     assert frames.card["source"] == "beating" and set(frames.strata) == {"view", "pathology"}
     assert len(np.unique(frames.masks.numpy())) > 10
+
+
+def test_a_grader_is_judged_by_patient_and_pathology(root: Path):
+    store = open_store(root, "beating")
+    grader = Grader(GraderNetwork(32), GraderConfig(input_size=32, bf16=False))
+    told = examine(grader, store).content
+    rows = store.split_indices("test")
+    assert set(store.units(rows).tolist()) == {SEEDS["test"]}
+    assert store.pathologies(rows).tolist() == [draw_patient(20_000).pathology] * len(rows)
+    assert told["metrics"]["view_accuracy"]["settings"]["units"] == 1, "five sweeps, one patient"
+    by_label = [each["value"] for each in told["views"].values()]
+    assert told["metrics"]["balanced_accuracy"]["value"] == pytest.approx(np.mean(by_label))
+    ((name, figures),) = told["pathologies"].items()
+    assert name == draw_patient(20_000).pathology
+    assert figures["view_accuracy"]["value"] == told["metrics"]["view_accuracy"]["value"]
+    with pytest.raises(RacinesError, match="has no patients"):
+        open_store(root).pathologies(rows)
 
 
 def test_masks_can_be_left_out(root: Path, tmp_path: Path):

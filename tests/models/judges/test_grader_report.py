@@ -16,6 +16,7 @@ from racines_models.judges.grader.evaluation import evaluate_grader
 from racines_models.judges.grader.model import Grader, GraderNetwork
 from racines_models.judges.grader.report import (
     BINS,
+    balanced_accuracy,
     calibrate,
     examine,
     fit_temperature,
@@ -93,9 +94,18 @@ def test_training_calibrates_on_the_validation_split(trained, store):
         assert 0 <= metrics["calibration"][when]["value"] <= 1
 
 
+def test_balanced_accuracy_leaves_out_what_is_unknown_and_blocks_units():
+    right = torch.tensor([1.0, 1.0, 1.0, 0.0, torch.nan, 0.0]).double()
+    views = torch.tensor([0, 0, 0, 0, -1, 2])
+    found = balanced_accuracy(right, views, np.array([0, 0, 1, 1, 1, 2]))
+    assert found["value"] == pytest.approx((0.75 + 0.0) / 2) and found["n"] == 5
+    assert found["settings"]["units"] == 3
+
+
 def test_the_report_has_the_grade_error_of_each_view(trained, store):
     figures = trained[1]["grades"]
     assert set(figures) == {"A4C", "SC", "PL", "PSAV", "PSMV"}
+    assert "pathologies" not in trained[1], "one heart has no patients"
     rows = store.split_indices("test")
     rows = rows[store.views[rows] == 2]
     _, grades, _ = Grader.load(trained[0]).judge(store.images[rows])
@@ -177,7 +187,7 @@ def test_an_unknown_architecture_is_refused(trained, tmp_path):
 
 
 def test_the_command_reports_and_refuses(trained, store, tmp_path, monkeypatch):
-    monkeypatch.setattr("racines_data.store.frames.open_store", lambda root: store)
+    monkeypatch.setattr("racines_data.store.frames.open_store", lambda root, config: store)
     words = ["eval", "grader", str(trained[0]), "--out", str(tmp_path), "--split", "train"]
     told = CliRunner().invoke(app, [*words, "--device", "cpu", "--json"])
     assert told.exit_code == 0, told.output

@@ -12,6 +12,7 @@ from racines_models.cli.device import Device
 def eval_grader(
     run: Annotated[Path, typer.Argument(help="Folder of a grader or a student.")] = opt.GRADER,
     data: opt.Data = opt.DATA,
+    config: opt.Config = "frames",
     split: opt.Split = "test",
     out: opt.OwnOut = None,
     recalibrate: Annotated[
@@ -30,7 +31,7 @@ def eval_grader(
     from racines_models.judges.grader.evaluation import evaluate_grader
 
     out = out or (run if split == "test" else run / split)
-    metrics = evaluate_grader(run, open_store(data), split, out, recalibrate, device)
+    metrics = evaluate_grader(run, open_store(data, config), split, out, recalibrate, device)
     table = metrics_table(f"{run}, {split} split", judge_figures(metrics))
     written = f"{out}: metrics.json, {', '.join(metrics['plots'])}"
     tell({"out": str(out)} | metrics, as_json, table, written)

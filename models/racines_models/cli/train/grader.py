@@ -7,6 +7,7 @@ from racines_models.cli.device import Device
 
 def train_grader(
     data: opt.Data = opt.DATA,
+    config: opt.Config = "frames",
     out: opt.Out = opt.GRADER,
     params: opt.Params = None,
     profile: opt.Profile = None,
@@ -15,7 +16,7 @@ def train_grader(
     resume: opt.Resume = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Train the grader: views first, then grades; report on the test trajectories."""
+    """Train the grader: views first, then grades; report on the test split."""
     from racines_data.config import fill, section
     from racines_data.store.frames import open_store
     from racines_models.cli.output import show_training
@@ -24,7 +25,7 @@ def train_grader(
     from racines_models.protocol import Run
 
     values = read_settings(params, profile)
-    config = fill(GraderConfig, section(values, "grader"), "grader")
+    settings = fill(GraderConfig, section(values, "grader"), "grader")
     run = Run(out, seed_of(values, seed), device, resume, progress=not as_json)
-    metrics = grader_training.train_grader(open_store(data), config, run)
+    metrics = grader_training.train_grader(open_store(data, config), settings, run)
     show_training("grader", out, metrics, as_json)

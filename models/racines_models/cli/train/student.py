@@ -12,6 +12,7 @@ from racines_models.cli.device import Device
 
 def train_student(
     data: opt.Data = opt.DATA,
+    config: opt.Config = "frames",
     teacher: Annotated[Path, typer.Option(help="Folder of the grader to learn from.")] = opt.GRADER,
     out: opt.Out = Path("models/runs/student"),
     params: opt.Params = None,
@@ -31,10 +32,10 @@ def train_student(
     from racines_models.protocol import Run
 
     values = read_settings(params, profile)
-    config = fill(StudentConfig, section(values, "student"), "student")
-    store, master = open_store(data), Grader.load(teacher, device)
+    settings = fill(StudentConfig, section(values, "student"), "student")
+    store, master = open_store(data, config), Grader.load(teacher, device)
     run = Run(out, seed_of(values, seed), device, resume, progress=not as_json)
-    metrics = train_student(store, config, run, master)
+    metrics = train_student(store, settings, run, master)
     agreed = {f"agreement, {k}": v for k, v in metrics["agreement"].items() if k != "split"}
     title = f"student, {metrics['split']} split"
     table = metrics_table(title, agreed | judge_figures(metrics))

@@ -1,4 +1,4 @@
-"""How a grader's labels, grades and confidence compare with the truth, on held-out trajectories.
+"""How a grader's labels, grades and confidence compare with the truth, on held-out frames.
 
 Temperature scaling and the expected calibration error are after Guo et al., On Calibration of
 Modern Neural Networks (2017): one number divides the logits, so no label changes.
@@ -43,16 +43,16 @@ class Comparison(NamedTuple):
     statistic: str = "rate"
     """`rate` of frames, or `mean` of amounts from 0 to `MOST`."""
 
-    def mean(self, trajectory: np.ndarray) -> dict[str, Any]:
-        """Return the figure as JSON, with its interval by (N,) trajectories."""
+    def mean(self, units: np.ndarray) -> dict[str, Any]:
+        """Return the figure as JSON, with its interval by (N,) units."""
         values = self.values.numpy()
         rate = self.statistic == "rate"
-        found = rate_interval(values, trajectory) if rate else _error(values, trajectory)
+        found = rate_interval(values, units) if rate else _error(values, units)
         return found.to_json(self.unit, rule=self.rule)
 
 
-def _error(values: np.ndarray, trajectory: np.ndarray) -> Interval:
-    return mean_interval(values, trajectory, 0.0, MOST)
+def _error(values: np.ndarray, units: np.ndarray) -> Interval:
+    return mean_interval(values, units, 0.0, MOST)
 
 
 def compare(
@@ -92,17 +92,18 @@ def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examinati
     """Judge a split and compare with its labels, which the grader must have been trained for.
 
     Returns:
-        As `content`, `split`; `metrics`: `view_accuracy`, `grade_mae` (frames of a view),
-        `grade_mae_all`, `grade_agreement`, each with value, low, high, n; `views`: the accuracy on
-        each label's frames; `grades`: `mae` and `bias` on each view's frames; `calibration`: the
-        temperature and the expected calibration error `before` and `after` it; `confusion`: counts,
-        rows the truth.
+        As `content`, `split`; `metrics`: `view_accuracy`, `balanced_accuracy` (the mean over
+        labels), `grade_mae` (frames of a view), `grade_mae_all`, `grade_agreement`, each with
+        value, low, high, n; `views`: the accuracy on each label's frames; `grades`: `mae` and
+        `bias` on each view's frames; of patients `pathologies`: the metrics of each one's frames;
+        `calibration`: the temperature and the expected calibration error `before` and `after` it;
+        `confusion`: counts, rows the truth. Units of intervals are patients, or trajectories.
     """
     grader.check_labels(store.labels, "the dataset")
     rows = store.split_indices(split)
     frames = store.take(rows)
     reading = grader.read(frames.images)
-    label, trajectory = reading.logits.argmax(-1), store.trajectory_index[rows].numpy()
+    label, units = reading.logits.argmax(-1), store.units(rows)
     labels, names = len(store.labels), {"view_agreement": "view_accuracy"}
     names |= {"grade_error": "grade_mae", "grade_error_all": "grade_mae_all"}
     compared = compare(label, reading.grades, frames.views, frames.grades, labels - 1)
@@ -111,11 +112,16 @@ def examine(grader: Grader, store: FrameStore, split: str = "test") -> Examinati
     if bool((frames.views >= 0).any()):
         for when, temperature in (("before", 1.0), ("after", grader.temperature)):
             probabilities = (reading.logits / temperature).softmax(-1)
-            calibration[when] = calibration_error(probabilities, frames.views, trajectory)
+            calibration[when] = calibration_error(probabilities, frames.views, units)
+    metrics = {names.get(k, k): each.mean(units) for k, each in compared.items()}
+    if "view_agreement" in compared:
+        right = compared["view_agreement"].values
+        metrics["balanced_accuracy"] = balanced_accuracy(right, frames.views, units)
     content = {
         "split": split,
-        "metrics": {names.get(k, k): each.mean(trajectory) for k, each in compared.items()},
+        "metrics": metrics,
         **_by_view(compared, reading.grades, frames, store),
+        **_by_pathology(compared, frames, store, names),
         "calibration": calibration,
         "confusion": {"labels": list(store.labels), "counts": counts},
     }
@@ -127,21 +133,60 @@ def _by_view(
 ) -> dict[str, Any]:
     """Return `views`, the accuracy by label, and `grades`, the errors by view."""
     views, errors = {}, {}
-    trajectory = store.trajectory_index[frames.index].numpy()
+    units = store.units(frames.index)
     difference, graded = (grades - frames.grades).double().numpy(), frames.grades.isfinite()
     for index, name in enumerate(store.labels):
         shown = frames.views == index
         if bool(shown.any()):
             right = compared["view_agreement"].values[shown].numpy()
-            views[name] = rate_interval(right, trajectory[shown.numpy()]).to_json()
+            views[name] = rate_interval(right, units[shown.numpy()]).to_json()
         chosen = (shown & graded).numpy()
         if chosen.any() and name != store.labels[-1]:
-            signed, clusters = difference[chosen], trajectory[chosen]
+            signed, clusters = difference[chosen], units[chosen]
             errors[name] = {
                 "mae": _error(np.abs(signed), clusters).to_json(UNIT),
                 "bias": mean_interval(signed, clusters, -MOST, MOST).to_json(UNIT),
             }
     return {"views": views, "grades": errors}
+
+
+def _by_pathology(
+    compared: dict[str, Comparison], frames: Batch, store: FrameStore, names: dict[str, str]
+) -> dict[str, Any]:
+    """Return `pathologies`, the metrics by pathology; nothing where no patients are scanned."""
+    if store.patients is None:
+        return {}
+    sick, units = store.pathologies(frames.index), store.units(frames.index)
+    told: dict[str, Any] = {}
+    for name in np.unique(sick).tolist():
+        chosen = torch.from_numpy(sick == name)
+        parts = {key: each._replace(values=each.values[chosen]) for key, each in compared.items()}
+        told[name] = {
+            names.get(key, key): each.mean(units[chosen.numpy()])
+            for key, each in parts.items()
+            if bool(each.values.isfinite().any())
+        }
+    return {"pathologies": told}
+
+
+def balanced_accuracy(right: Tensor, views: Tensor, units: np.ndarray) -> dict[str, Any]:
+    """Return the mean over labels of the share of their frames that are labelled right, as JSON.
+
+    Args:
+        right: (N,) float64, 1 where the label is the true one, 0 where not, NaN where unknown.
+        views: (N,) the true labels.
+        units: (N,) what was drawn independently.
+    """
+    known = right.isfinite()
+    hits, labels = right[known].numpy(), views[known].numpy()
+
+    def mean(kept: np.ndarray) -> float:
+        count = np.bincount(labels[kept])
+        sums = np.bincount(labels[kept], weights=hits[kept])
+        return float((sums[count > 0] / count[count > 0]).mean())
+
+    found = interval(set_replicates([mean], units[known.numpy()]), 0.0, 1.0)
+    return found.to_json(rule="mean over labels of the share of their frames labelled right")
 
 
 def confusion_counts(label: Tensor, truth: Tensor, labels: int = len(LABELS)) -> list[list[int]]:
@@ -207,7 +252,7 @@ def calibrate(grader: Grader, store: FrameStore, split: str = "validation") -> i
     return known
 
 
-def calibration_error(probabilities: Tensor, views: Tensor, trajectory: np.ndarray) -> Any:
+def calibration_error(probabilities: Tensor, views: Tensor, units: np.ndarray) -> Any:
     """Return the expected calibration error of (N, L) probabilities as JSON, with its interval."""
     known = (views >= 0).numpy()
     probabilities, views = probabilities[known], views[known]
@@ -215,5 +260,5 @@ def calibration_error(probabilities: Tensor, views: Tensor, trajectory: np.ndarr
     def error(kept: np.ndarray) -> float:
         return reliability(probabilities[kept], views[kept]).error
 
-    found = interval(set_replicates([error], trajectory[known]), 0.0, 1.0)
+    found = interval(set_replicates([error], units[known]), 0.0, 1.0)
     return found.to_json(bins=BINS, rule="mean gap of confidence and accuracy over bins")

@@ -97,13 +97,13 @@ def report(regressor: PoseRegressor, store: FrameStore, split: str = "test") -> 
     rows = store.split_indices(split)
     frames = store.take(rows)
     errors = pose_errors(regressor.predict(frames.images), frames.parameters)
-    trajectory = store.trajectory_index[rows].numpy()
+    units = store.units(rows)
     of_view = (frames.views >= 0) & (frames.views != len(store.labels) - 1)
     metrics = {}
     for suffix, chosen in (("", torch.ones_like(of_view)), ("_view", of_view)):
         for unit, values in zip(("mm", "deg"), errors, strict=True):
             if bool(chosen.any()):
-                found = values[chosen].numpy(), trajectory[chosen.numpy()]
+                found = values[chosen].numpy(), units[chosen.numpy()]
                 median = median_interval(*found, 0.0, LARGEST[unit])
                 metrics[f"pose_error_{unit}{suffix}"] = median.to_json(unit)
     return {"split": split, "metrics": metrics}

@@ -73,16 +73,14 @@ class MaskSet:
         Raises:
             RacinesError: a dataset without masks.
         """
-        named = ("masks", "mask_labels", "patients")
-        masks, labels, patients = (getattr(store, name, None) for name in named)
-        if masks is None or labels is None or patients is None:
+        masks, labels = store.masks, store.mask_labels
+        if masks is None or labels is None or store.patients is None:
             raise RacinesError(
                 f"{store.root}: config {store.config} has no masks; add one that has: "
                 f"racines data build --source patients --out {store.root}"
             )
-        seeds = np.array(patients)[store.trajectory_index.numpy()]
-        people = store.measures()
-        sick = dict(zip(*people.select(["patient", "pathology"]).to_pydict().values(), strict=True))
+        rows = torch.arange(len(store))
+        seeds, sick = store.units(rows), store.pathologies(rows).tolist()
         views = [store.labels[view] if view >= 0 else "unknown" for view in store.views.tolist()]
         return cls(
             store.images,
@@ -91,5 +89,5 @@ class MaskSet:
             {name: store.split_indices(name) for name in ("train", "validation", "test")},
             tuple(labels),
             dataset_card(store),
-            {"view": views, "pathology": [sick[seed] for seed in seeds.tolist()]},
+            {"view": views, "pathology": sick},
         )

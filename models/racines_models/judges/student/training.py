@@ -206,14 +206,14 @@ def agreement(
         the grades on frames that the teacher calls a view; each with value, low, high, n.
     """
     rows = store.split_indices(split)
-    images, trajectory = store.take(rows).images, store.trajectory_index[rows].numpy()
+    images, units = store.take(rows).images, store.units(rows)
     ours, theirs = student.judge(images)[:2], teacher.judge(images)[:2]
     compared = compare(*ours, *theirs, len(teacher.labels) - 1)
     view = compared["view_agreement"]._replace(rule="the student's label is the teacher's")
-    told: dict[str, Any] = {"split": split, "view": view.mean(trajectory)}
+    told: dict[str, Any] = {"split": split, "view": view.mean(units)}
     if grade := compared.get("grade_error"):
         rule = "mean absolute difference, frames that the teacher calls a view"
-        told["grade_mae"] = grade._replace(rule=rule).mean(trajectory)
+        told["grade_mae"] = grade._replace(rule=rule).mean(units)
     return told
 
 
