@@ -21,7 +21,7 @@ from racines_data.files import write_atomic
 from racines_data.patients.form import LIVER, Shape, shape_of
 from racines_data.patients.labels import BACKGROUND, BLOOD, MATERIALS, MITRAL, VALVES
 from racines_data.patients.paint import paint
-from racines_data.patients.patient import PATIENTS_VERSION, Patient
+from racines_data.patients.patient import Patient
 from racines_data.patients.sampling import DIAPHRAGM, DIAPHRAGM_LAYER
 from racines_data.patients.tiles import (
     Fields,
@@ -36,6 +36,8 @@ from racines_data.patients.valves import leaflets
 from racines_data.patients.volume import BOX, HEART_BYTES, LOW, TILE, VOXEL, centres
 from racines_data.phantom.volume import ALONG_SHEET, REFLECTOR_STEP, blur, sheet_normals
 
+VOXELS_VERSION = "0.2.0"
+"""Of the world in which voxels last changed; raise it with the world's whenever they do."""
 CACHE_BYTES = 4 << 30
 """Cap of the cache on disk, some 215 hearts; RACINES_HEARTS_BYTES in the environment changes it."""
 _CHUNK = 1 << 17
@@ -184,7 +186,7 @@ def _gradient(impedance: Tensor, sheets: Tensor) -> Tensor:
 
 def recipe(patient: Patient) -> str:
     """Return the name of a baked heart: the hash of the version and of what it is made from."""
-    parts = {"version": PATIENTS_VERSION, "seed": patient.seed, "form": asdict(patient.form)}
+    parts = {"version": VOXELS_VERSION, "seed": patient.seed, "form": asdict(patient.form)}
     parts |= {"tissues": asdict(patient.tissues), "fat": patient.chest.fat}
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:24]
 
