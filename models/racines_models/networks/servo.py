@@ -1,6 +1,10 @@
-"""The servo's network: from one image, the way to every view, and how sure it is of it."""
+"""The servo's network: what one image shows of every view.
+
+That is the way to it, how sure that is, and how good the image is as this view.
+"""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -11,6 +15,30 @@ SCALE = (0.02, 0.02, 0.02, 0.35, 0.35, 0.35)
 """Metres and radians that count as one in what it says."""
 SURENESS = (-4.0, 3.0)
 """Range of the logarithm of the deviations, in units of `SCALE`."""
+SAID = 13
+"""Numbers a view: six of the way, six of how sure it is, and the grade's logit."""
+
+
+class Said(NamedTuple):
+    """What the network says of B images."""
+
+    ways: Tensor
+    """(B, V, 6), in `SCALE`."""
+    sureness: Tensor
+    """(B, V, 6) logarithms of the deviations, in `SCALE`."""
+    grades: Tensor
+    """(B, V) logits of a tenth of the grades."""
+
+
+class Reading(NamedTuple):
+    """What B images show."""
+
+    ways: Tensor
+    """(B, V, 6) to the views, m and rad."""
+    deviations: Tensor
+    """(B, V, 6) of the ways, m and rad."""
+    grades: Tensor
+    """(B, V) expected grades, 0-10."""
 
 
 class ServoNetwork(nn.Module):
@@ -25,25 +53,22 @@ class ServoNetwork(nn.Module):
         layers += [_Block(*pair) for pair in zip(widths, widths[1:], strict=False)]
         self.body = nn.Sequential(*layers, nn.Flatten())
         self.head = nn.Sequential(
-            nn.Linear(widths[-1] * 4, 320), nn.ReLU(), nn.Linear(320, views * 12)
+            nn.Linear(widths[-1] * 4, 320), nn.ReLU(), nn.Linear(320, views * SAID)
         )
         self.register_buffer("scale", torch.tensor(SCALE), persistent=False)
         # With the channels last a CPU learns from a fifth more images a second.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (B, V, 6) ways and (B, V, 6) logarithms of their deviations, in `SCALE`.
-
-        Images are (B, 1, SIDE, SIDE), black 0 and white 1.
-        """
+    def forward(self, images: Tensor) -> Said:
+        """Look at (B, 1, SIDE, SIDE) images, black 0 and white 1."""
         maps = self.body(images.contiguous(memory_format=torch.channels_last))
-        said = self.head(maps).view(len(images), self.views, 12)
-        return said[..., :6], said[..., 6:].clamp(*SURENESS)
+        said = self.head(maps).view(len(images), self.views, SAID)
+        return Said(said[..., :6], said[..., 6:12].clamp(*SURENESS), said[..., 12])
 
-    def read(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (B, V, 6) ways and deviations, m and rad, of (B, SIDE, SIDE) gray levels."""
-        ways, sureness = self(images.unsqueeze(1).float() / 255.0)
-        return ways * self.scale, sureness.exp() * self.scale
+    def read(self, images: Tensor) -> Reading:
+        """Read (B, SIDE, SIDE) gray levels."""
+        ways, sureness, grades = self(images.unsqueeze(1).float() / 255.0)
+        return Reading(ways * self.scale, sureness.exp() * self.scale, 10.0 * grades.sigmoid())
 
 
 class _Block(nn.Module):

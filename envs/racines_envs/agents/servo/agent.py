@@ -22,7 +22,7 @@ from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER
 from racines_models.devices import on_device, resolve_device
 from racines_models.networks.batching import in_fixed_batches
-from racines_models.networks.servo import ServoNetwork
+from racines_models.networks.servo import Reading, ServoNetwork
 from racines_models.protocol import Run
 from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.trainer import train
@@ -69,9 +69,10 @@ class ServoAgent:
 
     def read(self, observation: dict[str, Tensor], pose: Pose) -> Belief:
         """Return where the images say that the (N,) targets are."""
-        ways, deviations = self.ways(observation["image"])
-        label, each = self._labels(observation), torch.arange(len(ways), device=ways.device)
-        return reading(pose, ways[each, label], deviations[each, label])
+        read = self.readings(observation["image"])
+        label = self._labels(observation)
+        each = torch.arange(len(label), device=label.device)
+        return reading(pose, read.ways[each, label], read.deviations[each, label])
 
     def _labels(self, observation: dict[str, Tensor]) -> Tensor:
         """Return the (N,) labels that are looked for."""
@@ -80,12 +81,15 @@ class ServoAgent:
         poses = observation["params"]
         return torch.full((len(poses),), self._label, device=poses.device)
 
-    def ways(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Return (N, V, 6) ways to all views and their deviations, of (N, 128, 128) images."""
-        said = in_fixed_batches(
-            lambda part: torch.cat(self.network.read(shrink(part.to(self._device))), -1), images
-        )
-        return said[..., :6], said[..., 6:]
+    def readings(self, images: Tensor) -> Reading:
+        """Return what (N, 128, 128) images show of all views."""
+
+        def look(part: Tensor) -> Tensor:
+            ways, deviations, grades = self.network.read(shrink(part.to(self._device)))
+            return torch.cat([ways, deviations, grades.unsqueeze(-1)], -1)
+
+        said = in_fixed_batches(look, images)
+        return Reading(said[..., :6], said[..., 6:12], said[..., 12])
 
     @classmethod
     def train(

@@ -40,6 +40,8 @@ SPREAD, LEAN = 0.055, 0.6
 """Greatest distance, m, and turn, rad, of a way's beginning from the view's middle."""
 JITTER, TURN = (0.005, 0.005, 0.0012), 0.08
 """Standard deviations of a frame about the straight way, m and rad: agents take other ways."""
+CLOSE = 0.25
+"""Share of these that is left at the target: there agents are about to rest."""
 FORCE_LIMIT = 20.0  # N, as the tasks'
 
 
@@ -49,12 +51,12 @@ class FrameConfig:
 
     frames: int = 1_000
     """Frames a patient."""
-    places: int = 12
+    places: int = 16
     """Ways in which a patient lies, is examined and moves: their own, and other train patients'.
     A network that sees a heart in one place only learns that place by heart."""
     moving: float = 0.5
     """Share of the frames drawn at a moment of the beat and the breath; the rest are still."""
-    nearer: float = 1.3
+    nearer: float = 1.6
     """Exponent on a uniform share of the way from target to start: above 1, more frames near the
     target, where an agent has to be exact, than far off."""
 
@@ -67,6 +69,8 @@ class Frames(NamedTuple):
     ways: Tensor
     """(N, V, 6) float32 to the views' nominal poses, where the heart lies when breathed out: m in
     the probe's axes, and a rotation vector, rad."""
+    grades: Tensor
+    """(N, V) float32, a tenth of each view's grade at that moment."""
 
 
 def shrink(images: Tensor) -> Tensor:
@@ -94,7 +98,8 @@ def draw_frames(pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig) ->
     pose = Pose(*(part[allowed] for part in pose))
     rows, phase, seeds = rows[allowed], phase[allowed], seeds[allowed]
     images = pool.render(pose, rows, phase, derive(seeds, STREAM))
-    return Frames(shrink(images), ways_to(pose, pool.targets(rows)))
+    grades = pool.judge(pose, rows, phase).view_grade / 10.0
+    return Frames(shrink(images), ways_to(pose, pool.targets(rows)), grades)
 
 
 def draw_poses(targets: Pose, seeds: Tensor, nearer: float) -> Pose:
@@ -109,10 +114,11 @@ def draw_poses(targets: Pose, seeds: Tensor, nearer: float) -> Pose:
     axis = functional.normalize(strayed[:, 6:], dim=-1)
     begun = matmul3(about.rotation, axis_angle_to_matrix(axis * (LEAN * u[:, 4:5])))
     far = u[:, 5:7] ** nearer
+    loose = (CLOSE + far).clamp_max(1.0)
     place = goal.position + (about.position + shift - goal.position) * far[:, :1]
-    place = place + strayed[:, :3] * torch.tensor(JITTER)
+    place = place + strayed[:, :3] * torch.tensor(JITTER) * loose[:, :1]
     turn = rotation_vector(matmul3(goal.rotation.transpose(1, 2), begun))
-    turned = axis_angle_to_matrix(turn * far[:, 1:] + strayed[:, 3:6] * TURN)
+    turned = axis_angle_to_matrix(turn * far[:, 1:] + strayed[:, 3:6] * TURN * loose[:, 1:])
     return Pose(place, orthonormalise(matmul3(goal.rotation, turned)))
 
 
@@ -132,8 +138,9 @@ def shard(patient: int, config: FrameConfig, folder: Path) -> Frames:
         pool = Pool(places_of(patient, config.places), beating=True)
         seeds = derive(torch.full((config.frames,), STREAM), patient, torch.arange(config.frames))
         drawn = draw_frames(pool, torch.arange(config.frames) % len(pool), seeds, config)
-        columns = {"images": drawn.images, "ways": drawn.ways.half()}
+        columns = {name: column.half() for name, column in drawn._asdict().items()}
+        columns["images"] = drawn.images
         folder.mkdir(parents=True, exist_ok=True)
         write_once(path, lambda part: save_file(columns, part))
     found = load_file(path)
-    return Frames(found["images"], found["ways"].float())
+    return Frames(found["images"], found["ways"].float(), found["grades"].float())

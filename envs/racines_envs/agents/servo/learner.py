@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import binary_cross_entropy_with_logits
 from torch.optim import AdamW, Optimizer
 
 from racines_data.errors import RacinesError
@@ -15,12 +16,16 @@ from racines_data.patients.splits import seeds_of
 from racines_data.randomness import derive, uniform
 from racines_data.views import VIEWS
 from racines_envs.agents.servo.frames import FrameConfig, Frames, shard
-from racines_models.networks.servo import SCALE, SIDE, ServoNetwork
+from racines_models.networks.servo import SCALE, SIDE, Reading, ServoNetwork
 from racines_models.training.augmentation import Augmentation, augment
 from racines_models.training.objective import Course, Training, Update
 
 NEAR = 0.09, 1.6
 """Ways longer than that, m and rad, teach nothing: the view is out of the picture."""
+AT_HAND = 0.015, 0.3
+"""Ways shorter than that are told apart in validation: there an agent decides whether to rest."""
+GRADED = 5.0
+"""Weight of the grades' cross entropy beside the ways' likelihood."""
 FIRST = 16
 """Patients in the bank at the start."""
 GROWN = 0.5
@@ -72,6 +77,7 @@ class Batch(NamedTuple):
 
     images: Tensor
     ways: Tensor
+    grades: Tensor
     seeds: Tensor
 
 
@@ -81,8 +87,9 @@ class Bank:
     def __init__(self, split: str, patients: int, config: FrameConfig, folder: Path) -> None:
         self._seeds, self._config, self._folder = seeds_of(split)[:patients], config, folder
         room = patients * config.frames
-        self._images = torch.empty(room, SIDE, SIDE, dtype=torch.uint8)
-        self._ways = torch.empty(room, len(VIEWS), 6)
+        images = torch.empty(room, SIDE, SIDE, dtype=torch.uint8)
+        views = len(VIEWS)
+        self._columns = Frames(images, torch.empty(room, views, 6), torch.empty(room, views))
         self._ends = [0]
 
     def holding(self, patients: int) -> Frames:
@@ -90,9 +97,10 @@ class Bank:
         while len(self._ends) <= patients:
             found = shard(self._seeds[len(self._ends) - 1], self._config, self._folder)
             begin, end = self._ends[-1], self._ends[-1] + len(found.images)
-            self._images[begin:end], self._ways[begin:end] = found
+            for column, new in zip(self._columns, found, strict=True):
+                column[begin:end] = new
             self._ends.append(end)
-        return Frames(self._images[: self._ends[patients]], self._ways[: self._ends[patients]])
+        return Frames(*(column[: self._ends[patients]] for column in self._columns))
 
 
 class ServoLearner(Course):
@@ -150,30 +158,35 @@ class ServoLearner(Course):
             frames = self._bank.holding(first + round((config.patients - first) * grown))
             seeds = derive(torch.full((size,), STREAM), self.seed, torch.arange(size) + seen)
             rows = (uniform(seeds, 1, 1)[:, 0].double() * len(frames.images)).long()
-            columns = frames.images[rows], frames.ways[rows], seeds
+            columns = *(column[rows] for column in frames), seeds
             yield Batch(*(column.to(self.device) for column in columns))
 
     def updates(self, nets: Mapping[str, nn.Module], batch: Batch) -> Iterator[Update]:
-        """Yield the one step: the likelihood of the ways under Laplace distributions."""
+        """Yield the one step: ways are Laplace distributed, grades as a coin's chances are."""
         light = batch.images.unsqueeze(1).float() / 127.5 - 1.0
         varied = augment(light, batch.seeds, self.config.augmentation)
-        ways, sureness = nets["network"]((varied + 1.0) / 2.0)
+        ways, sureness, grades = nets["network"]((varied + 1.0) / 2.0)
         missed = (ways.float() - batch.ways / self.scale).abs()
-        weight = _near(batch.ways)
+        weight = _near(batch.ways, NEAR)
         loss = (missed / sureness.float().exp() + sureness.float()) * weight
-        yield Update("network", loss.sum() / (weight.sum() * 6.0).clamp_min(1.0), {})
+        led = loss.sum() / (weight.sum() * 6.0).clamp_min(1.0)
+        graded = binary_cross_entropy_with_logits(grades.float(), batch.grades)
+        yield Update("network", led + GRADED * graded, {})
 
     @torch.no_grad()
     def look(self, seen: int, folder: Path) -> dict[str, float]:
-        """Read the frames of validation patients; return the mean errors along an axis."""
+        """Read validation patients' frames; return mean errors, those of ways along an axis."""
         frames = self._held.holding(self.config.validation_patients)
-        read = [self.network.read(part.to(self.device))[0] for part in frames.images.split(JUDGED)]
-        missed = (torch.cat(read).cpu() - frames.ways).abs() * _near(frames.ways)
-        mean = missed.sum((0, 1)) / _near(frames.ways).sum()
-        row = {
-            "validation/position_error": float(mean[:3].mean()) * 1e3,
-            "validation/rotation_error": float(torch.rad2deg(mean[3:]).mean()),
-        }
+        parts = [self.network.read(part.to(self.device)) for part in frames.images.split(JUDGED)]
+        read = Reading(*(torch.cat(each).cpu() for each in zip(*parts, strict=True)))
+        missed, row = (read.ways - frames.ways).abs(), {}
+        for name, most in (("", NEAR), ("at_hand_", AT_HAND)):
+            near = _near(frames.ways, most)
+            mean = (missed * near).sum((0, 1)) / near.sum()
+            row[f"validation/{name}position_error"] = float(mean[:3].mean()) * 1e3
+            row[f"validation/{name}rotation_error"] = float(torch.rad2deg(mean[3:]).mean())
+            wrong = (read.grades - 10.0 * frames.grades).abs() * near.squeeze(-1)
+            row[f"validation/{name}grade_error"] = float(wrong.sum() / near.sum())
         self.history.append({"images": seen, **row})
         return row
 
@@ -186,7 +199,7 @@ class ServoLearner(Course):
         self.history = state["history"]
 
 
-def _near(ways: Tensor) -> Tensor:
-    """Return (B, V, 1) float32: 1 where a way is short enough to be seen."""
+def _near(ways: Tensor, most: tuple[float, float]) -> Tensor:
+    """Return (B, V, 1) float32: 1 where a way is shorter than so many m and rad."""
     shift, turn = ways[..., :3].norm(dim=-1), ways[..., 3:].norm(dim=-1)
-    return ((shift < NEAR[0]) & (turn < NEAR[1])).float().unsqueeze(-1)
+    return ((shift < most[0]) & (turn < most[1])).float().unsqueeze(-1)
