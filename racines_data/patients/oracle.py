@@ -73,10 +73,15 @@ def completeness(seen: Tensor, weights: Tensor) -> Tensor:
     return (weights * seen.clamp_min(0.02).log()).sum(-1).exp()
 
 
+def scores(pose: Pose, sight: Sight, weights: Tensor, targets: Pose) -> Tensor:
+    """Return (B, V) in 0-1, how completely and how properly each view is shown."""
+    shown = completeness(sight.visibility.unsqueeze(1), weights)
+    return shown * _display(pose, targets) * _window(pose, targets)
+
+
 def judge(pose: Pose, sight: Sight, weights: Tensor, targets: Pose) -> Truth:
     """Judge (B,) poses by what they show and by the (B, V) nominal poses of their patients."""
-    score = completeness(sight.visibility.unsqueeze(1), weights) * _display(pose, targets)
-    score = score * _window(pose, targets)
+    score = scores(pose, sight, weights, targets)
     membership = torch.sigmoid((score - MEMBERSHIP_CENTRE) / MEMBERSHIP_WIDTH)
     membership = membership * torch.sigmoid((sight.clarity - 0.35) / 0.04).unsqueeze(-1)
     best, view = membership.max(-1)

@@ -238,10 +238,19 @@ class Pool:
 
     def judge(self, pose: Pose, rows: Tensor, phase: Tensor | None = None) -> Truth:
         """Return what is true at (B,) poses of rows' patients, moved by the phase."""
+        return oracle.judge(*self._look(pose, rows, phase))
+
+    def scores(self, pose: Pose, rows: Tensor, phase: Tensor | None = None) -> Tensor:
+        """Return (B, V) in 0-1: how completely the views are shown, which grades rise from 0.5."""
+        return oracle.scores(*self._look(pose, rows, phase))
+
+    def _look(
+        self, pose: Pose, rows: Tensor, phase: Tensor | None
+    ) -> tuple[Pose, oracle.Sight, Tensor, Pose]:
         pose, phase = Pose(*(each.double() for each in pose)), self._phase(rows, phase)
         settings, chest = self._settings.rows(rows), self._chest.rows(rows)
         sight = oracle.look(pose, self._marks(rows, phase), self._radii, settings, chest)
-        return oracle.judge(pose, sight, self._weights, self._nominal(rows, phase))
+        return pose, sight, self._weights, self._nominal(rows, phase)
 
     def _marks(self, rows: Tensor, phase: Tensor) -> Tensor:
         """Return the (B, S, 3) landmarks of moved hearts, mm, base frame."""

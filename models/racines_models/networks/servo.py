@@ -15,8 +15,8 @@ SCALE = (0.02, 0.02, 0.02, 0.35, 0.35, 0.35)
 """Metres and radians that count as one in what it says."""
 SURENESS = (-4.0, 3.0)
 """Range of the logarithm of the deviations, in units of `SCALE`."""
-SAID = 13
-"""Numbers a view: six of the way, six of how sure it is, and the grade's logit."""
+SAID = 14
+"""Numbers a view: six of the way, six of how sure it is, and the logits of score and grade."""
 
 
 class Said(NamedTuple):
@@ -26,8 +26,10 @@ class Said(NamedTuple):
     """(B, V, 6), in `SCALE`."""
     sureness: Tensor
     """(B, V, 6) logarithms of the deviations, in `SCALE`."""
+    scores: Tensor
+    """(B, V) logits of how completely the views are shown."""
     grades: Tensor
-    """(B, V) logits of a tenth of the grades."""
+    """(B, V) logits of a tenth of their grades."""
 
 
 class Reading(NamedTuple):
@@ -37,6 +39,8 @@ class Reading(NamedTuple):
     """(B, V, 6) to the views, m and rad."""
     deviations: Tensor
     """(B, V, 6) of the ways, m and rad."""
+    scores: Tensor
+    """(B, V) expected completeness, 0-1."""
     grades: Tensor
     """(B, V) expected grades, 0-10."""
 
@@ -63,12 +67,13 @@ class ServoNetwork(nn.Module):
         """Look at (B, 1, SIDE, SIDE) images, black 0 and white 1."""
         maps = self.body(images.contiguous(memory_format=torch.channels_last))
         said = self.head(maps).view(len(images), self.views, SAID)
-        return Said(said[..., :6], said[..., 6:12].clamp(*SURENESS), said[..., 12])
+        return Said(said[..., :6], said[..., 6:12].clamp(*SURENESS), *said[..., 12:].unbind(-1))
 
     def read(self, images: Tensor) -> Reading:
         """Read (B, SIDE, SIDE) gray levels."""
-        ways, sureness, grades = self(images.unsqueeze(1).float() / 255.0)
-        return Reading(ways * self.scale, sureness.exp() * self.scale, 10.0 * grades.sigmoid())
+        ways, sureness, *shown = self(images.unsqueeze(1).float() / 255.0)
+        scores, grades = (each.sigmoid() for each in shown)
+        return Reading(ways * self.scale, sureness.exp() * self.scale, scores, 10.0 * grades)
 
 
 class _Block(nn.Module):

@@ -59,6 +59,17 @@ def test_every_view_is_shown_over_the_whole_beat(pool: Pool) -> None:
             assert found[0] > 0.9 and found[1] > 4.5, (SEEDS[row], VIEWS[view], found)
 
 
+def test_grades_rise_with_scores_from_a_half_on(pool: Pool) -> None:
+    rows = torch.zeros(30, dtype=torch.int64)
+    target = at_targets(pool, rows, rows)
+    aside = torch.linspace(0.0, 0.012, 30).unsqueeze(1) * target.rotation[:, :, 1]
+    pose = Pose(target.position + aside, target.rotation)
+    score, truth = pool.scores(pose, rows)[:, 0], pool.judge(pose, rows)
+    assert float(score[0]) > 0.9 and float(score[-1]) < 0.5
+    expected = ((score - 0.5) / 0.45).clamp(0.0, 1.0) * 10.0 * truth.clarity
+    assert torch.allclose(truth.view_grade[:, 0].double(), expected.double(), atol=1e-5)
+
+
 def test_views_of_validation_patients_can_be_shown() -> None:
     for seed in range(10_100, 10_130):
         found = make_heart(draw_patient(seed), False).found

@@ -95,7 +95,7 @@ def fake_shard(patient, config, folder):
     draw = torch.Generator().manual_seed(patient)
     images = torch.randint(0, 256, (config.frames, 64, 64), generator=draw, dtype=torch.uint8)
     ways = torch.randn(config.frames, 5, 6, generator=draw) * 0.01
-    return Frames(images, ways, torch.rand(config.frames, 5, generator=draw))
+    return Frames(images, ways, *torch.rand(2, config.frames, 5, generator=draw))
 
 
 @pytest.fixture
@@ -114,7 +114,10 @@ def test_training_saves_what_it_loads_and_acts(tiny, tmp_path, still):
     ours, theirs = trained.readings(images), loaded.readings(images)
     assert all(torch.equal(*both) for both in zip(ours, theirs, strict=True))
     assert ours.ways.shape == ours.deviations.shape == (3, 5, 6)
-    assert ours.grades.shape == (3, 5) and bool(((ours.grades > 0) & (ours.grades < 10)).all())
+    assert ours.scores.shape == ours.grades.shape == (3, 5)
+    assert bool(((ours.scores > 0) & (ours.scores < 1)).all()) and bool(
+        ((ours.grades > 0) & (ours.grades < 10)).all()
+    )
     assert not ServoAgent.load(tmp_path).network.training
 
 

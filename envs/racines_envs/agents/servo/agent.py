@@ -85,11 +85,11 @@ class ServoAgent:
         """Return what (N, 128, 128) images show of all views."""
 
         def look(part: Tensor) -> Tensor:
-            ways, deviations, grades = self.network.read(shrink(part.to(self._device)))
-            return torch.cat([ways, deviations, grades.unsqueeze(-1)], -1)
+            ways, deviations, *shown = self.network.read(shrink(part.to(self._device)))
+            return torch.cat([ways, deviations, torch.stack(shown, -1)], -1)
 
         said = in_fixed_batches(look, images)
-        return Reading(said[..., :6], said[..., 6:12], said[..., 12])
+        return Reading(said[..., :6], said[..., 6:12], *said[..., 12:].unbind(-1))
 
     @classmethod
     def train(

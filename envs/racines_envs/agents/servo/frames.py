@@ -69,8 +69,10 @@ class Frames(NamedTuple):
     ways: Tensor
     """(N, V, 6) float32 to the views' nominal poses, where the heart lies when breathed out: m in
     the probe's axes, and a rotation vector, rad."""
+    scores: Tensor
+    """(N, V) float32 in 0-1, how completely each view is shown at that moment."""
     grades: Tensor
-    """(N, V) float32, a tenth of each view's grade at that moment."""
+    """(N, V) float32, a tenth of its grade."""
 
 
 def shrink(images: Tensor) -> Tensor:
@@ -98,8 +100,9 @@ def draw_frames(pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig) ->
     pose = Pose(*(part[allowed] for part in pose))
     rows, phase, seeds = rows[allowed], phase[allowed], seeds[allowed]
     images = pool.render(pose, rows, phase, derive(seeds, STREAM))
+    shown = pool.scores(pose, rows, phase).float()
     grades = pool.judge(pose, rows, phase).view_grade / 10.0
-    return Frames(shrink(images), ways_to(pose, pool.targets(rows)), grades)
+    return Frames(shrink(images), ways_to(pose, pool.targets(rows)), shown, grades)
 
 
 def draw_poses(targets: Pose, seeds: Tensor, nearer: float) -> Pose:
@@ -143,4 +146,5 @@ def shard(patient: int, config: FrameConfig, folder: Path) -> Frames:
         folder.mkdir(parents=True, exist_ok=True)
         write_once(path, lambda part: save_file(columns, part))
     found = load_file(path)
-    return Frames(found["images"], found["ways"].float(), found["grades"].float())
+    named = {name: found[name].float() for name in Frames._fields}
+    return Frames(**named | {"images": found["images"]})

@@ -25,7 +25,7 @@ NEAR = 0.09, 1.6
 AT_HAND = 0.015, 0.3
 """Ways shorter than that are told apart in validation: there an agent decides whether to rest."""
 GRADED = 5.0
-"""Weight of the grades' cross entropy beside the ways' likelihood."""
+"""Weight of the cross entropies of scores and grades beside the ways' likelihood."""
 FIRST = 16
 """Patients in the bank at the start."""
 GROWN = 0.5
@@ -77,6 +77,7 @@ class Batch(NamedTuple):
 
     images: Tensor
     ways: Tensor
+    scores: Tensor
     grades: Tensor
     seeds: Tensor
 
@@ -89,7 +90,8 @@ class Bank:
         room = patients * config.frames
         images = torch.empty(room, SIDE, SIDE, dtype=torch.uint8)
         views = len(VIEWS)
-        self._columns = Frames(images, torch.empty(room, views, 6), torch.empty(room, views))
+        shown = torch.empty(room, views), torch.empty(room, views)
+        self._columns = Frames(images, torch.empty(room, views, 6), *shown)
         self._ends = [0]
 
     def holding(self, patients: int) -> Frames:
@@ -162,15 +164,16 @@ class ServoLearner(Course):
             yield Batch(*(column.to(self.device) for column in columns))
 
     def updates(self, nets: Mapping[str, nn.Module], batch: Batch) -> Iterator[Update]:
-        """Yield the one step: ways are Laplace distributed, grades as a coin's chances are."""
+        """Yield the one step: ways are Laplace distributed, the rest as a coin's chances."""
         light = batch.images.unsqueeze(1).float() / 127.5 - 1.0
         varied = augment(light, batch.seeds, self.config.augmentation)
-        ways, sureness, grades = nets["network"]((varied + 1.0) / 2.0)
+        ways, sureness, scores, grades = nets["network"]((varied + 1.0) / 2.0)
         missed = (ways.float() - batch.ways / self.scale).abs()
         weight = _near(batch.ways, NEAR)
         loss = (missed / sureness.float().exp() + sureness.float()) * weight
         led = loss.sum() / (weight.sum() * 6.0).clamp_min(1.0)
-        graded = binary_cross_entropy_with_logits(grades.float(), batch.grades)
+        said, truth = torch.stack([scores, grades]), torch.stack([batch.scores, batch.grades])
+        graded = binary_cross_entropy_with_logits(said.float(), truth)
         yield Update("network", led + GRADED * graded, {})
 
     @torch.no_grad()
@@ -185,8 +188,13 @@ class ServoLearner(Course):
             mean = (missed * near).sum((0, 1)) / near.sum()
             row[f"validation/{name}position_error"] = float(mean[:3].mean()) * 1e3
             row[f"validation/{name}rotation_error"] = float(torch.rad2deg(mean[3:]).mean())
-            wrong = (read.grades - 10.0 * frames.grades).abs() * near.squeeze(-1)
-            row[f"validation/{name}grade_error"] = float(wrong.sum() / near.sum())
+            pairs = {
+                "score": (read.scores, frames.scores),
+                "grade": (read.grades / 10, frames.grades),
+            }
+            for what, (said, true) in pairs.items():
+                wrong = (said - true).abs() * near.squeeze(-1)
+                row[f"validation/{name}{what}_error"] = float(wrong.sum() / near.sum())
         self.history.append({"images": seen, **row})
         return row
 
