@@ -101,7 +101,7 @@ class BlindAgent:
             self._next(leave, pose, goals)
             goal = Pose(*(part[each, self._at] for part in goals))
             action = torch.where(leave, self._steering.towards(pose, goal), action)
-            action = self._steering.rest(~leave & there, action)
+            action = self._steering.take(torch.where(~leave & there, IDLE, action))
         return action
 
     def _goals(self, observation: dict[str, Tensor], count: int) -> Pose:

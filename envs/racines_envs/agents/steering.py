@@ -64,12 +64,18 @@ class Steering:
         self._last = pose, action
         return action
 
-    def rest(self, rows: Tensor, action: Tensor) -> Tensor:
-        """Return the actions with idle in the (N,) bool rows, and remember that."""
-        action = torch.where(rows, IDLE, action)
+    def take(self, action: Tensor) -> Tensor:
+        """Return the (N,) actions, which are taken in place of those towards the goals."""
         if self._last is not None:
             self._last = self._last[0], action
         return action
+
+    def has_moved(self, pose: Pose) -> Tensor:
+        """Return (N,) bool: the last action was not refused."""
+        if self._last is None:
+            return torch.ones_like(pose.position[:, 0], dtype=torch.bool)
+        before, action = self._last
+        return (action == IDLE) | ~_same(pose, before)
 
     def _note(self, pose: Pose) -> Tensor:
         """Return (N, 13) bool, the steps that changed nothing, and remember them until one does."""

@@ -78,7 +78,9 @@ class Told(ServoAgent):
         way = ways_to(pose, Pose(target.position[:, None], target.rotation[:, None]))[:, 0]
         noise = 0.15 * torch.tensor([0.02] * 3 + [0.35] * 3)
         strayed = way + torch.randn(way.shape, generator=self._draw) * noise
-        return reading(pose, strayed, noise.expand_as(way))
+        return reading(pose, strayed, noise.expand_as(way)), self._core.scored_by(
+            "oracle"
+        ).grade / 10
 
 
 @pytest.mark.parametrize("tier", ["still", "beating"])

@@ -12,12 +12,15 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.geometry import Pose
 from racines_data.views import VIEWS
+from racines_envs.agents.planner import cost_to_go
 from racines_envs.agents.protocol import SETTINGS
 from racines_envs.agents.servo.belief import Belief, reading
 from racines_envs.agents.servo.frames import shrink
 from racines_envs.agents.servo.learner import ServoConfig, ServoLearner
+from racines_envs.agents.servo.search import Search
 from racines_envs.agents.steering import Steering
 from racines_envs.agents.training import seeded
+from racines_envs.task.actions import IDLE
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER
 from racines_models.devices import on_device, resolve_device
@@ -31,6 +34,9 @@ from racines_models.weights import load_network, read_described, save_weights
 POLICY = "policy.safetensors"
 SLACK = 2.0
 """Squared unit steps that a step has to save after an idle one: what a belief trembles by."""
+MARGIN, TRUST = 0.02, 0.002
+"""Score by which another pose has to be better, and what a squared unit step from the belief costs:
+images say how good they are more exactly than where they are, once the view is near."""
 
 
 class ServoAgent:
@@ -54,25 +60,31 @@ class ServoAgent:
             )
         self._steering = Steering(core)
         self._label = None if core.task.any_view else core.task.target
-        self._belief: Belief | None = None
+        self._task = core.task
+        self._so_far: tuple[Belief, Search] | None = None
 
     @torch.no_grad()
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
-        """Return the (N,) actions that leave least to do to where the targets are believed."""
+        """Return the (N,) actions to where the views are believed, then to where they look best."""
         pose, labels = self._steering.pose(observation), self._labels(observation)
-        read = self.read(observation, pose)
-        belief = read
-        if self._belief is not None and len(self._belief.placed) == len(seeds):
-            belief = self._belief.after(read).kept(self._steering.moved_on(pose), read)
-        self._belief = belief = belief.confined(labels)
-        return self._steering.towards(pose, belief.pose, SLACK)
+        same = self._steering.moved_on(pose)
+        read, worth = self.read(observation, pose)
+        before, search = self._so_far or (read, Search(len(seeds), pose.position.device, MARGIN))
+        belief = before.after(read).kept(same, read).confined(labels)
+        search.forget(~same)
+        self._so_far = belief, search
+        left = cost_to_go(pose, belief.pose, self._task)
+        moved = self._steering.has_moved(pose)
+        action = self._steering.towards(pose, belief.pose, SLACK)
+        felt = search.act(worth - TRUST * left, moved, begin=action == IDLE)
+        return self._steering.take(torch.where(search.searching, felt, action))
 
-    def read(self, observation: dict[str, Tensor], pose: Pose) -> Belief:
-        """Return where the images say that the (N,) targets are."""
-        read = self.readings(observation["image"])
-        label = self._labels(observation)
+    def read(self, observation: dict[str, Tensor], pose: Pose) -> tuple[Belief, Tensor]:
+        """Return where the images say that the (N,) targets are, and how completely they show."""
+        read, label = self.readings(observation["image"]), self._labels(observation)
         each = torch.arange(len(label), device=label.device)
-        return reading(pose, read.ways[each, label], read.deviations[each, label])
+        found = reading(pose, read.ways[each, label], read.deviations[each, label])
+        return found, read.scores[each, label]
 
     def _labels(self, observation: dict[str, Tensor]) -> Tensor:
         """Return the (N,) labels that are looked for."""
