@@ -165,3 +165,12 @@ def lay_workplace(folder: Path, data: Path) -> Path:
     (folder / "racines").symlink_to("data/racines")
     (folder / "params.yaml").write_text(yaml.safe_dump(TINY))
     return folder
+
+
+@pytest.fixture(scope="session")
+def hearts(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
+    """A cache in which hearts are baked once for all test processes, by the code under test."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base if worker_id == "master" else base.parent) / "hearts"
+    folder.mkdir(exist_ok=True)
+    return folder

@@ -25,12 +25,3 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
         warm.plain_pictures(patch.setattr)  # whichever test is the first to ask for it
         build(FakeSource(FakeConfig()), root, DataConfig(workers=1))
     return root
-
-
-@pytest.fixture(scope="session")
-def hearts(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Path:
-    """A cache in which hearts are baked once for all test processes, by the code under test."""
-    base = tmp_path_factory.getbasetemp()
-    folder = (base if worker_id == "master" else base.parent) / "hearts"
-    folder.mkdir(exist_ok=True)
-    return folder

@@ -1,8 +1,16 @@
 """Two validation patients, still and beating; baked where an image is asked for."""
 
+from pathlib import Path
+
 import pytest
 
 from racines_envs.worlds.ward import Ward, make_ward
+
+
+@pytest.fixture(autouse=True)
+def own_hearts(hearts: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hearts are baked by the code under test, never read from a user's cache."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(hearts))
 
 
 @pytest.fixture(scope="session")

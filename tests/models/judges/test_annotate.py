@@ -173,6 +173,24 @@ def test_a_killed_run_goes_on_and_leaves_the_old_dataset_till_then(
     assert read_manifest(root) == read_manifest(whole)
 
 
+def test_a_dataset_that_changes_meanwhile_is_left_as_it_is(
+    root: Path, grader: Grader, monkeypatch: pytest.MonkeyPatch
+):
+    """Another config may have been added, which would be gone with the folder that is replaced."""
+    path, seal = root / "manifest.json", module._seal
+    changed = json.loads(path.read_text())
+    changed["files"]["beating/train.parquet"] = {"sha256": "0" * 64, "bytes": 1}
+
+    def meanwhile(*arguments):
+        path.write_text(json.dumps(changed))
+        return seal(*arguments)
+
+    monkeypatch.setattr(module, "_seal", meanwhile)
+    with pytest.raises(RacinesError, match="changed while it was annotated"):
+        annotate(root, grader)
+    assert json.loads(path.read_text()) == changed
+
+
 def test_agreement_where_the_truth_is_known(root: Path, grader: Grader):
     told = annotate(root, grader)["annotation"]["agreement"]
     assert set(told) == {"train", "validation", "test"}

@@ -26,7 +26,14 @@ from racines_data.card.croissant import CROISSANT, add_croissant
 from racines_data.card.markdown import write_card
 from racines_data.digest import canonical_json, check_files
 from racines_data.errors import RacinesError
-from racines_data.files import recover_folder, sha256_file, swap_folder, working_folder, write_once
+from racines_data.files import (
+    locked_place,
+    recover_folder,
+    sha256_file,
+    swap_folder,
+    working_folder,
+    write_once,
+)
 from racines_data.manifest import CARD, MANIFEST, read_manifest, rebuild_hint
 from racines_data.schema import SPLITS
 from racines_data.store.frames import FrameStore
@@ -52,8 +59,8 @@ def annotate(
         grades, by split.
 
     Raises:
-        RacinesError: no dataset, a damaged one, a grader of other labels or without weights on
-            disk, or an `out` that holds something else.
+        RacinesError: no dataset, a damaged one or one that changed meanwhile, a grader of other
+            labels or without weights on disk, or an `out` that holds something else.
     """
     root = Path(root).resolve()
     out = root if out is None else Path(out).resolve()
@@ -61,6 +68,7 @@ def annotate(
     if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
         raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
     manifest, store = read_manifest(root), FrameStore(root)
+    files = dict(manifest["files"])
     grader.check_labels(store.labels, "the dataset")
     if grader.sha256 is None:
         raise RacinesError("the grader has no weights on disk to be named by: save it first")
@@ -82,7 +90,10 @@ def annotate(
         for name, rows in shards.items():
             write_once(final / name, partial(_write_shard, root / name, opinions[rows]))
         _seal(final, manifest, shards)
-        swap_folder(final, out)
+        with locked_place(out):
+            if out == root and read_manifest(root)["files"] != files:
+                raise RacinesError(f"{root}: changed while it was annotated; annotate it again")
+            swap_folder(final, out)
     return manifest
 
 
