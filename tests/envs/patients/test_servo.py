@@ -1,5 +1,7 @@
 """The servo: ways are read back, beliefs fuse them, training repeats, it goes where it reads."""
 
+import json
+
 import numpy as np
 import pytest
 import torch
@@ -8,13 +10,15 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, axis_angle_to_matrix, geodesic
 from racines_data.randomness import derive
 from racines_envs.agents.rollout import rollout
-from racines_envs.agents.servo import learner as learning
+from racines_envs.agents.servo import rounds
 from racines_envs.agents.servo.agent import ServoAgent
 from racines_envs.agents.servo.belief import FARTHEST, Belief, reading
 from racines_envs.agents.servo.frames import FrameConfig, Frames, draw_poses, ways_to
-from racines_envs.agents.servo.learner import ServoConfig
+from racines_envs.agents.servo.learner import Bank, ServoConfig, ServoLearner
+from racines_envs.agents.servo.visits import VisitConfig, visit
 from racines_envs.task.tiers import middles
 from racines_envs.worlds.making import make_core
+from racines_models.networks.servo import ServoNetwork
 
 
 def test_a_way_leads_to_the_target(still):
@@ -100,13 +104,27 @@ def fake_shard(patient, config, folder):
     return Frames(images, ways, *torch.rand(2, config.frames, 5, generator=draw))
 
 
+def fake_visit(agent, patient, places, config, seed):
+    weight = float(agent.network.head[0].weight.detach().abs().sum())
+    frames = fake_shard(patient, FrameConfig(6), None)
+    return frames._replace(scores=torch.full((6, 5), weight % 1.0))
+
+
+VISITS = VisitConfig(rounds=1, patients=2, episodes=2, steps=3, images=16)
+
+
 @pytest.fixture
 def tiny(monkeypatch):
-    monkeypatch.setattr(learning, "shard", fake_shard)
+    monkeypatch.setattr(rounds, "shard", fake_shard)
+    monkeypatch.setattr(rounds, "visit", fake_visit)
     return ServoConfig(
         patients=3, validation_patients=1, frames=FrameConfig(8), images=64, batch_size=8,
-        precision="fp32",
+        precision="fp32", visits=VISITS,
     )  # fmt: skip
+
+
+def bank(config):
+    return Bank((1, 2, 3), config.frames.frames, lambda seed: fake_shard(seed, config.frames, None))
 
 
 def test_training_saves_what_it_loads_and_acts(tiny, tmp_path, still):
@@ -123,17 +141,75 @@ def test_training_saves_what_it_loads_and_acts(tiny, tmp_path, still):
     assert not ServoAgent.load(tmp_path).network.training
 
 
-def test_a_bank_grows_by_patients(tiny, tmp_path):
-    bank = learning.Bank("train", 3, tiny.frames, tmp_path)
-    assert [len(bank.holding(count).images) for count in (1, 3, 2)] == [8, 24, 16]
-    assert torch.equal(bank.holding(1).images, fake_shard(1, tiny.frames, tmp_path).images)
+def test_a_bank_grows_by_patients(tiny):
+    found = bank(tiny)
+    assert [len(found.holding(count).images) for count in (1, 3, 2)] == [8, 24, 16]
+    assert torch.equal(found.holding(1).images, fake_shard(1, tiny.frames, None).images)
 
 
-def test_batches_are_functions_of_what_went_before(tiny, tmp_path):
-    one, other = (learning.ServoLearner(tiny, tmp_path, 0) for _ in range(2))
+def test_batches_are_functions_of_what_went_before(tiny):
+    one, other = (ServoLearner(tiny, bank(tiny), bank(tiny), 0) for _ in range(2))
     whole, rest = list(one.batches(0, 64)), list(other.batches(32, 64))
     for ours, theirs in zip(whole[4:], rest, strict=True):
         assert torch.equal(ours.images, theirs.images) and torch.equal(ours.seeds, theirs.seeds)
+
+
+def test_a_round_mixes_what_was_visited(tiny):
+    own = Bank((7,), 6, lambda seed: fake_visit(ServoAgent(tiny, network()), seed, 1, VISITS, 0))
+    learner = ServoLearner(tiny, bank(tiny), bank(tiny), 0, network(), own, turn=1)
+    batch = next(learner.batches(0, 16))
+    assert len(batch.images) == 8 and len(batch.scores[:4].unique()) == 1
+    assert len(batch.scores[4:].unique()) > 5
+    assert learner.training.images == 16 and learner.rate(0) < tiny.learning_rate / 2
+
+
+def network():
+    torch.manual_seed(0)
+    return ServoNetwork(5)
+
+
+def test_a_killed_run_goes_on_with_its_round(tiny, tmp_path, monkeypatch):
+    whole = ServoAgent.train(tiny, tmp_path / "whole", progress=False)
+    plain, calls = rounds.train, []
+
+    def until_killed(learner, *others):
+        calls.append(learner._turn)
+        if calls == [0, 1]:
+            raise KeyboardInterrupt
+        return plain(learner, *others)
+
+    monkeypatch.setattr(rounds, "train", until_killed)
+    with pytest.raises(KeyboardInterrupt):
+        ServoAgent.train(tiny, tmp_path / "cut", progress=False)
+    again = ServoAgent.train(tiny, tmp_path / "cut", progress=False)
+    assert calls == [0, 1, 1], "the first training is not done again"
+    for ours, theirs in zip(whole.network.parameters(), again.network.parameters(), strict=True):
+        assert torch.equal(ours, theirs)
+    kept = {each.name for each in (tmp_path / "cut").rglob("*") if each.is_dir()}
+    assert not kept & {"done", "visited", "checkpoint"}, "nothing of the work is left"
+    told = json.loads((tmp_path / "cut" / "metrics.json").read_text())
+    assert told["training"]["images"] == 64 and told["rounds"][0]["training"]["images"] == 16
+
+
+@pytest.mark.parametrize("patient", [2, 3])
+def test_what_a_servo_visits_is_where_it_went(patient):
+    agent = ServoAgent(ServoConfig(), network())
+    seen = visit(agent, patient, 2, VisitConfig(episodes=4, steps=3), 0)
+    assert seen.images.shape == (12, 64, 64) and seen.ways.shape == (12, 5, 6)
+    first, then = seen.ways[:4], seen.ways[4:8]
+    stepped = (first - then)[..., :3].norm(dim=-1).amax(1)
+    assert float(stepped.max()) < 0.02 and bool((seen.scores <= 1.0).all())
+    again = visit(agent, patient, 2, VisitConfig(episodes=4, steps=3), 0)
+    assert all(torch.equal(*both) for both in zip(seen, again, strict=True))
+    other = visit(agent, patient, 2, VisitConfig(episodes=4, steps=3), 1)
+    assert not torch.equal(seen.ways, other.ways)
+
+
+def test_settings_that_cannot_be_are_refused():
+    with pytest.raises(RacinesError, match="share"):
+        VisitConfig(share=1.0)
+    with pytest.raises(RacinesError, match="1 or more"):
+        VisitConfig(steps=0)
 
 
 def test_it_is_not_for_the_one_heart(tiny, tmp_path, phantom):

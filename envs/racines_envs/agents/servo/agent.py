@@ -16,7 +16,8 @@ from racines_envs.agents.planner import cost_to_go
 from racines_envs.agents.protocol import SETTINGS
 from racines_envs.agents.servo.belief import Belief, reading
 from racines_envs.agents.servo.frames import shrink
-from racines_envs.agents.servo.learner import ServoConfig, ServoLearner
+from racines_envs.agents.servo.learner import ServoConfig
+from racines_envs.agents.servo.rounds import discard, learn
 from racines_envs.agents.servo.search import Search
 from racines_envs.agents.steering import Steering
 from racines_envs.agents.training import seeded
@@ -27,8 +28,6 @@ from racines_models.devices import on_device, resolve_device
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.networks.servo import Reading, ServoNetwork
 from racines_models.protocol import Run
-from racines_models.training.checkpoint import discard_checkpoint
-from racines_models.training.trainer import train
 from racines_models.weights import load_network, read_described, save_weights
 
 POLICY = "policy.safetensors"
@@ -112,15 +111,15 @@ class ServoAgent:
         config = on_device(config)
         run = Run(Path(run_dir), seed, config.device, resume, progress)
         with seeded(seed, config.threads):
-            learner = ServoLearner(config, run.folder, seed)
-            figures = train(learner, None, learner.training, run, learner)
-        metrics = {"training": figures, "history": learner.history, "views": list(VIEWS)}
-        save_weights(run.folder / POLICY, learner.network.state_dict())
+            network, rounds = learn(config, run, cls)
+        metrics = {"training": rounds[0]["training"], "history": rounds[0]["history"]}
+        metrics |= {"rounds": rounds[1:], "views": list(VIEWS)}
+        save_weights(run.folder / POLICY, network.state_dict())
         told = {"agent": cls.name, "config": asdict(config), "seed": seed}
         write_json(run.folder / SETTINGS, told)
         write_json(run.folder / "metrics.json", metrics)
-        discard_checkpoint(run.folder)
-        return cls(config, learner.network)
+        discard(run, config.visits.rounds)
+        return cls(config, network)
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:

@@ -8,6 +8,7 @@ alone. It is kept on disk, for drawing frames costs more than learning from them
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -136,14 +137,22 @@ def places_of(patient: int, count: int) -> list[Patient]:
 def shard(patient: int, config: FrameConfig, folder: Path) -> Frames:
     """Return a patient's frames from the folder, or draw them and put them there."""
     told = {"world": PATIENTS_VERSION, "patient": patient, "side": SIDE, **asdict(config)}
-    path = folder / f"{patient}-{recipe_digest(told)[:16]}.safetensors"
-    if not path.is_file():
+
+    def draw() -> Frames:
         pool = Pool(places_of(patient, config.places), beating=True)
         seeds = derive(torch.full((config.frames,), STREAM), patient, torch.arange(config.frames))
-        drawn = draw_frames(pool, torch.arange(config.frames) % len(pool), seeds, config)
-        columns = {name: column.half() for name, column in drawn._asdict().items()}
-        columns["images"] = drawn.images
-        folder.mkdir(parents=True, exist_ok=True)
+        return draw_frames(pool, torch.arange(config.frames) % len(pool), seeds, config)
+
+    return kept(folder / f"{patient}-{recipe_digest(told)[:16]}.safetensors", draw)
+
+
+def kept(path: Path, make: Callable[[], Frames]) -> Frames:
+    """Return the frames of a file, or make them and put them there."""
+    if not path.is_file():
+        made = make()
+        columns = {name: column.half() for name, column in made._asdict().items()}
+        columns["images"] = made.images
+        path.parent.mkdir(parents=True, exist_ok=True)
         write_once(path, lambda part: save_file(columns, part))
     found = load_file(path)
     named = {name: found[name].float() for name in Frames._fields}

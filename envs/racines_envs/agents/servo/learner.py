@@ -1,6 +1,6 @@
 """How a servo's network learns: from a bank of frames that grows patient by patient."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +15,8 @@ from racines_data.patients.patient import PATIENTS_VERSION
 from racines_data.patients.splits import seeds_of
 from racines_data.randomness import derive, uniform
 from racines_data.views import VIEWS
-from racines_envs.agents.servo.frames import FrameConfig, Frames, shard
+from racines_envs.agents.servo.frames import FrameConfig, Frames
+from racines_envs.agents.servo.visits import VisitConfig
 from racines_models.networks.servo import SCALE, SIDE, Reading, ServoNetwork
 from racines_models.training.augmentation import Augmentation, augment
 from racines_models.training.objective import Course, Training, Update
@@ -30,6 +31,8 @@ FIRST = 16
 """Patients in the bank at the start."""
 GROWN = 0.5
 """Share of the budget after which all patients are in the bank."""
+LATER = 0.5
+"""Share of the learning rate in the rounds after the first training."""
 STREAM = 331
 JUDGED = 512
 """Frames read at once in validation."""
@@ -44,6 +47,7 @@ class ServoConfig:
     validation_patients: int = 4
     """Validation patients whose frames are read on the way."""
     frames: FrameConfig = FrameConfig()
+    visits: VisitConfig = VisitConfig()
     images: int = 600_000
     """Training images seen, with repetition."""
     batch_size: int = 128
@@ -83,13 +87,13 @@ class Batch(NamedTuple):
 
 
 class Bank:
-    """Frames of the first patients of a split, drawn when they are first needed."""
+    """Frames of patients, drawn when they are first needed."""
 
-    def __init__(self, split: str, patients: int, config: FrameConfig, folder: Path) -> None:
-        self._seeds, self._config, self._folder = seeds_of(split)[:patients], config, folder
-        room = patients * config.frames
+    def __init__(self, seeds: Sequence[int], frames: int, make: Callable[[int], Frames]) -> None:
+        """Take whose frames it will hold, how many of each at most, and what draws them."""
+        self._seeds, self._make = seeds, make
+        room, views = len(seeds) * frames, len(VIEWS)
         images = torch.empty(room, SIDE, SIDE, dtype=torch.uint8)
-        views = len(VIEWS)
         shown = torch.empty(room, views), torch.empty(room, views)
         self._columns = Frames(images, torch.empty(room, views, 6), *shown)
         self._ends = [0]
@@ -97,12 +101,15 @@ class Bank:
     def holding(self, patients: int) -> Frames:
         """Return the frames of so many patients."""
         while len(self._ends) <= patients:
-            found = shard(self._seeds[len(self._ends) - 1], self._config, self._folder)
+            found = self._make(self._seeds[len(self._ends) - 1])
             begin, end = self._ends[-1], self._ends[-1] + len(found.images)
             for column, new in zip(self._columns, found, strict=True):
                 column[begin:end] = new
             self._ends.append(end)
         return Frames(*(column[: self._ends[patients]] for column in self._columns))
+
+    def __len__(self) -> int:
+        return len(self._seeds)
 
 
 class ServoLearner(Course):
@@ -110,17 +117,29 @@ class ServoLearner(Course):
 
     name = "servo"
 
-    def __init__(self, config: ServoConfig, folder: Path, seed: int) -> None:
-        """Build the network; frames are kept in the folder, drawn from the seed's batches on."""
+    def __init__(
+        self, config: ServoConfig, bank: Bank, held: Bank, seed: int,
+        start: ServoNetwork | None = None, visited: Bank | None = None, turn: int = 0,
+    ) -> None:  # fmt: skip
+        """Build the network, or learn on with one.
+
+        Args:
+            config: all settings.
+            bank: frames of train patients.
+            held: frames of validation patients.
+            seed: of weights and batches.
+            start: what a round before has learned.
+            visited: what it has seen on its own ways.
+            turn: the round, 0 for the first training.
+        """
         self.config, self.seed, self.device = config, seed, torch.device(config.device)
-        where = Path(config.store) if config.store else folder / "frames"
-        self._bank = Bank("train", config.patients, config.frames, where)
-        self._held = Bank("validation", config.validation_patients, config.frames, where)
-        self.network = ServoNetwork(len(VIEWS)).to(self.device)
+        self._bank, self._held, self._visited, self._turn = bank, held, visited, turn
+        self.network = start or ServoNetwork(len(VIEWS)).to(self.device)
         self.scale = torch.tensor(SCALE, device=self.device)
         aside = {"threads", "device", "store"}
         told = {key: value for key, value in asdict(config).items() if key not in aside}
         self.identity = {"agent": self.name, "seed": seed, "world": PATIENTS_VERSION, **told}
+        self.identity |= {"round": turn}
         self.history: list[dict[str, float]] = []
 
     @property
@@ -128,8 +147,9 @@ class ServoLearner(Course):
         """The trainer's settings."""
         config = self.config
         every: Any = {"log_every": 5_000, "sample_every": 40_000, "checkpoint_every": 20_000}
+        images = config.visits.images if self._turn else config.images
         learned = Training(
-            config.images, config.batch_size, config.precision, config.ema, config.gradient_clip
+            images, config.batch_size, config.precision, config.ema, config.gradient_clip
         )
         return Training(**{**asdict(learned), **every})
 
@@ -149,19 +169,27 @@ class ServoLearner(Course):
     def rate(self, step: int) -> float:
         """Return the learning rate."""
         done = step * self.config.batch_size / self.training.stop
-        return self.config.learning_rate * min(1.0, (step + 1) / 200) * max(0.0, 1.0 - done)
+        peak = self.config.learning_rate * (LATER if self._turn else 1.0)
+        return peak * min(1.0, (step + 1) / 200) * max(0.0, 1.0 - done)
 
     def batches(self, start: int, stop: int) -> Iterator[Batch]:
         """Yield batches, each a function of the seed and of how many images went before."""
-        size, config = self.config.batch_size, self.config
-        first = min(FIRST, config.patients)
+        size, config, every = self.config.batch_size, self.config, len(self._bank)
+        first = every if self._turn else min(FIRST, every)
         for seen in range(start, stop, size):
             grown = min(1.0, seen / (GROWN * stop))
-            frames = self._bank.holding(first + round((config.patients - first) * grown))
-            seeds = derive(torch.full((size,), STREAM), self.seed, torch.arange(size) + seen)
-            rows = (uniform(seeds, 1, 1)[:, 0].double() * len(frames.images)).long()
-            columns = *(column[rows] for column in frames), seeds
-            yield Batch(*(column.to(self.device) for column in columns))
+            frames = self._bank.holding(first + round((every - first) * grown))
+            stream = torch.full((size,), STREAM + self._turn)
+            seeds = derive(stream, self.seed, torch.arange(size) + seen)
+            chance = uniform(seeds, 1, 1)[:, 0].double()
+            columns = [column[(chance * len(frames.images)).long()] for column in frames]
+            if self._visited is not None:
+                own = self._visited.holding(len(self._visited))
+                count = round(size * config.visits.share)
+                rows = (chance[:count] * len(own.images)).long()
+                parts = zip(columns, own, strict=True)
+                columns = [torch.cat([its[rows], most[count:]]) for most, its in parts]
+            yield Batch(*(column.to(self.device) for column in (*columns, seeds)))
 
     def updates(self, nets: Mapping[str, nn.Module], batch: Batch) -> Iterator[Update]:
         """Yield the one step: ways are Laplace distributed, the rest as a coin's chances."""
@@ -179,7 +207,7 @@ class ServoLearner(Course):
     @torch.no_grad()
     def look(self, seen: int, folder: Path) -> dict[str, float]:
         """Read validation patients' frames; return mean errors, those of ways along an axis."""
-        frames = self._held.holding(self.config.validation_patients)
+        frames = self._held.holding(len(self._held))
         parts = [self.network.read(part.to(self.device)) for part in frames.images.split(JUDGED)]
         read = Reading(*(torch.cat(each).cpu() for each in zip(*parts, strict=True)))
         missed, row = (read.ways - frames.ways).abs(), {}
