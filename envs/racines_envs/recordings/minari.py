@@ -42,11 +42,17 @@ from pyarrow import ipc
 
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.manifest import describe, manifest_labels, read_manifest
+from racines_data.manifest import (
+    ADDED,
+    config_manifest,
+    describe,
+    manifest_labels,
+    read_manifest,
+)
 from racines_data.phantom.config import PhantomConfig, recorded_phantom
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
-from racines_data.schema import CONTROLS, PARAMETERS
+from racines_data.schema import CONTROLS, PARAMETERS, PHASES
 from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 from racines_envs.task.names import task_id
 from racines_envs.task.rewards import ORACLE, RewardConfig, Score, is_hit
@@ -62,21 +68,23 @@ def export(
     split: str | None = None,
     limit: int | None = None,
     progress: bool = False,
+    config: str = "frames",
 ) -> dict[str, Any]:
     """Write a dataset for Minari; set `MINARI_DATASETS_PATH` to `out` to load it.
 
     Arguments and errors as of `registry.Exporter`, and an error where there is no commanded
-    velocity. Each split is a Minari dataset; these have whole versions, hence the first number
-    only. Returns `out`, the `datasets` by id with their episodes and steps, counts, and notes.
+    velocity. Infos of the configs of patients have their columns, and masks. Each split is a Minari
+    dataset; these have whole versions, hence the first number only. Returns `out`, the `datasets`
+    by id with their episodes and steps, counts, and notes.
     """
-    manifest = read_manifest(root)
+    manifest = config_manifest(read_manifest(root), config)
     labels, major = manifest_labels(manifest), manifest["version"].split(".")[0]
     written: dict[str, dict[str, int]] = {}
     aims: dict[str, Counter[str]] = {}
     missing = frames = 0
     with new_folder(out) as folder, progress_bar(progress) as bar:
         task = bar.add_task("frames", total=None)
-        for sweep in read_sweeps(root, split, limit):
+        for sweep in read_sweeps(root, split, limit, config):
             name = f"racines/{manifest['source']}-{sweep.split}-v{major}"
             counts = written.setdefault(name, {"episodes": 0, "steps": 0})
             missing += _write_episode(folder / name / "data", counts["episodes"], sweep, labels)
@@ -91,9 +99,14 @@ def export(
                 f"{root}: {manifest['source']} data have no commanded velocity, hence no actions"
             )
         for name, counts in written.items():
-            spec = env_spec(manifest, [view for view, _ in aims[name].most_common()])
-            _write_metadata(folder / name / "data", name, manifest, counts, spec)
-        about = {"description": f"RACINES: {describe(manifest)}"}
+            common = [view for view, _ in aims[name].most_common()]
+            if config in ADDED:
+                spec = patients_spec(config, name.split("-")[-2], common)
+            else:
+                spec = env_spec(manifest, common)
+            told = _description(manifest, config)
+            _write_metadata(folder / name / "data", name, manifest, counts, spec, told)
+        about = {"description": f"RACINES: {describe(manifest, config)}"}
         (folder / "racines" / "namespace_metadata.json").write_text(json.dumps(about))
     return {
         "out": str(out),
@@ -113,7 +126,7 @@ def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ..
     views = table["view"].fill_null(-1).to_numpy()
     grades = float_columns(table, ["grade"])[:, 0]
     aim = None if target == labels[-1] else labels.index(target)  # a random scan has no target
-    rewards, ended = judge_steps(views, grades, aim)
+    rewards, ended = judge_steps(views, grades, aim, declared="patient" in table.column_names)
     images, parameters = sweep.images().reshape(count, -1), float_columns(table, PARAMETERS)
     infos = {
         "view": pa.array(views),
@@ -121,6 +134,10 @@ def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ..
         "timestamp": table["timestamp"].combine_chunks(),
         "frame": table["frame"].combine_chunks(),
     }
+    if "patient" in table.column_names:
+        infos |= {name: table[name].combine_chunks() for name in ("patient", *PHASES)}
+    if (masks := sweep.masks()) is not None:
+        infos["mask"] = _fixed(masks.reshape(count, -1))
     batch = pa.RecordBatch.from_pydict(
         {
             "observations": _struct({"image": _fixed(images), "params": _fixed(parameters)}),
@@ -137,13 +154,14 @@ def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ..
     with ipc.new_file(str(folder / "part-0.arrow"), batch.schema, options=options) as writer:
         writer.write_batch(batch)
     about = {"id": episode, "total_steps": count - 1, "split": sweep.split}
-    about |= {k: sweep.first(k) for k in ("trajectory", "session", "target_view", "phantom")}
+    named = "patient" if "patient" in table.column_names else "phantom"
+    about |= {k: sweep.first(k) for k in ("trajectory", "session", "target_view", named)}
     (folder / "metadata.json").write_text(json.dumps(about))
     return int(np.isnan(actions[:-1]).any(-1).sum())
 
 
 def judge_steps(
-    views: np.ndarray, grades: np.ndarray, target: int | None
+    views: np.ndarray, grades: np.ndarray, target: int | None, declared: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return what T-1 steps pay and where they end the task.
 
@@ -151,6 +169,7 @@ def judge_steps(
         views: (T,) the oracle's labels, -1 where unknown.
         grades: (T,) its grades of that view, 0-10, NaN where unknown.
         target: The label of the target view; None where there is none: nothing is paid or ended.
+        declared: The task ends where an agent says so, which no recording does.
 
     Returns:
         (T-1,) float64 rewards and (T-1,) bool: the step completes the hits in a row that end an
@@ -165,7 +184,7 @@ def judge_steps(
     streak, ended = 0, np.zeros(len(views) - 1, bool)
     for step, hit in enumerate(is_hit(after, config).tolist()):  # NaN is no hit
         streak = (streak + 1) * hit
-        ended[step] = streak == Task.hits
+        ended[step] = streak == Task.hits and not declared
     known = torch.from_numpy((views >= 0) & (~shown.numpy() | np.isfinite(grades)))
     paid = ORACLE(before, after, torch.from_numpy(ended), config)
     return torch.where(known[1:] & known[:-1], paid, 0.0).double().numpy(), ended
@@ -192,6 +211,17 @@ def env_spec(manifest: Mapping[str, Any], views: Sequence[str]) -> str | None:
     return None
 
 
+def patients_spec(tier: str, split: str, views: Sequence[str]) -> str | None:
+    """Return the spec of the task on patients at which most sweeps aim, on those of the split."""
+    for view in views:
+        name = task_id(view, tier=tier)
+        if name in gymnasium.registry:
+            spec = gymnasium.spec(name)
+            own = {"observation": "multimodal", "reward": "oracle", "split": split}
+            return dataclasses.replace(spec, kwargs={**spec.kwargs, **own}).to_json()
+    return None
+
+
 def _fixed(values: np.ndarray) -> pa.FixedSizeListArray:
     return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
 
@@ -206,6 +236,7 @@ def _write_metadata(
     manifest: Mapping[str, Any],
     counts: Mapping[str, int],
     spec: str | None,
+    told: str,
 ) -> None:
     image = _box((1, IMAGE_SIZE, IMAGE_SIZE), 0, 255, "uint8")
     params = _box((len(PARAMETERS),), -np.inf, np.inf, "float32")
@@ -224,7 +255,7 @@ def _write_metadata(
         "dataset_size": round(size / 1e6, 1),
         "author": ["The RACINES developers"],
         "algorithm_name": "recorded sweeps",
-        "description": _description(manifest),
+        "description": told,
         "racines": {key: manifest[key] for key in ("source", "version", "digest", "recipe_digest")},
     }
     if spec is not None:
@@ -232,18 +263,30 @@ def _write_metadata(
     (data / "metadata.json").write_text(json.dumps(metadata))
 
 
-def _description(manifest: Mapping[str, Any]) -> str:
-    labels = ", ".join(f"{index} {name}" for index, name in enumerate(manifest_labels(manifest)))
+def _description(manifest: Mapping[str, Any], config: str) -> str:
+    labels = _numbered(manifest_labels(manifest))
+    if config in ADDED:
+        task = f"racines/<target view>-{config}-v0"
+        more = "; patient (a seed), cardiac_phase and respiratory_phase (0-1)"
+        if masks := manifest["mask_labels"]:
+            more += f", mask (128 rows of 128: {_numbered(masks)})"
+    else:
+        task, more = "racines/<target view>-v0", ""
     return (
-        f"RACINES, {describe(manifest)}. Observation: image (1, 128, 128), 8-bit gray, unchanged; "
+        f"RACINES, {describe(manifest, config)}. "
+        "Observation: image (1, 128, 128), 8-bit gray, unchanged; "
         f"params: {', '.join(PARAMETERS)} (N, N·m, m, rad; robot base frame; NaN where unknown). "
         "Action: the commanded velocity at the frame before the step (m/s, rad/s; base frame). "
-        "Reward and termination: those of the task racines/<target view>-v0 with reward 'oracle', "
+        f"Reward and termination: those of the task {task} with reward 'oracle', "
         f"by the recorded labels ({ORACLE.formula}; 0 where a label is unknown or the sweep has no "
         "target); the recording goes on after a termination. The last step of a sweep is a "
         f"truncation. Infos, one an observation: view ({labels}; -1 unknown), grade "
-        "(0-10; NaN unknown), timestamp (s), frame. Research data, not for clinical use."
+        f"(0-10; NaN unknown), timestamp (s), frame{more}. Research data, not for clinical use."
     )
+
+
+def _numbered(names: Sequence[str]) -> str:
+    return ", ".join(f"{index} {name}" for index, name in enumerate(names))
 
 
 def _box(shape: tuple[int, ...], low: float, high: float, dtype: str) -> dict[str, Any]:

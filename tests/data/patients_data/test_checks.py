@@ -5,16 +5,19 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
+from gymnasium.envs.registration import EnvSpec
+from pyarrow import ipc
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_data.manifest import config_manifest, read_manifest
-from racines_data.patients import LABELS
+from racines_data.patients import LABELS, PATIENTS_VERSION
 from racines_data.store.frames import open_store
 from racines_data.store.sweeps import read_sweeps
 from racines_data.validate import identity, leaks, patients
@@ -183,3 +186,29 @@ def test_lerobot_has_patients_phases_and_masks(root: Path, tmp_path: Path, confi
     assert stats["observation.images.mask"]["max"][0][0][0] <= (len(LABELS) - 1) / 255
     about = json.loads((out / "meta/racines.json").read_text())
     assert about["mask_labels"] == list(LABELS) and about["digest"] == manifest["digest"]
+
+
+@pytest.mark.parametrize("config", ["patients", "beating"])
+def test_minari_has_patients_phases_and_masks(root: Path, tmp_path: Path, config: str):
+    done = export(root, tmp_path / "out", "minari", config)
+    assert done.exit_code == 0, done.output
+    for sweeps in ([*read_sweeps(root, split, config=config)] for split in ("train", "test")):
+        split = sweeps[0].split
+        data = tmp_path / "out" / "racines" / f"{config}-{split}-v0" / "data"
+        for episode, sweep in enumerate(sweeps):
+            with ipc.open_file((data / str(episode) / "part-0.arrow").read_bytes()) as file:
+                infos = file.get_batch(0).column("infos")
+                assert not any(file.get_batch(0).column("terminations").to_pylist())
+            for name in ("patient", "cardiac_phase", "respiratory_phase"):
+                assert infos.field(name).to_pylist() == sweep.table[name].to_pylist()
+            masks = np.array(infos.field("mask").to_pylist(), np.uint8).reshape(-1, 128, 128)
+            assert np.array_equal(masks, sweep.masks())
+            about = json.loads((data / str(episode) / "metadata.json").read_text())
+            assert about["patient"] == sweep.first("patient")
+        told = json.loads((data / "metadata.json").read_text())
+        assert told["racines"]["version"] == PATIENTS_VERSION
+        assert "mask (128 rows of 128: 0 " in told["description"]
+        spec = EnvSpec.from_json(told["env_spec"])
+        assert spec.id.endswith(f"-{config}-v0") and spec.kwargs["split"] == split
+        env = gymnasium.make(spec, patients=1, observation="params")
+        env.reset(seed=0)
