@@ -59,6 +59,7 @@ COMMANDS = {
     "study floor": "racines_models.cli.study.comparisons:floor",
     "study leakage": "racines_models.cli.study.comparisons:leakage",
     "study conditioning": "racines_models.cli.study.comparisons:conditioning",
+    "study population": "racines_models.cli.study.population:population",
     "study real-heart": "racines_models.cli.study.real_heart:real_heart",
     "study sim-to-real": "racines_models.cli.study.sim_to_real:sim_to_real",
     "study transfer": "racines_envs.cli.study:transfer",
