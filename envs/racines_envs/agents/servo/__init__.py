@@ -2,5 +2,5 @@
 
 `frames` draws what it learns from, `visits` what it sees on its own ways; `learner` trains the
 network, `rounds` orders the trainings. `belief` fuses what it reads over the steps of an episode,
-`search` feels out where the view is best, `agent` acts.
+`search` feels out where the view is best, `mind` is what it keeps, `agent` acts.
 """

@@ -17,8 +17,8 @@ from racines_envs.agents.protocol import SETTINGS
 from racines_envs.agents.servo.belief import Belief, reading
 from racines_envs.agents.servo.frames import shrink
 from racines_envs.agents.servo.learner import ServoConfig
+from racines_envs.agents.servo.mind import Mind
 from racines_envs.agents.servo.rounds import discard, learn
-from racines_envs.agents.servo.search import Search
 from racines_envs.agents.steering import Steering
 from racines_envs.agents.training import seeded
 from racines_envs.task.actions import IDLE
@@ -33,9 +33,13 @@ from racines_models.weights import load_network, read_described, save_weights
 POLICY = "policy.safetensors"
 SLACK = 2.0
 """Squared unit steps that a step has to save after an idle one: what a belief trembles by."""
-MARGIN, TRUST = 0.02, 0.002
-"""Score by which another pose has to be better, and what a squared unit step from the belief costs:
-images say how good they are more exactly than where they are, once the view is near."""
+TRUST = 0.002
+"""Score that a squared unit step from the belief costs in a search: images say how good they are
+more exactly than where they are, once the view is near."""
+ENOUGH = 0.6
+"""Score below which the end of a search is not believed to be the view."""
+LEG = 60
+"""Steps that have to be left for another beginning."""
 
 
 class ServoAgent:
@@ -60,7 +64,7 @@ class ServoAgent:
         self._steering = Steering(core)
         self._label = None if core.task.any_view else core.task.target
         self._task = core.task
-        self._so_far: tuple[Belief, Search] | None = None
+        self._mind: Mind | None = None
 
     @torch.no_grad()
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
@@ -68,15 +72,25 @@ class ServoAgent:
         pose, labels = self._steering.pose(observation), self._labels(observation)
         same = self._steering.moved_on(pose)
         read, worth = self.read(observation, pose)
-        before, search = self._so_far or (read, Search(len(seeds), pose.position.device, MARGIN))
-        belief = before.after(read).kept(same, read).confined(labels)
-        search.forget(~same)
-        self._so_far = belief, search
-        left = cost_to_go(pose, belief.pose, self._task)
+        mind = self._mind or Mind.new(read, len(seeds), pose.position.device)
+        mind.forget(~same)
+        mind.belief = mind.belief.after(read).kept(same & (mind.walk == 0), read).confined(labels)
+        # Who is through with a search and sees little goes to the other side, and reads anew.
+        lost = mind.search.through & (mind.search.best < ENOUGH)
+        mind.depart(lost & (mind.steps < self._task.max_steps - LEG), pose, labels)
+        walking = mind.walk > 0
+        goal = Pose(
+            torch.where(walking[:, None], mind.goal.position, mind.belief.pose.position),
+            torch.where(walking[:, None, None], mind.goal.rotation, mind.belief.pose.rotation),
+        )
+        left = cost_to_go(pose, mind.belief.pose, self._task)
         moved = self._steering.has_moved(pose)
-        action = self._steering.towards(pose, belief.pose, SLACK)
-        felt = search.act(worth - TRUST * left, moved, begin=action == IDLE)
-        return self._steering.take(torch.where(search.searching, felt, action))
+        action = self._steering.towards(pose, goal, SLACK)
+        begin = ~walking & (action == IDLE)
+        felt = mind.search.act(worth - TRUST * left, moved, begin)
+        mind.step(walking & (action == IDLE))
+        self._mind = mind
+        return self._steering.take(torch.where(mind.search.searching, felt, action))
 
     def read(self, observation: dict[str, Tensor], pose: Pose) -> tuple[Belief, Tensor]:
         """Return where the images say that the (N,) targets are, and how completely they show."""

@@ -39,6 +39,16 @@ class Search:
         self._next = torch.zeros(count, dtype=torch.int64, device=device)
         self._failed = torch.zeros_like(self._next)
 
+    @property
+    def through(self) -> Tensor:
+        """(N,) bool: all steps from the best pose were tried in vain."""
+        return self.searching & ~self._out & (self._failed >= len(ORDER))
+
+    @property
+    def best(self) -> Tensor:
+        """(N,) what the best pose is worth."""
+        return self._best
+
     def forget(self, rows: Tensor) -> None:
         """Drop the searches of (N,) bool rows: their episodes are over."""
         for each in vars(self).values():
