@@ -158,7 +158,7 @@ def test_every_command_that_takes_a_path_is_tried():
         if any("Path" in str(hint.annotation) for hint in hints):
             taking.add(words)
     left = {"data pull", "study sheet", "study speed", "study determinism", "studio", "drive"}
-    left |= {"export trace", "study processors"}
+    left |= {"export trace", "study processors", "study population"}
     assert taking - set(NEEDED) <= left, "add it to NEEDED"
 
 
