@@ -13,11 +13,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import pyarrow as pa
 
-from racines_data.build.planning import FORMAT, check_part, plan_units
+from racines_data.build.planning import FORMAT, DataConfig, check_part, plan_units
 from racines_data.build.staging import in_workers, stage_units, staging_folder
 from racines_data.build.writer import (
     Part,
@@ -52,12 +52,9 @@ from racines_data.schema import SPLITS
 from racines_data.sources.base import labels_of_source
 from racines_data.sources.gate.bounds import bounds_of
 
-if TYPE_CHECKING:
-    from racines_data.build.dataset import DataConfig
-
 
 def add_config(
-    source: Any, root: Path, config: "DataConfig", progress: bool = False
+    source: Any, root: Path, config: DataConfig, progress: bool = False
 ) -> dict[str, Any]:
     """Build the config that a source adds, in the place of an older one of that name.
 

@@ -12,12 +12,11 @@ import dataclasses
 import re
 import resource
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from racines_data.build import beside, writer
-from racines_data.build.planning import FORMAT, check_part, plan_units
+from racines_data.build.planning import FORMAT, DataConfig, check_part, plan_units
 from racines_data.build.staging import stage_units, staging_folder
 from racines_data.config import Settings, fill, section
 from racines_data.digest import recipe_digest
@@ -30,34 +29,6 @@ from racines_data.sources.base import (
     source_names,
 )
 from racines_data.sources.gate.bounds import bounds_of
-
-
-@dataclass(frozen=True)
-class DataConfig:
-    """How a dataset is built. Settings of a source stand in a section of its name beside these."""
-
-    source: str = "phantom"
-    """Name of the source."""
-    frames: int = 6000
-    """Frames to acquire, where the source can choose."""
-    seed: int = 0
-    """Seed of the acquisition and of the splits."""
-    workers: int = 2
-    """Worker processes; the result does not depend on it."""
-    shards: int = 16
-    """Parquet shards of `frames`, at least (never more than there are frames)."""
-    validation: float = 0.15
-    """Share of trajectories for validation."""
-    test: float = 0.15
-    """Share of trajectories for test."""
-    strict: bool = False
-    """Stop at the first input that is refused."""
-    max_refused: float = 0.2
-    """Largest share of frames that may be refused."""
-    allow: tuple[str, ...] = ()
-    """Opinions of the gate that are not held against this data, by name (docs/import.md)."""
-    also: tuple[str, ...] = ()
-    """Sources that add a config each once the dataset stands, in order: `patients`, `beating`."""
 
 
 def read_data_section(values: Mapping[str, Any]) -> tuple[DataConfig, dict[str, Settings]]:

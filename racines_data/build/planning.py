@@ -1,6 +1,7 @@
 """What is asked of a source before its units are made, and of the units once they are."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from racines_data.errors import RacinesError
@@ -10,14 +11,41 @@ from racines_data.sources.base import Finding, Source, Unit, has_poses
 from racines_data.sources.gate.check import check_scales, scale_of
 
 if TYPE_CHECKING:
-    from racines_data.build.dataset import DataConfig
     from racines_data.build.writer import Part
 
 FORMAT = 3
 """Version of the layout of units, shards and store; part of every recipe."""
 
 
-def plan_units(source: Source, config: "DataConfig") -> list[Unit]:
+@dataclass(frozen=True)
+class DataConfig:
+    """How a dataset is built. Settings of a source stand in a section of its name beside these."""
+
+    source: str = "phantom"
+    """Name of the source."""
+    frames: int = 6000
+    """Frames to acquire, where the source can choose."""
+    seed: int = 0
+    """Seed of the acquisition and of the splits."""
+    workers: int = 2
+    """Worker processes; the result does not depend on it."""
+    shards: int = 16
+    """Parquet shards of `frames`, at least (never more than there are frames)."""
+    validation: float = 0.15
+    """Share of trajectories for validation."""
+    test: float = 0.15
+    """Share of trajectories for test."""
+    strict: bool = False
+    """Stop at the first input that is refused."""
+    max_refused: float = 0.2
+    """Largest share of frames that may be refused."""
+    allow: tuple[str, ...] = ()
+    """Opinions of the gate that are not held against this data, by name (docs/import.md)."""
+    also: tuple[str, ...] = ()
+    """Sources that add a config each once the dataset stands, in order: `patients`, `beating`."""
+
+
+def plan_units(source: Source, config: DataConfig) -> list[Unit]:
     """Return the units of a source; refuse none, an id twice, and too much that was refused."""
     units = list(source.plan())
     _check_report(source.report, units, config)
@@ -45,7 +73,7 @@ def check_part(part: "Part", allow: Sequence[str]) -> None:
         check_scales(scales, part.source.name, allow)
 
 
-def _check_report(report: Sequence[Finding], units: Sequence[Unit], config: "DataConfig") -> None:
+def _check_report(report: Sequence[Finding], units: Sequence[Unit], config: DataConfig) -> None:
     refused = [finding for finding in report if finding.refused]
     if not refused:
         return

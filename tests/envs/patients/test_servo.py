@@ -10,7 +10,7 @@ from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, axis_angle_to_matrix, geodesic
 from racines_data.randomness import derive
 from racines_envs.agents.rollout import rollout
-from racines_envs.agents.servo import rounds
+from racines_envs.agents.servo import mind, rounds
 from racines_envs.agents.servo.agent import ServoAgent
 from racines_envs.agents.servo.belief import FARTHEST, Belief, reading
 from racines_envs.agents.servo.frames import FrameConfig, Frames, draw_poses, ways_to
@@ -95,6 +95,25 @@ def test_it_goes_to_where_it_reads_and_declares(request, tier):
     final = rollout(core, Told(), torch.arange(12)).final
     assert final["declared"].mean() > 0.9 and final["success"].mean() > 0.8
     assert np.median(final["position_error"]) < 0.004
+
+
+class Astray(Told):
+    """A servo whose readings are all off by the same, so that only what it sees can mend it."""
+
+    def read(self, observation, pose):
+        belief, shown = super().read(observation, pose)
+        off = torch.tensor([[0.003, -0.004, 0.0]])
+        return belief._replace(
+            pose=belief.pose._replace(position=belief.pose.position + off)
+        ), shown
+
+
+def test_it_feels_out_what_its_readings_miss(still, monkeypatch):
+    core = make_core("AnyView-patients", 12, observation="params", phantom=still)
+    felt = rollout(core, Astray(), torch.arange(12)).final["success"].mean()
+    monkeypatch.setattr(mind, "MARGIN", 9.0)  # no step is ever better
+    blind = rollout(core, Astray(), torch.arange(12)).final["success"].mean()
+    assert felt > blind + 0.1, (felt, blind)
 
 
 def fake_shard(patient, config, folder):

@@ -43,7 +43,7 @@ class ServoConfig:
     """What a servo learns from, and how."""
 
     patients: int = 160
-    """Train patients; each costs 8 seconds on a CPU core once, and 4 MB of memory."""
+    """Train patients; each costs some 9 seconds on a CPU core once, and 5 MB of memory."""
     validation_patients: int = 4
     """Validation patients whose frames are read on the way."""
     frames: FrameConfig = FrameConfig()
