@@ -13,6 +13,10 @@ the right ventricle, between its septum (t = 0) and its free wall (t = 1). C may
 and height, so a region that moves badly keeps its volume, too. The atria widen while the base pulls
 them longer. Each step only grows with r or with w, hence the map can be inverted: the Jacobian is
 (R/r)·(dR/dr)·(dW/dw) times the atria's, each positive.
+
+Last the RV's outflow tract, which lies above the annulus where none of this empties it, shrinks
+towards its middle: R³ = r³·(1 + k·exp(-s)), s = (r/b)² in a metric that is longer along the tract;
+R grows with r for every k < 18.
 """
 
 import math
@@ -32,6 +36,10 @@ RAMP = 18.0  # over which the ventricle's squeeze fades above the annulus, mm
 ATRIA = 60.0, 30.0  # above the annulus the atria's widening begins to fade, and how fast, mm
 RIGHT, FAR = 700.0, 9000.0
 """What the RV's free wall takes beyond its inside, and over which its pull fades then, mm²."""
+TRACT = 6.0
+"""k of the outflow tract at full contraction where the RV empties wholly."""
+TRACT_SIZE = 1.3, 2.2
+"""b across and along the tract, in its radii."""
 
 
 class Dynamics(NamedTuple):
@@ -47,6 +55,9 @@ class Dynamics(NamedTuple):
     right: Tensor  # (K, 3) centre of the RV's body
     right_semi: Tensor  # (K,) across
     right_half: Tensor
+    tract: Tensor  # (K, 3) middle of the RV's outflow tract
+    tract_way: Tensor  # (K, 3) direction along it
+    tract_size: Tensor  # (K, 2) across and along it
     between: Tensor  # (K, 2) the middle between the atria
     emptying: Tensor  # (K,) of the LV where it moves normally
     right_emptying: Tensor
@@ -73,10 +84,15 @@ def dynamics_of(shape: Shape, motion: Motion) -> list[Tensor]:
         wide * sin * sin + narrow * cos * cos,
     )
     left, right = shape.left_atrium.centre, shape.right_atrium.centre
+    tract = shape.outflow
+    begin, end = tract.path[1], tract.path[3]
+    way = tuple(b - a for a, b in zip(begin, end, strict=True))
     values: list[float | tuple[float, ...]] = [
         oval, shape.semi, shape.middle, shape.half, form.length,
         shape.semi + 1.05 * max(form.wall, form.septum) + 0.5, shape.lv_outer.radii[2] + 2.0,
         shape.right.centre, shape.right.radii[0], shape.right.radii[2],
+        tract.path[2], tuple(each / math.hypot(*way) for each in way),
+        tuple(size * tract.radii[2] for size in TRACT_SIZE),
         ((left[0] + right[0]) / 2.0, (left[1] + right[1]) / 2.0),
         motion.emptying, motion.right_emptying, motion.shortening, motion.atrial, motion.kick,
         motion.weak, (math.cos(motion.weak_at), math.sin(motion.weak_at)),
@@ -133,7 +149,17 @@ def to_diastole(points: Tensor, dynamics: Dynamics, act: Tensor) -> Tensor:
     left, front = motion.between.unbind(-1)
     scale = grown.sqrt()
     u, v = left + wider * (u * scale - left), front + wider * (v * scale - front)
-    return torch.stack([u, v, height], -1).view(points.shape)
+    return _tract(torch.stack([u, v, height], -1), motion, act).view(points.shape)
+
+
+def _tract(points: Tensor, motion: Dynamics, act: Tensor) -> Tensor:
+    """Return where (B, N, 3) points near the outflow tract were before it shrank."""
+    way = points - motion.tract
+    along = (way * motion.tract_way).sum(-1)
+    across, length = motion.tract_size.square().unbind(-1)
+    far = (way.square().sum(-1) - along.square()) / across + along.square() / length
+    grown = 1.0 + TRACT * motion.right_emptying * act * torch.exp(-far)
+    return motion.tract + way * grown.pow(1.0 / 3.0).unsqueeze(-1)
 
 
 def _along(w: Tensor, motion: Dynamics, act: Tensor) -> tuple[Tensor, Tensor, Tensor]:

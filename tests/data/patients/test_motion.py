@@ -71,11 +71,13 @@ def test_walls_keep_their_volume_and_the_ventricle_ejects(seed: int) -> None:
         assert 0.55 <= found.ejection_fraction <= 0.70
         assert 12.0 <= found.shortening <= 18.0
         assert found.wall[1] > 1.2 * found.wall[0], "the wall thickens"
+        # Norm 0.58 with a standard deviation of 0.065 (Lang et al. 2015).
+        assert 0.45 <= found.right_ejection_fraction <= 0.71
     traced = {label for label, theirs in CAMUS.items() if theirs == 1}
     assert traced == set(PARTS["lv"]), "volumes and masks trace one cavity"
     atrium = found.volumes["la"]
     assert atrium[-1] > 1.1 * atrium[0], "the atrium fills while the ventricle empties"
-    assert found.volumes["rv"][-1] < 0.87 * found.volumes["rv"][0]
+    assert found.volumes["rv"][-1] < 0.8 * found.volumes["rv"][0]
 
 
 def test_contraction_and_valves_go_round() -> None:
