@@ -14,7 +14,7 @@ TESTS := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal
 # The files that have tests of a mark: to read all others takes each process longer than some of those.
 marked = $$(grep -rlw --include="test_*.py" "mark.$(1)" tests)
 
-.PHONY: help repro studio test test-docs test-thorough test-fast test-instruction-sets test-exports mutants lint types bench docs docs-numbers clean
+.PHONY: help repro studio test test-docs test-docs-quick test-thorough test-fast test-instruction-sets test-exports mutants lint types bench docs docs-numbers clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -39,7 +39,10 @@ test: $(READY) ## run the tests of the code
 test-docs: $(READY) ## run what the README and docs/ say, and the pages in a browser
 	$(TESTS) -m docs $(call marked,docs)
 
-test-thorough: $(READY) ## run the walk-throughs, runs that are killed at any moment, every variant of the rest; some ten minutes
+test-docs-quick: $(READY) ## run the README, and of docs/ all but the pages that take long; as .ci/run does
+	$(TESTS) -m "docs and not thorough" $(call marked,docs)
+
+test-thorough: $(READY) ## run the walk-throughs, long pages of docs/, runs that are killed at any moment, every variant of the rest; some ten minutes
 	$(TESTS) -m thorough
 
 test-instruction-sets: $(READY) ## run the contracts of rows, and draw canonical frames, on each instruction set that the CPU has

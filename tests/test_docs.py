@@ -19,6 +19,8 @@ pytestmark = [pytest.mark.docs, pytest.mark.usefixtures("drawn_pictures")]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 GUIDES = [page for page in PAGES if not page.name.startswith("walk-")]
 """Pages on a dataset that is there; the walk-throughs start from nothing: see test_walks.py."""
+LONG = {"audit.md", "patients.md", "scores.md", "submit.md"}
+"""Those whose blocks score or bake for longer than others: `.ci/run` leaves them to each week."""
 NAMES = [page.name for page in PAGES]
 LOADED = re.compile(r'<(?:script|img|iframe|source|link)\b[^>]*(?:src|href)="(https?:)?//[^"]*"')
 DIAGRAM = re.compile(r'class="mermaid"')
@@ -82,7 +84,17 @@ def _parse(words: list[str]) -> None:
         raise AssertionError(f"racines {' '.join(told)}: {error}") from error
 
 
+def test_long_pages_are_pages():
+    assert set(NAMES) >= LONG
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("page", GUIDES, ids=[page.name for page in GUIDES])
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=page.name, marks=[pytest.mark.thorough] * (page.name in LONG))
+        for page in GUIDES
+    ],
+)
 def test_code_blocks_run(page, workplace):
     run_page(page, workplace, command)

@@ -23,6 +23,7 @@ PRELOAD = [
     "torchrl.collectors",
     "torchrl.objectives",
     "dvclive.live",
+    "monai.networks.nets.resnet",
     "pydantic.dataclasses",
     "pydantic.type_adapter",
     "racines_data.build.dataset",

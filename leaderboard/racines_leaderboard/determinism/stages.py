@@ -1,4 +1,7 @@
-"""The stages: each makes its arrays at a small size, however it is asked to run."""
+"""The stages: each makes its arrays at a small size, however it is asked to run.
+
+Libraries that take seconds to load are imported where they are used: a report has many processes.
+"""
 
 import contextlib
 import copy
@@ -13,23 +16,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from racines_data.build import dataset
 from racines_data.config import fill, section
 from racines_data.phantom.config import PhantomConfig
 from racines_data.phantom.model import shared_phantom
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.agents.planner import PlannerAgent
-from racines_envs.agents.ppo import PPOAgent, PPOConfig
 from racines_envs.agents.rollout import rollout
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core
 from racines_models.exchange.onnx.generator import OnnxGenerator, export_generator
 from racines_models.judges.grader.model import Grader, GraderConfig
-from racines_models.judges.grader.training import train_grader
 from racines_models.protocol import Run
 from racines_models.registry import generator_class, generator_names, load_generator
 from racines_models.sample import spread_sample
-from racines_models.scores.scoring import ScoresConfig, score
 from racines_models.weights import load_weights
 
 Arrays = dict[str, Tensor]
@@ -101,6 +100,8 @@ class Work:
 
     def build(self, workers: int, out: Path | None = None) -> FrameStore:
         """Build the small dataset anew, and open it."""
+        from racines_data.build import dataset
+
         settings, out = section(SETTINGS, "data") | {"workers": workers}, out or self.new()
         config, sections = dataset.read_data_section(settings)
         dataset.build(dataset.make_source(config, sections.get(config.source)), out, config)
@@ -125,6 +126,8 @@ class Work:
 
     def train_grader(self, device: str, out: Path | None = None) -> Grader:
         """Train the small grader anew."""
+        from racines_models.judges.grader.training import train_grader
+
         config, out = fill(GraderConfig, SETTINGS["grader"], "grader"), out or self.new()
         train_grader(self.store, config, Run(out, 0, device, progress=False))
         return Grader.load(out, device)
@@ -234,6 +237,8 @@ def drawing(name: str, work: Work, setup: Setup) -> Arrays:
 
 def scores(work: Work, setup: Setup) -> Arrays:
     """Score the mean image on 16 frames, Inception and a grader included."""
+    from racines_models.scores.scoring import ScoresConfig, score
+
     config = ScoresConfig(samples=SCORED, resamples=50, speed=False)
     mean = work.generator("mean-image")
     content = score(mean, work.store, config, "mean-image", grader=work.grader).content
@@ -259,6 +264,8 @@ def rollouts(work: Work, setup: Setup) -> Arrays:
 
 def ppo(work: Work, setup: Setup) -> Arrays:
     """Train PPO on the pose for two updates."""
+    from racines_envs.agents.ppo import PPOAgent, PPOConfig
+
     here, out = {"threads": setup.threads, "device": setup.device}, work.new()
     config: Any = fill(PPOConfig, SETTINGS["ppo"] | here, "ppo")
     PPOAgent.train(config, out, progress=False)
