@@ -22,6 +22,14 @@ LONGEST = 60.0
 """An episode, or a sweep, begins so late in a patient's rhythm at most, s."""
 
 
+def breathed(sway: Tensor, phase: Tensor) -> Tensor:
+    """Return the (B, 3) shifts of hearts at (B,) respiratory phases in [0, 1); 0 breathed out.
+
+    `sway` has the shifts at full breath.
+    """
+    return sway * (0.5 - 0.5 * torch.cos(2.0 * torch.pi * phase)).unsqueeze(1)
+
+
 @dataclass(frozen=True)
 class Workspace:
     """Where the tip may be and how far the probe may lean and turn."""

@@ -19,6 +19,7 @@ from racines_data.patients.patient import Patient
 from racines_data.patients.placement import SURFACE, Placement
 from racines_data.patients.settings import PROBE
 from racines_data.randomness import derive, uniform
+from racines_data.world import breathed
 
 GIVE = 45.0
 """Distance from the tip at which tissue is pushed half as far as under it, mm."""
@@ -56,8 +57,7 @@ class Chest(NamedTuple):
 def chest_of(patient: Patient, placement: Placement, poses: Pose) -> list[Tensor]:
     """Return the fields of one patient, whose (V,) views have these poses, in label order."""
     chest, double = patient.chest, torch.float64
-    foot = torch.tensor(FOOT, dtype=double) @ placement.axes
-    foot = torch.nn.functional.normalize(foot[:2], dim=0)
+    foot = _footwards(placement)
     side = torch.stack([-foot[1], foot[0]])
     across = torch.nn.functional.normalize(foot + chest.slope * side, dim=0)
     crossing = _crossing(poses, RIB_DEPTH * chest.thickness) * 1e3
@@ -77,8 +77,20 @@ def chest_of(patient: Patient, placement: Placement, poses: Pose) -> list[Tensor
         number(chest.rib_width * 1e3), margin, below @ margin - MARGIN,
         number(chest.rib_loss), number(chest.lung_loss), number(chest.notch * 1e3),
         torch.stack([front, apical]), _waves(patient),
-        torch.cat([foot, foot.new_zeros(1)]) * (patient.motion.sway * 1e3),
+        sway_of(patient, placement),
     ]  # fmt: skip
+
+
+def _footwards(placement: Placement) -> Tensor:
+    """Return the (2,) level direction towards the feet."""
+    foot = torch.tensor(FOOT, dtype=torch.float64) @ placement.axes
+    return torch.nn.functional.normalize(foot[:2], dim=0)
+
+
+def sway_of(patient: Patient, placement: Placement) -> Tensor:
+    """Return the (3,) float64 shift of a patient's heart at full breath, mm, base frame."""
+    foot = _footwards(placement)
+    return torch.cat([foot, foot.new_zeros(1)]) * (patient.motion.sway * 1e3)
 
 
 def _waves(patient: Patient) -> Tensor:
@@ -120,7 +132,7 @@ def deform(points: Tensor, tip: Tensor) -> Tensor:
 
 def breathing(chest: Chest, phase: Tensor) -> Tensor:
     """Return the (B, 3) shift of hearts at respiratory phases in [0, 1), mm; 0 breathed out."""
-    return chest.sway * (0.5 - 0.5 * torch.cos(2.0 * torch.pi * phase)).unsqueeze(1)
+    return breathed(chest.sway, phase)
 
 
 class Obstacles(NamedTuple):

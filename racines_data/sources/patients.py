@@ -24,6 +24,7 @@ from torch import Tensor
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, euler_to_matrix
+from racines_data.patients.chest import sway_of
 from racines_data.patients.labels import LABELS as MASK_LABELS
 from racines_data.patients.patient import PATIENTS_VERSION
 from racines_data.patients.placement import SURFACE
@@ -45,6 +46,7 @@ from racines_data.phantom.config import PhantomConfig
 from racines_data.randomness import derive, sample_seeds, uniform
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Finding, SourceCard, Unit
+from racines_data.store.hearts import columns
 from racines_data.views import LABELS, MIDDLES, RANDOM, VIEWS
 from racines_data.world import LONGEST, STEP_SECONDS
 
@@ -233,7 +235,10 @@ class PatientsSource:
         phases = {"phases": list(found.pop("phases"))}
         body = dataclasses.asdict(who.body)
         about = {"patient": patient, "pathology": who.pathology, **body}
-        return about | found | ends | phases | volumes | {"shown": _shown(pool)}
+        placement = pool.hearts[0].placement
+        sway = sway_of(who, placement) * 1e-3
+        lies = columns(placement.axes, placement.origin, sway)
+        return about | found | ends | lies | phases | volumes | {"shown": _shown(pool)}
 
 
 class BeatingSource(PatientsSource):

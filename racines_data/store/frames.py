@@ -11,7 +11,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import pyarrow as pa
@@ -122,6 +122,7 @@ class FrameStore:
     """(N, 128, 128) uint8, a view of the file: numbers of `mask_labels`; None without masks."""
     mask_labels: tuple[str, ...] | None = None
     """Names of the masks' labels by number; None without masks."""
+    _as_recorded: bool = True
 
     def __init__(
         self, root: Path | str | None = None, config: str = "frames", verify: bool = False
@@ -279,7 +280,16 @@ class FrameStore:
         parameters, views, grades = (column.index_select(0, index) for column in columns)
         return Batch(images, parameters, views, grades, index)
 
+    def with_parameters(self, parameters: Tensor) -> Self:
+        """Return a store of the same frames with other (N, 12) parameters, for this process."""
+        other = object.__new__(type(self))
+        vars(other).update(vars(self), parameters=parameters, _as_recorded=False)
+        return other
+
     def __reduce__(self) -> tuple[type["FrameStore"], tuple[Path, str]]:
+        # Another process opens the files, which hold what was recorded.
+        if not self._as_recorded:
+            raise TypeError(f"{self.root}: a store whose parameters were replaced stays here")
         return FrameStore, (self.root, self.config)
 
 

@@ -89,12 +89,23 @@ def check_measures(measures: pa.Table) -> str:
         lv = row["volume_lv"]
         if abs(1 - lv[-1] / lv[0] - row["ejection_fraction"]) > 1e-6:
             raise RacinesError(f"{who}: the ejection fraction is not that of the volumes")
+        if not _turns(row.get("heart_axes", [])):
+            raise RacinesError(f"{who}: heart_axes are no axes of a right-handed frame")
         if row["pathology"] not in PATHOLOGIES:
             raise RacinesError(f"{who}: unknown pathology {row['pathology']!r}")
     fractions = measures["ejection_fraction"].to_numpy()
     return (
         f"{len(measures)} patients, ejection fraction {fractions.min():.2f}-{fractions.max():.2f}"
     )
+
+
+def _turns(axes: Sequence[float]) -> bool:
+    """Return whether nine numbers are a rotation, row by row."""
+    if len(axes) != 9:
+        return False
+    matrix = np.reshape(axes, (3, 3))
+    near = np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-6)
+    return bool(near and np.linalg.det(matrix) > 0.0)
 
 
 def check_people(survey: Survey, measures: pa.Table) -> str:

@@ -14,6 +14,7 @@ from racines_data.imaging import ImageSource
 from racines_data.store.frames import Batch, FrameStore
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.grader.report import MOST, compare
+from racines_models.judges.pose.frames import parameters_in
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.judges.pose.training import LARGEST, pose_errors
 from racines_models.sample import Progress, Sample, evenly
@@ -162,8 +163,9 @@ class Scorer:
         of_view = (frames.views >= 0) & (frames.views != len(self.store.labels) - 1)
         groups = {"": (torch.ones_like(of_view), "all frames")}
         groups["_view"] = (of_view, "the frames of a view")
+        true = parameters_in(regressor.config.frame, self.store, frames.index)
         for suffix, sets in self._sides.items():
-            found = [pose_errors(regressor.predict(images), frames.parameters) for images in sets]
+            found = [pose_errors(regressor.predict(images), true) for images in sets]
             for group, (chosen, rule) in groups.items():
                 if not bool(chosen.any()):
                     continue

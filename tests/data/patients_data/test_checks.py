@@ -129,6 +129,8 @@ def test_measures_of_no_heart_are_found(root: Path, found: dict[str, Survey]):
         ({"volume_lv": [-1.0] * 11}, "volumes of lv that no heart has"),
         ({"volume_la": [9.0]}, "volumes of la that no heart has"),
         ({"ejection_fraction": 0.5}, "is not that of the volumes"),
+        ({"heart_axes": [-x for x in rows[0]["heart_axes"]]}, "heart_axes are no axes"),
+        ({"heart_axes": [1.0, 0.0]}, "heart_axes are no axes"),
         ({"pathology": "unwell"}, "unknown pathology 'unwell'"),
     ):
         wrong = pa.Table.from_pylist([rows[0] | change, *rows[1:]])

@@ -17,12 +17,13 @@ from racines_data.build.dataset import DataConfig, build, make_also, read_data_s
 from racines_data.digest import check_files
 from racines_data.errors import RacinesError
 from racines_data.files import locked_place
-from racines_data.geometry import Pose
+from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.manifest import read_manifest
 from racines_data.patients import LABELS, Pool, draw_patient, split_of
 from racines_data.schema import PHASES, frame_features
 from racines_data.sources.patients import BeatingSource, PatientsSource
 from racines_data.store.frames import open_store
+from racines_data.store.hearts import hearts_of, to_heart
 from racines_data.store.sweeps import restore_stores
 from racines_data.validate.identity import same_version
 from racines_data.views import VIEWS
@@ -153,8 +154,21 @@ def test_measures_are_the_pools(root: Path):
     assert (row["lv_length_diastole"], row["lv_length_systole"]) == true.lv_length
     assert (row["female"], row["height"]) == (who.body.female, who.body.height)
     assert set(row["shown"]) <= set(VIEWS)
+    placement = pool.hearts[0].placement
+    assert row["heart_axes"] == placement.axes.flatten().tolist()
+    assert row["heart_origin"] == placement.origin.tolist()
     with pytest.raises(RacinesError, match="config frames has no patients"):
         open_store(root).measures()
+
+
+def test_poses_about_hearts_tell_frames_of_a_view_from_the_rest(root: Path):
+    """Frames of one view are alike about the hearts, not on the chests, of two patients."""
+    store = open_store(root, "beating")
+    rows = torch.nonzero(store.views == VIEWS.index("A4C"))[:, 0]
+    assert len(set(store.units(rows).tolist())) > 1
+    pose = parameters_to_pose(store.parameters[rows].double())
+    about = to_heart(pose, hearts_of(store, rows), store.phases[rows, 1])
+    assert float(about.position.std(0).norm()) < 0.7 * float(pose.position.std(0).norm())
 
 
 def test_the_segmentation_judge_gets_its_masks(root: Path):

@@ -1,3 +1,4 @@
+import pickle
 import shutil
 from pathlib import Path
 
@@ -79,6 +80,16 @@ def test_writing_to_a_tensor_leaves_the_file(built: Path, store: FrameStore):
     before = store.images[0].clone()
     store.images[0] = 255 - before
     assert torch.equal(open_store(built).images[0], before)
+
+
+def test_other_parameters_leave_the_store_as_it_was(store: FrameStore):
+    doubled = store.with_parameters(store.parameters * 2.0)
+    rows = torch.tensor([2, 0])
+    assert torch.equal(doubled.take(rows).parameters, store.take(rows).parameters * 2.0)
+    assert torch.equal(doubled.take(rows).images, store.take(rows).images)
+    with pytest.raises(TypeError, match="parameters were replaced"):
+        pickle.dumps(doubled)
+    assert pickle.loads(pickle.dumps(store)).root == store.root
 
 
 def test_bad_requests(store: FrameStore, tmp_path: Path):

@@ -1,18 +1,22 @@
 """The pose regressor: what it learns, how it is kept, and the command that trains it."""
 
 import json
+from pathlib import Path
 
+import pyarrow as pa
 import pytest
 import torch
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import (
+    Pose,
     axis_angle_to_matrix,
     geodesic,
     matrix_from_6d,
     parameters_to_pose,
     rotation_6d,
 )
+from racines_data.store.hearts import columns, hearts_of, to_heart
 from racines_models.judges.pose.regressor import (
     PoseConfig,
     PoseNetwork,
@@ -160,3 +164,61 @@ def test_the_report_tells_frames_of_a_view_apart(posed):
     value = metrics["pose_error_mm"]["value"]
     assert value == pytest.approx(float(millimetres.quantile(0.5)), rel=1e-5)
     assert metrics["pose_error_mm"]["low"] <= value <= metrics["pose_error_mm"]["high"]
+
+
+class PatientsStore(PosedStore):
+    """The same of patients: three sweeps each, frames told in the base frame."""
+
+    def __init__(self):
+        super().__init__()
+        self.root, self.config = Path("data/racines"), "patients"
+        self.patients = [1 + sweep // 3 for sweep in range(len(self.images) // 8)]
+        self.phases = torch.rand(len(self.images), 2, generator=torch.Generator().manual_seed(3))
+        people = sorted(set(self.patients))
+        g = torch.Generator().manual_seed(4)
+        turns = axis_angle_to_matrix(torch.randn(len(people), 3, generator=g, dtype=torch.float64))
+        shifts = 0.05 * torch.randn(len(people), 2, 3, generator=g, dtype=torch.float64)
+        rows = [columns(axes, *shift) for axes, shift in zip(turns, shifts, strict=True)]
+        table = {name: [row[name] for row in rows] for name in rows[0]}
+        self.table = pa.table({"patient": people} | table)
+
+    def measures(self) -> pa.Table:
+        return self.table
+
+
+def test_of_patients_it_learns_poses_about_their_hearts(tmp_path):
+    store = PatientsStore()
+    metrics = train_pose(
+        store, config(64, warmup_images=0), Run(tmp_path, 0, "cpu", progress=False)
+    )
+    regressor = PoseRegressor.load(tmp_path)
+    assert regressor.config.frame == "heart" and regressor.settings["frame"] == "heart"
+
+    def true(split: str) -> Pose:
+        rows = store.split_indices(split)
+        pose = parameters_to_pose(store.parameters[rows].double())
+        return to_heart(pose, hearts_of(store, rows), store.phases[rows, 1])
+
+    found = regressor.predict(store.images[store.split_indices("test")])
+    millimetres = (found.position.double() - true("test").position).norm(dim=1) * 1e3
+    told = metrics["metrics"]["pose_error_mm"]["value"]
+    assert told == pytest.approx(float(millimetres.quantile(0.5)), rel=1e-4)
+    again = report(regressor, store)["metrics"]["pose_error_mm"]
+    assert again == metrics["metrics"]["pose_error_mm"]
+    # Its standardised targets are about the heart too, not only what it is held to.
+    guess = regressor.network.pose(torch.zeros(1, 9)).position[0]
+    assert torch.allclose(guess.double(), true("train").position.mean(0), atol=1e-6)
+
+
+def test_poses_about_hearts_need_a_dataset_that_says_where_they_lie(posed, tmp_path):
+    with pytest.raises(RacinesError, match="pose.frame 'chest': choose one of base, heart"):
+        PoseConfig(frame="chest")
+    regressor = PoseRegressor(PoseNetwork(64, 0.125), PoseConfig(width=0.125, frame="heart"))
+    posed.config = "frames"
+    with pytest.raises(RacinesError, match="choose patients or beating"):
+        report(regressor, posed)
+    store = PatientsStore()
+    store.table = store.table.drop_columns("heart_sway")
+    store.manifest["source"] = "patients"
+    with pytest.raises(RacinesError, match="lack heart_sway.*racines data build --source patients"):
+        train_pose(store, config(), Run(tmp_path, 0, "cpu", progress=False))

@@ -7,6 +7,7 @@ from racines_models.cli.device import Device
 
 def train_pose(
     data: opt.Data = opt.DATA,
+    config: opt.Config = "frames",
     out: opt.Out = opt.POSE,
     params: opt.Params = None,
     profile: opt.Profile = None,
@@ -17,7 +18,7 @@ def train_pose(
 ) -> None:
     """Train the pose regressor, which reads the pose back from an image; report on the test split.
 
-    Settings: section `pose` of the params file.
+    Of patients it reads the pose about the heart. Settings: section `pose` of the params file.
     """
     from racines_data.config import fill, section
     from racines_data.store.frames import open_store
@@ -27,7 +28,7 @@ def train_pose(
     from racines_models.protocol import Run
 
     values = read_settings(params, profile)
-    config = fill(PoseConfig, section(values, "pose"), "pose")
+    settings = fill(PoseConfig, section(values, "pose"), "pose")
     run = Run(out, seed_of(values, seed), device, resume, progress=not as_json)
-    metrics = pose_training.train_pose(open_store(data), config, run)
+    metrics = pose_training.train_pose(open_store(data, config), settings, run)
     show_training("pose regressor", out, metrics, as_json)

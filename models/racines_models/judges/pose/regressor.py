@@ -1,7 +1,8 @@
 """The pose regressor: one ResNet that reads the probe's pose back from one image.
 
 It measures what no likeness does: whether a drawn image shows the place that it was asked for. The
-pose is not unique where nothing is seen (no contact), so errors are told as medians.
+pose is not unique where nothing is seen (no contact), so errors are told as medians. Of patients it
+reads the pose about the heart: where that lies in the chest cannot be seen.
 """
 
 from dataclasses import asdict, dataclass, field
@@ -17,6 +18,7 @@ from racines_data.files import sha256_file, write_json
 from racines_data.geometry import Pose, matrix_from_6d, parameters_to_pose, rotation_6d
 from racines_data.imaging import IMAGE_SIZE, check_images
 from racines_models.devices import resolve_device
+from racines_models.judges.pose.frames import FRAMES
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.training.augmentation import Augmentation
 from racines_models.training.objective import Training
@@ -65,13 +67,17 @@ class PoseConfig:
     learning_rate: float = 2e-3
     """Peak of AdamW's rate."""
     weight_decay: float = 0.01
+    frame: str = "base"
+    """What poses are told in: base, or heart, as whoever learns from patients does."""
     augmentation: PoseAugmentation = field(default_factory=PoseAugmentation)
     training: PoseTraining = field(default_factory=PoseTraining)
 
     def __post_init__(self) -> None:
-        """Refuse a size that the network cannot take."""
+        """Refuse a size that the network cannot take, and an unknown frame."""
         if self.input_size not in (64, 128):
             raise RacinesError(f"pose.input_size {self.input_size}: choose 64 or 128")
+        if self.frame not in FRAMES:
+            raise RacinesError(f"pose.frame {self.frame!r}: choose one of {', '.join(FRAMES)}")
 
 
 class PoseNetwork(nn.Module):
@@ -118,7 +124,7 @@ class PoseNetwork(nn.Module):
         return self.head(self.encoder(x)).float()
 
     def pose(self, predicted: Tensor) -> Pose:
-        """Turn (B, 9) standardised targets into poses, metres in the base frame."""
+        """Turn (B, 9) standardised targets into poses, metres."""
         raw = predicted * self.std + self.mean
         return Pose(raw[:, :3], matrix_from_6d(raw[:, 3:]))
 
@@ -139,7 +145,7 @@ class PoseRegressor:
 
     @torch.inference_mode()
     def predict(self, images: Tensor) -> Pose:
-        """Return the poses, on the CPU, that (N, 128, 128) uint8 images show."""
+        """Return the poses, on the CPU, that (N, 128, 128) uint8 images show, in `config.frame`."""
         network, images = self.network, check_images(images).to(self.device)
         # fp32: bfloat16 rounds a position by tenths of a millimetre.
         predicted = in_fixed_batches(lambda batch: network(network.normalise(batch)), images)
@@ -148,7 +154,7 @@ class PoseRegressor:
     @property
     def settings(self) -> dict[str, Any]:
         """What its figures depend on, for a scores file."""
-        return {
+        told = {
             "id": "racines-pose-resnet18",
             "sha256": self.sha256,
             "width": self.config.width,
@@ -156,6 +162,8 @@ class PoseRegressor:
             "range": "gray 0-255, x / 127.5 - 1",
             "precision": "float32",
         }
+        # Sealed records of the one heart name no frame.
+        return told if self.config.frame == "base" else told | {"frame": self.config.frame}
 
     def save(self, folder: Path, **provenance: Any) -> None:
         """Write `model.safetensors`, then `config.json` with what `provenance` adds."""

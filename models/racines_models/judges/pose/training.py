@@ -13,6 +13,7 @@ from racines_data.files import write_json
 from racines_data.geometry import Pose, geodesic, parameters_to_pose
 from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
+from racines_models.judges.pose.frames import parameters_in, told_in
 from racines_models.judges.pose.regressor import PoseConfig, PoseNetwork, PoseRegressor
 from racines_models.protocol import Run
 from racines_models.provenance import code_version, dataset_card, environment
@@ -66,17 +67,22 @@ class PoseLearner:
 def train_pose(store: FrameStore, config: PoseConfig, run: Run) -> dict[str, Any]:
     """Train, save into `run.folder`, and return the metrics on the test trajectories.
 
+    From a config of patients it learns poses about their hearts (`config.frame` is heart then).
+
     Raises:
         RacinesError: no training frames, or `run.resume` is True and nothing can be resumed.
     """
     rows = store.split_indices("train")
     if not len(rows):
         raise RacinesError("pose: the train split is empty; build a dataset with more sweeps")
+    if store.patients is not None:
+        config = replace(config, frame="heart")
+    taught = told_in(config.frame, store)
     run = replace(run, device=resolve_device(run.device))
     learner = PoseLearner(config, run.seed, dataset_card(store))
-    learner.network.fit_targets(store.parameters[rows])
+    learner.network.fit_targets(taught.parameters[rows])
     learner.network.to(run.device)
-    figures = train(learner, store, config.training, run)
+    figures = train(learner, taught, config.training, run)
     regressor = PoseRegressor(learner.network, config, run.device)
     made = {"dataset": dataset_card(store), "seed": run.seed, "code": code_version()}
     regressor.save(run.folder, **made)
@@ -88,15 +94,19 @@ def train_pose(store: FrameStore, config: PoseConfig, run: Run) -> dict[str, Any
 
 
 def report(regressor: PoseRegressor, store: FrameStore, split: str = "test") -> dict[str, Any]:
-    """Read the poses of a split and compare with the recorded ones.
+    """Read the poses of a split and compare with the recorded ones, in the regressor's frame.
 
     Returns:
         `split`; `metrics`: `pose_error_mm` and `pose_error_deg`, medians over all frames, and
         `…_view`, over the frames of a view; each with value, low, high, n.
+
+    Raises:
+        RacinesError: it reads poses about patients' hearts, and no patients are scanned.
     """
     rows = store.split_indices(split)
     frames = store.take(rows)
-    errors = pose_errors(regressor.predict(frames.images), frames.parameters)
+    true = parameters_in(regressor.config.frame, store, rows)
+    errors = pose_errors(regressor.predict(frames.images), true)
     units = store.units(rows)
     of_view = (frames.views >= 0) & (frames.views != len(store.labels) - 1)
     metrics = {}
