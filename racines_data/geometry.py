@@ -63,9 +63,14 @@ def matmul3(a: Tensor, b: Tensor) -> Tensor:
     return (a.unsqueeze(-1) * b.unsqueeze(-3)).sum(-2)
 
 
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """Return the products of (…, 3) vectors: the same bits as a sum over the axis, in less time."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+
+
 def rotate(rotation: Tensor, vector: Tensor) -> Tensor:
     """Rotate (…, 3) vectors by (…, 3, 3) matrices, row results independent of the batch."""
-    return (rotation * vector.unsqueeze(-2)).sum(-1)
+    return dot(rotation, vector.unsqueeze(-2))
 
 
 def orthonormalise(rotation: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from racines_data.geometry import Pose
+from racines_data.geometry import Pose, dot
 from racines_data.patients.form import FOOT
 from racines_data.patients.patient import Patient
 from racines_data.patients.placement import SURFACE, Placement
@@ -118,16 +118,19 @@ def undeform(points: Tensor, tip: Tensor) -> Tensor:
     """
     tip = tip.view(-1, *[1] * (points.ndim - 2), 3)
     pressed = (SURFACE * 1e3 - tip[..., 2]).clamp_min(0.0)
-    away = (points - tip).square().sum(-1) / GIVE**2
+    offset = points - tip
+    away = dot(offset, offset) / GIVE**2
     return torch.cat([points[..., :2], (points[..., 2] + pressed / (1.0 + away)).unsqueeze(-1)], -1)
 
 
 def deform(points: Tensor, tip: Tensor) -> Tensor:
     """Return where (B, N, 3) points, mm, are pushed to: the inverse of `undeform`."""
-    found = points
+    x, y, z = (points - tip.unsqueeze(1)).unbind(-1)
+    pressed = (SURFACE * 1e3 - tip[:, 2:]).clamp_min(0.0)
+    aside, found = x.square() + y.square(), z
     for _ in range(4):  # the displacement changes by an eighth at most from mm to mm
-        found = found + points - undeform(found, tip)
-    return found
+        found = z - pressed / (1.0 + (aside + found.square()) / GIVE**2)
+    return torch.stack([points[..., 0], points[..., 1], found + tip[:, 2:]], -1)
 
 
 def breathing(chest: Chest, phase: Tensor) -> Tensor:
@@ -181,9 +184,14 @@ def cover(pose: Pose, half_angle: Tensor, chest: Chest) -> Tensor:
     return (torch.sin(2.0 * math.pi * turns) * size).sum(-1).float()
 
 
+def _dot2(a: Tensor, b: Tensor) -> Tensor:
+    """Return the products of (…, 2) vectors, as `geometry.dot` does."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+
+
 def _rib(place: Tensor, chest: Chest) -> Tensor:
     """Return (B, L) dB that ribs take at (B, L, 2) places."""
-    along = (place * chest.across.unsqueeze(1)).sum(-1)
+    along = _dot2(place, chest.across.unsqueeze(1))
     spacing = chest.spacing.unsqueeze(1)
     # Distance from the nearest rib's middle, half a space off the windows.
     away = (torch.remainder(along - chest.offset.unsqueeze(1), spacing) - spacing / 2.0).abs()
@@ -193,7 +201,7 @@ def _rib(place: Tensor, chest: Chest) -> Tensor:
 
 def _over_margin(place: Tensor, chest: Chest) -> Tensor:
     """Return (B, L) 1 over the costal margin and 0 below it, where the subcostal window is."""
-    beyond = (place * chest.margin.unsqueeze(1)).sum(-1) - chest.last.unsqueeze(1)
+    beyond = _dot2(place, chest.margin.unsqueeze(1)) - chest.last.unsqueeze(1)
     return torch.sigmoid(-beyond / EDGE)
 
 
@@ -201,9 +209,9 @@ def _lung(place: Tensor, chest: Chest) -> Tensor:
     """Return (B, L) dB that lung takes at (B, L, 2) places."""
     first, second = chest.windows[:, None, 0], chest.windows[:, None, 1]
     way = second - first
-    share = (((place - first) * way).sum(-1) / way.square().sum(-1)).clamp(0.0, 1.0)
-    nearest = first + share.unsqueeze(-1) * way
-    away = (place - nearest).square().sum(-1).sqrt()
+    share = (_dot2(place - first, way) / _dot2(way, way)).clamp(0.0, 1.0)
+    aside = place - first - share.unsqueeze(-1) * way
+    away = _dot2(aside, aside).sqrt()
     covered = torch.sigmoid((away - chest.notch.unsqueeze(1)) * (2.0 / EDGE))
     return chest.lung_loss.unsqueeze(1) * covered * _over_margin(place, chest)
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from racines_data.geometry import Pose, rotate
+from racines_data.geometry import Pose, dot
 from racines_data.patients.chest import Chest, deform, obstacles, transmission
 from racines_data.patients.placement import SURFACE
 from racines_data.patients.settings import PROBE, Settings
@@ -36,6 +36,8 @@ class Sight(NamedTuple):
 def look(pose: Pose, marks: Tensor, radii: Tensor, settings: Settings, chest: Chest) -> Sight:
     """See what (B,) float64 poses show of (B, S, 3) landmarks.
 
+    Ribs and lung are looked through once: give landmarks at several moments side by side.
+
     Args:
         pose: metres, base frame.
         marks: mm, base frame, where the heart's beat and the breath have brought them.
@@ -47,8 +49,8 @@ def look(pose: Pose, marks: Tensor, radii: Tensor, settings: Settings, chest: Ch
     through = transmission(obstacles(pose, settings.half_angle, chest))
     tip = pose.position * 1e3
     offset = deform(marks, tip) - tip.unsqueeze(1)
-    inverse = pose.rotation.transpose(-1, -2).unsqueeze(1)
-    lateral, elevation, axial = rotate(inverse, offset).unbind(-1)
+    axes = pose.rotation.unsqueeze(1)
+    lateral, elevation, axial = (dot(offset, axes[..., i]) for i in range(3))
     in_plane = torch.exp(-0.5 * (elevation / (0.6 * radii)).square())
     radius = (lateral.square() + axial.square()).sqrt()
     angle, half = torch.atan2(lateral, axial), settings.half_angle.unsqueeze(1)
@@ -73,29 +75,35 @@ def completeness(seen: Tensor, weights: Tensor) -> Tensor:
     return (weights * seen.clamp_min(0.02).log()).sum(-1).exp()
 
 
-def scores(pose: Pose, sight: Sight, weights: Tensor, targets: Pose) -> Tensor:
-    """Return (B, V) in 0-1, how completely and how properly each view is shown."""
-    shown = completeness(sight.visibility.unsqueeze(1), weights)
-    return shown * _display(pose, targets) * _window(pose, targets)
+def scores(pose: Pose, visibility: Tensor, weights: Tensor, targets: Pose) -> Tensor:
+    """Return (…, B, V) in 0-1, how completely and how properly each view is shown.
+
+    Args:
+        pose: (B,).
+        visibility: (…, B, S), at one moment or at several.
+        weights: (V, S).
+        targets: (B, V) nominal poses of the rows' patients.
+    """
+    shown = completeness(visibility.unsqueeze(-2), weights)
+    return shown * (_display(pose, targets) * _window(pose, targets))
 
 
-def judge(pose: Pose, sight: Sight, weights: Tensor, targets: Pose) -> Truth:
-    """Judge (B,) poses by what they show and by the (B, V) nominal poses of their patients."""
-    score = scores(pose, sight, weights, targets)
+def judge(score: Tensor, visibility: Tensor, clarity: Tensor) -> Truth:
+    """Judge by (…, B, V) scores, (…, B, S) visibility and (B,) clarity, all moments at once."""
     membership = torch.sigmoid((score - MEMBERSHIP_CENTRE) / MEMBERSHIP_WIDTH)
-    membership = membership * torch.sigmoid((sight.clarity - 0.35) / 0.04).unsqueeze(-1)
+    membership = membership * torch.sigmoid((clarity - 0.35) / 0.04).unsqueeze(-1)
     best, view = membership.max(-1)
     attained = best > 0.5
     progress = ((score - 0.5) / 0.45).clamp(0.0, 1.0)
-    grade = (10.0 * progress * sight.clarity.clamp(0.0, 1.0).unsqueeze(-1)).clamp(0.0, 10.0)
+    grade = (10.0 * progress * clarity.clamp(0.0, 1.0).unsqueeze(-1)).clamp(0.0, 10.0)
     own = grade.gather(-1, view.unsqueeze(-1)).squeeze(-1).clamp_min(1.0)
     return Truth(
         view=torch.where(attained, view, membership.shape[-1]),  # Random
         grade=torch.where(attained, own, 0.0).float(),
         membership=membership.float(),
         view_grade=grade.float(),
-        clarity=sight.clarity.float(),
-        visibility=sight.visibility.float(),
+        clarity=clarity.expand(view.shape).float(),
+        visibility=visibility.float(),
     )
 
 
@@ -103,15 +111,15 @@ def _display(pose: Pose, targets: Pose) -> Tensor:
     """Return (B, V) in 0-1: how near the picture is turned to the standard display."""
     beam = pose.rotation[:, None, :, 2]
     lateral, axial = targets.rotation[..., 0], targets.rotation[..., 2]
-    roll = torch.atan2((beam * lateral).sum(-1), (beam * axial).sum(-1)).abs()
+    roll = torch.atan2(dot(beam, lateral), dot(beam, axial)).abs()
     upright = ((ROLL_LOST - roll) / (ROLL_LOST - ROLL_FREE)).clamp(0.0, 1.0)
-    facing = (pose.rotation[:, None, :, 1] * targets.rotation[..., 1]).sum(-1)
+    facing = dot(pose.rotation[:, None, :, 1], targets.rotation[..., 1])
     return upright * (3.0 - 2.0 * upright) * upright * (facing > 0.0)
 
 
 def _window(pose: Pose, targets: Pose) -> Tensor:
     """Return (B, V) in 0-1: how near the probe stands to the view's acoustic window."""
-    offset = pose.position[:, None, :2] - targets.position[..., :2]
-    away = offset.square().sum(-1).sqrt()
+    x, y = (pose.position[:, None, :2] - targets.position[..., :2]).unbind(-1)
+    away = (x.square() + y.square()).sqrt()
     near = ((WINDOW_LOST - away) / (WINDOW_LOST - WINDOW_FREE)).clamp(0.0, 1.0)
     return (3.0 - 2.0 * near) * near * near

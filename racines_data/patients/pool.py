@@ -238,19 +238,42 @@ class Pool:
 
     def judge(self, pose: Pose, rows: Tensor, phase: Tensor | None = None) -> Truth:
         """Return what is true at (B,) poses of rows' patients, moved by the phase."""
-        return oracle.judge(*self._look(pose, rows, phase))
+        return oracle.judge(*self._scored(pose, rows, phase))
+
+    def judge_beat(self, pose: Pose, rows: Tensor, moments: Sequence[float]) -> Truth:
+        """Return the same at M cardiac phases, breathed out: all is (M, B, …).
+
+        Two moments take hardly longer than one, since what lies before the heart stays.
+        """
+        count, many = len(moments), len(rows)
+        phase = torch.zeros(count, many, 2, dtype=torch.float64, device=self.device)
+        phase[..., 0] = phase.new_tensor(moments).unsqueeze(1)
+        marks = self._marks(rows.repeat(count), phase.flatten(0, 1)).unflatten(0, (count, many))
+        pose = _double(pose)
+        every = marks.transpose(0, 1).flatten(1, 2)
+        seen = self._look(pose, rows, every, self._radii.repeat(count))
+        visibility = seen.visibility.unflatten(1, (count, -1)).transpose(0, 1)
+        targets = self._nominal(rows, self._phase(rows, None))
+        score = oracle.scores(pose, visibility, self._weights, targets)
+        return oracle.judge(score, visibility, seen.clarity)
 
     def scores(self, pose: Pose, rows: Tensor, phase: Tensor | None = None) -> Tensor:
         """Return (B, V) in 0-1: how completely the views are shown, which grades rise from 0.5."""
-        return oracle.scores(*self._look(pose, rows, phase))
+        return self._scored(pose, rows, phase)[0]
 
-    def _look(
+    def _scored(
         self, pose: Pose, rows: Tensor, phase: Tensor | None
-    ) -> tuple[Pose, oracle.Sight, Tensor, Pose]:
-        pose, phase = Pose(*(each.double() for each in pose)), self._phase(rows, phase)
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return (B, V) scores, (B, S) visibility and (B,) clarity."""
+        pose, phase = _double(pose), self._phase(rows, phase)
+        seen = self._look(pose, rows, self._marks(rows, phase), self._radii)
+        targets = self._nominal(rows, phase)
+        score = oracle.scores(pose, seen.visibility, self._weights, targets)
+        return score, seen.visibility, seen.clarity
+
+    def _look(self, pose: Pose, rows: Tensor, marks: Tensor, radii: Tensor) -> oracle.Sight:
         settings, chest = self._settings.rows(rows), self._chest.rows(rows)
-        sight = oracle.look(pose, self._marks(rows, phase), self._radii, settings, chest)
-        return pose, sight, self._weights, self._nominal(rows, phase)
+        return oracle.look(pose, marks, radii, settings, chest)
 
     def _marks(self, rows: Tensor, phase: Tensor) -> Tensor:
         """Return the (B, S, 3) landmarks of moved hearts, mm, base frame."""
@@ -281,6 +304,10 @@ class Pool:
     def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
         """Return (B, 6) force, N, and torque, N·m, in the probe's axes; the skin is everyone's."""
         return truth.wrench(pose, velocity, SURFACE, ContactConfig())
+
+
+def _double(pose: Pose) -> Pose:
+    return Pose(*(each.double() for each in pose))
 
 
 def check_memory(count: int, memory: int = MEMORY) -> None:

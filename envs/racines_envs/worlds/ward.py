@@ -119,9 +119,7 @@ class Scene(World):
         """Return the truth of (B,) poses, one a row: of the still heart, or over a beat."""
         if self._phase is None:
             return self._pool.judge(pose, self._case)
-        phases = self._phase.new_zeros(len(BEAT), len(self._case), 2)
-        phases[..., 0] = self._phase.new_tensor(BEAT).unsqueeze(1)
-        return over_beat([self._pool.judge(pose, self._case, phase) for phase in phases])
+        return over_beat(self._pool.judge_beat(pose, self._case, BEAT))
 
     def judge_alike(self, pose: Pose) -> Truth:
         """Return the same, each as if it were alone: the rows are filled up to whole vectors."""
@@ -139,14 +137,13 @@ class Scene(World):
         return self._pool.render(pose, self._case, self._phase, seeds)
 
 
-def over_beat(moments: Sequence[Truth]) -> Truth:
+def over_beat(moments: Truth) -> Truth:
     """Return what is true of a clip: the medians over its moments, and the view that they attain.
 
-    The grade is that of the view, 1 or more, as the oracle's of a moment is.
+    All of `moments` is (M, B, …). The grade is that of the view, 1 or more, as the oracle's of a
+    moment is.
     """
-    *_, membership, grades, clarity, visibility = (
-        torch.stack(column).median(0).values for column in zip(*moments, strict=True)
-    )
+    *_, membership, grades, clarity, visibility = (column.median(0).values for column in moments)
     best, view = membership.max(-1)
     attained = best > 0.5
     own = grades.gather(-1, view.unsqueeze(-1)).squeeze(-1).clamp_min(1.0)

@@ -59,6 +59,18 @@ def test_every_view_is_shown_over_the_whole_beat(pool: Pool) -> None:
             assert found[0] > 0.9 and found[1] > 4.5, (SEEDS[row], VIEWS[view], found)
 
 
+def test_a_clip_is_judged_as_its_moments_are(pool: Pool, batch: tuple) -> None:
+    pose, rows, *_ = batch
+    moments = (0.0, 0.3, 0.7)
+    clip = pool.judge_beat(pose, rows, moments)
+    for row, moment in enumerate(moments):
+        phase = torch.tensor([[moment, 0.0]], dtype=torch.float64).expand(len(rows), 2)
+        alone = pool.judge(pose, rows, phase)
+        for name, own, its in zip(alone._fields, clip, alone, strict=True):
+            assert torch.allclose(own[row].double(), its.double(), atol=1e-6), name
+    assert float((clip.visibility[0] - clip.visibility[1]).abs().max()) > 0.05
+
+
 def test_grades_rise_with_scores_from_a_half_on(pool: Pool) -> None:
     rows = torch.zeros(30, dtype=torch.int64)
     target = at_targets(pool, rows, rows)
