@@ -36,7 +36,7 @@ from racines_data.patients.valves import leaflets
 from racines_data.patients.volume import BOX, HEART_BYTES, LOW, TILE, VOXEL, centres
 from racines_data.phantom.volume import ALONG_SHEET, REFLECTOR_STEP, blur, sheet_normals
 
-VOXELS_VERSION = "0.2.0"
+VOXELS_VERSION = "0.3.0"
 """Of the world in which voxels last changed; raise it with the world's whenever they do."""
 CACHE_BYTES = 4 << 30
 """Cap of the cache on disk, some 215 hearts; RACINES_HEARTS_BYTES in the environment changes it."""

@@ -3,30 +3,42 @@
 All that is random in a patient's voxels is drawn here, once, on a tile: the heart's own
 scatterers are the tile's, too. In double, so that what is rounded to integers, and what lies on one
 side of a threshold, is so on every processor.
+
+A tile lies along its heart's axes, so what is drawn on it must have no direction of its own: who
+saw one would know how the heart lies without seeing it. A tile is small, and of the waves that fit
+it a whole number of times the long ones lie along its edges; fields are made of shorter ones.
 """
 
 import math
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.nn.functional import normalize
 
 from racines_data.patients.draws import exact_normal
 from racines_data.patients.labels import BACKGROUND, CAVA, CHEST, LIVER, MATERIALS, SOFT
 from racines_data.patients.patient import Patient
-from racines_data.patients.volume import TILE
+from racines_data.patients.volume import TILE, VOXEL
 from racines_data.phantom.volume import (
     ALONG_SHEET,
     REFLECTOR_STEP,
     SCATTER_BLUR,
     SCATTERER_STEP,
 )
-from racines_data.randomness import derive, uniform
+from racines_data.randomness import derive
 
 CONNECTIVE = 6.0, 0.09
 """What layers of connective tissue scatter more than what lies around, dB, and their impedance's
 excess, MRayl."""
+
+WAVES = 16.0, 28.0
+"""Wavelengths of what varies slowly, mm."""
+FINE = 1.5
+"""Standard deviation of the blur of what varies finely, mm."""
+LAYERED = 0.29
+"""Standard deviation of the field whose zeros are layers."""
 
 
 class Fields(NamedTuple):
@@ -35,7 +47,7 @@ class Fields(NamedTuple):
     scatter: Tensor  # (2, X, Y, Z) complex Gaussian scatterers of unit power
     slow: Tensor  # (X, Y, Z) standard normal, over centimetres
     fine: Tensor  # (X, Y, Z) standard normal, over 2-3 mm
-    layers: Tensor  # (X, Y, Z) in -1 to 1: the mean of a few plane waves
+    layers: Tensor  # (X, Y, Z) normal; sheets of tissue lie where it is about 0
 
 
 def draw_fields(patient: Patient) -> Fields:
@@ -43,9 +55,8 @@ def draw_fields(patient: Patient) -> Fields:
     seed = derive(torch.tensor([patient.seed]), 811)
     scatter = torch.stack([smooth(_white(seed, TILE, 1 + i), SCATTER_BLUR) for i in range(2)])
     scatter = scatter / (scatter.square().sum(0).mean().sqrt())
-    slow, fine = _white(seed, (TILE[0] // 4, TILE[1] // 4, TILE[2] // 4), 3), _white(seed, TILE, 4)
-    slow = smooth(slow, 1.7).repeat_interleave(4, 0).repeat_interleave(4, 1).repeat_interleave(4, 2)
-    return Fields(scatter, _unit(smooth(slow, 2.5)), _unit(smooth(fine, 1.2)), _waves(seed))
+    fine = smooth(_white(seed, TILE, 4), [FINE / edge for edge in VOXEL])
+    return Fields(scatter, even(seed, 3), _unit(fine), LAYERED * even(seed, 7))
 
 
 def _white(seed: Tensor, shape: tuple[int, int, int], stream: int) -> Tensor:
@@ -56,12 +67,13 @@ def _unit(field: Tensor) -> Tensor:
     return (field - field.mean()) / field.std()
 
 
-def smooth(field: Tensor, sigma: float) -> Tensor:
-    """Blur the last three axes with a Gaussian of `sigma` voxels, round the edges."""
-    reach = max(1, math.ceil(2.5 * sigma))
-    taps = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / sigma) ** 2)
-    weights = (taps / taps.sum()).tolist()
-    for axis in range(-3, 0):
+def smooth(field: Tensor, sigma: float | Sequence[float]) -> Tensor:
+    """Blur the last three axes with a Gaussian of `sigma` voxels, of each axis, round the edges."""
+    each = [sigma] * 3 if isinstance(sigma, float | int) else sigma
+    for axis, width in zip(range(-3, 0), each, strict=True):
+        reach = max(1, math.ceil(2.5 * width))
+        taps = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / width) ** 2)
+        weights = (taps / taps.sum()).tolist()
         total = torch.zeros_like(field)
         for shift, weight in enumerate(weights, -reach):
             total.add_(field.roll(shift, axis), alpha=weight)
@@ -69,18 +81,36 @@ def smooth(field: Tensor, sigma: float) -> Tensor:
     return field
 
 
-def _waves(seed: Tensor) -> Tensor:
-    """Return the mean of plane waves that fit the tile a whole number of times."""
-    draw = uniform(seed, 6 * 4, 7)[0].double().view(6, 4)
-    way = normalize(draw[:, :3] - 0.5, dim=1)
-    turns = (1.2 + 1.3 * draw[:, 3:]) * way * way.new_tensor([1.0, 1.0, 0.6])
-    turns = turns.round()
-    total = draw[:, 3].view(-1, 1, 1, 1)
-    for axis, size in enumerate(TILE):
-        where = torch.arange(size, dtype=torch.float64) / size
-        where = where.view([-1 if axis == each else 1 for each in range(3)])
-        total = total + turns[:, axis].view(-1, 1, 1, 1) * where
-    return torch.sin(2.0 * math.pi * total).mean(0)
+def even(seed: Tensor, stream: int) -> Tensor:
+    """Draw a standard normal field of slow waves that has no direction, (X, Y, Z) of a tile."""
+    turns, power = slow_waves()
+    draw = exact_normal(seed, 2 * len(turns), stream).view(2, -1) * power.sqrt()
+    spectrum = torch.zeros(TILE, dtype=torch.complex128)
+    spectrum[turns.unbind(1)] = torch.complex(draw[0], draw[1])
+    return _unit(torch.fft.ifftn(spectrum).real)
+
+
+@lru_cache(maxsize=1)
+def slow_waves() -> tuple[Tensor, Tensor]:
+    """Return (M, 3) int64 turns of waves along a tile's edges, and the (M,) power of each.
+
+    They are those of `WAVES` that fit the tile, one of each pair of opposite ones. Their power has
+    the same second moment in all directions; the weights come from the multiplicative algorithm of
+    D-optimal designs (Silvey, Titterington and Torsney, 1978).
+    """
+    edges = torch.tensor([n * edge for n, edge in zip(TILE, VOXEL, strict=True)]).double()
+    most = int(float(edges.max()) / WAVES[0]) + 1
+    turns = torch.cartesian_prod(*[torch.arange(-most, most + 1)] * 3)
+    half = (turns * turns.new_tensor([most * 4 * most * 4, most * 4, 1])).sum(1) > 0
+    wave = turns / edges
+    length = wave.norm(dim=1).reciprocal()
+    kept = half & (length >= WAVES[0]) & (length <= WAVES[1])
+    turns, way = turns[kept], wave[kept] * length[kept].unsqueeze(1)
+    power = torch.full((len(turns),), 1.0 / len(turns), dtype=torch.float64)
+    for _ in range(100):
+        moment = (power.unsqueeze(1) * way).T @ way
+        power = power * ((way @ torch.linalg.inv(moment)) * way).sum(1) / 3.0
+    return turns % torch.tensor(TILE), power
 
 
 class Surroundings(NamedTuple):
@@ -93,7 +123,7 @@ class Surroundings(NamedTuple):
 
 
 def tile_of(patient: Patient, fields: Fields) -> Surroundings:
-    """Make the surroundings: fat with uneven brightness and layers of connective tissue."""
+    """Make the surroundings: fat with uneven brightness and sheets of connective tissue."""
     tissues = patient.tissues
     layers = fields.layers.abs() < 0.30 * tissues.layers
     echo = tissues.surroundings + MATERIALS[BACKGROUND].echogenicity
