@@ -46,7 +46,7 @@ def make_heart(patient: Patient, beating: bool) -> Heart:
     placement = place(shape, patient)
     start = geometric_poses(shape, placement)
     depth = depth_to_hold(shape, placement, start, patient.examination.margin)
-    settings = Settings(*_row(settings_of(patient, placement, depth, shape.diaphragm)))
+    settings = Settings(*_row(settings_of(patient, placement, depth, shape)))
     chest = Chest(*_row(chest_of(patient, placement, start)))
     dynamics = Dynamics(*_row(dynamics_of(shape, patient.motion)))
     marks = landmarks(shape)

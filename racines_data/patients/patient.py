@@ -3,7 +3,7 @@
 
 from dataclasses import dataclass
 
-PATIENTS_VERSION = "0.4.0"
+PATIENTS_VERSION = "0.5.0"
 """Of this world, apart from the phantom's: raise it whenever an image, a force or a truth moves."""
 
 PATHOLOGIES = ("healthy", "dilated", "hypertrophied", "small", "atria", "right")

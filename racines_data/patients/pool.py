@@ -28,6 +28,7 @@ from racines_data.patients.motion import (
     to_diastole,
     valve_stages,
 )
+from racines_data.patients.patches import unevenness
 from racines_data.patients.patient import Patient
 from racines_data.patients.placement import SURFACE, workspace
 from racines_data.patients.population import draw_patient
@@ -38,9 +39,11 @@ from racines_data.patients.render import (
     picture,
     pixel_map,
     solid_table,
+    spread,
 )
 from racines_data.patients.rhythm import Rhythm, phases, rhythm_of
 from racines_data.patients.sampling import (
+    NODE_BITS,
     base_nodes,
     coordinates,
     elevation_axis,
@@ -193,7 +196,9 @@ class Pool:
         shadow = shadows(found, uneven, settings.step, PROBE.samples)
         at = self._offsets.index_select(0, rows)
         scanner = self._scanner
-        echoes = hear(self._voxels, at, samples, solid, settings, shadow, scanner, seeds)
+        patches = unevenness(nodes[:, :3] * 2.0**-NODE_BITS, settings.waves, settings.steps)
+        heard = settings._replace(along=settings.along + spread(patches, scanner))
+        echoes = hear(self._voxels, at, samples, solid, heard, shadow, scanner, seeds)
         coupling = truth.coupling(pose, SURFACE, PROBE).float()
         polar = picture(echoes, coupling, settings, scanner, seeds)
         pixels, covered = (x.index_select(0, rows) for x in (self._pixels, self._covered))

@@ -199,14 +199,14 @@ def _examination(draw: _Draw, late: _Draw) -> Examination:
     return Examination(
         half_angle=draw.between(0.646, 0.662),
         margin=draw.between(0.0, 0.16),
-        gain=draw.between(-13.0, -3.0),
+        gain=draw.between(-16.0, -6.0),
         dynamic_range=draw.between(55.0, 73.0),
         gray_map=draw.between(1.5, 2.3),
-        noise=draw.between(-55.0, -42.0),
-        reverberation=draw.between(-32.0, -22.0),
-        haze=draw.between(-27.0, -14.0),
-        near_gain=draw.between(-14.0, -6.0),
-        far_gain=late.between(-4.0, 3.5),
+        noise=draw.between(-58.0, -45.0),
+        reverberation=draw.between(-28.0, -18.0),
+        haze=draw.between(-29.0, -16.0),
+        near_gain=draw.between(-8.0, 0.0),
+        far_gain=late.between(-4.7, 2.8),
         grain=late.between(4.5, 9.0),
     )
 

@@ -30,7 +30,7 @@ from racines_data.randomness import derive
 FAINTEST = 1e-8
 """Least power of a look, below any black: an echo that cancels itself hangs on rounding alone."""
 AIR_LOSS = 6.0  # one-way loss of a sample above the skin, dB
-SPECULAR_GAIN = 0.035  # less than the phantom's: tissue has no polished faces as gel has
+SPECULAR_GAIN = 0.022  # less than the phantom's: tissue has no polished faces as gel has
 APEX_BEAMS = 3.0  # reach of the mean over beams where many of them fill a pixel, beams
 BLOOD_GAIN = 0.9  # blood's speckle has no memory from voxel to voxel: the blur gives it less
 
@@ -111,6 +111,11 @@ def solid_table(stages: Tensor) -> Tensor:
         for a, b, c in stages.tolist()
     ]
     return torch.tensor(rows, device=stages.device)
+
+
+def spread(field: Tensor, scanner: Scanner) -> Tensor:
+    """Return (B, L, S) of what is known at the (B, 13, 19) nodes, by linear interpolation."""
+    return torch.matmul(torch.matmul(scanner.nodes[0], field), scanner.nodes[1])
 
 
 def hear(
@@ -220,8 +225,7 @@ def _level(field: Tensor, gain: Tensor, settings: Settings, scanner: Scanner) ->
     the face, and electronic noise.
     """
     around = torch.matmul(scanner.veil[0], torch.matmul(echo_power(field), scanner.veil[1]))
-    around = torch.matmul(scanner.nodes[0], around * settings.veil)
-    around = torch.matmul(around, scanner.nodes[1])
+    around = spread(around * settings.veil, scanner)
     around.add_(settings.hiss).addcmul_(settings.ringing, gain.square())
     return around.mul_(0.5).sqrt_().unsqueeze(1)
 

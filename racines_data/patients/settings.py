@@ -13,17 +13,19 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from racines_data.patients.form import Shape
 from racines_data.patients.labels import ATTENUATIONS, SOFT
+from racines_data.patients.patches import patches_of
 from racines_data.patients.patient import Patient
 from racines_data.patients.placement import Placement
 from racines_data.phantom.acoustics import NEAR_FIELD, RINGING_DEPTH
 from racines_data.phantom.config import ProbeConfig
 
-PROBE = replace(ProbeConfig(), lateral_sigma=0.014, smoothing=(0.5, 1.1))
+PROBE = replace(ProbeConfig(), lateral_sigma=0.014, smoothing=(0.5, 1.1), directivity=3.5)
 """Face, beams, samples and pulse of the one probe; width, depth and gains are a patient's."""
 SOFT_LOSS = ATTENUATIONS[0] + SOFT * ATTENUATIONS[1]  # dB/cm/MHz, which the TGC undoes
 
-MIDDLE_GAIN = 4.5, 0.48, 0.12
+MIDDLE_GAIN = 2.5, 0.48, 0.12
 """What examiners turn the middle depths up by, where blood is, dB; where that is most, and how
 widely, shares of the depth."""
 
@@ -37,6 +39,8 @@ class Settings(NamedTuple):
     half_angle: Tensor  # (K,) rad
     thickness: Tensor  # (K,) of the chest wall
     diaphragm: Tensor  # (K,) distance of the liver from the organ's origin
+    waves: Tensor  # (K, 5, WAVES) and
+    steps: Tensor  # (K, 5, 3) of `patches`
     loss: Tensor  # (K, 1, 1) float32 from here: dB a sample of soft tissue's attenuation of 1
     along: Tensor  # (K, 1, S) dB: TGC, and what the examiner set it off by, near and far
     hiss: Tensor  # (K, 1, S) power of electronic noise
@@ -57,9 +61,7 @@ class Settings(NamedTuple):
         return Settings(*(each.to(device) for each in self))
 
 
-def settings_of(
-    patient: Patient, placement: Placement, depth: float, diaphragm: float
-) -> list[Tensor]:
+def settings_of(patient: Patient, placement: Placement, depth: float, shape: Shape) -> list[Tensor]:
     """Return the fields of one patient, whose sector is `depth` m deep."""
     exam, step = patient.examination, depth / PROBE.samples
     frequency = PROBE.frequency * (PROBE.depth / depth) ** 0.4  # deeper, lower
@@ -81,7 +83,8 @@ def settings_of(
         torch.tensor(step * 1e3, dtype=torch.float64),
         torch.tensor(exam.half_angle, dtype=torch.float64),
         torch.tensor(patient.chest.thickness * 1e3, dtype=torch.float64),
-        torch.tensor(diaphragm, dtype=torch.float64),
+        torch.tensor(shape.diaphragm, dtype=torch.float64),
+        *patches_of(patient, shape),
         scalar(frequency * 100.0 * step),
         (tgc + near + off).float().unsqueeze(0),
         torch.exp(decibel * (exam.noise + 0.62 * tgc + off)).float().unsqueeze(0),
