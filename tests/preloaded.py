@@ -1,11 +1,15 @@
-"""What forks need not import again, imported: servers of forks import this module first.
+"""What forks need not import again, imported, and the default phantom, baked.
 
+Servers of forks import this module first: a process has one phantom, which takes a command longer
+to bake than most of its own work does. Neither starts a thread, of which a fork would know nothing.
 Meanwhile garbage is not looked for, a sixth of the time that it takes, nor ever among what was
 imported: what is not looked at stays memory that all forks share.
 """
 
 import gc
 from importlib import import_module
+
+from racines_data.phantom import shared_phantom
 
 MODULES = [
     "datasets",
@@ -32,6 +36,7 @@ MODULES = [
 gc.disable()
 for name in MODULES:
     import_module(name)
+shared_phantom()
 gc.collect()
 gc.freeze()
 gc.enable()
