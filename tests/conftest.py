@@ -45,6 +45,16 @@ TINY = {
 text_of = cache(Path.read_text)
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Look for no garbage meanwhile: what tests import stays, and is much to look through."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the contracts' tests of rows, also the inherited ones, by their name.
@@ -115,6 +125,7 @@ def warm_workers() -> Iterator[None]:
     from racines_data.build import staging
     from racines_models.training import processes
 
+    warm.start()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(staging, "multiprocessing", warm)
         forked = partial(processes.start_processes, start_method="forkserver")

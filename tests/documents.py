@@ -70,12 +70,13 @@ def run_page(page: Path, folder: Path, command: Callable[..., Any]) -> int:
             path.write_text(block.text)
         else:
             for line in command_lines(block.text):
-                _run_line(line, folder, command)
+                run_line(line, folder, command)
                 ran += 1
     return ran
 
 
-def _run_line(line: str, folder: Path, command: Callable[..., Any]) -> None:
+def run_line(line: str, folder: Path, command: Callable[..., Any]) -> None:
+    """Run a line of a bash block by `command(folder, *words)`, in a shell where it needs one."""
     words = shlex.split(os.path.expandvars(line), comments=True)
     if words[0] == "racines" and not SHELL & set(line):
         command(folder, *words)

@@ -9,7 +9,7 @@ import pytest
 from racines_leaderboard.board.collect import boards
 from racines_leaderboard.board.pages import BEGIN, END, with_tables
 from tests.conftest import ROOT, command
-from tests.documents import blocks
+from tests.documents import blocks, command_lines, run_line
 
 pytestmark = [pytest.mark.docs, pytest.mark.usefixtures("drawn_pictures")]
 README = ROOT / "README.md"
@@ -26,7 +26,8 @@ def test_the_code_blocks_run_in_order(workplace: Path):
         elif block.language == "python":
             command(workplace, "python", "-c", block.text)
         elif block.language == "bash":
-            command(workplace, "bash", "-euc", block.text)
+            for line in command_lines(block.text):
+                run_line(line, workplace, command)
         else:
             continue
         ran += 1

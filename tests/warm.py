@@ -8,39 +8,29 @@ import multiprocessing
 import os
 import sys
 from collections.abc import Callable
+from contextlib import chdir
+from functools import cache
+from multiprocessing import forkserver
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
 from subprocess import CompletedProcess
 from tempfile import TemporaryDirectory
 from types import ModuleType
 
-PRELOAD = [
-    "datasets",
-    "matplotlib.pyplot",
-    "torch",
-    "torchmetrics",
-    "torchrl.envs",
-    "torchrl.collectors",
-    "torchrl.objectives",
-    "dvclive.live",
-    "monai.networks.nets.resnet",
-    "pydantic.dataclasses",
-    "pydantic.type_adapter",
-    "racines_data.build.dataset",
-    "racines_leaderboard.cli.command",
-    "racines_leaderboard.board.pages",
-    "racines_leaderboard.records.schema",
-    "racines_leaderboard.submissions.intake",
-    "racines_models.judges.grader.evaluation",
-    "racines_models.scores.scoring",
-    "racines_envs.evaluation.run",
-]
 _context = multiprocessing.get_context("forkserver")
-_context.set_forkserver_preload(PRELOAD)
+_context.set_forkserver_preload(["tests.preloaded"])
+
+
+@cache
+def start() -> None:
+    """Start the server where the module that it imports first is found, from wherever tests are."""
+    with chdir(Path(__file__).parents[1]):
+        forkserver.ensure_running()
 
 
 def get_context(method: str | None = None) -> ForkServerContext:
     """Stand in for `multiprocessing.get_context`: workers are such forks, however asked for."""
+    start()
     return _context
 
 
@@ -65,7 +55,7 @@ def run(folder: Path, words: tuple[str, ...], environment: dict[str, str]) -> Co
     """Run `racines …` or `python -c …` in a folder; return what a subprocess would."""
     with TemporaryDirectory() as aside:
         out, err = Path(aside) / "out", Path(aside) / "err"
-        process = _context.Process(target=_child, args=(folder, words, environment, out, err))
+        process = get_context().Process(target=_child, args=(folder, words, environment, out, err))
         process.start()
         process.join()
         assert process.exitcode is not None

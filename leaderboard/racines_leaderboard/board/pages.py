@@ -37,10 +37,10 @@ INK = "#1f3a5f"
 PANELS_A_ROW = 5
 
 
-def _tables(results: Path, board: str, details: bool = False) -> str:
+def _tables(folder: Path, content: dict[str, list[Record]], details: bool = False) -> str:
     """Return the tables of a board as Markdown, with `details` also of the further figures."""
-    content = read_board(results, board)
-    flags = [escape(note) for note in flag_notes(results / board, content)]
+    board = folder.name
+    flags = [escape(note) for note in flag_notes(folder, content)]
     tables = board_tables(board, content, details)
     return "\n\n".join([*(titled_markdown(table) for table in tables), *flags])
 
@@ -49,8 +49,8 @@ def write_page(page: Path, results: Path) -> None:
     """Write the page of all boards, and beside each board's results its charts."""
     parts = [HEAD]
     for board in boards(results):
-        parts.append(f"## {escape(board)}\n\n{_tables(results, board, details=True)}\n")
         content = read_board(results, board)
+        parts.append(f"## {escape(board)}\n\n{_tables(results / board, content, details=True)}\n")
         for track in TRACKS:
             image = results / board / f"{track.name}.png"
             if _write_chart(image, track, content[track.name]):
@@ -69,7 +69,8 @@ def with_tables(text: str, results: Path, where: str) -> str:
         raise RacinesError(f"{where}: needs the lines {BEGIN.format(board='BOARD')!r} and {END!r}")
     if board not in boards(results):
         raise RacinesError(f"{where}: board {board!r} has no results under {results}")
-    return f"{before}{opening}{board}{closing}\n\n{_tables(results, board)}\n\n{END}{after}"
+    tables = _tables(results / board, read_board(results, board))
+    return f"{before}{opening}{board}{closing}\n\n{tables}\n\n{END}{after}"
 
 
 def _write_chart(path: Path, track: Track, records: list[Record]) -> bool:

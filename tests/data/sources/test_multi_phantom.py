@@ -15,7 +15,8 @@ from racines_data.build.dataset import (
 )
 from racines_data.errors import RacinesError
 from racines_data.manifest import read_manifest
-from racines_data.phantom.config import PhantomConfig, heart_config
+from racines_data.phantom.acquisition import AcquisitionConfig
+from racines_data.phantom.config import BlockConfig, PhantomConfig, heart_config
 from racines_data.sources.phantom import MultiPhantomSource, PhantomSource
 from racines_data.store.frames import FrameStore
 from racines_data.validate.identity import same_version
@@ -163,12 +164,15 @@ def test_a_seed_is_another_heart_with_its_own_scatterers():
 
 @pytest.mark.slow
 def test_hearts_are_scanned_each_by_itself():
-    many = MultiPhantomSource.from_config({"hearts": 2, "frames_per_sweep": 4})
+    coarse = PhantomConfig(block=BlockConfig(voxel=0.004))  # fine blocks are baked for seconds
+    many = MultiPhantomSource.from_config(
+        {"hearts": 2, "frames_per_sweep": 4}, acquisition=AcquisitionConfig(phantom=coarse)
+    )
     units = [many.plan()[0], many.plan()[6]]
     one, two = (many.produce(unit) for unit in units)
     again = pickle.loads(pickle.dumps(many)).produce(units[0])
     assert np.array_equal(one.images, again.images)
     assert (one.phantom, two.phantom) == (1, 2) and len(one) == 4
-    canonical = PhantomSource.from_config({"frames": 4, "shortest": 2}, [])
+    canonical = PhantomSource(AcquisitionConfig(frames=4, shortest=2, phantom=coarse))
     assert canonical.produce(canonical.plan()[0]).phantom == 0
     assert not np.array_equal(one.images, two.images)
