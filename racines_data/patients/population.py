@@ -184,7 +184,7 @@ def _chest(draw: _Draw, late: _Draw, body: Body) -> Chest:
 
 def _tissues(draw: _Draw) -> Tissues:
     return Tissues(
-        surroundings=draw.between(-5.5, 6.5),
+        surroundings=draw.between(-8.0, 4.0),
         unevenness=draw.between(2.5, 5.0),
         grain=draw.between(1.0, 3.0),
         layers=draw.between(0.15, 0.7),

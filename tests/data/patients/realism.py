@@ -1,8 +1,7 @@
 """What the documentation says of how real patients look, from the reports of the study.
 
-racines study realism --world patients --real FILE.parquet --patients tuning --frames 62 --out TUNING
-racines study realism --world patients --real FILE.parquet --patients reporting --frames 62 \
-    --out REPORTING
+racines study realism --world patients --real FILE --patients tuning --frames 62 --out TUNING
+racines study realism --world patients --real FILE --patients reporting --frames 62 --out REPORTING
 python -m tests.data.patients.realism TUNING REPORTING
 """
 

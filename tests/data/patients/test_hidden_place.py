@@ -1,4 +1,4 @@
-"""Where a heart lies cannot be read from pictures without it: no edge, no air, no tile gives it away.
+"""Where a heart lies cannot be read from pictures without it: no edge and no tile gives it away.
 
 A network reads the placement, its place and turn on the chest, from frames at poses whose sector
 holds no heart wherever that lies. On hearts and placements that it was not trained on it may do no
