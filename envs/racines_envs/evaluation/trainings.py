@@ -10,7 +10,8 @@ count where agent, settings, phantom, dataset and encoder are those of the first
 without a gap: a seed that did badly cannot be left out, nor can a copy stand for a training.
 """
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from safetensors.torch import load_file
 
 from racines_data.errors import RacinesError
 from racines_data.terminal import say
-from racines_envs.agents.protocol import SETTINGS
+from racines_envs.agents.protocol import SETTINGS, agent_class
 from racines_envs.evaluation.agent_specs import read_json
 from racines_models.provenance import sha256_bytes, weights_sha256
 from racines_models.training.checkpoint import PREFIX, repeat_folders
@@ -103,7 +104,9 @@ def _differs(first: Path, other: Training) -> str:
 def _made_of(folder: Path) -> dict[str, Any]:
     """Return what a training rests on besides its seed."""
     described, learned = read_json(folder / SETTINGS), read_json(folder / "metrics.json")
-    settings = {k: v for k, v in described.get("config", {}).items() if k not in ASIDE}
+    # A setting that a training does not tell had yet to be thought of: it is as by default.
+    settings = _defaults(described.get("agent")) | described.get("config", {})
+    settings = {k: v for k, v in settings.items() if k not in ASIDE}
     data = learned.get("data") or {}
     return {
         **settings,
@@ -112,6 +115,14 @@ def _made_of(folder: Path) -> dict[str, Any]:
         "phantom": learned.get("phantom"),
         "dataset": data.get("recipe_digest") or data.get("digest"),
     }
+
+
+def _defaults(agent: Any) -> dict[str, Any]:
+    """Return the default settings of an agent, as JSON has them; none of one that is not here."""
+    try:
+        return json.loads(json.dumps(asdict(agent_class(str(agent)).Config())))
+    except RacinesError:
+        return {}
 
 
 def _check_no_copy(found: list[Training]) -> None:

@@ -145,6 +145,18 @@ def test_what_is_no_training_of_the_same_method_does_not_count(
     assert len(find_trainings(run, place)) == 3, "a device makes no other method"
 
 
+def test_a_setting_that_was_yet_to_come_is_as_by_default(run):
+    told = json.loads((run / "config.json").read_text())
+    assert told["config"].pop("termination") == PPOConfig().termination
+    (run / "config.json").write_text(json.dumps(told))
+    assert [training.seed for training in find_trainings(run)] == [4, 5, 6]
+    later = json.loads((run / "seed-5/config.json").read_text())
+    later["config"]["termination"] = "first_hit"
+    (run / "seed-5/config.json").write_text(json.dumps(later))
+    with pytest.raises(RacinesError, match="another termination"):
+        find_trainings(run)
+
+
 def test_other_data_make_another_training(run):
     metrics = run / "seed-6/metrics.json"
     content = json.loads(metrics.read_text()) | {"data": {"recipe_digest": "ab", "digest": "1"}}
