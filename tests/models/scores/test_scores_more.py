@@ -9,6 +9,7 @@ import torch
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
 from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork
+from racines_models.judges.pose.regressor import PoseConfig
 from racines_models.sample import draw, evenly, take_sample
 from racines_models.scores import diversity, scoring
 from racines_models.scores.diversity import FRAMES, scanned_again, spread
@@ -32,6 +33,7 @@ def labelled():
 class KnownPose:
     """Reads the pose of the true image; one turned upside down is 10 mm off."""
 
+    config = PoseConfig()
     settings = {"id": "known", "sha256": None}
 
     def __init__(self, store):
