@@ -89,7 +89,9 @@ def check_measures(measures: pa.Table) -> str:
         lv = row["volume_lv"]
         if abs(1 - lv[-1] / lv[0] - row["ejection_fraction"]) > 1e-6:
             raise RacinesError(f"{who}: the ejection fraction is not that of the volumes")
-        if not _turns(row.get("heart_axes", [])):
+        if "heart_axes" not in row:
+            raise RacinesError(f"{who}: no heart_axes: built by an earlier version, build it anew")
+        if not _turns(row["heart_axes"]):
             raise RacinesError(f"{who}: heart_axes are no axes of a right-handed frame")
         if row["pathology"] not in PATHOLOGIES:
             raise RacinesError(f"{who}: unknown pathology {row['pathology']!r}")

@@ -136,6 +136,9 @@ def test_measures_of_no_heart_are_found(root: Path, found: dict[str, Survey]):
         wrong = pa.Table.from_pylist([rows[0] | change, *rows[1:]])
         with pytest.raises(RacinesError, match=told):
             patients.check_measures(wrong)
+    older = pa.Table.from_pylist(rows).drop_columns("heart_axes")
+    with pytest.raises(RacinesError, match="no heart_axes: built by an earlier version"):
+        patients.check_measures(older)
     for wrong in (rows[1:], [rows[0] | {"patient": 7}, *rows[1:]], [*rows, rows[0]]):
         with pytest.raises(RacinesError, match="not of the same patients"):
             patients.check_people(found["patients"], pa.Table.from_pylist(wrong))
