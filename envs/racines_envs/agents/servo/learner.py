@@ -29,8 +29,9 @@ GRADED = 5.0
 """Weight of the cross entropies of scores and grades beside the ways' likelihood."""
 FIRST = 16
 """Patients in the bank at the start."""
-GROWN = 0.5
-"""Share of the budget after which all patients are in the bank."""
+GROWN = 0.1
+"""Share of the budget after which all patients are in the bank: few at first, so that a training
+begins at once; soon all, since what is learned of a few hearts is learned of them alone."""
 LATER = 0.5
 """Share of the learning rate in the rounds after the first training."""
 STREAM = 331
