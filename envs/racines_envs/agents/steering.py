@@ -49,8 +49,31 @@ class Steering:
         Who idled stays where a step saves less than `slack`, in squared unit steps: a goal that
         trembles does not keep an agent from coming to rest.
         """
-        count, options = len(pose.position), len(ACTIONS)
+        action = self._best(pose, goal, self._note(pose), slack)
+        self._last = pose, action
+        return action
+
+    def by_way_of(
+        self, pose: Pose, goal: Pose, then: Pose, slack: float = 0.0
+    ) -> tuple[Tensor, Tensor]:
+        """Return the (N,) actions to goals, or on to the next where these are reached; and where.
+
+        Args:
+            pose: (N,) poses.
+            goal: (N,) poses to go to first.
+            then: (N,) poses to go to from there.
+            slack: as of `towards`.
+        """
         refused = self._note(pose)
+        action = self._best(pose, goal, refused, slack)
+        reached = action == IDLE
+        action = torch.where(reached, self._best(pose, then, refused, slack), action)
+        self._last = pose, action
+        return action, reached
+
+    def _best(self, pose: Pose, goal: Pose, refused: Tensor, slack: float) -> Tensor:
+        """Return the (N,) actions that leave least to do, of those that were not refused."""
+        count, options = len(pose.position), len(ACTIONS)
         each = Pose(*(x.repeat_interleave(options, 0) for x in pose))
         moved = self._table.move(
             each, torch.arange(options, device=each.position.device).repeat(count)
@@ -60,22 +83,13 @@ class Steering:
         if self._last is not None:
             rested = (self._last[1] == IDLE) & self.moved_on(pose)
             cost[:, IDLE] -= slack * rested
-        action = torch.where(refused, torch.inf, cost).argmin(1)
-        self._last = pose, action
-        return action
+        return torch.where(refused, torch.inf, cost).argmin(1)
 
     def take(self, action: Tensor) -> Tensor:
         """Return the (N,) actions, which are taken in place of those towards the goals."""
         if self._last is not None:
             self._last = self._last[0], action
         return action
-
-    def has_moved(self, pose: Pose) -> Tensor:
-        """Return (N,) bool: the last action was not refused."""
-        if self._last is None:
-            return torch.ones_like(pose.position[:, 0], dtype=torch.bool)
-        before, action = self._last
-        return (action == IDLE) | ~_same(pose, before)
 
     def _note(self, pose: Pose) -> Tensor:
         """Return (N, 13) bool, the steps that changed nothing, and remember them until one does."""

@@ -12,16 +12,14 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.geometry import Pose
 from racines_data.views import VIEWS
-from racines_envs.agents.planner import cost_to_go
 from racines_envs.agents.protocol import SETTINGS
 from racines_envs.agents.servo.belief import Belief, reading
 from racines_envs.agents.servo.frames import shrink
 from racines_envs.agents.servo.learner import ServoConfig
-from racines_envs.agents.servo.mind import Mind
+from racines_envs.agents.servo.mind import Mind, waypoints
 from racines_envs.agents.servo.rounds import discard, learn
 from racines_envs.agents.steering import Steering
 from racines_envs.agents.training import seeded
-from racines_envs.task.actions import IDLE
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER
 from racines_models.devices import on_device, resolve_device
@@ -33,13 +31,6 @@ from racines_models.weights import load_network, read_described, save_weights
 POLICY = "policy.safetensors"
 SLACK = 2.0
 """Squared unit steps that a step has to save after an idle one: what a belief trembles by."""
-TRUST = 0.002
-"""Score that a squared unit step from the belief costs in a search: images say how good they are
-more exactly than where they are, once the view is near."""
-ENOUGH = 0.6
-"""Score below which the end of a search is not believed to be the view."""
-LEG = 60
-"""Steps that have to be left for another beginning."""
 
 
 class ServoAgent:
@@ -63,41 +54,30 @@ class ServoAgent:
             )
         self._steering = Steering(core)
         self._label = None if core.task.any_view else core.task.target
-        self._task = core.task
+        self._task, self._offsets = core.task, waypoints().to(core.device)
         self._mind: Mind | None = None
 
     @torch.no_grad()
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
-        """Return the (N,) actions to where the views are believed, then to where they look best."""
+        """Return the (N,) actions: to where the views are believed, about there, and to rest."""
         pose, labels = self._steering.pose(observation), self._labels(observation)
         same = self._steering.moved_on(pose)
         read, worth = self.read(observation, pose)
-        mind = self._mind or Mind.new(read, len(seeds), pose.position.device)
-        mind.forget(~same)
-        mind.belief = mind.belief.after(read).kept(same & (mind.walk == 0), read).confined(labels)
-        # Who is through with a search and sees little goes to the other side, and reads anew.
-        lost = mind.search.through & (mind.search.best < ENOUGH)
-        mind.depart(lost & (mind.steps < self._task.max_steps - LEG), pose, labels)
-        walking = mind.walk > 0
-        goal = Pose(
-            torch.where(walking[:, None], mind.goal.position, mind.belief.pose.position),
-            torch.where(walking[:, None, None], mind.goal.rotation, mind.belief.pose.rotation),
-        )
-        left = cost_to_go(pose, mind.belief.pose, self._task)
-        moved = self._steering.has_moved(pose)
-        action = self._steering.towards(pose, goal, SLACK)
-        begin = ~walking & (action == IDLE)
-        felt = mind.search.act(worth - TRUST * left, moved, begin)
-        mind.step(walking & (action == IDLE))
+        mind = self._mind or Mind.new(read)
+        mind.learn(read, pose, worth, labels, same)
+        centre = mind.centre(labels)
+        goal, then = (mind.goal(centre, further, self._offsets, self._task) for further in (0, 1))
+        action, reached = self._steering.by_way_of(pose, goal, then, SLACK)
+        mind.step(reached)
         self._mind = mind
-        return self._steering.take(torch.where(mind.search.searching, felt, action))
+        return action
 
     def read(self, observation: dict[str, Tensor], pose: Pose) -> tuple[Belief, Tensor]:
-        """Return where the images say that the (N,) targets are, and how completely they show."""
+        """Return where the images say that the (N,) targets are, and how well they show them."""
         read, label = self.readings(observation["image"]), self._labels(observation)
         each = torch.arange(len(label), device=label.device)
         found = reading(pose, read.ways[each, label], read.deviations[each, label])
-        return found, read.scores[each, label]
+        return found, read.scores[each, label] + read.grades[each, label] / 10.0 - 1.0
 
     def _labels(self, observation: dict[str, Tensor]) -> Tensor:
         """Return the (N,) labels that are looked for."""

@@ -137,7 +137,7 @@ class ServoLearner(Course):
         self._bank, self._held, self._visited, self._turn = bank, held, visited, turn
         self.network = start or ServoNetwork(len(VIEWS)).to(self.device)
         self.scale = torch.tensor(SCALE, device=self.device)
-        aside = {"threads", "device", "store"}
+        aside = {"threads", "device", "store"} | (set() if turn else {"visits"})
         told = {key: value for key, value in asdict(config).items() if key not in aside}
         self.identity = {"agent": self.name, "seed": seed, "world": PATIENTS_VERSION, **told}
         self.identity |= {"round": turn}

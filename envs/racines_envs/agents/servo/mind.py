@@ -1,21 +1,57 @@
-"""What a servo keeps from step to step of N episodes."""
+"""What a servo keeps from step to step of N episodes, and where it wants to be.
+
+    belief ---- waypoint 1 about it, waypoint 2, … ---- the belief, where it rests
+
+Readings of neighbouring images err alike; those of poses about a view err in their own ways, and
+their mean is more exact. So a servo that has come to where it believes the view does not rest yet:
+it looks on from poses about it, and goes to what all of them say. They say it twice: by where they
+read the view, and by how completely they show it themselves, of which the weighted mean of the
+poses is taken, as in the cross-entropy method (Rubinstein and Kroese, 2004).
+"""
 
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from racines_data.geometry import Pose
-from racines_envs.agents.servo.belief import Belief
-from racines_envs.agents.servo.search import Search
+from racines_data.geometry import (
+    Pose,
+    axis_angle_to_matrix,
+    matmul3,
+    orthonormalise,
+    rotate,
+    rotation_vector,
+)
+from racines_envs.agents.servo.belief import FADE, LASTING, Belief
+from racines_envs.task.tasks import Task
 from racines_envs.task.tiers import middles
 
-MARGIN = 0.02
-"""Score by which another pose has to be better."""
-WALK = 30
-"""Steps that a way to the other side takes at most."""
-SIDE = 0.7
-"""Share of the distance from the view's middle at which the other side lies."""
+WAYPOINTS = 12
+"""Poses about the belief from which it looks; ways are walked step by step, looking all along."""
+REACH = (1.5, 1.5, 0.0, 1.5, 1.5, 1.5)
+"""Unit steps to either side, along and about the probe's axes; its pressure stays."""
+HOME = 110
+"""Steps after which it goes to its belief, wherever it is."""
+GOLDEN = 1.1347241384
+"""Positive root of x⁶ = x + 1, whose inverse powers spread points evenly in five dimensions
+(Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, 2018)."""
+
+
+def waypoints() -> Tensor:
+    """Return (W + 1, 6) offsets in unit steps, the first 0: the belief itself."""
+    count = torch.arange(1, WAYPOINTS + 1, dtype=torch.float64).unsqueeze(1)
+    powers = GOLDEN ** -torch.tensor([1.0, 2.0, 0.0, 3.0, 4.0, 5.0], dtype=torch.float64)
+    spread = 2.0 * (0.5 + count * powers).frac() - 1.0
+    offsets = spread * torch.tensor(REACH, dtype=torch.float64)
+    return torch.cat([offsets.new_zeros(1, 6), offsets]).float()
+
+
+SHARP = 8.0
+"""Logarithm of how much more a pose counts that shows the view than one that shows nothing."""
+RECENT = 0.97
+"""Share of what poses were worth that the next step leaves."""
+SHOWN = 0.5
+"""Share that what was seen has in where a row believes the view, the rest is what was read."""
 
 
 @dataclass
@@ -23,45 +59,67 @@ class Mind:
     """Of N rows."""
 
     belief: Belief
-    search: Search
-    goal: Pose
-    """Where a row walks."""
-    walk: Tensor
-    """(N,) int64 steps left of a walk; 0: none."""
-    legs: Tensor
-    """(N,) int64 walks so far."""
+    seen: Tensor
+    """(N, 7): a weight, and weighted sums of shifts, m, and turns, rad, from the view's middle."""
+    place: Tensor
+    """(N,) int64 number of the waypoint that a row is on its way to."""
     steps: Tensor
     """(N,) int64 steps so far."""
 
     @classmethod
-    def new(cls, belief: Belief, count: int, device: torch.device) -> "Mind":
+    def new(cls, belief: Belief) -> "Mind":
         """Begin episodes with a first belief."""
+        count, device = len(belief.placed), belief.placed.device
         none = torch.zeros(count, dtype=torch.int64, device=device)
-        search = Search(count, device, MARGIN)
-        return cls(belief, search, belief.pose, none, none.clone(), none.clone())
+        return cls(belief, torch.zeros(count, 7, device=device), none, none.clone())
 
-    def forget(self, rows: Tensor) -> None:
-        """Begin anew in the (N,) bool rows."""
-        self.search.forget(rows)
-        for each in (self.walk, self.legs, self.steps):
-            each.masked_fill_(rows, 0)
+    def learn(self, read: Belief, pose: Pose, worth: Tensor, labels: Tensor, same: Tensor) -> None:
+        """Take in what (N,) images show; rows that are not the same episodes begin anew.
 
-    def depart(self, rows: Tensor, pose: Pose, labels: Tensor) -> None:
-        """Let (N,) bool rows walk away: across the view's middle, next time at a right angle."""
+        Args:
+            read: where they say that the views are.
+            pose: where they were taken.
+            worth: how well they show the views, 0-1 and more.
+            labels: of the views.
+            same: (N,) bool.
+        """
+        for each in (self.place, self.steps, self.seen):
+            each.masked_fill_(~same.view(-1, *[1] * (each.dim() - 1)), 0)
+        fade = torch.where(self.place > 0, LASTING, FADE)[:, None, None]
+        self.belief = self.belief.after(read, fade).kept(same, read)
         about = middles(labels)
-        away = pose.position - about.position
-        turned = torch.stack([-away[:, 1], away[:, 0], torch.zeros_like(away[:, 2])], -1)
-        across = torch.where((self.legs % 2 == 0)[:, None], -away, turned)
-        position = about.position + SIDE * across * across.new_tensor([1.0, 1.0, 0.0])
-        self.goal = Pose(
-            torch.where(rows[:, None], position, self.goal.position),
-            torch.where(rows[:, None, None], about.rotation, self.goal.rotation),
-        )
-        self.walk = torch.where(rows, WALK, self.walk)
-        self.legs = self.legs + rows.long()
-        self.search.forget(rows)
+        turn = rotation_vector(matmul3(about.rotation.transpose(1, 2).contiguous(), pose.rotation))
+        lies = torch.cat([torch.ones_like(worth)[:, None], pose.position - about.position, turn], 1)
+        weight = torch.exp(SHARP * (worth - 1.0)) * (self.place > 0)
+        self.seen = RECENT * self.seen + weight[:, None] * lies
 
-    def step(self, arrived: Tensor) -> None:
-        """Count a step; (N,) bool rows have come to where they walked."""
-        self.steps = self.steps + 1
-        self.walk = torch.where(arrived, 0, (self.walk - 1).clamp_min(0))
+    def centre(self, labels: Tensor) -> Pose:
+        """Return the (N,) poses where rows believe the views of (N,) labels, as read and seen."""
+        read, about = self.belief.among(labels).pose, middles(labels)
+        turn = rotation_vector(matmul3(about.rotation.transpose(1, 2).contiguous(), read.rotation))
+        lies = torch.cat([read.position - about.position, turn], 1)
+        seen = self.seen[:, 1:] / self.seen[:, :1].clamp_min(1e-20)
+        share = torch.where(self.seen[:, :1] > 0.0, SHOWN, 0.0)
+        lies = lies + share * (seen - lies)
+        rotation = matmul3(about.rotation, axis_angle_to_matrix(lies[:, 3:]))
+        return Pose(about.position + lies[:, :3], orthonormalise(rotation))
+
+    def goal(self, centre: Pose, further: int, offsets: Tensor, task: Task) -> Pose:
+        """Return the (N,) poses that rows go to, or will after so many waypoints.
+
+        Args:
+            centre: as of `centre`.
+            further: 0, or waypoints from there.
+            offsets: as of `waypoints`.
+            task: whose unit steps are taken.
+        """
+        place = self.place + further
+        offset = offsets[torch.where((place < len(offsets)) & (self.steps < HOME), place, 0)]
+        turn = axis_angle_to_matrix(offset[:, 3:] * task.step_rotation)
+        shift = rotate(centre.rotation, offset[:, :3] * task.step_translation)
+        rotation = orthonormalise(matmul3(centre.rotation, turn))
+        return Pose(centre.position + shift, rotation)
+
+    def step(self, reached: Tensor) -> None:
+        """Count a step; (N,) bool rows have come to where they were going."""
+        self.place, self.steps = self.place + reached.long(), self.steps + 1

@@ -1,0 +1,132 @@
+"""What the documentation says of agents on patients, from their scores.
+
+racines eval agent AGENT --view VIEW --tier TIER --split SPLIT --out FILE
+python -m tests.envs.patients.figures FOLDER    # of such files: AGENT-VIEW-TIER-SPLIT.json
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from racines_data.files import write_json
+from racines_data.patients.patient import PATHOLOGIES
+from racines_data.views import VIEWS
+
+RESULT = Path(__file__).parents[3] / "docs/results/patient-tasks.json"
+AGENTS = ("constant-pose", "blind-tour", "ppo", "servo", "planner")
+TIERS = {"patients": "still", "beating": "beating"}
+SPLITS = ("validation", "test")
+Found = dict[tuple[str, ...], dict[str, Any]]
+"""Scores by agent, view, tier and split."""
+
+
+def read(folder: Path) -> Found:
+    """Return the scores of a folder; each is what its name says."""
+    found: Found = {}
+    for agent in AGENTS:
+        for view in VIEWS:
+            for tier in TIERS:
+                for split in SPLITS:
+                    path = folder / f"{agent}-{view}-{tier}-{split}.json"
+                    if path.is_file():
+                        scores = json.loads(path.read_text())
+                        task = scores["task"]
+                        assert (task["view"], task["split"]) == (f"{view}-{tier}", split), path
+                        assert scores["submission"] == agent, path
+                        found[agent, view, tier, split] = scores
+    return found
+
+
+def percent(told: dict[str, Any], digits: int = 0) -> str:
+    """Return a share and its interval, per cent."""
+    value, low, high = (f"{100 * told[key]:.{digits}f}" for key in ("value", "low", "high"))
+    return f"{value} % ({low} – {high})"
+
+
+def measured(metrics: dict[str, Any], name: str, unit: str) -> str:
+    """Return a median and its quartiles."""
+    median, low, high = (
+        metrics[f"{name}_{part}"]["value"] for part in ("median", "quartile", "upper_quartile")
+    )
+    return f"{median:.1f} ({low:.1f} – {high:.1f}) {unit}"
+
+
+def success(found: Found, split: str) -> dict[str, Any]:
+    """Return the table of declared success: a row an agent and tier, a column a view."""
+    rows = []
+    for agent in AGENTS:
+        for tier, told in TIERS.items():
+            own = [found.get((agent, view, tier, split)) for view in VIEWS]
+            if any(own):
+                cells = [percent(each["metrics"]["success_declared"]) if each else "–"
+                         for each in own]  # fmt: skip
+                rows.append([agent, told, *cells])
+    return {"columns": ["agent", "hearts", *VIEWS], "rows": rows}
+
+
+def ends(found: Found, split: str) -> dict[str, Any]:
+    """Return the table of how A4C's episodes end, by agent and tier."""
+    columns = ["agent", "hearts", "declares", "wrongly", "passes through", "steps", "distance",
+               "angle", "peak force"]  # fmt: skip
+    rows = []
+    for agent in AGENTS:
+        for tier, told in TIERS.items():
+            if scores := found.get((agent, "A4C", tier, split)):
+                metrics = scores["metrics"]
+                shares = [percent(metrics[name])
+                          for name in ("declared", "false_declarations", "reached")]  # fmt: skip
+                rows.append([
+                    agent, told, *shares, f"{metrics['episode_steps']['value']:.0f}",
+                    measured(metrics, "position_error", "mm"),
+                    measured(metrics, "rotation_error", "°"),
+                    f"{metrics['peak_force']['value']:.1f} N",
+                ])  # fmt: skip
+    return {"columns": columns, "rows": rows}
+
+
+def by_pathology(found: Found, agent: str, split: str) -> dict[str, Any]:
+    """Return the table of an agent's declared success on A4C by pathology."""
+    own = {tier: found[agent, "A4C", tier, split] for tier in TIERS}
+    rows = []
+    for name in PATHOLOGIES:
+        told = [each["by_pathology"].get(name) for each in own.values()]
+        if all(told):
+            units = told[0]["success_declared"]["settings"]["units"]
+            cells = [percent(each["success_declared"]) for each in told]
+            rows.append([name, str(units), *cells])
+    return {"columns": ["pathology", "patients", *TIERS.values()], "rows": rows}
+
+
+def floors(found: Found, split: str) -> dict[str, float]:
+    """Return the highest share of each floor over views and tiers, per cent."""
+    return {
+        agent: round(max(100 * scores["metrics"]["success_declared"]["value"]
+                         for (name, *_, its), scores in found.items()
+                         if (name, its) == (agent, split)), 1)
+        for agent in AGENTS[:3]
+    }  # fmt: skip
+
+
+def fill(found: Found) -> None:
+    """Write the figures and tables."""
+    versions = {scores["phantom"]["version"] for scores in found.values()}
+    assert len(versions) == 1, versions
+    content = json.loads(RESULT.read_text())
+    tables = {f"success_{split}": success(found, split) for split in SPLITS}
+    tables |= {"ends": ends(found, "test"), "pathology": by_pathology(found, "servo", "test")}
+    shown = {
+        agent: {
+            told: round(100 * found[agent, "A4C", tier, "test"]["metrics"][
+                "success_declared"]["value"], 1)
+            for tier, told in TIERS.items()
+        }
+        for agent in ("servo", "planner")
+    }  # fmt: skip
+    highest = {split: floors(found, split) for split in SPLITS}
+    figures = {"floors": highest, "world": versions.pop(), **shown}
+    write_json(RESULT, content | {"figures": figures, "tables": tables})
+
+
+if __name__ == "__main__":
+    fill(read(Path(sys.argv[1])))
