@@ -1,42 +1,56 @@
-"""What a servo does where it has arrived and sees little."""
+"""What a servo does where it has arrived: it looks on from about there, and weighs what it saw."""
 
 import torch
 
-from racines_data.geometry import Pose
-from racines_envs.agents.servo.belief import reading
-from racines_envs.agents.servo.mind import SIDE, WALK, Mind
+from racines_data.geometry import geodesic
+from racines_envs.agents.servo import mind
+from racines_envs.agents.servo.belief import Belief
+from racines_envs.task.tasks import get_task
 from racines_envs.task.tiers import middles
 
-LABELS = torch.tensor([0, 3])
+
+def test_waypoints_are_spread_evenly_about_the_view():
+    offsets, reach = mind.waypoints(), torch.tensor(mind.REACH)
+    assert bool((offsets[0] == 0.0).all()) and bool((offsets.abs() <= reach).all())
+    spread = offsets[1:, reach > 0] / reach[reach > 0]
+    assert float(spread.mean(0).abs().max()) < 0.25
+    apart = (spread[:, None] - spread[None]).norm(dim=-1) + 9.0 * torch.eye(len(spread))
+    assert float(apart.min()) > 0.6
 
 
-def minds() -> tuple[Mind, Pose]:
-    about = middles(LABELS)
-    pose = Pose(about.position + torch.tensor([[0.02, 0.01, 0.001]]), about.rotation)
-    read = reading(pose, torch.zeros(2, 6), torch.full((2, 6), 0.01))
-    return Mind.new(read, 2, torch.device("cpu")), pose
+def minds() -> tuple[mind.Mind, torch.Tensor]:
+    """Return two that believe their views in the middle, and the views."""
+    labels = torch.zeros(2, dtype=torch.int64)
+    sure = torch.eye(3).expand(2, 3, 3)
+    return mind.Mind.new(Belief(middles(labels), sure, sure)), labels
 
 
-def test_it_walks_across_the_middle_then_at_a_right_angle():
-    mind, pose = minds()
-    about = middles(LABELS)
-    mind.depart(torch.tensor([True, False]), pose, LABELS)
-    assert mind.walk.tolist() == [WALK, 0] and mind.legs.tolist() == [1, 0]
-    way = (mind.goal.position - about.position)[0]
-    assert torch.allclose(way, SIDE * torch.tensor([-0.02, -0.01, 0.0]), atol=1e-6)
-    assert torch.equal(mind.goal.position[1], pose.position[1]), "who stays has no new goal"
-    mind.depart(torch.tensor([True, False]), pose, LABELS)
-    way = (mind.goal.position - about.position)[0]
-    assert torch.allclose(way, SIDE * torch.tensor([-0.01, 0.02, 0.0]), atol=1e-6)
+def test_a_row_goes_from_waypoint_to_waypoint_and_home():
+    kept, labels = minds()
+    offsets, task, centre = mind.waypoints(), get_task("A4C-patients"), kept.centre(labels)
+    assert torch.allclose(centre.position, middles(labels).position, atol=1e-6)
+    kept.step(torch.tensor([True, False]))
+    assert kept.place.tolist() == [1, 0] and kept.steps.tolist() == [1, 1]
+    goal, then = (kept.goal(centre, further, offsets, task) for further in (0, 1))
+    assert torch.equal(goal.position[0], then.position[1]), "the same waypoint of the same centre"
+    away = (goal.position - centre.position).norm(dim=-1) / task.step_translation
+    assert torch.allclose(away, torch.tensor([offsets[1, :3].norm().item(), 0.0]), atol=1e-3)
+    turn = geodesic(goal.rotation, centre.rotation) / task.step_rotation
+    assert torch.allclose(turn[0], offsets[1, 3:].norm(), atol=0.02)
+    for _ in range(mind.HOME):
+        kept.step(torch.tensor([False, False]))
+    home = kept.goal(centre, 0, offsets, task)
+    assert torch.allclose(home.position, centre.position) and kept.place.tolist() == [1, 0]
 
 
-def test_a_walk_ends_where_it_leads_or_after_its_steps():
-    mind, pose = minds()
-    mind.depart(torch.tensor([True, True]), pose, LABELS)
-    mind.step(torch.tensor([False, True]))
-    assert mind.walk.tolist() == [WALK - 1, 0] and mind.steps.tolist() == [1, 1]
-    for _ in range(WALK):
-        mind.step(torch.tensor([False, False]))
-    assert mind.walk.tolist() == [0, 0]
-    mind.forget(torch.tensor([True, False]))
-    assert mind.steps.tolist() == [0, WALK + 1] and mind.legs.tolist() == [0, 1]
+def test_what_showed_the_view_draws_and_episodes_are_kept_apart():
+    kept, labels = minds()
+    ones, about = torch.ones(2, dtype=torch.bool), middles(labels)
+    kept.place = kept.place + 1
+    for x, worth in ((0.004, 1.0), (-0.004, 0.2)):
+        there = about._replace(position=about.position + torch.tensor([x, 0.0, 0.0]))
+        kept.learn(kept.belief, there, torch.full((2,), worth), labels, ones)
+    found = (kept.centre(labels).position - about.position)[:, 0]
+    assert bool((found > 0.0015).all()) and bool((found < 0.002).all()), "half read, half seen"
+    kept.learn(kept.belief, about, torch.ones(2), labels, torch.tensor([True, False]))
+    assert kept.place.tolist() == [1, 0] and float(kept.seen[1].abs().sum()) == 0.0

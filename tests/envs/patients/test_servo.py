@@ -12,7 +12,7 @@ from racines_data.randomness import derive
 from racines_envs.agents.rollout import rollout
 from racines_envs.agents.servo import mind, rounds
 from racines_envs.agents.servo.agent import ServoAgent
-from racines_envs.agents.servo.belief import Belief, reading
+from racines_envs.agents.servo.belief import reading
 from racines_envs.agents.servo.frames import FrameConfig, Frames, draw_poses, ways_to
 from racines_envs.agents.servo.learner import Bank, ServoConfig, ServoLearner
 from racines_envs.agents.servo.visits import VisitConfig, visit
@@ -76,30 +76,6 @@ def test_readings_far_from_any_heart_yield_to_where_hearts_lie():
     assert float(shift[0, 0]) == pytest.approx(0.02, rel=0.05) and float(turn[0]) > 0.18
     assert float(shift[1].norm()) < 0.1 and float(turn[1]) < 0.1
     assert float(shift[1, 2].abs()) < 0.001, "the probe stands on the skin"
-
-
-def test_waypoints_are_spread_evenly_about_the_view():
-    offsets, reach = mind.waypoints(), torch.tensor(mind.REACH)
-    assert bool((offsets[0] == 0.0).all()) and bool((offsets.abs() <= reach).all())
-    spread = offsets[1:, reach > 0] / reach[reach > 0]
-    assert float(spread.mean(0).abs().max()) < 0.25
-    apart = (spread[:, None] - spread[None]).norm(dim=-1) + 9.0 * torch.eye(len(spread))
-    assert float(apart.min()) > 0.6
-
-
-def test_what_showed_the_view_draws_and_episodes_are_kept_apart():
-    labels, ones = torch.zeros(2, dtype=torch.int64), torch.ones(2, dtype=torch.bool)
-    about = middles(labels)
-    read = Belief(about, torch.eye(3).expand(2, 3, 3), torch.eye(3).expand(2, 3, 3))
-    kept = mind.Mind.new(read)
-    kept.place = kept.place + 1
-    for x, worth in ((0.004, 1.0), (-0.004, 0.2)):
-        there = about._replace(position=about.position + torch.tensor([x, 0.0, 0.0]))
-        kept.learn(read, there, torch.full((2,), worth), labels, ones)
-    found = (kept.centre(labels).position - about.position)[:, 0]
-    assert bool((found > 0.0015).all()) and bool((found < 0.002).all()), "half read, half seen"
-    kept.learn(read, about, torch.ones(2), labels, torch.tensor([True, False]))
-    assert kept.place.tolist() == [1, 0] and float(kept.seen[1].abs().sum()) == 0.0
 
 
 class Told(ServoAgent):
