@@ -113,8 +113,8 @@ def fill(found: Found) -> None:
     versions = {scores["phantom"]["version"] for scores in found.values()}
     assert len(versions) == 1, versions
     content = json.loads(RESULT.read_text())
-    tables = {f"success_{split}": success(found, split) for split in SPLITS}
-    tables |= {"ends": ends(found, "test"), "pathology": by_pathology(found, "servo", "test")}
+    tables = {"success_test": success(found, "test"), "ends": ends(found, "test")}
+    tables |= {"pathology": by_pathology(found, "servo", "test")}
     shown = {
         agent: {
             told: round(100 * found[agent, "A4C", tier, "test"]["metrics"][
@@ -123,8 +123,7 @@ def fill(found: Found) -> None:
         }
         for agent in ("servo", "planner")
     }  # fmt: skip
-    highest = {split: floors(found, split) for split in SPLITS}
-    figures = {"floors": highest, "world": versions.pop(), **shown}
+    figures = {"floors": floors(found, "test"), "world": versions.pop(), **shown}
     write_json(RESULT, content | {"figures": figures, "tables": tables})
 
 

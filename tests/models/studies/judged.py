@@ -53,7 +53,10 @@ def accepted(report: dict[str, Any]) -> dict[str, Any]:
 def pictures(report: dict[str, Any]) -> dict[str, Any]:
     """Return the table of what single pictures are called."""
     told = report["other_views"]["pictures"]
-    return {"columns": ["view", "called"], "rows": [[each["view"], each["called"]] for each in told]}
+    return {
+        "columns": ["view", "called"],
+        "rows": [[each["view"], each["called"]] for each in told],
+    }
 
 
 def outlined(report: dict[str, Any]) -> dict[str, Any]:
