@@ -123,7 +123,13 @@ def fill(found: Found) -> None:
         }
         for agent in ("servo", "planner")
     }  # fmt: skip
-    figures = {"floors": floors(found, "test"), "world": versions.pop(), **shown}
+    told = found["servo", "A4C", "patients", "test"]["metrics"]["success_declared"]["settings"]
+    figures = {
+        "floors": floors(found, "test"),
+        "level": round(100 * told["level"]),
+        "world": versions.pop(),
+        **shown,
+    }
     write_json(RESULT, content | {"figures": figures, "tables": tables})
 
 
