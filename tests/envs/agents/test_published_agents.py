@@ -7,11 +7,16 @@ import pytest
 import torch
 
 from racines_envs.agents import load_agent
+from racines_envs.agents.onnx.policy import export_run
 from racines_envs.agents.rollout import rollout
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core, make_phantom, phantom_recipe
+from racines_envs.worlds.ward import make_ward
 
-FOLDERS = sorted(path.parent for path in Path("envs/weights").glob("*/config.json"))
+WEIGHTS = Path("envs/weights")
+FOLDERS = sorted(path.parent for path in WEIGHTS.glob("*/config.json"))
+ON_PATIENTS = {"servo"}
+"""Agents that know patients, and not the one heart."""
 ELSEWHERE = "generator"
 """What was trained in a generator's images need not arrive on the phantom."""
 STARTS = 5
@@ -21,7 +26,25 @@ def read(folder):
     return json.loads((folder / "config.json").read_text())
 
 
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def runs(patients: bool):
+    """Return the folders of who knows patients, or the one heart."""
+    return [each for each in FOLDERS if (read(each)["agent"] in ON_PATIENTS) == patients]
+
+
+@pytest.mark.parametrize("folder", runs(patients=True), ids=lambda folder: folder.name)
+@pytest.mark.parametrize("seed", ["", "seed-1", "seed-2"])
+def test_a_published_policy_finds_most_train_patients_views(folder, seed):
+    agent = load_agent(read(folder)["agent"], folder / seed)
+    assert "/" not in read(folder / seed)["config"]["store"].removeprefix("envs/runs/")
+    ward = make_ward("patients", "train", 2)
+    core = make_core(
+        "AnyView-patients", 10, observation=agent.observation, reward="oracle", phantom=ward
+    )
+    final = rollout(core, agent, evaluation_seeds(10)).final
+    assert final["declared"].mean() > 0.8 and final["success"].mean() >= 0.4
+
+
+@pytest.mark.parametrize("folder", runs(patients=False), ids=lambda folder: folder.name)
 def test_a_published_policy_loads_and_arrives(folder):
     told = read(folder)
     agent = load_agent(told["agent"], folder)
@@ -37,9 +60,12 @@ def test_a_published_policy_loads_and_arrives(folder):
     assert int(final["success"].sum()) >= STARTS - 1
 
 
-@pytest.mark.parametrize("path", sorted(Path("envs/weights").glob("*.onnx")), ids=lambda p: p.stem)
-def test_its_onnx_file_acts_alike(path):
-    folder = path.with_suffix("")
+@pytest.mark.parametrize("name", [*sorted(p.stem for p in WEIGHTS.glob("*.onnx")), "ppo-image"])
+def test_its_onnx_file_acts_alike(name, tmp_path):
+    folder, path = WEIGHTS / name, WEIGHTS / f"{name}.onnx"
+    if not path.is_file():  # a large one is exported when it is wanted
+        path = tmp_path / path.name
+        export_run(folder, path)
     agent, opened = load_agent(read(folder)["agent"], folder), load_agent(str(path), folder)
     core = make_core("SC", 3, observation=agent.observation, reward="oracle")
     seen = core.reset(seed=0)
