@@ -28,7 +28,7 @@ def test_who_does_not_look_finds_few_views(floors, tmp_path, view: str, tier: st
     config = PatientsConfig(view=f"{view}-{tier}", patients=PATIENTS, starts=STARTS)
     for agent in floors:
         scores = evaluate_patients("floor", tmp_path, config, agent=agent).scores["metrics"]
-        assert scores["declared"]["value"] == 1.0
+        assert scores["declared"]["value"] >= THERE
         assert scores["success_declared"]["value"] <= MOST, agent.name
     told = evaluate_patients("planner", tmp_path, config, agent=PlannerAgent()).scores["metrics"]
     assert told["success_declared"]["value"] >= THERE
