@@ -91,11 +91,21 @@ def train_seeds(fit: Callable[[Run], dict[str, Any]], run: Run, repeats: int) ->
     """Train seeds `run.seed`, `run.seed + 1`, …; return the first's metrics, all under `seeds`.
 
     `fit` trains one run. `run` is the first; the others stand in `seed-<n>` of its folder.
+
+    Raises:
+        RacinesError: the folder holds trainings of other seeds, and `run.resume` is not False.
     """
     folders = [run.folder, *(run.folder / f"{PREFIX}{run.seed + k}" for k in range(1, repeats))]
-    for folder in repeat_folders(run.folder):
-        if folder not in folders and is_main_process():
-            shutil.rmtree(folder)  # of a former run with more seeds
+    others = [each for each in repeat_folders(run.folder) if each not in folders]
+    if others and run.resume is not False:
+        names = ", ".join(each.name for each in others)
+        raise RacinesError(
+            f"{run.folder}: holds trainings that this run would remove ({names}; repeats is "
+            f"{repeats}): move them away, raise repeats, give another --out, or --fresh"
+        )
+    for folder in others:
+        if is_main_process():
+            shutil.rmtree(folder)
     if repeats == 1:
         return fit(run)
     done, notes, resume = {}, run.folder / DONE, run.resume

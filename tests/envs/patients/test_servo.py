@@ -8,11 +8,11 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, axis_angle_to_matrix, geodesic, matmul3
-from racines_data.randomness import derive
+from racines_data.randomness import derive, uniform
 from racines_envs.agents.rollout import rollout
 from racines_envs.agents.servo import mind, rounds
 from racines_envs.agents.servo.agent import ServoAgent
-from racines_envs.agents.servo.belief import reading
+from racines_envs.agents.servo.belief import Belief, reading
 from racines_envs.agents.servo.frames import FrameConfig, Frames, draw_poses, ways_to
 from racines_envs.agents.servo.learner import Bank, ServoConfig, ServoLearner
 from racines_envs.agents.servo.visits import VisitConfig, visit
@@ -61,6 +61,30 @@ def test_beliefs_know_each_axis_for_itself():
     off = torch.tensor([[0.02, 0.0, 0.0, 0.3, 0.0, 0.0]])  # along and about the probe's own x
     both = reading(upright, off, vague).after(reading(aside, off, vague), 1.0, torch.inf)
     assert float(both.pose.position.norm()) < 0.0005
+
+
+def test_a_belief_is_its_rows_own():
+    """To the last bit: what is fused in a batch and what is fused alone."""
+    seeds = derive(torch.zeros(300, dtype=torch.int64), torch.arange(300))
+    labels, drawn = torch.arange(300) % 5, uniform(seeds, 24, 5)
+    turns = axis_angle_to_matrix(drawn[:, :3] - 0.5)
+    first, second = (
+        reading(Pose(drawn[:, at : at + 3] * 0.05, turns), drawn[:, at : at + 6] - 0.5, sure)
+        for at, sure in ((3, drawn[:, 9:15] + 1e-3), (15, drawn[:, 18:24] * 0.1 + 1e-4))
+    )
+
+    def fused(rows: torch.Tensor):
+        one, other = (
+            Belief(Pose(*(part[rows] for part in each.pose)), each.placed[rows], each.turned[rows])
+            for each in (first, second)
+        )
+        return one.among(labels[rows]).after(other)
+
+    whole = fused(torch.arange(300))
+    for row in range(0, 300, 37):
+        alone = fused(torch.tensor([row]))
+        for own, its in zip((*alone.pose, *alone[1:]), (*whole.pose, *whole[1:]), strict=True):
+            assert torch.equal(own[0], its[row])
 
 
 def test_readings_far_from_any_heart_yield_to_where_hearts_lie():

@@ -1,6 +1,7 @@
 """The segmentation judge: what it learns, that rows are their own, how it is kept and resumed."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -96,6 +97,18 @@ def test_a_killed_training_goes_on_to_the_same_bits(frames, tmp_path, monkeypatc
     assert one == other and not list((tmp_path / "killed").glob("*checkpoint*"))
 
 
+def test_patches_outline_what_no_grid_of_them_could(frames, tmp_path):
+    """A network of 4 x 4 patches tells pixels of one patch apart."""
+    learnt = replace(config(320, learning_rate=1e-2, patch=4), input_size=128)
+    run = Run(tmp_path, 0, "cpu", progress=False)
+    metrics = train_segmentation(frames, learnt, run)["metrics"]
+    assert metrics["dice_lv"]["value"] > 0.6
+    found = SegmentationJudge.load(tmp_path).segment(frames.images[:8])
+    patches = found.unfold(1, 4, 4).unfold(2, 4, 4).flatten(3)
+    mixed = (patches != patches[..., :1]).any(-1) & (patches > 0).any(-1)
+    assert int(mixed.sum()) > 100
+
+
 def test_dice_is_asked_where_the_structure_is():
     truth = torch.zeros(3, 128, 128, dtype=torch.uint8)
     found = truth.clone()
@@ -129,14 +142,17 @@ def test_what_does_not_fit_is_refused(frames, tmp_path):
         MaskSet.of(store)
     with pytest.raises(RacinesError, match="input_size 96: choose 64 or 128"):
         SegmentationConfig(input_size=96)
+    with pytest.raises(RacinesError, match="patch 3: choose 1, 2 or 4"):
+        SegmentationConfig(patch=3)
     with pytest.raises(RacinesError, match="no segmentation judge there; run: racines train seg"):
         SegmentationJudge.load(tmp_path)
 
 
 def test_full_size_and_the_command_that_says_what_is_lacking(tmp_path):
-    network = SegmentationNetwork(SegmentationConfig(channels=2)).eval()
     images = torch.zeros(2, 128, 128, dtype=torch.uint8)
-    assert network(network.normalise(images)).shape == (2, 6, 128, 128)
+    for patch in (1, 2, 4):
+        network = SegmentationNetwork(SegmentationConfig(channels=2, patch=patch)).eval()
+        assert network(network.normalise(images)).shape == (2, 6, 128, 128)
     words = ["train", "segmentation", "--data", "none", "--out", str(tmp_path / "run")]
     with pytest.raises(RacinesError, match="none: no dataset here"):
         CliRunner().invoke(app, words, catch_exceptions=False)

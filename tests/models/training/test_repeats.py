@@ -5,6 +5,7 @@ import json
 import pytest
 import torch
 
+from racines_data.errors import RacinesError
 from racines_models.generators.mean_image import MeanImage
 from racines_models.protocol import Run
 from racines_models.registry import open_runs, weights_of
@@ -38,8 +39,17 @@ def test_each_seed_has_a_folder_and_all_are_reported(tmp_path):
     assert metrics == json.loads((tmp_path / "metrics.json").read_text())
     assert metrics["psnr"] == 24.0
     assert [each["psnr"] for each in metrics["seeds"].values()] == [24.0, 25.0, 26.0]
-    train_seeds(fits, Run(tmp_path, seed=4), 2)
-    assert repeat_folders(tmp_path) == [tmp_path / "seed-5"], "a seed no longer asked for goes"
+
+
+def test_trainings_that_are_no_longer_asked_for_are_not_lost_in_silence(tmp_path):
+    train_seeds(Fits(), Run(tmp_path), 3)
+    fits = Fits()
+    said = r"\(seed-1, seed-2; repeats is 1\): move them away.*--fresh"
+    with pytest.raises(RacinesError, match=said):
+        train_seeds(fits, Run(tmp_path), 1)
+    assert not fits.runs and len(repeat_folders(tmp_path)) == 2
+    train_seeds(fits, Run(tmp_path, resume=False), 2)
+    assert repeat_folders(tmp_path) == [tmp_path / "seed-1"], "as was asked for"
 
 
 @pytest.mark.parametrize("resume", [None, True])

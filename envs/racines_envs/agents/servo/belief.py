@@ -108,4 +108,7 @@ def _fused(known: Tensor, new: Tensor, away: Tensor, huber: float) -> tuple[Tens
     deviations = (away * pull).sum(-1).clamp_min(0.0).sqrt()
     counts = (huber / deviations.clamp_min(1e-9)).clamp_max(1.0)
     both = known + counts[:, None, None] * new
-    return both, torch.linalg.solve(both, counts[:, None] * pull)
+    # Not `solve`, which waits for the device to look for singular matrices: these are sums of a
+    # positive prior and more. Its result lies column by column, where the sums of a row's three
+    # numbers would round by the size of the batch.
+    return both, torch.linalg.solve_ex(both, counts[:, None] * pull).result.contiguous()

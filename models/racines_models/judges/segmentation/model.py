@@ -51,6 +51,9 @@ class SegmentationConfig:
     """Images are averaged down to this height and width: 64 or 128."""
     channels: int = 16
     """At full resolution; each of the four levels below has twice as many."""
+    patch: int = 1
+    """Pixels along a side of the squares that the network takes as one, as channels (sub-pixel
+    convolution, Shi et al., CVPR 2016): 2 costs half as much as 1, and outlines to the pixel."""
     learning_rate: float = 2e-3
     """Peak of AdamW's rate."""
     weight_decay: float = 0.01
@@ -63,6 +66,8 @@ class SegmentationConfig:
         """Refuse a size that the network cannot take."""
         if self.input_size not in (64, 128):
             raise RacinesError(f"segmentation.input_size {self.input_size}: choose 64 or 128")
+        if self.patch not in (1, 2, 4):
+            raise RacinesError(f"segmentation.patch {self.patch}: choose 1, 2 or 4")
         if self.channels < 1 or not self.structures:
             raise RacinesError("segmentation: channels and structures are at least 1")
 
@@ -74,11 +79,11 @@ class SegmentationNetwork(nn.Module):
         super().__init__()
         from monai.networks.nets.unet import UNet
 
-        self.factor = IMAGE_SIZE // config.input_size
+        self.factor, self.patch = IMAGE_SIZE // config.input_size, config.patch
         self.net = UNet(
             spatial_dims=2,
-            in_channels=1,
-            out_channels=1 + len(config.structures),
+            in_channels=config.patch**2,
+            out_channels=(1 + len(config.structures)) * config.patch**2,
             channels=[config.channels << level for level in range(LEVELS)],
             strides=[2] * (LEVELS - 1),
             num_res_units=2,
@@ -92,7 +97,8 @@ class SegmentationNetwork(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Return (B, structures + 1, 128, 128) logits of normalised images."""
-        logits = self.net(x).float()
+        logits = self.net(nn.functional.pixel_unshuffle(x, self.patch))
+        logits = nn.functional.pixel_shuffle(logits.float(), self.patch)
         if self.factor > 1:
             size = (IMAGE_SIZE, IMAGE_SIZE)
             logits = nn.functional.interpolate(logits, size, mode="bilinear")
