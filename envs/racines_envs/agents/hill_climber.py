@@ -21,14 +21,12 @@ from racines_envs.agents.protocol import SETTINGS, Untrained
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import RewardConfig
-from racines_envs.worlds.backends import GRADER_FOLDER, check_grader, make_grader
+from racines_envs.worlds.backends import check_grader, make_grader, usual_grader
 from racines_models.devices import resolve_device
 from racines_models.protocol import Judge
 
 MOVES = len(ACTIONS) - 1
 """All actions but idle; action 2i goes one way and 2i + 1 back."""
-PUBLISHED = Path("models/weights/grader")
-"""The grader that comes with the repository."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,7 @@ class HillClimberConfig:
     """How it searches."""
 
     grader: str = ""
-    """Run folder of the grader or its student; models/runs/grader if empty, or the published."""
+    """Run folder of the grader or its student; that of the task's tier if empty."""
     margin: float = 0.2
     """Least rise of the score that counts; two images of one place differ by some noise."""
     ceiling: float = 0.9
@@ -94,10 +92,8 @@ class HillClimberAgent(Untrained):
     def attach(self, core: ScanCore) -> None:
         """Learn which view is wanted and what a hit is; forget the episodes before."""
         if self.guide is None:
-            trained = (GRADER_FOLDER / "grader.safetensors").is_file()
-            usual = PUBLISHED if PUBLISHED.is_dir() and not trained else GRADER_FOLDER
-            folder, device = self.config.grader or usual, resolve_device(self.config.device)
-            self.guide = make_grader(Path(folder), device)
+            folder = Path(self.config.grader or usual_grader(core.task))
+            self.guide = make_grader(folder, resolve_device(self.config.device))
         check_grader(self.guide, core.task)
         self._target, self._goal, self._memory = core.task.target, core.rewards, None
         self._ended = lambda: core.state.done

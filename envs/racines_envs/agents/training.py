@@ -29,7 +29,7 @@ from racines_envs.agents.rollout import rollout
 from racines_envs.task.names import HEART_TIER
 from racines_envs.task.rewards import RewardConfig, get_reward
 from racines_envs.task.starts import validation_seeds
-from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike, make_grader, source_weights
+from racines_envs.worlds.backends import JudgeLike, make_grader, source_weights, usual_grader
 from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
 from racines_envs.worlds.ward import make_ward
 from racines_models.devices import on_device
@@ -313,7 +313,8 @@ def environment_identity(
     """
     made: dict[str, Any] = {"grader": None, "generator": None, "data": None}
     if get_reward(config.reward).needs_judge:
-        made["grader"] = make_grader(grader or config.grader or GRADER_FOLDER, "cpu").sha256
+        judge = grader or config.grader or usual_grader(find_task(config.view, phantom))
+        made["grader"] = make_grader(judge, "cpu").sha256
     if config.backend == "generator" and config.generator:
         made["generator"] = source_weights(config.generator)
     if config.backend == "replay":

@@ -32,7 +32,7 @@ from racines_envs.task.rewards import (
     is_hit,
 )
 from racines_envs.task.tasks import TERMINATIONS
-from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike
+from racines_envs.worlds.backends import JudgeLike, usual_grader
 from racines_envs.worlds.making import WorldLike, find_task, make_phantom, phantom_recipe
 from racines_models.devices import on_device
 from racines_models.statistics import evidence
@@ -116,7 +116,7 @@ def reward_report(
     seeds, view = start_seeds(config.starts, config.seeds), common_view(runs, config.view)
     task = find_task(view, phantom)
     phantom = make_phantom(phantom, config.device, task.anatomy)
-    grader = grader or config.grader or GRADER_FOLDER
+    grader = grader or config.grader or usual_grader(task)
     episodes: Outcomes = {}
     for run in runs:
         traces: dict[bool, ScoredSteps] = {}

@@ -15,12 +15,19 @@ from racines_data.geometry import parameters_to_pose
 from racines_data.imaging import ImageSource
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.randomness import sample_seeds
-from racines_data.views import labels_of
+from racines_data.views import HEART, labels_of
 from racines_data.world import World
+from racines_envs.task.names import HEART_TIER, PATIENTS
 from racines_envs.task.tasks import Task
 from racines_models.protocol import Judge
 
 GRADER_FOLDER = Path("models/runs/grader")
+GRADERS = {
+    HEART_TIER: (GRADER_FOLDER, Path("models/weights/grader")),
+    PATIENTS: (Path("models/runs/grader-patients"), Path("models/weights/phantom-patients/grader")),
+}
+"""Where the grader of a tier lies: one trained here stands before the published one."""
+GRADER_FILE = "grader.safetensors"
 JudgeLike = Judge | Path | str | None  # a grader itself, its run folder, or None for the default
 BACKENDS = ("phantom", "generator", "replay")
 
@@ -111,6 +118,18 @@ def make_backend(
     return generator if isinstance(generator, ImageSource) else open_source(generator, device)
 
 
+def usual_grader(task: Task) -> Path:
+    """Return the folder of the grader that is meant where none is named: that of the task's tier.
+
+    Beating hearts have that of patients; an organ only one that was trained here.
+    """
+    if task.anatomy != HEART:
+        return GRADER_FOLDER
+    own, published = GRADERS[HEART_TIER if task.tier == HEART_TIER else PATIENTS]
+    trained = (own / GRADER_FILE).is_file() or not (published / GRADER_FILE).is_file()
+    return own if trained else published
+
+
 def make_grader(
     grader: Judge | Path | str, device: torch.device | str, task: Task | None = None
 ) -> Judge:
@@ -119,10 +138,11 @@ def make_grader(
         if not isinstance(grader, (str, Path)):
             raise RacinesError(f"grader {grader!r}: inherit from racines_models.protocol.Judge")
         folder = Path(grader)
-        if not (folder / "grader.safetensors").is_file():
+        if not (folder / GRADER_FILE).is_file():
+            out = "" if folder == GRADER_FOLDER else f" --out {folder}"
             raise RacinesError(
-                f"{folder}: no trained grader (grader.safetensors): run `racines train grader`, or "
-                "do without one: reward='oracle'"
+                f"{folder}: no trained grader ({GRADER_FILE}): run `racines train grader{out}`, "
+                "or do without one: reward='oracle'"
             )
         from racines_models.judges.grader.model import Grader
 

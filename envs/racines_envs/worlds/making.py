@@ -22,7 +22,7 @@ from racines_envs.task.names import BEATING, HEART_TIER, PATIENTS
 from racines_envs.task.rewards import Reward, RewardConfig, get_reward
 from racines_envs.task.sensing import Encoder, ForceSource
 from racines_envs.task.tasks import Task, get_task
-from racines_envs.worlds.backends import GRADER_FOLDER, JudgeLike, make_backend, make_grader
+from racines_envs.worlds.backends import JudgeLike, make_backend, make_grader, usual_grader
 from racines_envs.worlds.forces import make_forces
 from racines_envs.worlds.ward import Ward, make_ward
 from racines_models.devices import resolve_device
@@ -75,7 +75,7 @@ def make_core(
         anatomy: Whose view it is; the phantom's anatomy by default, or else the heart.
         generator: For the backend `generator`: a name, run folder, `module:Class`, `FILE.onnx` or
             object; see `racines_envs.worlds.backends.open_source`.
-        grader: Run folder or object; models/runs/grader for a reward that needs one.
+        grader: Run folder or object; for a reward that needs one, the tier's (`usual_grader`).
         termination: Instead of the task's: `first_hit`, `k_hits` or `timeout`.
         rewards: The numbers of the reward.
         device: Where the tensors live.
@@ -101,7 +101,7 @@ def make_core(
         task = dataclasses.replace(task, termination=termination)
     parts: dict[str, Any] = {}
     if get_reward(reward).needs_judge and grader is None:
-        grader = GRADER_FOLDER
+        grader = usual_grader(task)
     judge = None if grader is None else make_grader(grader, device, task)
     if judge is not grader:
         parts["the grader"] = trained_on(grader)

@@ -10,16 +10,36 @@ from racines_data.geometry import Pose
 from racines_data.views import VIEWS
 from racines_envs.task.actions import IDLE
 from racines_envs.task.names import GOALS, task_id
-from racines_envs.task.rewards import RewardConfig
+from racines_envs.task.rewards import RewardConfig, Score, paper
 from racines_envs.task.tasks import PATIENT_TASKS, get_task
 from racines_envs.task.tiers import middles
 from racines_envs.worlds.making import make_core
 from racines_envs.worlds.ward import Ward, make_ward
+from racines_models.judges.grader.model import Grader
 
 
 def core_of(ward, view="A4C", count=1, observation="params", **more):
     tier = "beating" if ward.pool.beating else "patients"
     return make_core(f"{view}-{tier}", count, observation=observation, phantom=ward, **more)
+
+
+def test_the_papers_reward_asks_the_grader_of_patients(beating, tmp_path, monkeypatch):
+    core = core_of(beating, "AnyView", 2, reward="paper")
+    assert core.grader.sha256 == Grader.load("models/weights/phantom-patients/grader").sha256
+    core.reset(0)
+    before = core.grader.probabilities_and_grade(core.picture())
+    paid = core.step(torch.tensor([4, 7])).reward
+    after = core.grader.probabilities_and_grade(core.picture())
+    own = [
+        Score(p.gather(1, core.state.goal[:, None])[:, 0], g, torch.zeros(2))
+        for p, g in (before, after)
+    ]
+    assert torch.equal(paid, paper(*own, torch.zeros(2, dtype=torch.bool), RewardConfig()))
+    hearts = make_core("A4C", observation="params", reward="paper").grader
+    assert hearts.sha256 != core.grader.sha256
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RacinesError, match="train grader --out models/runs/grader-patients"):
+        core_of(beating, reward="paper")
 
 
 def nominal_start(core):
