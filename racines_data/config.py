@@ -27,6 +27,8 @@ class _Top:
 
     seed: int = 0
     board: str | None = None
+    patient_boards: tuple[str, ...] = ()
+    """Tiers of patients whose boards, called like them, these settings are for as well."""
 
 
 class Settings(dict[str, Any]):
@@ -76,7 +78,7 @@ def read_params(params: Path | None = None, profile: str | None = None) -> Setti
     if not isinstance(content, dict):
         raise RacinesError(f"{name}: expected a mapping of sections")
     content = Settings(content, name if params else f"profile {name}")
-    fill(_Top, content.of("seed", "board"), "")
+    fill(_Top, content.of("seed", "board", "patient_boards"), "")
     return content
 
 

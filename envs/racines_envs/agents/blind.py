@@ -60,7 +60,7 @@ class BlindAgent:
     name: ClassVar[str]
     Config: ClassVar[type] = BlindConfig
     observation: str = "params"
-    sees: ClassVar[str] = "nothing but the pose"
+    sees: ClassVar[str] = "nothing"
     trained: ClassVar[bool] = False
     """The choice draws nothing by chance."""
     most: ClassVar[int]

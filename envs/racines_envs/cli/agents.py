@@ -165,15 +165,23 @@ def _on_patients(
     """Score an agent on patients, whose settings are the section `evaluation_patients`."""
     from racines_data.config import fill, section
     from racines_envs.evaluation.agent_specs import find_entry, plain_name
-    from racines_envs.evaluation.patients import PatientsConfig, evaluate_patients
+    from racines_envs.evaluation.patients import PatientsConfig, evaluate_patients, row_name
     from racines_envs.evaluation.run import write_evaluation
     from racines_models.cli.output import show_metrics
 
     values = read_settings(params, profile)
     entry, stated = find_entry(values, agent, name), section(values, "evaluation_patients")
     config = fill(PatientsConfig, stated | chosen, "evaluation_patients")
-    label = name or plain_name(f"{entry.name}-{config.view}-{config.split}")
-    board, out = values.get("board"), _result_file(out, entry.scores.with_name(f"{label}.json"))
+    board, tier = values.get("board"), tier_of(config.view)
+    label = plain_name(f"{entry.name}-{config.view}-{config.split}")
+    if tier in values.get("patient_boards", ()):
+        board = tier
+        # From the board's own starts it is a row; others are told by all that makes them.
+        usual = fill(PatientsConfig, stated | {"view": config.view}, "evaluation_patients")
+        if all(getattr(config, key) == getattr(usual, key) for key in SAME):
+            label = row_name(entry.name, config.view)
+    label = name or label
+    out = _result_file(out, entry.scores.with_name(f"{label}.json"))
     result = evaluate_patients(entry.agent, run or entry.folder, config, run=label, board=board)
     write_evaluation(result, out, None, force)
     if as_json:
@@ -182,6 +190,10 @@ def _on_patients(
         title = f"{label}: {config.patients} patients, {config.starts} starts each"
         show_metrics(title, result.scores["metrics"])
         say(f"written: {out}")
+
+
+SAME = ("split", "patients", "starts", "seed", "reward")
+"""Settings that decide a score on patients."""
 
 
 def _result_file(out: Path | None, usual: Path) -> Path:

@@ -23,14 +23,14 @@ from racines_data.randomness import derive
 from racines_envs.agents import learns, load_agent
 from racines_envs.agents.protocol import FILES, Agent
 from racines_envs.agents.rollout import Episodes, rollout
-from racines_envs.evaluation.agent_specs import check_view
+from racines_envs.evaluation.agent_specs import check_view, plain_name
 from racines_envs.evaluation.measures import Metrics, Values, measure_patients, patient_values
 from racines_envs.evaluation.run import SCHEMA, Scored, core_for, told_of_agent
 from racines_envs.evaluation.trainings import Training, find_trainings
 from racines_envs.task.names import HEART_TIER
 from racines_envs.task.tasks import Task, get_task
 from racines_envs.task.tiers import MIDDLES
-from racines_envs.worlds.making import phantom_recipe
+from racines_envs.worlds.making import patients_recipe
 from racines_envs.worlds.ward import Ward, choose_patients, make_ward
 from racines_models.devices import on_device
 
@@ -66,6 +66,16 @@ class PatientsConfig:
                 f"task {task.id} has one heart: name one on patients, as {self.view}-patients"
             )
         return task
+
+
+def row_name(entry: str, view: str) -> str:
+    """Return what a run is called on its tier's board, where it has a row for each view."""
+    return plain_name(f"{entry}-{get_task(view).view}")
+
+
+def run_name(row: str, view: str) -> str:
+    """Return the run of a row of a tier's board."""
+    return row.removesuffix(f"-{plain_name(get_task(view).view)}")
 
 
 class StartSet(NamedTuple):
@@ -124,13 +134,12 @@ def evaluate_patients(
     values = patient_values(acted)
     metrics, evidence = measure_patients(values, starts.units)
     task = {
-        "view": config.view, "split": config.split, "observation": agent.observation,
-        "reward": config.reward, "start_set": starts.told(config),
+        "view": config.view, "backend": "phantom", "split": config.split,
+        "observation": agent.observation, "reward": config.reward, "start_set": starts.told(config),
         "definition": config.task.definition,
     }  # fmt: skip
-    ward = make_ward(config.task.tier, config.split, starts.patients[:1], config.device)
     scores = {"schema": SCHEMA, **told_of_agent(agent, trainings, config.device)}
-    scores |= {"task": task, "phantom": phantom_recipe(ward), "metrics": metrics}
+    scores |= {"task": task, "phantom": patients_recipe(config.task.tier), "metrics": metrics}
     scores |= {"by_pathology": _by_pathology(values, starts.units), "seeds": [config.seed]}
     scores |= {"agent": run or agent.name} | ({"board": board} if board else {})
     return Scored(scores | {"seconds": time.perf_counter() - began}, evidence)

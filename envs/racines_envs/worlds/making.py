@@ -232,12 +232,18 @@ def phantom_recipe(phantom: WorldLike) -> dict[str, Any] | None:
     Of a ward, the version of its patients: who they are is the start set's to say.
     """
     if isinstance(phantom, Ward):
-        return {"version": PATIENTS_VERSION, "world": BEATING if phantom.pool.beating else PATIENTS}
+        return patients_recipe(BEATING if phantom.pool.beating else PATIENTS)
     config = config_of(phantom)
     if config is None:
         return None
     recipe = {"version": PHANTOM_VERSION, "config": dataclasses.asdict(config)}
     return {"version": PHANTOM_VERSION, "recipe_digest": recipe_digest(recipe)}
+
+
+def patients_recipe(tier: str) -> dict[str, Any]:
+    """Return what scores say of the world of a tier of patients."""
+    recipe = {"version": PATIENTS_VERSION, "world": tier}
+    return {**recipe, "recipe_digest": recipe_digest(recipe)}
 
 
 def trained_on(part: Any) -> dict[str, Any] | None:

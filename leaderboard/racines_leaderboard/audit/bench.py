@@ -13,6 +13,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.manifest import MANIFEST
 from racines_data.store.frames import FrameStore, open_store
+from racines_envs.evaluation.patients import PatientsConfig
 from racines_envs.evaluation.run import EvaluationConfig
 from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.records.schema import read_json
@@ -67,7 +68,10 @@ class Bench:
         own = self.places.params
         found = [read_params(own)] if own.is_file() else []
         found += [read_params(profile=name) for name in PROFILES]
-        return next((values for values in found if values.get("board") == self.board), None)
+        return next((values for values in found if self._is_for(values)), None)
+
+    def _is_for(self, values: dict[str, Any]) -> bool:
+        return self.board in (values.get("board"), *values.get("patient_boards", ()))
 
     @functools.cached_property
     def scores(self) -> ScoresConfig:
@@ -79,6 +83,11 @@ class Bench:
         """How the board evaluates agents, likewise."""
         return fill(EvaluationConfig, section(self.settings or {}, "evaluation"), "evaluation")
 
+    def on_patients(self, view: str) -> PatientsConfig:
+        """Return how the board evaluates agents at a task on patients."""
+        settings = section(self.settings or {}, "evaluation_patients")
+        return fill(PatientsConfig, settings | {"view": view}, "evaluation_patients")
+
     @functools.cached_property
     def recipe(self) -> str | None:
         """Recipe digest of the dataset that the settings build; None for imported data."""
@@ -89,7 +98,7 @@ class Bench:
     @functools.cached_property
     def profile(self) -> str | None:
         """The packaged profile that is for the board; None if it has a params file of its own."""
-        every = (name for name in PROFILES if read_params(profile=name).get("board") == self.board)
+        every = (name for name in PROFILES if self._is_for(read_params(profile=name)))
         return next(every, None)
 
     @functools.cached_property

@@ -16,7 +16,8 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_envs.agents import agent_class
 from racines_envs.cli.settings import phantom_config
-from racines_envs.worlds.making import find_task, phantom_recipe
+from racines_envs.evaluation.patients import start_set
+from racines_envs.worlds.making import find_task, patients_recipe, phantom_recipe
 from racines_leaderboard.audit.bench import JUDGES, KINDS, Bench
 from racines_leaderboard.audit.verdicts import (
     UNKNOWN,
@@ -31,7 +32,7 @@ from racines_leaderboard.audit.verdicts import (
 from racines_leaderboard.audit.weights import data_of
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.schema import KEY, seal_of
-from racines_leaderboard.records.tracks import TRACK
+from racines_leaderboard.records.tracks import PATIENT_AGENTS, TRACK
 from racines_leaderboard.submissions.document import find_submission
 from racines_models.provenance import environment
 from racines_models.registry import generator_class
@@ -95,7 +96,7 @@ def _names(record: Record) -> Iterator[Verdict]:
 
 def _adapter(record: Record, adapter: str) -> Verdict:
     """Check that the class which a submission names is the one that is scored here."""
-    agents = record["track"] == "agents"
+    agents = TRACK[record["track"]].steers
     name = record["scores"].get("submission", record["name"])
     try:
         one, other = (agent_class if agents else generator_class)(name), _loaded(adapter)
@@ -288,7 +289,11 @@ def task(record: Record, bench: Bench) -> Iterator[Verdict]:
     if bench.settings is None:
         yield unknown("task", bench.no_settings)
         return
-    scores, claimed, config = record["scores"], record["scores"]["task"], bench.evaluation
+    scores, claimed = record["scores"], record["scores"]["task"]
+    if record["track"] == PATIENT_AGENTS.name:
+        yield from _task_on_patients(record, bench)
+        return
+    config = bench.evaluation
     phantom = phantom_config(bench.settings)
     here = phantom_recipe(phantom) or {}
     for key, value in (scores.get("phantom") or {}).items():
@@ -306,5 +311,30 @@ def task(record: Record, bench: Bench) -> Iterator[Verdict]:
         yield equal(f"task.{key}", claimed[key], getattr(config, key), reason)
     starts = {"seeds": list(config.sets), "starts": config.starts}
     reason = "the start sets of the board's settings"
+    yield equal("task.start_set", claimed["start_set"], starts, reason)
+    yield equal("seeds", scores["seeds"], starts["seeds"], reason)
+
+
+def _task_on_patients(record: Record, bench: Bench) -> Iterator[Verdict]:
+    """Check world, task, split, reward and starts of an agent's scores on patients."""
+    scores, claimed = record["scores"], record["scores"]["task"]
+    config = bench.on_patients(claimed["view"])
+    try:
+        defined = config.task
+    except RacinesError as error:
+        yield fails("task.view", str(error), claimed["view"])
+        return
+    here = patients_recipe(defined.tier)
+    for key, value in (scores.get("phantom") or {}).items():
+        yield equal(f"phantom.{key}", value, here.get(key), "the world of patients here")
+    reason = "the task as it is here"
+    definition = json.loads(json.dumps(defined.definition))
+    yield equal("task.definition", claimed.get("definition"), definition, reason)
+    yield equal("task.backend", claimed["backend"], "phantom", "what draws patients")
+    for key in ("split", "reward"):
+        reason = f"evaluation_patients.{key} of the board's settings"
+        yield equal(f"task.{key}", claimed[key], getattr(config, key), reason)
+    starts = start_set(config).told(config)
+    reason = "the start set of the board's settings, and a digest of all that decides it"
     yield equal("task.start_set", claimed["start_set"], starts, reason)
     yield equal("seeds", scores["seeds"], starts["seeds"], reason)

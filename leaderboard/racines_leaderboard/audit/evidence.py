@@ -14,6 +14,7 @@ import numpy as np
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
+from racines_envs.evaluation.agent_specs import SECTIONS
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.numbers import starts_of
 from racines_leaderboard.audit.verdicts import (
@@ -26,7 +27,7 @@ from racines_leaderboard.audit.verdicts import (
     tell,
     unknown,
 )
-from racines_leaderboard.audit.weights import first_training, named
+from racines_leaderboard.audit.weights import first_training, named, run_called
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.ranges import CLOSE, ENDS, range_of
 from racines_leaderboard.records.tracks import TRACK
@@ -105,7 +106,7 @@ def _of_items(key: str, figures: Figures, record: Record, bench: Bench) -> Itera
     if figures.items is None or figures.units is None:
         return
     subject, items = f"evidence.{key}.items", figures.items.tolist()
-    if record["track"] == "agents":
+    if TRACK[record["track"]].steers:
         if starts := starts_of(record):
             episodes = set(range(starts[0] * starts[1]))
             right = set(items) <= episodes and len(set(items)) == len(items)
@@ -183,7 +184,8 @@ def further_trainings(record: Record, evidence: Evidence | None, bench: Bench) -
     hours = ((record["submission"] or {}).get("training") or {}).get("hours")
     folders = {name.split("/")[0] for name in set(weights) - set(first_training(weights))}
     settings = bench.settings or {}
-    recipe = record["name"] in {*settings.get("generators", {}), *settings.get("agents", {})}
+    sections = ("generators", *SECTIONS)
+    recipe = any(run_called(record) in settings.get(each, {}) for each in sections)
     needed = {
         "its recipe in the board's settings": recipe,
         "the digests of their weights": len(folders) == runs - 1,

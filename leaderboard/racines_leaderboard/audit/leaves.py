@@ -24,14 +24,14 @@ INFORMATIVE = {
 }
 """Leaves that no rank, tier or verdict rests on, and why. Those of a submission must still be
 those of its `submission.yaml`."""
-NUMBERS = r"(metrics|by_seed\.[^.]+)\.[^.]+\.(value|low|high|n)"
+NUMBERS = r"(metrics|by_(seed|pathology)\.[^.]+)\.[^.]+\.(value|low|high|n)"
 ELSEWHERE = (
     r"(extractors|weights|evidence)(\..+)?",
     r"dataset\.(digest|board)|board|code\.version|agent|generator",
 )
 """Leaves of scores that have a check of their own."""
 OF_TRAININGS = (
-    r"runs|(seeds|trainings)(\..+)?|(metrics|by_seed\.[^.]+)\.[^.]+\.settings\.(interval|units|trainings|trajectories|by_set)"
+    r"runs|(seeds|trainings)(\..+)?|(metrics|by_(seed|pathology)\.[^.]+)\.[^.]+\.settings\.(interval|units|trainings|trajectories|by_set)"
     r"(\..+)?"
 )
 """Those that differ where some of the trainings were made again; the evidence tells them."""

@@ -55,9 +55,13 @@ def check_metrics(record: Record, bench: Bench) -> Iterator[Verdict]:
 
 
 def _groups(scores: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the metrics by place: those of all runs together, and those of each seed."""
-    seeds = scores.get("by_seed", {}).items()
-    return {"metrics": scores["metrics"]} | {f"by_seed.{seed}": each for seed, each in seeds}
+    """Return the metrics by place: those of all runs together, of each seed or pathology."""
+    parts = {
+        f"{kind}.{name}": each
+        for kind in ("by_seed", "by_pathology")
+        for name, each in scores.get(kind, {}).items()
+    }
+    return {"metrics": scores["metrics"]} | parts
 
 
 def _by_itself(
@@ -90,7 +94,7 @@ def _counts(
     record: Record, bench: Bench, place: str, metrics: dict[str, Any]
 ) -> dict[str, tuple[int, str]]:
     """Return the n that each metric must have, and why, as far as it is known."""
-    if record["track"] == "agents":
+    if TRACK[record["track"]].steers:
         return _episodes(record, place, metrics)
     store = bench.data_for(record)
     if store is None:
@@ -118,12 +122,16 @@ def _counts(
 def starts_of(record: Record) -> tuple[int, int] | None:
     """Return how many start sets an agent's record names, of how many starts; None if none."""
     told = record["scores"]["task"]["start_set"]
-    seeds, starts = (told.get(k) if isinstance(told, dict) else None for k in ("seeds", "starts"))
-    return (len(seeds), starts) if isinstance(seeds, list) and isinstance(starts, int) else None
+    seeds, starts, patients = (
+        told.get(key) if isinstance(told, dict) else None for key in ("seeds", "starts", "patients")
+    )
+    if not isinstance(seeds, list) or not isinstance(starts, int):
+        return None
+    return len(seeds), starts * (patients if isinstance(patients, int) else 1)
 
 
 def _episodes(record: Record, place: str, metrics: dict[str, Any]) -> dict[str, tuple[int, str]]:
-    if (starts := starts_of(record)) is None:
+    if (starts := starts_of(record)) is None or place.startswith("by_pathology"):
         return {}
     n = (starts[0] if place == "metrics" else 1) * starts[1]
     successes = round((metrics["success_true"]["value"] or 0.0) * n)
@@ -138,7 +146,7 @@ def _methods(record: Record, bench: Bench) -> Iterator[Verdict]:
     if bench.settings is None:
         yield unknown("intervals", bench.no_settings)
         return
-    if record["track"] == "agents":
+    if TRACK[record["track"]].steers:
         wanted = {"resamples": bench.evaluation.resamples}
     else:
         wanted = {"resamples": bench.scores.resamples}

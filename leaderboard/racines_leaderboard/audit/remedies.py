@@ -7,6 +7,7 @@ from racines_leaderboard.audit import weights
 from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.verdicts import RETRAINABLE, Report
 from racines_leaderboard.board.collect import Record
+from racines_leaderboard.records.tracks import PATIENT_AGENTS, TRACK
 from racines_leaderboard.records.verdicts import NOT_VERIFIED
 
 TRAIN = "racines train"
@@ -34,8 +35,10 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
         folder = weights.submission_of(record, bench)
         yield f"racines submit {shlex.quote(str(folder))} --fetch"
     if not quick and not lacking and _unmade(record, subjects, report):
-        track = record["track"].removesuffix("s")
-        yield f"{TRAIN} {track} {record['name']} {settings} --data {data}"
+        kind = "agent" if TRACK[record["track"]].steers else "generator"
+        name = weights.run_called(record)
+        on = "" if record["track"] == PATIENT_AGENTS.name else f" --data {data}"
+        yield f"{TRAIN} {kind} {name} {settings}{on}"
     if any(each.startswith("truth.") for each in subjects):
         yield f"racines leaderboard --recompute {record['track']}/{record['name']} --secret"
         return

@@ -14,6 +14,7 @@ from racines_data.errors import RacinesError
 from racines_envs.agents import agent_class, load_agent
 from racines_envs.cli.settings import phantom_config
 from racines_envs.evaluation.agent_specs import find_entry
+from racines_envs.evaluation.patients import evaluate_patients
 from racines_envs.evaluation.run import evaluate
 from racines_envs.evaluation.trainings import find_trainings, published_run
 from racines_envs.worlds.backends import make_grader
@@ -22,6 +23,7 @@ from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.numbers import HALF
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.board.recompute import Ground, recompute_scores, scored_on
+from racines_leaderboard.records.tracks import PATIENT_AGENTS
 from racines_models.protocol import Run
 from racines_models.provenance import weights_sha256
 from racines_models.registry import generator_class, open_generator, open_runs, weights_of
@@ -214,6 +216,8 @@ def all_weights(folder: Path, published: Path | None = None) -> dict[str, str]:
 
 
 def _published(record: Record, bench: Bench) -> Path | None:
+    if record["track"] == PATIENT_AGENTS.name:
+        return None  # all trainings of such a run lie in its own folder
     return published_run(bench.board, record["name"])
 
 
@@ -227,13 +231,18 @@ def score_agent(
     names.
     """
     assert bench.settings is not None
-    entry, view = find_entry(bench.settings, record["name"]), record["scores"]["task"]["view"]
+    view = record["scores"]["task"]["view"]
+    entry = find_entry(bench.settings, files.run_called(record))
     phantom = phantom_config(bench.settings)
     if train and files.named(record):
         cls, seed = agent_class(entry.agent), bench.settings.get("seed", 0)
         own: Any = fill(cls.Config, entry.settings, entry.where)
         data = bench.data
         cls.train(own, folder, seed=seed, phantom=phantom, data=data, progress=False)
+    if record["track"] == PATIENT_AGENTS.name:
+        on, name = dataclasses.replace(bench.on_patients(view), device="cpu"), record["name"]
+        one: Any = load_agent(entry.agent, folder, "cpu") if first else None
+        return Made.of(evaluate_patients(entry.agent, folder, on, one, name, bench.board))
     judge, guide = (_judge(record, bench, kind) for kind in ("grader", "guide"))
     settings = {"view": view, "grader": str(judge or ""), "latency": 0, "device": "cpu"}
     config = dataclasses.replace(bench.evaluation, **settings)

@@ -8,9 +8,11 @@ from typing import Any
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_envs.agents.trace import read_trace
+from racines_envs.evaluation.patients import run_name
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
 from racines_leaderboard.board.collect import Record, basis_of
+from racines_leaderboard.records.tracks import PATIENT_AGENTS
 from racines_leaderboard.submissions.document import files_of, rescored
 from racines_models.exchange.predictions.file import Predictions
 from racines_models.provenance import weights_sha256
@@ -38,13 +40,20 @@ def submission_of(record: Record, bench: Bench) -> Path:
     return bench.places.submissions / record["track"] / record["name"]
 
 
+def run_called(record: Record) -> str:
+    """Return the name of a merged system's run: the record's own, or, on patients, a part of it."""
+    if record["track"] != PATIENT_AGENTS.name:
+        return record["name"]
+    return run_name(record["name"], record["scores"]["task"]["view"])
+
+
 def run_of(record: Record, bench: Bench) -> Path:
     """Return the folder of a merged system's run: here, or published, whichever has its weights.
 
     Published are the trainings of a board, `weights/<board>/<name>`, and those of the reference
     board, `weights/<name>`. Where no folder has all, one that has the first training will do.
     """
-    places, name = bench.places, record["name"]
+    places, name = bench.places, run_called(record)
     if record["track"] == "generators":
         kept = places.weights
         folders = [places.runs / name, kept / bench.board / name, kept / name]

@@ -19,13 +19,12 @@ from racines_leaderboard.records.names import check_unlike
 from racines_leaderboard.records.pins import check_fits, read_pin, recipe_of
 from racines_leaderboard.records.ranges import check_possible
 from racines_leaderboard.records.schema import KEY, check, read_json, sealed, write_record
-from racines_leaderboard.records.tracks import TRACK, TRACKS, Track
+from racines_leaderboard.records.tracks import TRACK, TRACKS, Track, track_of
 from racines_leaderboard.records.verdicts import among, read_verdicts
 from racines_leaderboard.submissions.document import find_submission
 from racines_models.provenance import same_result
 
 Record = dict[str, Any]
-TRACK_OF = {f"racines.{track.schema}/1": track for track in TRACKS}
 
 
 def boards(results: Path) -> list[str]:
@@ -203,10 +202,11 @@ def _record(path: Path, submissions: Path, board: str) -> Record:
 
 def read_scores(path: Path) -> tuple[dict[str, Any], Track]:
     """Read a scores file and tell its track; refuse what no scoring can have made."""
-    declared = read_json(path, "any")["schema"]
-    track = TRACK_OF.get(declared)
+    found = read_json(path, "any")
+    track = track_of(found)
     if track is None:
-        raise RacinesError(f"{path}: schema: {declared!r} is none of {', '.join(TRACK_OF)}")
+        known = ", ".join(dict.fromkeys(f"racines.{each.schema}/1" for each in TRACKS))
+        raise RacinesError(f"{path}: schema: {found['schema']!r} is none of {known}")
     scores = read_json(path, track.schema)
     check_possible(scores, str(path))
     return scores, track
@@ -219,6 +219,9 @@ def read_record(path: Path, board: str, track: Track) -> Record:
         if record[key] != value:
             raise RacinesError(f"{path}: {key}: {record[key]!r}, expected {value!r} by its place")
     check(record["scores"], track.schema, f"{path}: scores")
+    if track_of(record["scores"]) is not track:
+        view = record["scores"]["task"]["view"]
+        raise RacinesError(f"{path}: scores.task.view: {view!r} is none of track {track.name}")
     check_possible(record["scores"], f"{path}: scores")
     evidence_path(path, record["scores"])
     return record

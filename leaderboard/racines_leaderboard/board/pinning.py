@@ -19,7 +19,7 @@ from racines_leaderboard.records.pins import (
     recipe_of,
 )
 from racines_leaderboard.records.schema import check
-from racines_leaderboard.records.tracks import AGENTS, GENERATORS, TRACKS, Track
+from racines_leaderboard.records.tracks import GENERATORS, TRACKS, Track
 from racines_models.provenance import SPEEDS, result_sha256
 
 OPTIONAL = ("diversity",)
@@ -90,7 +90,7 @@ def make_pin(board: str, found: dict[str, Found]) -> Pin:
     """
     parts = {
         GENERATORS.name: _pin_generators(found[GENERATORS.name]),
-        AGENTS.name: _pin_agents(found[AGENTS.name]),
+        **{each.name: _pin_agents(found[each.name], each) for each in TRACKS if each.steers},
     }
     kept = {name: part for name, part in parts.items() if part is not None}
     if not kept:
@@ -117,9 +117,9 @@ def _pin_generators(found: Found) -> Pin | None:
     return part | _anchors(GENERATORS, both)
 
 
-def _pin_agents(found: Found) -> Pin | None:
+def _pin_agents(found: Found, track: Track) -> Pin | None:
     pairs, tasks = {}, []
-    floors, ceilings = (_named(found, AGENTS, name) for name in AGENTS.anchors)
+    floors, ceilings = (_named(found, track, name) for name in track.anchors)
     for zero in floors:
         for one in ceilings:
             if _place(found[zero]) == _place(found[one]):
@@ -132,14 +132,21 @@ def _pin_agents(found: Found) -> Pin | None:
         task: Pin = {"view": view, "backend": backend}
         definition = _shared("task", lambda s: s["task"].get("definition"), both)
         task |= {} if definition is None else {"definition": definition}
-        tasks.append(task | _anchors(AGENTS, both))
+        if track.own_starts:
+            task["start_set"] = _shared("start set", _starts, both)
+        tasks.append(task | _anchors(track, both))
+    starts = {} if track.own_starts else {"start_set": _shared("start set", _starts, used)}
     return {
         "recipe_digest": _shared("recipe", recipe_of, used),
         "judges": _shared("judges", lambda s: hashes_of(s, False), used),
         "metrics": _metrics(list(used.values())),
-        "start_set": _shared("start set", lambda s: s["task"]["start_set"], used),
+        **starts,
         "tasks": tasks,
     }
+
+
+def _starts(scores: dict[str, Any]) -> Any:
+    return scores["task"]["start_set"]
 
 
 def _place(scores: dict[str, Any]) -> tuple[str, str]:

@@ -13,11 +13,17 @@ from racines_data.errors import RacinesError
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.agents.trace import TraceAgent
 from racines_envs.cli.settings import phantom_config
+from racines_envs.evaluation.patients import PatientsConfig, evaluate_patients
 from racines_envs.evaluation.run import EvaluationConfig, evaluate
-from racines_envs.worlds.making import find_task, make_phantom, phantom_recipe
+from racines_envs.worlds.making import (
+    find_task,
+    make_phantom,
+    patients_recipe,
+    phantom_recipe,
+)
 from racines_leaderboard.board.collect import Record, record_of, write_records
 from racines_leaderboard.records.schema import check
-from racines_leaderboard.records.tracks import GENERATORS, TRACK, TRACKS
+from racines_leaderboard.records.tracks import GENERATORS, PATIENT_AGENTS, TRACK, TRACKS
 from racines_leaderboard.submissions.confined import session as confined
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_leaderboard.submissions.document import YAML, files_of, find_submission, rescored
@@ -147,10 +153,18 @@ def _try_contract(folder: Path, document: dict[str, Any], ground: Ground) -> Non
         _check_data(document, store.manifest, str(ground.data))
         probe(folder, document, store, ground.limits)
         return
+    if document["track"] == PATIENT_AGENTS.name:
+        probe(folder, document, limits=ground.limits, view=_on_patients(ground).view)
+        return
     view = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation").view
     phantom = phantom_config(ground.settings)
     world = make_phantom(phantom, "cpu", find_task(view, phantom).anatomy)
     probe(folder, document, limits=ground.limits, phantom=world, view=view)
+
+
+def _on_patients(ground: Ground) -> PatientsConfig:
+    settings = section(ground.settings, "evaluation_patients")
+    return fill(PatientsConfig, settings, "evaluation_patients")
 
 
 def _check_data(document: dict[str, Any], here: dict[str, Any], where: str) -> None:
@@ -236,6 +250,8 @@ def agent_scores(
         RacinesError: it was made for another phantom, or a trace for other starts.
     """
     path, traced = paths[0], kind == "trace"
+    if document["track"] == PATIENT_AGENTS.name:
+        return _scores_on_patients(document, path, ground, sets)
     agent: Any = TraceAgent(path) if traced else confined.ConfinedPolicyAgent(path, ground.limits)
     config = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation")
     judge = str(ground.grader) if ground.grader is not None and config.grader else ""
@@ -247,5 +263,28 @@ def agent_scores(
     phantom = make_phantom(phantom, "cpu", find_task(view, phantom).anatomy)
     _check_data(document, phantom_recipe(phantom) or {}, f"the phantom of board {ground.board}")
     made = evaluate("", path.parent, config, phantom, agent=agent)
+    ground.keep(made)
+    return made.scores | {"agent": document["name"]}
+
+
+def _scores_on_patients(
+    document: dict[str, Any], path: Path, ground: Ground, sets: tuple[int, ...] | None
+) -> dict[str, Any]:
+    """Return the scores of a policy from the starts of its task on patients."""
+    agent: Any = confined.ConfinedPolicyAgent(path, ground.limits)
+    config = dataclasses.replace(_on_patients(ground), device="cpu")
+    config = dataclasses.replace(config, view=getattr(agent, "view", config.view))
+    if config.task.tier != ground.board:
+        raise RacinesError(
+            f"{path}: is for {config.view}, and board {ground.board} for tasks of that tier: "
+            f"--board {config.task.tier}"
+        )
+    if sets is not None:
+        raise RacinesError(
+            f"{path}: fresh draws are of the one heart; of patients none are made: leave out "
+            "--secret"
+        )
+    _check_data(document, patients_recipe(config.task.tier), f"the world of board {ground.board}")
+    made = evaluate_patients("", path.parent, config, agent=agent, board=ground.board)
     ground.keep(made)
     return made.scores | {"agent": document["name"]}

@@ -54,7 +54,7 @@ def board_tables(
         for task, records in by_task(content[track.name]).items():
             title = " · ".join(part for part in (board, track.name, task) if part)
             tables += ranked_tables(title, track, rank(track, records), details)
-        if content[track.name]:
+        if content[track.name] and track.name in published():
             tables.append(reported_table(track))
     return tables
 
@@ -95,7 +95,7 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
             | {"score": score_metric(ranked.record), "unplaced": ranked.standing.why or None}
             | {key: getattr(ranked.standing, key) for key in ("trainings", "units")}
             | {"verdict": verdict_of(ranked.record) or None}
-            | ({"task": ranked.record["scores"]["task"]} if track.name == "agents" else {})
+            | ({"task": ranked.record["scores"]["task"]} if track.steers else {})
             | {"metrics": ranked.record["scores"]["metrics"]}
             | ({"expert": ranked.record["expert"]} if "expert" in ranked.record else {})
             for ranked in rankings(track, content[track.name])
@@ -177,7 +177,7 @@ def ranked_tables(
 def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:
     """Return one ranking as a table, with what there is to say of it; `ranking` holds a result."""
     columns = shown_columns((SCORE, *track.columns), ranking)
-    agents, shared = track.name == "agents", tied(ranking)
+    agents, shared = track.steers, tied(ranking)
     counted = [(head, key) for head, key in (("Trainings", "trainings"), ("Units", "units"))
                if any(getattr(each.standing, key) for each in ranking)]  # fmt: skip
     judged = any(verdict_of(each.record) for each in ranking)

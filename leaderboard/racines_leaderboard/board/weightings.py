@@ -39,6 +39,7 @@ COMMON: dict[str, Weighing] = {
     "median": lambda points, track: np.median(points, axis=0),
     "mean of ranks": _mean_of_ranks,
 }
+# A track that ranks by one metric has no other order.
 WEIGHINGS: dict[str, dict[str, Weighing]] = {
     "generators": {
         "score": _of("ssim", "psnr", "fid", "kid", "pose_error_mm"),
@@ -66,7 +67,7 @@ def orders(results: Path, board: str) -> dict[str, dict[str, dict[str, Any]]]:
     content = read_board(results, board)
     pin = read_pin(results, board) or make_pin(board, found_scores(results, board))
     found = {}
-    for track in TRACKS:
+    for track in (each for each in TRACKS if each.name in WEIGHINGS):
         for task, records in by_task(content[track.name]).items():
             part = anchored(records[0]["scores"], track, pin)
             if part is not None:

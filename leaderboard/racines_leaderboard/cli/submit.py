@@ -31,7 +31,9 @@ def submit(
     no_grader: opt.NoGrader = False,
     results: opt.Results = opt.RESULTS,
     unconfined: opt.Unconfined = False,
-    track: Annotated[str, typer.Option(help="With --new: generators or agents.")] = "generators",
+    track: Annotated[
+        str, typer.Option(help="With --new: generators, agents or patient-agents.")
+    ] = "generators",
     as_json: opt.AsJson = False,
 ) -> None:
     """Check a submission, try the contract on it, and put it in its place.

@@ -97,10 +97,12 @@ def _held(scores: dict[str, Any], track: Track, part: Pin) -> Iterator[tuple[str
     for kind, wanted in part.get("extractors", {}).items():
         again = "score it again with the board's feature extractor"
         yield f"extractors.{kind}.sha256", hashes[True].get(kind), wanted, again
-    if "start_set" in part:
-        starts = "evaluate it from the board's starts"
-        yield "task.start_set", scores["task"]["start_set"], part["start_set"], starts
+    if "tasks" in part:
         task = task_of(scores, part)
+        wanted = part.get("start_set") or (task or {}).get("start_set")
+        if wanted is not None:
+            starts = "evaluate it from the board's starts"
+            yield "task.start_set", scores["task"]["start_set"], wanted, starts
         if task is not None and "definition" in task:
             defined = "evaluate it on the board's task"
             yield "task.definition", scores["task"].get("definition"), task["definition"], defined

@@ -84,7 +84,8 @@ def check_possible(scores: dict[str, Any], where: str) -> None:
         RacinesError: the first, with its field and what was expected.
     """
     groups = {"metrics": scores["metrics"]}
-    groups |= {f"by_seed.{seed}": each for seed, each in scores.get("by_seed", {}).items()}
+    for kind in ("by_seed", "by_pathology"):
+        groups |= {f"{kind}.{name}": each for name, each in scores.get(kind, {}).items()}
     for place, metrics in groups.items():
         for name, metric in metrics.items():
             for field, reason in faults(name, metric):

@@ -1,4 +1,4 @@
-"""The two tracks: which metrics they show, in which direction they are good, which ones rank.
+"""The tracks: which metrics they show, in which direction they are good, which ones rank.
 
 Installed packages add columns: each metric of the group `racines.metrics` is one, and so is each
 `Column` of the group `racines.columns`. They are shown where a result fills them, and never rank.
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from racines_data.plugins import Plugins
+from racines_envs.task.names import HEART_TIER, tier_of
 from racines_models.statistics import LEVEL
 
 
@@ -63,6 +64,13 @@ class Track:
     """What was drawn independently, which intervals resample."""
     details: tuple[Column, ...] = ()
     """Further metrics, for a second table."""
+    own_starts: bool = False
+    """Whether each task has a start set of its own; else a board has one."""
+
+    @property
+    def steers(self) -> bool:
+        """Whether its systems are agents, which have a task each."""
+        return self.subject == "agent"
 
     def ranked_columns(self) -> list[Column]:
         """Return the columns of `ranked_by`."""
@@ -145,10 +153,65 @@ AGENTS = Track(
     unit="starts",
 )
 
-TRACKS = (GENERATORS, AGENTS)
+PATIENT_AGENTS = Track(
+    name="patient-agents",
+    schema="agent-scores",
+    subject="agent",
+    columns=(
+        Column("success_declared", "Found and declared", "higher", 1, 100.0, "%"),
+        Column("reached", "Passed through", "none", 1, 100.0, "%"),
+        Column("false_declarations", "Declared wrongly", "lower", 1, 100.0, "%"),
+        Column("seconds", "Time", "lower", 1, unit="s"),
+        Column("position_error_median", "Distance, median", "lower", 1, unit="mm"),
+        Column("rotation_error_median", "Angle, median", "lower", 1, unit="°"),
+        Column("final_grade", "Final grade", "higher", 2),
+        Column("peak_force", "Peak force", "lower", 1, unit="N"),
+    ),
+    ranked_by=("success_declared",),
+    anchors=("constant-pose", "planner"),
+    bounds=(),
+    rule=(
+        "Score: the share of the starts from which the view is found and declared, from 0 at "
+        "constant-pose, the pose that shows the view in most train patients, to 1 at planner, who "
+        "is told the truth; both are fixed for the task. Distance and angle to the patient's "
+        f"nominal pose at the end count all episodes, failures included. {_PLACES}"
+    ),
+    counted="episodes on patients whom nobody trained on",
+    unit="patients",
+    details=(
+        Column("declared", "Declared", "none", 1, 100.0, "%"),
+        Column("episode_steps", "Steps", "lower", 1),
+        Column("position_error_quartile", "Distance, lower quartile", "lower", 1, unit="mm"),
+        Column("position_error_upper_quartile", "… upper", "lower", 1, unit="mm"),
+        Column("rotation_error_quartile", "Angle, lower quartile", "lower", 1, unit="°"),
+        Column("rotation_error_upper_quartile", "… upper", "lower", 1, unit="°"),
+        Column("violations", "Violations", "lower", 1),
+        Column("return", "Return", "none", 1),
+    ),
+    own_starts=True,
+)
+"""Agents on hearts that nobody trained on; their records are scores like those of `agents`."""
+
+TRACKS = (GENERATORS, AGENTS, PATIENT_AGENTS)
 TRACK = {track.name: track for track in TRACKS}
 TIERS = ("self-reported", "recomputed", "reproduced")
 COLUMNS = Plugins("board column", "racines.columns", ("key", "title", "track"), "module:COLUMN")
+
+
+def track_of(scores: dict[str, Any]) -> Track | None:
+    """Return the track of scores by their schema and, of agents, by whom they scanned.
+
+    None for scores of no track.
+    """
+    declared = scores.get("schema")
+    if declared == f"racines.{GENERATORS.schema}/1":
+        return GENERATORS
+    if declared != f"racines.{AGENTS.schema}/1":
+        return None
+    task = scores.get("task")
+    name = task.get("view") if isinstance(task, dict) else None
+    one_heart = not isinstance(name, str) or tier_of(name) == HEART_TIER
+    return AGENTS if one_heart else PATIENT_AGENTS
 
 
 def board_tracks() -> tuple[Track, ...]:

@@ -56,7 +56,7 @@ def selected(results: Path, *chosen: Any) -> Selection:
     track = choice(track, TRACK_NAMES, "track")
     # A filter that the other board or track does not know is no mistake of the visitor's.
     view = view if view in views(results, board, track) else ALL
-    sees = choice(sees, (ALL, *SIGHT), "agent sees") if track == "agents" else ALL
+    sees = choice(sees, (ALL, *SIGHT), "agent sees") if TRACK[track].steers else ALL
     return Selection(board, track, view, sees, choices(tiers, TIERS, "tier"), details is True)
 
 

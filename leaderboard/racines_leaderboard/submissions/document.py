@@ -65,7 +65,8 @@ REMEDY = (
     "safetensors, ONNX, Parquet or JSON"
 )
 
-GENERATORS, AGENTS = "generators", "agents"
+GENERATORS, AGENTS, ON_PATIENTS = "generators", "agents", "patient-agents"
+ALL = (GENERATORS, AGENTS, ON_PATIENTS)
 
 
 @dataclass(frozen=True)
@@ -82,11 +83,11 @@ class Kind:
 KINDS = {
     "predictions": Kind(".parquet", (GENERATORS,), "images of the test poses", True),
     "generator": Kind(".onnx", (GENERATORS,), "a network that draws", True),
-    "policy": Kind(".onnx", (AGENTS,), "a network that steers", True),
+    "policy": Kind(".onnx", (AGENTS, ON_PATIENTS), "a network that steers", True),
     "trace": Kind(".json", (AGENTS,), "the actions of every episode", True),
-    "weights": Kind(".safetensors", (GENERATORS, AGENTS), "weights of merged code"),
-    "scores": Kind(".json", (GENERATORS, AGENTS), "the submitter's own scores"),
-    "adapter": Kind("", (GENERATORS, AGENTS), "merged code"),
+    "weights": Kind(".safetensors", ALL, "weights of merged code"),
+    "scores": Kind(".json", ALL, "the submitter's own scores"),
+    "adapter": Kind("", ALL, "merged code"),
 }
 YAML = "submission.yaml"
 BLANKS = (

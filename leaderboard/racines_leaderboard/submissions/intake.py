@@ -29,6 +29,7 @@ from racines_envs.agents.onnx.policy import read_policy
 from racines_envs.agents.trace import read_trace
 from racines_leaderboard.records.names import check_unlike
 from racines_leaderboard.records.schema import read_json
+from racines_leaderboard.records.tracks import TRACK
 from racines_leaderboard.submissions.confined.session import Limits, rehearse
 from racines_leaderboard.submissions.document import (
     MAX_BYTES,
@@ -259,7 +260,7 @@ def check_content(path: Path, kind: str, track: str, limits: Limits | None = Non
     elif kind == "trace":
         read_trace(path)
     elif kind == "scores":
-        read_json(path, {"generators": "generator-scores", "agents": "agent-scores"}[track])
+        read_json(path, TRACK[track].schema)
 
 
 def check_parquet(content: bytes, where: str) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
-from racines_leaderboard.submissions.document import KINDS, NAME, YAML, measure, opened
+from racines_leaderboard.submissions.document import ALL, KINDS, NAME, YAML, measure, opened
 
 TEXT = """\
 # Every line but url, paper and hours is needed. What the fields mean: docs/submit.md
@@ -42,8 +42,8 @@ ENTRY = """\
 
 def write_template(folder: Path, track: str) -> Path:
     """Write a new submission.yaml into a folder, with an entry for each file that may be one."""
-    if track not in ("generators", "agents"):
-        raise RacinesError(f"track {track!r}: choose generators or agents")
+    if track not in ALL:
+        raise RacinesError(f"track {track!r}: choose {', '.join(ALL[:-1])} or {ALL[-1]}")
     path = folder / YAML
     if path.exists():
         raise RacinesError(f"{path}: is there already: edit it, or remove it")

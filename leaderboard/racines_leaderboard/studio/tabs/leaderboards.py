@@ -6,7 +6,7 @@ from typing import Any
 import gradio as gr
 
 from racines_leaderboard.board.collect import boards
-from racines_leaderboard.records.tracks import TIERS
+from racines_leaderboard.records.tracks import TIERS, TRACK
 from racines_leaderboard.studio import boards as shown
 from racines_leaderboard.studio.html import missing
 from racines_leaderboard.studio.parts import Place
@@ -54,7 +54,7 @@ def _filters(place: Place, board: Any, track: Any) -> tuple[Any, Any]:
     wanted = shown.selected(place.results, board, track, shown.ALL, shown.ALL, [], False)
     offered = [shown.ALL, *shown.views(place.results, wanted.board, wanted.track)]
     update = gr.Dropdown(choices=offered, value=shown.ALL)
-    return gr.Row(visible=wanted.track == "agents"), update
+    return gr.Row(visible=TRACK[wanted.track].steers), update
 
 
 def _show(place: Place, *values: Any) -> tuple[str, str, Any, str]:

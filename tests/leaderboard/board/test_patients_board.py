@@ -1,0 +1,121 @@
+"""Boards of patients: rows are collected, pinned, ranked and audited as those of the one heart."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from racines_data.errors import RacinesError
+from racines_leaderboard.board.collect import collect, read_board, read_scores
+from racines_leaderboard.board.rank import rankings
+from racines_leaderboard.board.standing import is_bound
+from racines_leaderboard.cli.command import app
+from racines_leaderboard.records.schema import sealed
+from racines_leaderboard.records.tracks import PATIENT_AGENTS, TRACKS, track_of
+from tests.conftest import ROOT
+
+SETTINGS = {
+    "board": "mini",
+    "patient_boards": ["patients", "beating"],
+    "seed": 0,
+    "patient_agents": {"constant-pose": {"patients": 3}},
+    "evaluation_patients": {"split": "validation", "patients": 3, "starts": 2},
+}
+RESULTS, SCORES = Path("leaderboard/results"), Path("envs/runs/scores")
+ROW = RESULTS / "patients/patient-agents/planner-a4c.json"
+
+
+def racines(*words: str, code: int = 0) -> str:
+    done = CliRunner().invoke(app, list(words), catch_exceptions=False)
+    assert done.exit_code == code, done.output
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """A workplace with a board of patients that holds its two anchors."""
+    folder = tmp_path_factory.mktemp("patients-board")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        Path("params.yaml").write_text(yaml.safe_dump(SETTINGS))
+        shutil.copytree(ROOT / "leaderboard/submissions", "leaderboard/submissions")
+        racines("train", "agent", "constant-pose", "--json")
+        for agent in ("constant-pose", "planner"):
+            racines("eval", "agent", agent, "--view", "A4C", "--tier", "patients")
+        racines("leaderboard", "--board", "patients", "--collect", str(SCORES))
+        racines("board", "pin", "patients")
+    return folder
+
+
+@pytest.fixture
+def board(made, tmp_path, monkeypatch) -> Path:
+    shutil.copytree(made, tmp_path / "work")
+    monkeypatch.chdir(tmp_path / "work")
+    return tmp_path / "work"
+
+
+def test_anchors_stand_at_their_ends_and_without_a_place(board):
+    (board / "params.yaml").write_text(yaml.safe_dump(SETTINGS))
+    records = read_board(RESULTS, "patients")[PATIENT_AGENTS.name]
+    scores = {each["name"]: each["standing"].score.value for each in records}
+    assert scores == {"constant-pose-a4c": 0.0, "planner-a4c": 1.0}
+    assert all(map(is_bound, records))
+    ranked = rankings(PATIENT_AGENTS, records)
+    assert [each.place for each in ranked] == [None, None]
+    assert ranked[0].standing.units == 3, "patients"
+    shown = racines("leaderboard", "--board", "patients")
+    assert "A4C-patients" in shown and "Found and declared" in shown
+
+
+def test_rows_are_those_of_the_boards_own_starts(board):
+    racines("eval", "agent", "planner", "--view", "A4C", "--tier", "patients", "--starts", "1")
+    other = SCORES / "planner-a4c-patients-validation.json"
+    assert json.loads(other.read_text())["board"] == "patients"
+    for path in SCORES.glob("*a4c.*"):
+        path.unlink()
+    with pytest.raises(RacinesError, match=r"task\.start_set: .*evaluate it from the board's"):
+        collect([SCORES], RESULTS, Path("leaderboard/submissions"), "patients")
+
+
+def test_an_audit_makes_every_number_again(board):
+    said = json.loads(racines("audit", "--all", "--board", "patients", "--json"))
+    verdicts = {each["name"]: each["verdict"] for each in said["reports"]}
+    assert verdicts == {"constant-pose-a4c": "holds", "planner-a4c": "holds"}
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("metrics", "position_error_median", "value"), 0.001),
+        (("by_pathology", "healthy", "success_declared", "low"), 0.0),
+        (("task", "start_set", "digest"), "0" * 64),
+        (("task", "split"), "train"),
+        (("phantom", "version"), "0.0.1"),
+    ],
+)
+def test_what_is_changed_afterwards_does_not_hold(board, place, value):
+    record = json.loads(ROW.read_text())
+    node = record["scores"]
+    for key in place[:-1]:
+        node = node[key]
+    node[place[-1]] = value
+    ROW.write_text(json.dumps(sealed(record)))
+    said = json.loads(racines("audit", "planner-a4c", "--board", "patients", "--json", code=1))
+    assert said["reports"][0]["verdict"] == "does not hold"
+
+
+def test_a_track_is_told_by_whom_an_agent_scanned(board):
+    scores, track = read_scores(SCORES / "planner-a4c.json")
+    assert track is PATIENT_AGENTS and track_of(scores) is PATIENT_AGENTS
+    scores["task"]["view"] = "A4C"
+    assert track_of(scores) is TRACKS[1]
+    assert track_of({"schema": "racines.generator-scores/1"}) is TRACKS[0]
+    assert track_of({"schema": "racines.pictures/1"}) is None
+    record = json.loads(ROW.read_text())
+    record["scores"]["task"]["view"] = "A4C"
+    ROW.write_text(json.dumps(sealed(record)))
+    with pytest.raises(RacinesError, match=r"scores\.task\.view: 'A4C' is none of track patient"):
+        read_board(RESULTS, "patients")
