@@ -80,7 +80,8 @@ def _names(record: Record) -> Iterator[Verdict]:
     scores, subject = record["scores"], TRACK[record["track"]].subject
     yield equal(f"scores.{subject}", scores[subject], record["name"], "the record's name")
     data, generator = scores.get("dataset") or {}, record["track"] == "generators"
-    for place, part, must in (("board", scores, False), ("dataset.board", data, generator)):
+    on_patients = record["track"] == PATIENT_AGENTS.name
+    for place, part, must in (("board", scores, on_patients), ("dataset.board", data, generator)):
         if must or "board" in part:
             stated = part.get("board")
             yield equal(f"scores.{place}", stated, record["board"], "the record's board")
@@ -333,7 +334,7 @@ def _task_on_patients(record: Record, bench: Bench) -> Iterator[Verdict]:
     yield equal("task.backend", claimed["backend"], "phantom", "what draws patients")
     for key in ("split", "reward"):
         reason = f"evaluation_patients.{key} of the board's settings"
-        yield equal(f"task.{key}", claimed[key], getattr(config, key), reason)
+        yield equal(f"task.{key}", claimed.get(key), getattr(config, key), reason)
     starts = start_set(config).told(config)
     reason = "the start set of the board's settings, and a digest of all that decides it"
     yield equal("task.start_set", claimed["start_set"], starts, reason)

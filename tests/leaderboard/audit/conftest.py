@@ -15,7 +15,13 @@ from racines_data.files import sha256_file
 from racines_data.store.frames import open_store
 from racines_data.views import LABELS
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
-from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
+from racines_envs.evaluation.patients import PatientsConfig, evaluate_patients
+from racines_envs.evaluation.run import (
+    EvaluationConfig,
+    evaluate,
+    record_trace,
+    write_evaluation,
+)
 from racines_envs.worlds.making import make_phantom, phantom_recipe
 from racines_leaderboard.audit.bench import JUDGES
 from racines_leaderboard.board.collect import collect
@@ -112,6 +118,20 @@ def climbed(ground) -> Path:
     evaluate_at_one_start_set(2)
     folder = a_grader(Path("models/runs/grader"))
     return climb(EvaluationConfig(starts=2, seeds=(0,), grader=str(folder), latency=0))
+
+
+@copied
+def scanned(ground) -> Path:
+    """The record of a planner on patients, who have a board of their own."""
+    settings = yaml.safe_load(Path("params.yaml").read_text()) | {"patient_boards": ["patients"]}
+    settings["evaluation_patients"] = {"split": "validation", "patients": 3, "starts": 1}
+    Path("params.yaml").write_text(yaml.safe_dump(settings))
+    config = PatientsConfig(split="validation", patients=3, starts=1)
+    run = "planner-a4c"
+    scored = evaluate_patients("planner", Path("envs/runs/planner"), config, None, run, "patients")
+    write_evaluation(scored, Path(f"envs/runs/patients/{run}.json"), None)
+    (path,) = collect([Path("envs/runs/patients")], RESULTS, SUBMISSIONS, "patients")
+    return path
 
 
 def evaluate_at_one_start_set(starts: int) -> None:
