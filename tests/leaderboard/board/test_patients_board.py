@@ -9,13 +9,17 @@ import yaml
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
+from racines_envs.worlds.making import patients_recipe
 from racines_leaderboard.board.collect import collect, read_board, read_scores
 from racines_leaderboard.board.rank import rankings
+from racines_leaderboard.board.recompute import Ground, recompute
 from racines_leaderboard.board.standing import is_bound
 from racines_leaderboard.cli.command import app
 from racines_leaderboard.records.schema import sealed
 from racines_leaderboard.records.tracks import PATIENT_AGENTS, TRACKS, track_of
 from tests.conftest import ROOT
+from tests.leaderboard.graphs import sound_policy
+from tests.leaderboard.handed_in import inbox, submitted
 
 SETTINGS = {
     "board": "mini",
@@ -119,3 +123,24 @@ def test_a_track_is_told_by_whom_an_agent_scanned(board):
     ROW.write_text(json.dumps(sealed(record)))
     with pytest.raises(RacinesError, match=r"scores\.task\.view: 'A4C' is none of track patient"):
         read_board(RESULTS, "patients")
+
+
+def test_a_policy_handed_in_is_scored_on_patients(board):
+    path = sound_policy(inbox(board, "in") / "policy.onnx", view="A4C-patients")
+    recipe = patients_recipe("patients")
+    dataset = {"source": "phantom", "version": recipe["version"], "digest": recipe["recipe_digest"]}
+    about = {"track": "patient-agents", "dataset": dataset}
+    folder = submitted(board, "policy", path, recipe["recipe_digest"], **about)
+    settings = SETTINGS | {"patient_agents": {}}
+    record = recompute(folder, Ground("patients", settings, grader=None), RESULTS)
+    assert record["track"] == "patient-agents" and record["tier"] == "recomputed"
+    assert record["scores"]["metrics"]["success_declared"]["n"] == 6
+    rows = {each["name"] for each in read_board(RESULTS, "patients")["patient-agents"]}
+    assert rows == {"constant-pose-a4c", "planner-a4c", "mine"}
+    with pytest.raises(RacinesError, match="is for A4C-patients, and board beating for tasks of"):
+        recompute(folder, Ground("beating", settings, grader=None), RESULTS)
+    moving = sound_policy(inbox(board, "other") / "policy.onnx", view="A4C-beating")
+    about |= {"name": "other"}
+    other = submitted(board, "policy", moving, recipe["recipe_digest"], **about)
+    with pytest.raises(RacinesError, match=r"other: dataset\.digest: .*; the world of board beat"):
+        recompute(other, Ground("beating", settings, grader=None), RESULTS)
