@@ -244,7 +244,7 @@ def lookup_generator(path: Path, parameters: Any, images: Any, noise: float = 0.
     return save(path, nodes, inputs, made, values, **about, output="unit", stochastic="true")
 
 
-def lookup_policy(path: Path, seen: Any, actions: Any) -> Path:
+def lookup_policy(path: Path, seen: Any, actions: Any, **told: str) -> Path:
     """Write a policy that knows what to do where it was told, (M, 9) and (M,), and nowhere else."""
     params = helper.make_tensor_value_info("params", TensorProto.FLOAT, ["B", 9])
     logits = helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["B", 13])
@@ -263,4 +263,4 @@ def lookup_policy(path: Path, seen: Any, actions: Any) -> Path:
         helper.make_node("Gather", ["told", "nearest"], ["wanted"], axis=0),
         helper.make_node("Where", ["known", "wanted", "always"], ["logits"]),
     ]
-    return save(path, nodes, [params], logits, values, name="lookup")
+    return save(path, nodes, [params], logits, values, name="lookup", **told)

@@ -43,6 +43,8 @@ PLACES = {
     "default-generators": RECORDS.format(
         board="phantom-default", track="generators", name="{name}"
     ),
+    "patients": RECORDS.format(board="patients", track="patient-agents", name="{name}"),
+    "beating": RECORDS.format(board="beating", track="patient-agents", name="{name}"),
     "weights": "models/weights/{name}/config.json",
     "policies": "envs/weights/{name}/metrics.json",
     "runs": "models/runs/{name}.json",

@@ -113,8 +113,11 @@ class StartSet(NamedTuple):
 def evaluate_patients(
     name: str, run_dir: Path, config: PatientsConfig, agent: Agent | None = None,
     run: str | None = None, board: str | None = None, published: Path | None = None,
+    starts: StartSet | None = None,
 ) -> Scored:  # fmt: skip
     """Run an agent on patients and score it; arguments as of `evaluate`.
+
+    `starts` stands for the start set that the settings name, whose split has to be its patients'.
 
     Raises:
         RacinesError: unknown names, missing weights, an agent that was trained for another task,
@@ -122,7 +125,7 @@ def evaluate_patients(
     """
     began = time.perf_counter()
     config = on_device(config)
-    starts = start_set(config)
+    starts = starts or start_set(config)
     given = agent is not None or Path(name).suffix.lower() in FILES
     agent = agent or load_agent(name, run_dir, config.device)
     check_view(agent, config.view, name, run_dir)
@@ -140,7 +143,7 @@ def evaluate_patients(
     }  # fmt: skip
     scores = {"schema": SCHEMA, **told_of_agent(agent, trainings, config.device)}
     scores |= {"task": task, "phantom": patients_recipe(config.task.tier), "metrics": metrics}
-    scores |= {"by_pathology": _by_pathology(values, starts.units), "seeds": [config.seed]}
+    scores |= {"by_pathology": _by_pathology(values, starts.units), "seeds": [starts.seed]}
     scores |= {"agent": run or agent.name} | ({"board": board} if board else {})
     return Scored(scores | {"seconds": time.perf_counter() - began}, evidence)
 

@@ -10,10 +10,11 @@ from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
+from racines_data.patients.splits import split_of
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.agents.trace import TraceAgent
 from racines_envs.cli.settings import phantom_config
-from racines_envs.evaluation.patients import PatientsConfig, evaluate_patients
+from racines_envs.evaluation.patients import PatientsConfig, StartSet, evaluate_patients
 from racines_envs.evaluation.run import EvaluationConfig, evaluate
 from racines_envs.worlds.making import (
     find_task,
@@ -154,7 +155,7 @@ def _try_contract(folder: Path, document: dict[str, Any], ground: Ground) -> Non
         probe(folder, document, store, ground.limits)
         return
     if document["track"] == PATIENT_AGENTS.name:
-        probe(folder, document, limits=ground.limits, view=_on_patients(ground).view)
+        probe(folder, document, limits=ground.limits, view=on_patients(ground).view)
         return
     view = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation").view
     phantom = phantom_config(ground.settings)
@@ -162,7 +163,8 @@ def _try_contract(folder: Path, document: dict[str, Any], ground: Ground) -> Non
     probe(folder, document, limits=ground.limits, phantom=world, view=view)
 
 
-def _on_patients(ground: Ground) -> PatientsConfig:
+def on_patients(ground: Ground) -> PatientsConfig:
+    """Return how a ground evaluates agents on patients."""
     settings = section(ground.settings, "evaluation_patients")
     return fill(PatientsConfig, settings, "evaluation_patients")
 
@@ -242,16 +244,20 @@ def scored_on(
 
 def agent_scores(
     document: dict[str, Any], kind: str, paths: Sequence[Path], ground: Ground,
-    sets: tuple[int, ...] | None = None,
+    sets: tuple[int, ...] | StartSet | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the scores of a submission's policy or trace from a ground's start sets, or others.
+
+    Others are named by their seeds or, on patients, whole.
 
     Raises:
         RacinesError: it was made for another phantom, or a trace for other starts.
     """
     path, traced = paths[0], kind == "trace"
     if document["track"] == PATIENT_AGENTS.name:
+        assert sets is None or isinstance(sets, StartSet)
         return _scores_on_patients(document, path, ground, sets)
+    assert not isinstance(sets, StartSet)
     agent: Any = TraceAgent(path) if traced else confined.ConfinedPolicyAgent(path, ground.limits)
     config = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation")
     judge = str(ground.grader) if ground.grader is not None and config.grader else ""
@@ -268,23 +274,21 @@ def agent_scores(
 
 
 def _scores_on_patients(
-    document: dict[str, Any], path: Path, ground: Ground, sets: tuple[int, ...] | None
+    document: dict[str, Any], path: Path, ground: Ground, starts: StartSet | None
 ) -> dict[str, Any]:
-    """Return the scores of a policy from the starts of its task on patients."""
+    """Return the scores of a policy from the starts of its task on patients, or from others."""
     agent: Any = confined.ConfinedPolicyAgent(path, ground.limits)
-    config = dataclasses.replace(_on_patients(ground), device="cpu")
+    config = dataclasses.replace(on_patients(ground), device="cpu")
     config = dataclasses.replace(config, view=getattr(agent, "view", config.view))
     if config.task.tier != ground.board:
         raise RacinesError(
             f"{path}: is for {config.view}, and board {ground.board} for tasks of that tier: "
             f"--board {config.task.tier}"
         )
-    if sets is not None:
-        raise RacinesError(
-            f"{path}: fresh draws are of the one heart; of patients none are made: leave out "
-            "--secret"
-        )
+    if starts is not None:
+        config = dataclasses.replace(config, split=split_of(starts.patients[0]))
     _check_data(document, patients_recipe(config.task.tier), f"the world of board {ground.board}")
-    made = evaluate_patients("", path.parent, config, agent=agent, board=ground.board)
+    given = {"agent": agent, "board": ground.board, "starts": starts}
+    made = evaluate_patients("", path.parent, config, **given)
     ground.keep(made)
     return made.scores | {"agent": document["name"]}

@@ -10,12 +10,15 @@ from racines_data.build.dataset import read_data_section
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
 from racines_data.files import locked
+from racines_data.patients.splits import FIRST_SECRET
 from racines_data.store.frames import open_store
+from racines_envs.evaluation.patients import StartSet, start_set
 from racines_envs.evaluation.run import EvaluationConfig
 from racines_leaderboard.board.collect import Record, read_record
 from racines_leaderboard.board.recompute import (
     Ground,
     agent_scores,
+    on_patients,
     open_sources,
     rescorable,
     score_on,
@@ -25,14 +28,17 @@ from racines_leaderboard.fresh.flags import SCHEMA, flags_in, place, read_secret
 from racines_leaderboard.fresh.frames import check_simulated, draw_frames
 from racines_leaderboard.fresh.rounds import Secret, round_of
 from racines_leaderboard.records.schema import KEY, check, sealed, write_record
-from racines_leaderboard.records.tracks import AGENTS, GENERATORS, TRACK
+from racines_leaderboard.records.tracks import AGENTS, GENERATORS, PATIENT_AGENTS, TRACK
 from racines_models.provenance import code_version, environment
 from racines_models.sample import take_sample
 from racines_models.scores.scoring import ScoresConfig
 from racines_models.statistics.intervals import Interval
 
 FALLS = {"success_true": 0.1, "spl": 0.1, "final_grade": 1.0}
+FALLS_ON_PATIENTS = {"success_declared": 0.1}
 """Margins of agents: a tenth of what each can be (see `compare.SHARE`)."""
+MOST_PATIENTS = 2**40
+"""Seeds of patients among whom a round draws."""
 MADE_BEFORE = {
     "predictions": "images are no program that could draw at other poses",
     "trace": "actions are no program that could act from other starts",
@@ -68,7 +74,7 @@ def draw_in_secret(
     kind, paths = artefacts[0]["kind"], [folder / each["path"] for each in artefacts]
     weights = {each["path"]: each["sha256"] for each in artefacts}
     record = _record_of(document, weights, results, ground.board)
-    draws = _of_generator if document["track"] == GENERATORS.name else _of_agent
+    draws = DRAWS[document["track"]]
     content: dict[str, Any] = {
         "schema": SCHEMA, "board": ground.board, "track": document["track"],
         "name": document["name"], "round": secret.round, "commitment": secret.commitment,
@@ -171,6 +177,39 @@ def _of_agent(
         count = len(sets) * config.starts
         told["basis"] = {"n": count, "units": count, "digest": None}
     return told | {"figures": _beside(AGENTS.name, record["scores"]["metrics"], figures)}
+
+
+def _on_patients(
+    document: dict[str, Any], kind: str, paths: Sequence[Path], ground: Ground, secret: Secret,
+    record: Record, progress: bool,
+) -> dict[str, Any]:  # fmt: skip
+    """Return what a file of fresh draws says of an agent on patients: on others, as many."""
+    told: dict[str, Any] = {"basis": None, "copies": None, "margins": FALLS_ON_PATIENTS}
+    told["nearer"] = {"public": None, "secret": None}
+    figures = None
+    if kind not in MADE_BEFORE:
+        starts = secret_starts(secret, start_set(on_patients(ground)))
+        figures = agent_scores(document, kind, paths, ground, starts)["metrics"]
+        told["basis"] = {"n": len(starts.units), "units": len(starts.patients), "digest": None}
+    return told | {"figures": _beside(PATIENT_AGENTS.name, record["scores"]["metrics"], figures)}
+
+
+def secret_starts(secret: Secret, public: StartSet) -> StartSet:
+    """Return as many starts on as many patients, of seeds that the nonce alone tells."""
+    drawn: dict[int, None] = {}
+    while len(drawn) < len(public.patients):
+        seed = secret.seed(f"patients/{len(drawn)}") % MOST_PATIENTS
+        while FIRST_SECRET + seed in drawn:
+            seed = (seed + 1) % MOST_PATIENTS
+        drawn[FIRST_SECRET + seed] = None
+    return StartSet(tuple(drawn), public.starts, secret.seed("starts/0"))
+
+
+DRAWS = {
+    GENERATORS.name: _of_generator,
+    AGENTS.name: _of_agent,
+    PATIENT_AGENTS.name: _on_patients,
+}
 
 
 def _beside(

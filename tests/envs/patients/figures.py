@@ -1,4 +1,4 @@
-"""What the documentation says of agents on patients, from their scores.
+"""What the documentation says of agents on patients: from their boards, and from other scores.
 
 racines eval agent AGENT --view VIEW --tier TIER --split SPLIT --out FILE
 python -m tests.envs.patients.figures FOLDER    # of such files: AGENT-VIEW-TIER-SPLIT.json
@@ -14,6 +14,7 @@ from racines_data.patients.patient import PATHOLOGIES
 from racines_data.views import VIEWS
 
 RESULT = Path(__file__).parents[3] / "docs/results/patient-tasks.json"
+BOARDS = RESULT.parents[2] / "leaderboard/results"
 AGENTS = ("constant-pose", "blind-tour", "ppo", "servo", "planner")
 TIERS = {"patients": "still", "beating": "beating"}
 SPLITS = ("validation", "test")
@@ -21,8 +22,19 @@ Found = dict[tuple[str, ...], dict[str, Any]]
 """Scores by agent, view, tier and split."""
 
 
+def on_boards() -> Found:
+    """Return the scores of the records on the boards of patients."""
+    found: Found = {}
+    for tier in TIERS:
+        for path in sorted((BOARDS / tier / "patient-agents").glob("*.json")):
+            scores = json.loads(path.read_text())["scores"]
+            view, split = scores["task"]["definition"]["view"], scores["task"]["split"]
+            found[scores["submission"], view, tier, split] = scores
+    return found
+
+
 def read(folder: Path) -> Found:
-    """Return the scores of a folder; each is what its name says."""
+    """Return the scores of a folder, each what its name says, and over them those on boards."""
     found: Found = {}
     for agent in AGENTS:
         for view in VIEWS:
@@ -35,7 +47,7 @@ def read(folder: Path) -> Found:
                         assert (task["view"], task["split"]) == (f"{view}-{tier}", split), path
                         assert scores["submission"] == agent, path
                         found[agent, view, tier, split] = scores
-    return found
+    return found | on_boards()
 
 
 def percent(told: dict[str, Any], digits: int = 0) -> str:

@@ -1,24 +1,36 @@
 """Boards of patients: rows are collected, pinned, ranked and audited as those of the one heart."""
 
+import hashlib
 import json
 import shutil
 from pathlib import Path
 
 import pytest
+import torch
 import yaml
 from typer.testing import CliRunner
 
+from racines_data.config import fill
 from racines_data.errors import RacinesError
+from racines_data.patients.splits import split_of
+from racines_envs.agents.onnx.policy import OnnxPolicyAgent
+from racines_envs.agents.planner import PlannerAgent
+from racines_envs.evaluation.patients import PatientsConfig, StartSet, evaluate_patients
 from racines_envs.worlds.making import patients_recipe
+from racines_leaderboard.board import recompute as recomputing
 from racines_leaderboard.board.collect import collect, read_board, read_scores
 from racines_leaderboard.board.rank import rankings
 from racines_leaderboard.board.recompute import Ground, recompute
 from racines_leaderboard.board.standing import is_bound
 from racines_leaderboard.cli.command import app
+from racines_leaderboard.fresh.draws import draw_in_secret, secret_starts
+from racines_leaderboard.fresh.rounds import Secret, commit
 from racines_leaderboard.records.schema import sealed
 from racines_leaderboard.records.tracks import PATIENT_AGENTS, TRACKS, track_of
+from racines_leaderboard.submissions import intake
+from racines_leaderboard.submissions.probe import Probed
 from tests.conftest import ROOT
-from tests.leaderboard.graphs import sound_policy
+from tests.leaderboard.graphs import lookup_policy, sound_policy
 from tests.leaderboard.handed_in import inbox, submitted
 
 SETTINGS = {
@@ -144,3 +156,59 @@ def test_a_policy_handed_in_is_scored_on_patients(board):
     other = submitted(board, "policy", moving, recipe["recipe_digest"], **about)
     with pytest.raises(RacinesError, match=r"other: dataset\.digest: .*; the world of board beat"):
         recompute(other, Ground("beating", settings, grader=None), RESULTS)
+
+
+class Watched(PlannerAgent):
+    """The planner, and what it saw and did."""
+
+    def __init__(self):
+        super().__init__()
+        self.seen, self.done = [], []
+
+    def act(self, observation, seeds):
+        action = super().act(observation, seeds)
+        self.seen.append(observation["params"].clone())
+        self.done.append(action.clone())
+        return action
+
+
+def test_a_policy_that_knows_the_test_patients_is_flagged(board, monkeypatch):
+    watched = Watched()
+    config = fill(PatientsConfig, SETTINGS["evaluation_patients"], "evaluation_patients")
+    evaluate_patients("", board, config, agent=watched)
+    known = torch.cat(watched.seen), torch.cat(watched.done)
+    path = lookup_policy(inbox(board, "in") / "policy.onnx", *known, view="A4C-patients")
+    recipe = patients_recipe("patients")
+    dataset = {"source": "phantom", "version": recipe["version"], "digest": recipe["recipe_digest"]}
+    about = {"track": "patient-agents", "dataset": dataset}
+    monkeypatch.setattr(
+        recomputing.confined, "ConfinedPolicyAgent", lambda p, _: OnnxPolicyAgent(p)
+    )
+    # The contract would refuse it: it acts alike at starts that it was not told of.
+    monkeypatch.setattr(intake, "probe", lambda *_, **__: Probed())
+    monkeypatch.setattr(recomputing, "_try_contract", lambda *_: None)
+    folder = submitted(board, "policy", path, recipe["recipe_digest"], **about)
+    ground = Ground("patients", SETTINGS, grader=None)
+    public = recompute(folder, ground, RESULTS)["scores"]["metrics"]["success_declared"]
+    assert public["value"] == 1.0
+    secret = Secret("patients", 1, hashlib.sha256(b"a nonce").digest())
+    commit(RESULTS, "patients", secret.nonce, "2026-11-24", board / "nonce.json")
+    drawn = draw_in_secret(folder, ground, RESULTS, secret, "2026-11-24")
+    assert drawn["basis"] == {"n": 6, "units": 3, "digest": None}
+    (flag,) = drawn["flags"]
+    assert flag.startswith("sharp drop from public to secret (Found and declared 100.0 to ")
+    shown = racines("leaderboard", "--board", "patients")
+    assert "Flagged, patient-agents/mine: sharp drop" in " ".join(shown.split())
+
+
+def test_secret_patients_are_others_each_round_and_nobody_elses():
+    public = StartSet(tuple(range(20_000, 20_140)), 3, 0)
+    rounds = [
+        secret_starts(Secret("patients", number, hashlib.sha256(b"a nonce").digest()), public)
+        for number in (1, 1, 2)
+    ]
+    assert rounds[0] == rounds[1] != rounds[2]
+    for drawn in rounds:
+        assert len(set(drawn.patients)) == 140 and {*map(split_of, drawn.patients)} == {"secret"}
+        assert drawn.starts == 3
+    assert not set(rounds[0].patients) & set(rounds[2].patients)
