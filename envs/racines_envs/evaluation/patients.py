@@ -5,7 +5,7 @@ found in the same state whatever else is evaluated beside it, and however the re
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +27,7 @@ from racines_envs.evaluation.agent_specs import check_view, plain_name
 from racines_envs.evaluation.measures import Metrics, Values, measure_patients, patient_values
 from racines_envs.evaluation.run import SCHEMA, Scored, core_for, told_of_agent
 from racines_envs.evaluation.trainings import Training, find_trainings
+from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER
 from racines_envs.task.tasks import Task, get_task
 from racines_envs.task.tiers import MIDDLES
@@ -158,23 +159,42 @@ def start_set(config: PatientsConfig) -> StartSet:
 
 
 def act_on_patients(
-    agents: Sequence[Agent], config: PatientsConfig, starts: StartSet
+    agents: Sequence[Agent],
+    config: PatientsConfig,
+    starts: StartSet,
+    ward_of: Callable[[StartSet], Ward] | None = None,
+    around: Callable[[ScanCore], ScanCore] | None = None,
 ) -> list[dict[str, np.ndarray]]:
-    """Return the last infos, (N,) each, of every agent's episodes."""
+    """Return the last infos, (N,) each, of every agent's episodes.
+
+    Args:
+        agents: who act, one after the other.
+        config: on whom, and how.
+        starts: from where.
+        ward_of: makes the ward of a chunk of the starts, in place of the patients as they are.
+        around: makes the environment that is acted in of the usual one.
+    """
     parts: list[list[Episodes]] = [[] for _ in agents]
     for chunk in starts.chunks(config.chunk):
-        ward = make_ward(config.task.tier, config.split, chunk.patients, config.device)
+        if ward_of is None:
+            ward = make_ward(config.task.tier, config.split, chunk.patients, config.device)
+        else:
+            ward = ward_of(chunk)
         for agent, own in zip(agents, parts, strict=True):
-            own.append(_act(agent, ward, config, chunk))
+            own.append(_act(agent, ward, config, chunk, around))
     names = parts[0][0].final
     return [{k: np.concatenate([e.final[k] for e in own]) for k in names} for own in parts]
 
 
-def _act(agent: Agent, ward: Ward, config: PatientsConfig, starts: StartSet) -> Episodes:
+def _act(
+    agent: Agent, ward: Ward, config: PatientsConfig, starts: StartSet,
+    around: Callable[[ScanCore], ScanCore] | None,
+) -> Episodes:  # fmt: skip
     seeds, case = starts.seeds, ward.case_of(starts.units.tolist())
     core = core_for(
         agent, config.task, len(seeds), reward=config.reward, phantom=ward, device=config.device
     )
+    core = core if around is None else around(core)
     return rollout(core, agent, seeds.to(core.device), case)
 
 

@@ -325,6 +325,10 @@ class ScanCore:
             source = source.of(scene)
         return sensing.check_drawn(source.generate(parameters, seeds), len(seeds), source)
 
+    def told_pose(self) -> Pose:
+        """Return the (N,) poses that the arm reports: those where the probes are."""
+        return self.state.pose
+
     def observe(self) -> dict[str, Tensor]:
         """Return what an agent sees: `image` (N, 128, 128) uint8, `params` (N, 9) float32.
 
@@ -335,8 +339,8 @@ class ScanCore:
         names += [] if self.encoder is None else ["features"]
         seen = {name: self._sensed[name] for name in names}
         if self.observation != "image":
-            position = (self.state.position - self._centre) / self._half
-            encoded = torch.cat([position, rotation_6d(self.state.rotation)], -1)
+            at, turned = self.told_pose()
+            encoded = torch.cat([(at - self._centre) / self._half, rotation_6d(turned)], -1)
             seen["params"] = encoded.clamp(-1.0, 1.0)
         if self.task.any_view:
             seen["goal"] = one_hot(self.state.goal, len(self.phantom.views)).float()

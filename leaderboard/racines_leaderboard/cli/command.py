@@ -51,6 +51,7 @@ COMMANDS = {
     "eval generator": "racines_models.cli.evaluate.generator:eval_generator",
     "eval grader": "racines_models.cli.evaluate.grader:eval_grader",
     "eval agent": "racines_envs.cli.agents:evaluate_agent",
+    "eval robustness": "racines_envs.cli.robustness:evaluate_robustness",
     "study sheet": "racines_data.cli.dataset:sheet",
     "study gallery": "racines_models.cli.study.gallery:gallery",
     "study realism": "racines_models.cli.study.realism:realism",
