@@ -15,6 +15,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, rotate
+from racines_data.imaging import IMAGE_SIZE
 from racines_data.patients import oracle
 from racines_data.patients.bake import baked, recipe
 from racines_data.patients.chest import Chest, breathing, cover, obstacles, shadows, undeform
@@ -305,6 +306,12 @@ class Pool:
     def measures(self, row: int) -> Measures:
         """Return the true volumes, lengths and diameters of a patient; takes a second."""
         return measure(self.hearts[row])
+
+    def pixel_size(self, rows: Tensor) -> Tensor:
+        """Return (B,) mm, the side of a pixel of rows' patients."""
+        settings = self._settings.rows(rows)
+        depth = settings.step * PROBE.samples
+        return depth * 2.0 * settings.half_angle.sin() / IMAGE_SIZE
 
     def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
         """Return (B, 6) force, N, and torque, N·m, in the probe's axes; the skin is everyone's."""

@@ -66,6 +66,7 @@ COMMANDS = {
     "study transfer": "racines_envs.cli.study:transfer",
     "study rewards": "racines_envs.cli.study:reward_audit",
     "study curves": "racines_envs.cli.study:curves",
+    "study ejection": "racines_envs.cli.ejection:ejection",
     "study forces": "racines_envs.cli.study:forces",
     "study speed": "racines_envs.cli.study:speed",
     "study determinism": "racines_leaderboard.cli.audit:determinism",

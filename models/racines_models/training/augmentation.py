@@ -10,7 +10,7 @@ views; grades too, but where a shadow lowers them.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -19,7 +19,7 @@ from torch.nn import functional
 from racines_data.errors import RacinesError
 from racines_data.randomness import normal, uniform
 
-SCANNER, NOISE, CHOICES = 0, 1, 2
+SCANNER, NOISE, CHOICES, CHOSEN = 0, 1, 2, 3
 """Random streams of one image."""
 PARTS = ("rotation", "scale", "sector", "blur", "gain", "speckle", "haze", "shadow", "negatives")
 """Parts of the strong augmentation, in the order in which they act; each has a random stream."""
@@ -83,6 +83,9 @@ class StrongAugmentation:
 
     parts: tuple[str, ...] = ()
     """Those that are on: rotation, scale, sector, blur, gain, speckle, haze, shadow, negatives."""
+    share: float = 1.0
+    """Of the images that are varied strongly; the others stay as simulated, and what is learned
+    from them is exact."""
     rotation: float = 12.0
     """Largest turn about the apex, degrees: the probe rocked in the plane of the image."""
     scale: float = 0.25
@@ -103,7 +106,9 @@ class StrongAugmentation:
     """Share of the images that become what no view is: upside down, on the side, shuffled."""
 
     def __post_init__(self) -> None:
-        """Refuse a part that is not known."""
+        """Refuse a part that is not known, and a share that is none."""
+        if not 0.0 <= self.share <= 1.0:
+            raise RacinesError(f"strong.share {self.share:g}: give 0 to 1")
         for name in self.parts:
             if name not in PARTS:
                 raise RacinesError(f"strong.parts: no part {name!r}; choose of {', '.join(PARTS)}")
@@ -124,6 +129,8 @@ def strengthen(
     Returns:
         Images and masks of the same shapes.
     """
+    if config.share < 1.0:
+        return _some(x, seeds, config, masks)
     light, on = (x + 1.0) / 2.0, config.parts
     theta, cut = _motion(seeds, config), config.sector if "sector" in on else 0.0
     if any(name in on for name in ("rotation", "scale", "sector")):
@@ -138,6 +145,18 @@ def strengthen(
             light = change(light, seeds, getattr(config, name))
     light = light.clamp(0.0, 1.0) * tissue
     return (light * 2.0 - 1.0).contiguous(memory_format=torch.channels_last), masks
+
+
+def _some(
+    x: Tensor, seeds: Tensor, config: StrongAugmentation, masks: Tensor | None
+) -> tuple[Tensor, Tensor | None]:
+    """Vary a share of the images, each of which its seed chooses."""
+    chosen = uniform(seeds, 1, CHOSEN)[:, 0] < config.share
+    varied, moved = strengthen(x, seeds, replace(config, share=1.0), masks)
+    x = torch.where(chosen.view(-1, 1, 1, 1), varied, x)
+    if masks is not None and moved is not None:
+        masks = torch.where(chosen.view(-1, 1, 1), moved, masks)
+    return x.contiguous(memory_format=torch.channels_last), masks
 
 
 def spoil(x: Tensor, seeds: Tensor, config: StrongAugmentation) -> tuple[Tensor, Tensor]:

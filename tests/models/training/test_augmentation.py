@@ -68,3 +68,20 @@ def test_negatives_are_the_named_share_and_nothing_is_lost_by_them(frames):
     assert torch.allclose(light, many.flatten(1).sort(1).values)  # every pixel is still there
     kinds = {tuple(each.flatten().tolist()) for each in changed[which]}
     assert len(kinds) > 3  # upside down, two sides, and shuffles
+
+
+def test_a_share_of_the_images_is_left_as_it_is(frames):
+    x, masks = (part[:1].expand(40, *part.shape[1:]) for part in frames)
+    seeds = torch.arange(40) * 7919 + 5
+    some = StrongAugmentation(("rotation", "gain"), share=0.5)
+    varied, moved = strengthen(x, seeds, some, masks)
+    all_of, all_moved = strengthen(x, seeds, StrongAugmentation(("rotation", "gain")), masks)
+    assert moved is not None and all_moved is not None
+    left = (varied == x).flatten(1).all(1)
+    assert torch.equal(varied[left], x[left]) and 0.2 < float(left.float().mean()) < 0.8
+    assert torch.equal(varied[~left], all_of[~left]) and torch.equal(moved[~left], all_moved[~left])
+    assert torch.equal(moved[left], masks[left])
+    alone, _ = strengthen(x[5:6], seeds[5:6], some, masks[5:6])
+    assert torch.equal(alone, varied[5:6])
+    with pytest.raises(RacinesError, match=r"strong\.share 1\.5: give 0 to 1"):
+        StrongAugmentation(share=1.5)

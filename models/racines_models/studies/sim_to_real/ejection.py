@@ -5,7 +5,7 @@ The volume of a ventricle is taken for that of a stack of twenty round disks alo
 middle of the mitral plane, where ventricle and atrium touch, to the point farthest from it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -86,29 +86,40 @@ def ejection_fractions(
 
 
 def agreement(
-    found: np.ndarray, truth: np.ndarray, unit: str, most: float = np.inf
-) -> dict[str, Any]:
+    found: np.ndarray, truth: np.ndarray, unit: str, most: float = np.inf,
+    units: np.ndarray | None = None,
+) -> dict[str, Any]:  # fmt: skip
     """Return bias, limits of agreement (Bland and Altman, 1986) and correlation, with intervals.
 
     Args:
-        found: (P,) by the judge, a patient each; NaN where it saw nothing: left out, and counted.
-        truth: (P,) by the cardiologists' outlines.
+        found: (P,) by the judge, or (R, P) by as many trainings; NaN where it saw nothing: left
+            out, and counted, over all trainings.
+        truth: (P,) that it is held against, as the cardiologists' outlines.
         unit: of both.
         most: what `found` can be at most, and 0 at least; what no heart does is left out, and
             counted: one ventricle a tenth of its size would be the mean of all.
+        units: (P,) what was drawn independently; each is one by default.
     """
+    found = np.atleast_2d(found)
+    units = np.arange(len(truth)) if units is None else units
     seen = np.isfinite(found) & np.isfinite(truth)
     possible = seen & (found >= 0.0) & (found <= most)
     counts = {"patients": int(possible.sum()), "not_seen": int((~seen).sum())}
     counts["impossible"] = int((seen & ~possible).sum())
-    if counts["patients"] < 3:
+    if possible.sum(1).min() < 3:
         return counts
-    a, b = found[possible], truth[possible]
+    # A patient whom one training did not see is left out of that one alone.
+    held = possible.any(0)
+    found, truth, possible, units = found[:, held], truth[held], possible[:, held], units[held]
 
-    def statistics(keep: np.ndarray) -> Mapping[str, float]:
-        return _agreement(a[keep], b[keep])
+    def statistics(row: int) -> Callable[[np.ndarray], Mapping[str, float]]:
+        def of(keep: np.ndarray) -> Mapping[str, float]:
+            kept = keep & possible[row]
+            return _agreement(found[row, kept], truth[kept])
 
-    replicates = set_replicates_all([statistics], np.arange(len(a)))
+        return of
+
+    replicates = set_replicates_all([statistics(row) for row in range(len(found))], units)
     return counts | {name: _told(name, each, unit) for name, each in replicates.items()}
 
 

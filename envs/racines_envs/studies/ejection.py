@@ -1,0 +1,289 @@
+"""What a found view is good for: the ejection fraction measured there, and where its error is from.
+
+    probe held where the agent ended, for a beat ── 25 pictures ── outlines ── disks ── EDV, ESV, EF
+
+The same is done with the true outlines in place of the judge's, and with the planner's pose, who is
+told where the view is, in place of the agent's. What the planner's true outlines miss is geometry:
+one plane and round disks. What the agent's true outlines miss beyond that is the view; what the
+judge's outlines miss beyond those is the segmentation.
+"""
+
+import io
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.escape import visible
+from racines_data.geometry import Pose
+from racines_data.patients.labels import LABELS
+from racines_data.patients.pool import Pool
+from racines_data.randomness import derive
+from racines_envs.agents import learns, load_agent
+from racines_envs.agents.planner import PlannerAgent
+from racines_envs.agents.protocol import FILES, Agent
+from racines_envs.agents.rollout import rollout
+from racines_envs.evaluation.agent_specs import check_view
+from racines_envs.evaluation.patients import PatientsConfig, StartSet, start_set
+from racines_envs.evaluation.run import core_for, told_of_agent
+from racines_envs.evaluation.trainings import Training, find_trainings
+from racines_envs.task.core import ScanCore
+from racines_envs.task.names import BEATING
+from racines_envs.task.tiers import STEP_SECONDS
+from racines_envs.worlds.making import patients_recipe
+from racines_envs.worlds.ward import make_ward
+from racines_models.devices import on_device
+from racines_models.judges.segmentation.model import SegmentationJudge
+from racines_models.judges.segmentation.structures import relabel, to_camus, to_structures
+from racines_models.studies.sim_to_real.ejection import agreement, disk_volume
+
+SCHEMA = "racines.ejection/1"
+FRAMES = 25
+"""Pictures of the beat for which the probe is held."""
+STREAM = 457
+OUTLINES, POSES = ("judge", "truth"), ("agent", "planner")
+VOLUMES = ("end_diastolic_volume", "end_systolic_volume", "ejection_fraction")
+UNITS = ("mL", "mL", "%")
+MOST = (np.inf, np.inf, 100.0)
+INKS = ("#4f7fb5", "#b5694f")
+
+
+@dataclass(frozen=True)
+class EjectionConfig(PatientsConfig):
+    """On whom it is measured."""
+
+    view: str = "A4C-beating"
+    patients: int = 40
+    starts: int = 1
+
+
+class Beat(NamedTuple):
+    """One way to measure N beats: (N,) each, NaN where no ventricle is seen."""
+
+    full: np.ndarray
+    """End-diastolic volume, mL: the largest of the beat."""
+    empty: np.ndarray
+    """End-systolic volume, mL: the smallest."""
+
+    @property
+    def fraction(self) -> np.ndarray:
+        """Ejection fraction, per cent."""
+        return 100.0 * (self.full - self.empty) / self.full
+
+
+Measured = dict[tuple[str, str], list[Beat]]
+"""By pose and outlines, the beats of each training, or of the planner alone."""
+
+
+def study_ejection(
+    name: str,
+    run_dir: Path,
+    config: EjectionConfig,
+    segmentation: SegmentationJudge,
+    run: str | None = None,
+    advance: Callable[[int], None] | None = None,
+) -> tuple[dict[str, Any], Measured, Beat]:
+    """Let an agent find A4C, hold the probe there for a beat, and measure.
+
+    Args:
+        name: as of `evaluate_patients`.
+        run_dir: likewise.
+        config: all settings.
+        segmentation: who outlines.
+        run: what the agent is called.
+        advance: told how many patients are through.
+
+    Returns:
+        The report, all that was measured, and what is true, an entry an episode.
+
+    Raises:
+        RacinesError: as `evaluate_patients`; hearts that do not beat, or another view.
+    """
+    config, began = on_device(config), time.perf_counter()
+    if config.task.tier != BEATING or config.task.view != "A4C":
+        raise RacinesError(
+            f"ejection.view {config.view}: an ejection fraction is measured in A4C of beating "
+            "hearts: A4C-beating"
+        )
+    starts = start_set(config)
+    first = load_agent(name, run_dir, config.device)
+    check_view(first, config.view, name, run_dir)
+    trainings = [Training(Path(run_dir))]
+    if learns(first) and Path(name).suffix.lower() not in FILES:
+        trainings = find_trainings(run_dir)
+    agents = [first, *(load_agent(name, e.folder, config.device) for e in trainings[1:])]
+    parts: list[tuple[Measured, Beat, np.ndarray]] = []
+    for chunk in starts.chunks(config.chunk):
+        parts.append(_chunk(agents, config, chunk, segmentation))
+        if advance is not None:
+            advance(len(chunk.patients))
+    measured = {
+        key: [_joined([part[0][key][row] for part in parts]) for row in range(len(own))]
+        for key, own in parts[0][0].items()
+    }
+    truth = _joined([part[1] for part in parts])
+    declared = np.concatenate([part[2] for part in parts], 1)
+    about = told_of_agent(first, trainings, config.device)
+    report: dict[str, Any] = {"schema": SCHEMA, **about, "agent": run or about["agent"]}
+    report |= {"task": {"view": config.view, "start_set": starts.told(config)}}
+    report |= {"phantom": patients_recipe(config.task.tier), "segmentation": segmentation.settings}
+    report |= {"frames": FRAMES, "found_and_declared": float(declared.mean())}
+    report["agreement"] = {
+        f"{pose}, {outline}": _agreement(own, truth, starts.units)
+        for (pose, outline), own in measured.items()
+    }
+    report["errors"] = _errors(measured, truth)
+    report["seconds"] = time.perf_counter() - began
+    return report, measured, truth
+
+
+def _chunk(
+    agents: Sequence[Agent], config: EjectionConfig, starts: StartSet, judge: SegmentationJudge
+) -> tuple[Measured, Beat, np.ndarray]:
+    """Return what is measured on a chunk's patients, the truth, and (R, N) who found the view."""
+    ward = make_ward(BEATING, config.split, starts.patients, config.device)
+    case, seeds = ward.case_of(starts.units.tolist()), starts.seeds
+    found: Measured = {(pose, outline): [] for pose in POSES for outline in OUTLINES}
+    declared = []
+    for who, several in (("agent", agents), ("planner", [PlannerAgent()])):
+        for agent in several:
+            core = core_for(
+                agent, config.task, len(seeds), reward="oracle", phantom=ward, device=config.device
+            )
+            final = rollout(core, agent, seeds.to(core.device), case).final
+            if who == "agent":
+                declared.append((final["success"] > 0) & (final["declared"] > 0))
+            for outline, beat in zip(OUTLINES, hold(ward.pool, core, judge), strict=True):
+                found[who, outline].append(beat)
+    every = [ward.pool.measures(row) for row in range(len(starts.patients))]
+    volumes = np.array([[each.volumes["lv"][0], each.volumes["lv"][-1]] for each in every])
+    return found, Beat(*np.repeat(volumes, starts.starts, 0).T), np.stack(declared)
+
+
+def hold(pool: Pool, core: ScanCore, judge: SegmentationJudge) -> tuple[Beat, Beat]:
+    """Hold the probes of N rows for a beat; return what the judge's and the true outlines say."""
+    state = core.state
+    rows = state.case.repeat_interleave(FRAMES)
+    pose = Pose(*(part.repeat_interleave(FRAMES, 0) for part in state.pose))
+    beats = torch.tensor([60.0 / each.motion.rate for each in pool.patients], dtype=torch.float64)
+    count = len(state.case)
+    within = torch.arange(FRAMES, dtype=torch.float64).repeat(count) / FRAMES
+    begun = state.began + STEP_SECONDS * state.steps
+    when = begun.repeat_interleave(FRAMES) + within * beats.to(rows.device)[rows]
+    phase = pool.phase(rows, when)
+    seeds = derive(state.seed.repeat_interleave(FRAMES), STREAM, torch.arange(len(rows)) % FRAMES)
+    images = pool.render(pose, rows, phase, seeds)
+    own = relabel(pool.mask(pose, rows, phase), to_structures(LABELS, judge.structures))
+    masks = judge.segment_camus(images), relabel(own, to_camus(judge.structures)).cpu()
+    size = pool.pixel_size(state.case).cpu().numpy()
+    first, second = (_beat(each.unflatten(0, (count, FRAMES)), size) for each in masks)
+    return first, second
+
+
+def _beat(masks: Tensor, size: np.ndarray) -> Beat:
+    """Return the volumes of (N, FRAMES, H, W) masks with (N,) mm a pixel."""
+    volumes = np.array(
+        [
+            [disk_volume(mask, np.array([mm, mm])) for mask in row]
+            for row, mm in zip(masks.numpy(), size, strict=True)
+        ]
+    )
+    return Beat(*_extremes(volumes))
+
+
+def _extremes(volumes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest and smallest of (N, FRAMES) volumes, after a median over three moments.
+
+    A beat in which fewer than half of the pictures show a ventricle is not measured.
+    """
+    around = np.stack([np.roll(volumes, shift, 1) for shift in (-1, 0, 1)])
+    seen = np.isfinite(around).any(0)
+    calm = np.full(volumes.shape, np.nan)
+    calm[seen] = np.nanmedian(around[:, seen], 0)
+    enough = np.isfinite(volumes).mean(1) >= 0.5
+    full, empty = np.full(len(volumes), np.nan), np.full(len(volumes), np.nan)
+    full[enough], empty[enough] = np.nanmax(calm[enough], 1), np.nanmin(calm[enough], 1)
+    return full, empty
+
+
+def _joined(beats: Sequence[Beat]) -> Beat:
+    return Beat(*(np.concatenate(column) for column in zip(*beats, strict=True)))
+
+
+def _figures(beat: Beat) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return beat.full, beat.empty, beat.fraction
+
+
+def _agreement(own: Sequence[Beat], truth: Beat, units: np.ndarray) -> dict[str, Any]:
+    """Return bias, limits and correlation of each volume; patients are the units."""
+    several = zip(*(_figures(each) for each in own), strict=True)
+    return {
+        name: agreement(np.stack(found), true, unit, most, units)
+        for name, found, true, unit, most in zip(
+            VOLUMES, several, _figures(truth), UNITS, MOST, strict=True
+        )
+    }
+
+
+def _errors(measured: Measured, truth: Beat) -> dict[str, float | None]:
+    """Return the mean absolute errors of the ejection fraction by what they are from.
+
+    `total`; `geometry`, of the planner's true outlines; `view`, how far the agent's pose moves what
+    true outlines say; `segmentation`, how far the judge's outlines move it from there. Of episodes
+    in which all are measured.
+    """
+    (plane,) = measured["planner", "truth"]
+    found: dict[str, list[np.ndarray]] = {}
+    for judged, drawn in zip(measured["agent", "judge"], measured["agent", "truth"], strict=True):
+        parts = {
+            "total": judged.fraction - truth.fraction,
+            "geometry": plane.fraction - truth.fraction,
+            "view": drawn.fraction - plane.fraction,
+            "segmentation": judged.fraction - drawn.fraction,
+        }
+        whole = np.isfinite(np.stack(list(parts.values()))).all(0)
+        for name, each in parts.items():
+            found.setdefault(name, []).append(np.abs(each[whole]))
+    joined = {name: np.concatenate(each) for name, each in found.items()}
+    return {name: float(each.mean()) if len(each) else None for name, each in joined.items()}
+
+
+def draw_ejection(report: dict[str, Any], measured: Measured, truth: Beat) -> bytes:
+    """Return a PNG: measured against true ejection fractions, and their differences (Bland-Altman).
+
+    The first training of the agent; a dot an episode.
+    """
+    canvas = Figure(figsize=(8.6, 4.2), layout="constrained")
+    left, right = canvas.subplots(1, 2)
+    shown = {"agent's pose, judge's outlines": ("agent", "judge"),
+             "planner's pose, true outlines": ("planner", "truth")}  # fmt: skip
+    true = truth.fraction
+    left.plot([0, 90], [0, 90], color="#888888", linewidth=0.9)
+    for ink, (title, key) in zip(INKS, shown.items(), strict=True):
+        found = measured[key][0].fraction
+        left.plot(true, found, "o", color=ink, markersize=4, alpha=0.8, label=title)
+        right.plot((found + true) / 2, found - true, "o", color=ink, markersize=4, alpha=0.8)
+        told = report["agreement"][", ".join(key)]["ejection_fraction"]
+        for name, style in (("bias", "-"), ("lower_limit", ":"), ("upper_limit", ":")):
+            if name in told:
+                right.axhline(told[name]["value"], color=ink, linestyle=style, linewidth=1.1)
+    left.set(xlabel="true ejection fraction, %", ylabel="measured, %", xlim=(0, 90), ylim=(0, 90))
+    right.set(xlabel="mean of both, %", ylabel="measured less true, percentage points")
+    left.legend(fontsize=8, frameon=False, loc="lower right")
+    count = len(true)
+    right.set_title("lines: bias and limits of agreement", size=9)
+    left.set_title(f"{visible(report['agent'])} on {report['task']['view']}, n = {count}", size=9)
+    for axis in (left, right):
+        axis.grid(color="#e4e4e4", linewidth=0.7)
+        axis.set_axisbelow(True)
+        axis.spines[["top", "right"]].set_visible(False)
+    image = io.BytesIO()
+    canvas.savefig(image, format="png", dpi=140)
+    return image.getvalue()

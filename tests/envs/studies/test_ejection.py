@@ -1,0 +1,86 @@
+"""Ejection fractions at found views: volumes of a beat, whose error is whose, refusals."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from typer.testing import CliRunner
+
+from racines_data.errors import RacinesError
+from racines_envs.studies import ejection as module
+from racines_envs.studies.ejection import Beat, EjectionConfig, draw_ejection, study_ejection
+from racines_envs.worlds.ward import make_ward
+from racines_leaderboard.cli.command import app
+from racines_models.judges.segmentation.model import SegmentationJudge
+from racines_models.studies.sim_to_real.ejection import agreement
+
+JUDGE = "models/weights/phantom-patients/segmentation"
+QUICK = EjectionConfig(split="validation", patients=2)
+
+
+def test_a_beat_is_its_largest_and_smallest_ventricle():
+    beat = 80.0 + 30.0 * np.cos(np.linspace(0.0, 2.0 * np.pi, 25, endpoint=False))
+    blip, gone, half = beat.copy(), beat.copy(), beat.copy()
+    blip[12] = 3.0  # one picture in which hardly anything is seen
+    gone[:13] = np.nan
+    half[3] = np.nan
+    full, empty = module._extremes(np.stack([beat, blip, gone, half]))
+    assert np.allclose(full[[0, 1]], beat[[1]], atol=0.1) and np.isnan([full[2], empty[2]]).all()
+    assert np.allclose(empty[:2], beat.min()), "one odd picture does not count"
+    assert np.isfinite([full[3], empty[3]]).all()
+    assert np.allclose(Beat(np.array([120.0]), np.array([48.0])).fraction, 60.0)
+
+
+def test_errors_are_told_by_what_they_are_from():
+    truth = Beat(np.full(4, 100.0), np.full(4, 40.0))  # 60 %
+
+    def of(fraction: list[float]) -> list[Beat]:
+        return [Beat(np.full(4, 100.0), 100.0 - np.array(fraction))]
+
+    measured = {
+        ("agent", "judge"): of([50.0, 50.0, 50.0, np.nan]),
+        ("agent", "truth"): of([54.0, 54.0, 54.0, 54.0]),
+        ("planner", "judge"): of([52.0] * 4),
+        ("planner", "truth"): of([57.0] * 4),
+    }
+    found = module._errors(measured, truth)
+    assert found == {"total": 10.0, "geometry": 3.0, "view": 3.0, "segmentation": 4.0}
+    several = agreement(np.array([[1.0, 2.0, 3.0, np.nan], [2.0, 2.0, 4.0, 4.5]]),
+                        np.array([1.0, 2.0, 3.0, 4.0]), "mL")  # fmt: skip
+    assert several["patients"] == 7 and several["not_seen"] == 1
+    assert several["bias"]["value"] == pytest.approx((0.0 + 0.625) / 2)
+
+
+def test_the_planners_true_outlines_measure_what_is_true():
+    judge = SegmentationJudge.load(JUDGE)
+    report, measured, truth = study_ejection("planner", Path(), QUICK, judge)
+    ward = make_ward("beating", "validation", 2)
+    true = [ward.pool.measures(row) for row in range(2)]
+    assert np.allclose(truth.full, [each.volumes["lv"][0] for each in true])
+    assert np.allclose(truth.fraction / 100, [each.ejection_fraction for each in true], atol=0.02)
+    plane = measured["planner", "truth"][0]
+    assert np.allclose(plane.full, truth.full, rtol=0.3)
+    assert np.abs(plane.fraction - truth.fraction).max() < 15.0
+    for outlines in ("truth", "judge"):
+        one, other = measured["agent", outlines][0], measured["planner", outlines][0]
+        assert np.array_equal(one.full, other.full), "the agent is the planner"
+    assert report["errors"]["view"] == 0.0 and report["found_and_declared"] == 1.0
+    assert json.loads(json.dumps(report)) == report
+    assert draw_ejection(report, measured, truth)[:4] == b"\x89PNG"
+    parts = study_ejection("planner", Path(), EjectionConfig(patients=2, chunk=1), judge)[1]
+    apart, whole = parts["planner", "judge"][0], measured["planner", "judge"][0]
+    assert np.array_equal(apart.empty, whole.empty), "however patients are cut to chunks"
+    size = ward.pool.pixel_size(torch.arange(2))
+    assert bool(((size > 0.6) & (size < 2.5)).all())
+
+
+def test_what_has_no_ejection_fraction_is_refused(tmp_path):
+    judge = SegmentationJudge.load(JUDGE)
+    for view in ("A4C-patients", "PL-beating"):
+        with pytest.raises(RacinesError, match="measured in A4C of beating hearts"):
+            study_ejection("planner", Path(), EjectionConfig(view=view, patients=1), judge)
+    words = ["study", "ejection", "planner", "--patients", "1", "--segmentation", str(tmp_path)]
+    with pytest.raises(RacinesError, match="no segmentation judge there"):
+        CliRunner().invoke(app, words, catch_exceptions=False)
