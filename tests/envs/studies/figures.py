@@ -1,0 +1,87 @@
+"""What the documentation says of an agent's robustness and of ejection fractions at its views.
+
+racines eval robustness servo --run envs/weights/servo --out ROBUSTNESS.json
+racines study ejection servo --run envs/weights/servo --split test --patients 140 \\
+    --out EJECTION.json
+python -m tests.envs.studies.figures ROBUSTNESS.json EJECTION.json
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from racines_data.files import write_json
+from racines_envs.studies.robustness.disturbances import STRENGTHS
+from racines_envs.studies.robustness.run import NOTHING, RANKED, changes
+
+RESULTS = Path(__file__).parents[3] / "docs/results"
+MACHINE = "one core of an AMD EPYC (Zen 4)"
+
+
+def points(change: dict[str, Any] | None) -> str:
+    """Return a change and its interval, percentage points."""
+    if change is None:
+        return "–"
+    value, low, high = (f"{100 * change[key]:+.0f}" for key in ("value", "low", "high"))
+    return f"{value} ({low} to {high})"
+
+
+def robustness(report: dict[str, Any]) -> dict[str, Any]:
+    """Return the figures of a robustness study."""
+    base = report["conditions"][NOTHING]["metrics"][RANKED]
+    rows = [[name, *map(points, found)] for name, found in changes(report)]
+    worst = rows[1][0] if rows[0][0] == "all" else rows[0][0]
+    units = base["settings"]["units"]
+    return {
+        "what": f"what each disturbance costs the servo on still hearts of {units} validation "
+        "patients: change of the share found and declared, percentage points",
+        "command": "racines eval robustness servo --run envs/weights/servo; python -m "
+        "tests.envs.studies.figures ROBUSTNESS.json EJECTION.json",
+        "figures": {
+            "base": round(100 * base["value"]), "patients": units,
+            "minutes": round(report["seconds"] / 60), "worst": worst,
+        },
+        "tables": {"changes": {"columns": ["disturbance", *STRENGTHS], "rows": rows}},
+    }  # fmt: skip
+
+
+def number(told: dict[str, Any], sign: str = "+", digits: int = 1) -> str:
+    """Return a figure and its interval."""
+    value, low, high = (f"{told[key]:{sign}.{digits}f}" for key in ("value", "low", "high"))
+    return f"{value} ({low} to {high})"
+
+
+def ejection(report: dict[str, Any]) -> dict[str, Any]:
+    """Return the figures of a study of ejection fractions."""
+    rows = []
+    for title, told in report["agreement"].items():
+        each = told["ejection_fraction"]
+        limits = f"{each['lower_limit']['value']:+.0f} to {each['upper_limit']['value']:+.0f}"
+        left_out = each["not_seen"] + each["impossible"]
+        rows.append([title, number(each["bias"]), limits, number(each["correlation"], "", 2),
+                     str(each["patients"]), str(left_out)])  # fmt: skip
+    columns = ["pose, outlines", "bias, points", "limits of agreement", "correlation", "measured",
+               "not measured"]  # fmt: skip
+    starts = report["task"]["start_set"]
+    return {
+        "what": f"ejection fractions at A4C as the servo found it, {starts['patients']} "
+        f"{starts['split']} patients, against the truth",
+        "command": "racines study ejection servo --run envs/weights/servo --split test "
+        "--patients 140; python -m tests.envs.studies.figures ROBUSTNESS.json EJECTION.json",
+        "figures": {
+            "patients": starts["patients"],
+            "frames": report["frames"],
+            "found": round(100 * report["found_and_declared"]),
+            **{name: round(value, 1) for name, value in report["errors"].items()},
+        },
+        "tables": {"agreement": {"columns": columns, "rows": rows}},
+    }
+
+
+if __name__ == "__main__":
+    for name, make, file in zip(
+        ("robustness", "ejection"), (robustness, ejection), sys.argv[1:3], strict=True
+    ):
+        about = {"schema": "racines.figures/1", "machine": MACHINE, "source": "measured once"}
+        write_json(RESULTS / f"{name}.json", about | make(json.loads(Path(file).read_text())))
