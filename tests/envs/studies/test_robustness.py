@@ -166,6 +166,24 @@ def test_a_study_is_paired_goes_on_and_begins_with_nothing_wrong(tmp_path, monke
     assert again["conditions"] == whole["conditions"]
 
 
+def test_what_a_disturbance_costs_is_told_as_a_loss(tmp_path, monkeypatch):
+    under = module._under
+
+    def worse(condition, *rest):
+        values = under(condition, *rest)
+        lost = {"": 1.0, "mild": 1.0, "moderate": 0.5, "strong": 0.0}[condition.strength]
+        return values | {"success_declared": values["success_declared"] * lost}
+
+    monkeypatch.setattr(module, "_under", worse)
+    told = evaluate_robustness("planner", tmp_path, QUICK, tmp_path / "e.json")["conditions"]
+    assert [told[f"slip, {each}"]["change"]["value"] for each in module.STRENGTHS] == [0, -0.5, -1]
+    assert [name for name, _ in module.changes({"conditions": told})][0] in (
+        "slip",
+        "pose bias",
+        "all",
+    )
+
+
 def test_what_cannot_be_is_refused(tmp_path):
     with pytest.raises(RacinesError, match="no 'fog'; choose of haze, cover"):
         conditions(replace(QUICK, disturbances=("fog",)))
