@@ -84,6 +84,8 @@ NEEDED = {
     "eval generator": "mean-image --data {} --out out.json",
     "eval grader": "--data {}",
     "eval agent": "random --params {}",
+    "eval robustness": "planner --params {}",
+    "study ejection": "planner --segmentation {}",
     "study gallery": "--data {} --out out.png",
     "study realism": "--data {}",
     "study leakage": "--data {}",

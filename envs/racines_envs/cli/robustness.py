@@ -20,9 +20,6 @@ def evaluate_robustness(
     split: opt.OneSplit = None,
     patients: Annotated[int | None, typer.Option(min=1, help="Patients of the split.")] = None,
     starts: opt.Starts = None,
-    disturbances: Annotated[
-        str | None, typer.Option(help="Which, comma-separated; all by default.")
-    ] = None,
     run: opt.Trained = None,
     out: opt.OwnOutFile = None,
     device: OneDevice = None,
@@ -38,7 +35,8 @@ def evaluate_robustness(
     From the same starts on the same patients: with nothing wrong, under each disturbance at three
     strengths, and under all of them. Told is the share found and declared, and its change, paired
     by patient. The report goes to envs/runs/scores/<run>-robustness.json, a picture beside it; a
-    command that was killed goes on. --force starts anew where another study's report is.
+    command that was killed goes on. --force starts anew where another study's report is. Some of
+    the disturbances alone: --set "disturbances=[haze, slip]".
     """
     from racines_data.config import fill, section
     from racines_data.files import write_atomic
@@ -55,10 +53,9 @@ def evaluate_robustness(
 
     values = read_settings(params, profile)
     entry = find_entry(values, agent)
-    names = None if disturbances is None else [each.strip() for each in disturbances.split(",")]
     chosen: dict[str, Any] = given(
         view=on_tier(view or "A4C", tier), split=split, patients=patients, starts=starts,
-        seed=seed, device=device, disturbances=names,
+        seed=seed, device=device,
     ) | overrides(settings)  # fmt: skip
     config = fill(RobustnessConfig, section(values, "robustness") | chosen, "robustness")
     out = out or SCORES / f"{entry.name}-robustness.json"

@@ -219,7 +219,7 @@ def read_record(path: Path, board: str, track: Track) -> Record:
         if record[key] != value:
             raise RacinesError(f"{path}: {key}: {record[key]!r}, expected {value!r} by its place")
     check(record["scores"], track.schema, f"{path}: scores")
-    if track_of(record["scores"]) is not track:
+    if (own := track_of(record["scores"])) is None or own.name != track.name:
         view = record["scores"]["task"]["view"]
         raise RacinesError(f"{path}: scores.task.view: {view!r} is none of track {track.name}")
     check_possible(record["scores"], f"{path}: scores")

@@ -17,6 +17,8 @@ WEIGHTS = Path("envs/weights")
 FOLDERS = sorted(path.parent for path in WEIGHTS.glob("*/config.json"))
 ON_PATIENTS = {"servo"}
 """Agents that know patients, and not the one heart."""
+FLOORS = {"constant-pose", "blind-tour"}
+"""Agents that know patients and never look: what they find is little."""
 ELSEWHERE = "generator"
 """What was trained in a generator's images need not arrive on the phantom."""
 STARTS = 5
@@ -28,7 +30,19 @@ def read(folder):
 
 def runs(patients: bool):
     """Return the folders of who knows patients, or the one heart."""
-    return [each for each in FOLDERS if (read(each)["agent"] in ON_PATIENTS) == patients]
+    known = [each for each in FOLDERS if read(each)["agent"] not in FLOORS]
+    return [each for each in known if (read(each)["agent"] in ON_PATIENTS) == patients]
+
+
+@pytest.mark.parametrize("name", sorted(FLOORS))
+def test_a_published_floor_goes_to_its_poses_and_declares(name):
+    agent = load_agent(name, WEIGHTS / name)
+    ward = make_ward("patients", "train", 2)
+    core = make_core("AnyView-patients", 10, observation="params", reward="oracle", phantom=ward)
+    final = rollout(core, agent, evaluation_seeds(10)).final
+    assert final["declared"].all() and final["success"].mean() <= 0.5
+    told = json.loads((WEIGHTS / name / "metrics.json").read_text())
+    assert told["train_patients"] == 120, "by the profile reference"
 
 
 @pytest.mark.parametrize("folder", runs(patients=True), ids=lambda folder: folder.name)

@@ -196,7 +196,7 @@ def test_what_cannot_be_is_refused(tmp_path):
     with pytest.raises(RacinesError, match=r"c\.json: holds another study: give another --out"):
         evaluate_robustness("planner", tmp_path, QUICK, tmp_path / "c.json")
     (tmp_path / "d.json").write_text("{")
-    words = ["eval", "robustness", "planner", "--patients", "2", "--disturbances", "slip"]
+    words = ["eval", "robustness", "planner", "--patients", "2", "--set", "disturbances=[slip]"]
     with pytest.raises(RacinesError, match=r"d\.json: not readable as JSON"):
         CliRunner().invoke(app, [*words, "--out", str(tmp_path / "d.json")], catch_exceptions=False)
     done = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "d.json"), "--force"])
