@@ -85,7 +85,7 @@ class BlindAgent:
         """Go on to the waypoint under way, or rest there; (N,) actions."""
         pose = self._steering.pose(observation)
         goals = self._goals(observation, len(seeds))
-        fresh = ~self._steering.moved_on(pose)
+        fresh = ~self._steering.goes_on()
         self._begin(fresh, pose, goals)
         late = (self._steps >= self._task.max_steps - HOME) & self._left[:, :-1].any(1)
         self._left[:, :-1] &= ~late[:, None]

@@ -1,7 +1,8 @@
 """Going to a pose by the thirteen actions, from what every agent may know.
 
-That is the probe's pose, which `params` shows, the workspace, and the unit steps. A step that
-changed nothing was refused (too deep, or out of the workspace) and is not tried again from there.
+That is the probe's pose, which `params` shows, the workspace, the unit steps, and when an episode
+begins. A probe that slips, and an arm that misreads where it is, begin none. A step that changed
+nothing was refused (too deep, or out of the workspace) and is not tried again from there.
 """
 
 import torch
@@ -21,11 +22,11 @@ class Steering:
     """Steers the N rows of one environment."""
 
     def __init__(self, core: ScanCore) -> None:
-        """Take workspace and unit steps from an environment, and nothing else."""
+        """Take workspace, unit steps and the count of steps from an environment, nothing else."""
         workspace = core.phantom.workspace
         low, high = workspace.position_min.to(core.device), workspace.position_max.to(core.device)
         self._centre, self._half = (high + low) / 2, (high - low) / 2
-        self._table, self._task = core.table, core.task
+        self._table, self._task, self._core = core.table, core.task, core
         self._last: tuple[Pose, Tensor] | None = None
         self._refused: Tensor | None = None
 
@@ -36,12 +37,10 @@ class Steering:
         params = observation["params"]
         return Pose(params[:, :3] * self._half + self._centre, matrix_from_6d(params[:, 3:]))
 
-    def moved_on(self, pose: Pose) -> Tensor:
-        """Return (N,) bool: the pose follows from the step before, so the episode goes on."""
-        if self._last is None:
-            return torch.zeros_like(pose.position[:, 0], dtype=torch.bool)
-        before, action = self._last
-        return _same(pose, before) | _same(pose, self._table.move(before, action))
+    def goes_on(self) -> Tensor:
+        """Return (N,) bool: the episode has begun before, and this agent has acted in it."""
+        steps = self._core.state.steps
+        return steps > 0 if self._last is not None else torch.zeros_like(steps, dtype=torch.bool)
 
     def towards(self, pose: Pose, goal: Pose, slack: float = 0.0) -> Tensor:
         """Return the (N,) actions that leave least to do to (N,) goals; idle where none helps.
@@ -81,7 +80,7 @@ class Steering:
         ends = Pose(*(x.repeat_interleave(options, 0) for x in goal))
         cost = cost_to_go(moved, ends, self._task).view(count, options)
         if self._last is not None:
-            rested = (self._last[1] == IDLE) & self.moved_on(pose)
+            rested = (self._last[1] == IDLE) & self.goes_on()
             cost[:, IDLE] -= slack * rested
         return torch.where(refused, torch.inf, cost).argmin(1)
 

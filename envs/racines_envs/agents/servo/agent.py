@@ -61,7 +61,7 @@ class ServoAgent:
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
         """Return the (N,) actions: to where the views are believed, about there, and to rest."""
         pose, labels = self._steering.pose(observation), self._labels(observation)
-        same = self._steering.moved_on(pose)
+        same = self._steering.goes_on()
         read, worth = self.read(observation, pose)
         mind = self._mind or Mind.new(read)
         mind.learn(read, pose, worth, labels, same)
