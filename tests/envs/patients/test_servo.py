@@ -16,6 +16,8 @@ from racines_envs.agents.servo.belief import Belief, reading
 from racines_envs.agents.servo.frames import FrameConfig, Frames, draw_poses, ways_to
 from racines_envs.agents.servo.learner import Bank, ServoConfig, ServoLearner
 from racines_envs.agents.servo.visits import VisitConfig, visit
+from racines_envs.studies.robustness.core import DisturbedCore
+from racines_envs.studies.robustness.disturbances import DISTURBANCES
 from racines_envs.task.tiers import middles
 from racines_envs.worlds.making import make_core
 from racines_models.networks.servo import ServoNetwork
@@ -116,7 +118,10 @@ class Told(ServoAgent):
 
     def read(self, observation, pose):
         target = self._core.target
-        way = ways_to(pose, Pose(target.position[:, None], target.rotation[:, None]))[:, 0]
+        # An image shows what it shows from where the probe is, wherever the arm says that it is.
+        way = ways_to(
+            self._core.state.pose, Pose(target.position[:, None], target.rotation[:, None])
+        )[:, 0]
         noise = 0.15 * torch.tensor([0.02] * 3 + [0.35] * 3)
         strayed = way + torch.randn(way.shape, generator=self._draw) * noise
         return reading(pose, strayed, noise.expand_as(way)), self._core.scored_by(
@@ -132,6 +137,15 @@ def test_it_goes_to_where_it_reads_and_declares(request, tier):
     final = rollout(core, Told(), torch.arange(12)).final
     assert final["declared"].mean() > 0.9 and final["success"].mean() > 0.8
     assert np.median(final["position_error"]) < 0.004
+
+
+@pytest.mark.parametrize("name", ["pose bias", "action noise", "slip"])
+def test_what_disturbs_its_steps_begins_no_new_episode(still, name):
+    """It goes on from what it knows, and still finds and declares."""
+    each = DISTURBANCES[name]
+    core = make_core("AnyView-patients", 12, observation="params", phantom=still)
+    final = rollout(DisturbedCore(core, {each: each.amounts[1]}), Told(), torch.arange(12)).final
+    assert final["declared"].mean() > 0.9 and final["success"].mean() > 0.6
 
 
 class Astray(Told):
