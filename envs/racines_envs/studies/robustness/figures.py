@@ -36,7 +36,7 @@ def draw_robustness(document: dict[str, Any]) -> bytes:
     axis.set_xlabel("change of the share found and declared, percentage points", size=9)
     units, n = base["settings"]["units"], base["n"]
     title = f"{visible(document['agent'])} on {document['task']['view']}: {100 * base['value']:.0f}"
-    axis.set_title(f"{title} % with nothing wrong ({units} patients, n = {n})", size=10)
+    canvas.suptitle(f"{title} % with nothing wrong ({units} patients, n = {n})", size=10)
     axis.grid(axis="x", color="#dddddd", linewidth=0.7)
     axis.set_axisbelow(True)
     axis.spines[["top", "right", "left"]].set_visible(False)
