@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from racines_envs.agents.planner import PlannerAgent
 from racines_leaderboard.submissions.intake import take_in
 from racines_models.scores.scoring import ScoresConfig
 from tests.leaderboard.conftest import artefact, write_submission
@@ -21,3 +22,17 @@ def submitted(root: Path, kind: str, path: Path, digest: str, **changes) -> Path
 def inbox(root: Path, name: str) -> Path:
     (root / name).mkdir()
     return root / name
+
+
+class Watched(PlannerAgent):
+    """The planner, and what it saw and did."""
+
+    def __init__(self):
+        super().__init__()
+        self.seen, self.done = [], []
+
+    def act(self, observation, seeds):
+        action = super().act(observation, seeds)
+        self.seen.append(observation["params"].clone())
+        self.done.append(action.clone())
+        return action

@@ -8,9 +8,9 @@ import typer
 from racines_data.cli import options as opt
 from racines_data.cli.options import given, overrides, read_settings
 from racines_envs.cli.settings import Agent
+from racines_envs.cli.study import SCORES
 from racines_models.cli.device import OneDevice
 
-SCORES = Path("envs/runs/scores")
 JUDGES = (
     Path("models/runs/segmentation"),
     Path("models/weights/phantom-patients/segmentation"),
@@ -60,8 +60,8 @@ def ejection(
     config = fill(EjectionConfig, section(values, "ejection") | chosen, "ejection")
     out = out or SCORES / f"{entry.name}-ejection.json"
     opt.check_ending(out, ".json")
-    folder = segmentation or next((each for each in JUDGES if each.is_dir()), JUDGES[0])
-    judge = SegmentationJudge.load(folder, config.device)
+    trained = (each for each in JUDGES if (each / "config.json").is_file())
+    judge = SegmentationJudge.load(segmentation or next(trained, JUDGES[0]), config.device)
     with progress_bar(not as_json, "patients") as bar:
         task = bar.add_task(entry.name, total=config.patients)
         report, measured, truth = study_ejection(

@@ -1,6 +1,5 @@
 """The command `racines eval robustness`. Heavy imports stand inside: --help is instant."""
 
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -8,9 +7,8 @@ import typer
 from racines_data.cli import options as opt
 from racines_data.cli.options import given, overrides, read_settings
 from racines_envs.cli.settings import Agent, Tier, on_tier
+from racines_envs.cli.study import SCORES
 from racines_models.cli.device import OneDevice
-
-SCORES = Path("envs/runs/scores")
 
 
 def evaluate_robustness(
@@ -60,13 +58,11 @@ def evaluate_robustness(
     config = fill(RobustnessConfig, section(values, "robustness") | chosen, "robustness")
     out = out or SCORES / f"{entry.name}-robustness.json"
     opt.check_ending(out, ".json")
-    if force:
-        out.unlink(missing_ok=True)
     with progress_bar(not as_json, "conditions") as bar:
         task = bar.add_task(entry.name, total=len(conditions(config)))
         folder = run or entry.folder
         found = evaluate_robustness(
-            entry.agent, folder, config, out, entry.name, lambda _: bar.advance(task)
+            entry.agent, folder, config, out, entry.name, lambda _: bar.advance(task), force
         )
     write_atomic(out.with_suffix(".png"), draw_robustness(found))
     rows = [_row(title, told) for title, told in found["conditions"].items()]

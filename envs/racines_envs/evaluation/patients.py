@@ -127,14 +127,9 @@ def evaluate_patients(
     began = time.perf_counter()
     config = on_device(config)
     starts = starts or start_set(config)
-    given = agent is not None or Path(name).suffix.lower() in FILES
-    agent = agent or load_agent(name, run_dir, config.device)
-    check_view(agent, config.view, name, run_dir)
-    trainings = [Training(Path(run_dir))]
-    if learns(agent) and not given:
-        trainings = find_trainings(run_dir, published)
-    others = [load_agent(name, each.folder, config.device) for each in trainings[1:]]
-    acted = act_on_patients([agent, *others], config, starts)
+    agents, trainings = open_agents(name, run_dir, config, agent, published)
+    agent = agents[0]
+    acted = act_on_patients(agents, config, starts)
     values = patient_values(acted)
     metrics, evidence = measure_patients(values, starts.units)
     task = {
@@ -147,6 +142,27 @@ def evaluate_patients(
     scores |= {"by_pathology": _by_pathology(values, starts.units), "seeds": [starts.seed]}
     scores |= {"agent": run or agent.name} | ({"board": board} if board else {})
     return Scored(scores | {"seconds": time.perf_counter() - began}, evidence)
+
+
+def open_agents(
+    name: str, run_dir: Path, config: PatientsConfig, agent: Agent | None = None,
+    published: Path | None = None,
+) -> tuple[list[Agent], list[Training]]:  # fmt: skip
+    """Return an agent of each training of a run, for the view of the settings, and the trainings.
+
+    One that is given, and one in a file, stands for a single training.
+
+    Raises:
+        RacinesError: as `evaluate_patients`.
+    """
+    given = agent is not None or Path(name).suffix.lower() in FILES
+    agent = agent or load_agent(name, run_dir, config.device)
+    check_view(agent, config.view, name, run_dir)
+    trainings = [Training(Path(run_dir))]
+    if learns(agent) and not given:
+        trainings = find_trainings(run_dir, published)
+    others = [load_agent(name, each.folder, config.device) for each in trainings[1:]]
+    return [agent, *others], trainings
 
 
 def start_set(config: PatientsConfig) -> StartSet:

@@ -26,14 +26,11 @@ from racines_data.geometry import Pose
 from racines_data.patients.labels import LABELS
 from racines_data.patients.pool import Pool
 from racines_data.randomness import derive
-from racines_envs.agents import learns, load_agent
 from racines_envs.agents.planner import PlannerAgent
-from racines_envs.agents.protocol import FILES, Agent
+from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import rollout
-from racines_envs.evaluation.agent_specs import check_view
-from racines_envs.evaluation.patients import PatientsConfig, StartSet, start_set
+from racines_envs.evaluation.patients import PatientsConfig, StartSet, open_agents, start_set
 from racines_envs.evaluation.run import core_for, told_of_agent
-from racines_envs.evaluation.trainings import Training, find_trainings
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import BEATING
 from racines_envs.task.tiers import STEP_SECONDS
@@ -113,12 +110,7 @@ def study_ejection(
             "hearts: A4C-beating"
         )
     starts = start_set(config)
-    first = load_agent(name, run_dir, config.device)
-    check_view(first, config.view, name, run_dir)
-    trainings = [Training(Path(run_dir))]
-    if learns(first) and Path(name).suffix.lower() not in FILES:
-        trainings = find_trainings(run_dir)
-    agents = [first, *(load_agent(name, e.folder, config.device) for e in trainings[1:])]
+    agents, trainings = open_agents(name, run_dir, config)
     parts: list[tuple[Measured, Beat, np.ndarray]] = []
     for chunk in starts.chunks(config.chunk):
         parts.append(_chunk(agents, config, chunk, segmentation))
@@ -130,7 +122,7 @@ def study_ejection(
     }
     truth = _joined([part[1] for part in parts])
     declared = np.concatenate([part[2] for part in parts], 1)
-    about = told_of_agent(first, trainings, config.device)
+    about = told_of_agent(agents[0], trainings, config.device)
     report: dict[str, Any] = {"schema": SCHEMA, **about, "agent": run or about["agent"]}
     report |= {"task": {"view": config.view, "start_set": starts.told(config)}}
     report |= {"phantom": patients_recipe(config.task.tier), "segmentation": segmentation.settings}

@@ -54,8 +54,8 @@ def board_tables(
         for task, records in by_task(content[track.name]).items():
             title = " · ".join(part for part in (board, track.name, task) if part)
             tables += ranked_tables(title, track, rank(track, records), details)
-        if content[track.name] and track.name in published():
-            tables.append(reported_table(track))
+        if content[track.name]:
+            tables += reported_tables(track)
     return tables
 
 
@@ -273,14 +273,16 @@ def _basis(records: list[Record]) -> Iterator[str]:
         yield f"On the true frames {' and '.join(findings)}."
 
 
-def reported_table(track: Track) -> Table:
-    """Return the paper's own metrics of a track."""
+def reported_tables(track: Track) -> list[Table]:
+    """Return the paper's own metrics of a track; none of one that it does not have."""
     paper = published()
-    systems = paper[track.name]
+    systems = paper.get(track.name, ())
     names = list(dict.fromkeys(name for system in systems for name in system["figures"]))
     rows = tuple(
         ("", system["system"], *(str(system["figures"].get(name, "–")) for name in names))
         for system in systems
     )
+    if not rows:
+        return []
     notes = (paper["remark"][track.name], f"Source: {paper['citation']}.")
-    return Table(f"{track.name} · {REPORTED}", ("", "System", *names), rows, notes)
+    return [Table(f"{track.name} · {REPORTED}", ("", "System", *names), rows, notes)]

@@ -58,6 +58,8 @@ def weightings(
         say_json(orders(results, board), indent=2)
         return
     made = tables(results, board)
+    if not made:
+        say(f"board {board}: each of its tasks ranks by one metric, so there is no other order")
     if markdown is not None:
         write_atomic(markdown, "\n\n".join(titled_markdown(table) for table in made) + "\n")
     for table in made:

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.pages import panel
 from racines_leaderboard.board.rank import SCORE, SHOWN, Ranked, Record, by_task, rank, verdict_of
-from racines_leaderboard.board.table import Table, ranked_tables, reported_table, shown_columns
+from racines_leaderboard.board.table import Table, ranked_tables, reported_tables, shown_columns
 from racines_leaderboard.records.tracks import PERCENT, TIERS, TRACK, Column, Track, board_tracks
 from racines_leaderboard.studio import html
 from racines_leaderboard.studio.html import cut, drawn, element, link, note, text
@@ -127,8 +127,12 @@ def tables_html(results: Path, wanted: Selection) -> str:
     for title, ranking in ranked_groups(results, wanted).items():
         tables += map(_table, ranked_tables(title, track, ranking, wanted.details))
     if not tables:
+        content = _content(results, wanted.board)
+        held = [name for name, records in content.items() if records]
+        if track.name not in held:
+            return note(f"This board has no {track.name}: choose {' or '.join(held)}.")
         return note("No result fits: choose other filters.")
-    return "\n".join([*tables, _table(reported_table(track), named=False)])
+    return "\n".join([*tables, *(_table(each, named=False) for each in reported_tables(track))])
 
 
 def _table(table: Table, named: bool = True) -> str:

@@ -195,6 +195,9 @@ def test_what_cannot_be_is_refused(tmp_path):
     (tmp_path / "c.json").write_text(json.dumps({"study": "another"}))
     with pytest.raises(RacinesError, match=r"c\.json: holds another study: give another --out"):
         evaluate_robustness("planner", tmp_path, QUICK, tmp_path / "c.json")
+    with pytest.raises(RacinesError, match="nobody"):
+        evaluate_robustness("nobody", tmp_path, QUICK, tmp_path / "c.json", force=True)
+    assert "another" in (tmp_path / "c.json").read_text(), "it stays until there is something new"
     (tmp_path / "d.json").write_text("{")
     words = ["eval", "robustness", "planner", "--patients", "2", "--set", "disturbances=[slip]"]
     with pytest.raises(RacinesError, match=r"d\.json: not readable as JSON"):

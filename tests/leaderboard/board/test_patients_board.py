@@ -14,7 +14,6 @@ from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.patients.splits import split_of
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
-from racines_envs.agents.planner import PlannerAgent
 from racines_envs.evaluation.patients import PatientsConfig, StartSet, evaluate_patients
 from racines_envs.worlds.making import patients_recipe
 from racines_leaderboard.board import recompute as recomputing
@@ -27,11 +26,12 @@ from racines_leaderboard.fresh.draws import draw_in_secret, secret_starts
 from racines_leaderboard.fresh.rounds import Secret, commit
 from racines_leaderboard.records.schema import sealed
 from racines_leaderboard.records.tracks import PATIENT_AGENTS, TRACKS, track_of
+from racines_leaderboard.studio.boards import Selection, tables_html
 from racines_leaderboard.submissions import intake
 from racines_leaderboard.submissions.probe import Probed
 from tests.conftest import ROOT
 from tests.leaderboard.graphs import lookup_policy, sound_policy
-from tests.leaderboard.handed_in import inbox, submitted
+from tests.leaderboard.handed_in import Watched, inbox, submitted
 
 SETTINGS = {
     "board": "mini",
@@ -84,6 +84,24 @@ def test_anchors_stand_at_their_ends_and_without_a_place(board):
     assert ranked[0].standing.units == 3, "patients"
     shown = racines("leaderboard", "--board", "patients")
     assert "A4C-patients" in shown and "Found and declared" in shown
+
+
+def test_a_track_without_other_weights_or_papers_figures_is_shown_all_the_same(board):
+    said = racines("study", "weightings", "patients")
+    assert "each of its tasks ranks by one metric" in said
+    tables = tables_html(RESULTS, Selection("patients", PATIENT_AGENTS.name))
+    assert "planner-a4c" in tables and "Found and declared" in tables
+    none = tables_html(RESULTS, Selection("patients", "generators"))
+    assert "This board has no generators: choose patient-agents" in none
+
+
+def test_steps_to_success_may_be_lacking_on_patients_alone(board):
+    path = SCORES / "planner-a4c.json"
+    scores = json.loads(path.read_text())
+    assert "steps" not in scores["metrics"] and read_scores(path)
+    path.write_text(json.dumps({key: scores[key] for key in scores if key != "by_pathology"}))
+    with pytest.raises(RacinesError, match="steps|by_pathology"):
+        read_scores(path)
 
 
 def test_rows_are_those_of_the_boards_own_starts(board):
@@ -156,20 +174,6 @@ def test_a_policy_handed_in_is_scored_on_patients(board):
     other = submitted(board, "policy", moving, recipe["recipe_digest"], **about)
     with pytest.raises(RacinesError, match=r"other: dataset\.digest: .*; the world of board beat"):
         recompute(other, Ground("beating", settings, grader=None), RESULTS)
-
-
-class Watched(PlannerAgent):
-    """The planner, and what it saw and did."""
-
-    def __init__(self):
-        super().__init__()
-        self.seen, self.done = [], []
-
-    def act(self, observation, seeds):
-        action = super().act(observation, seeds)
-        self.seen.append(observation["params"].clone())
-        self.done.append(action.clone())
-        return action
 
 
 def test_a_policy_that_knows_the_test_patients_is_flagged(board, monkeypatch):

@@ -16,7 +16,6 @@ from racines_data.phantom.config import recorded_phantom
 from racines_data.phantom.model import shared_phantom
 from racines_data.store.frames import open_store
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
-from racines_envs.agents.planner import PlannerAgent
 from racines_envs.cli.settings import phantom_config
 from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
 from racines_envs.worlds.making import make_phantom, phantom_recipe
@@ -41,7 +40,7 @@ from racines_models.scores import scoring
 from tests.conftest import TINY, command
 from tests.leaderboard.conftest import artefact, generator_scores, write_submission
 from tests.leaderboard.graphs import lookup_generator, lookup_policy, sound_generator, sound_policy
-from tests.leaderboard.handed_in import inbox
+from tests.leaderboard.handed_in import Watched, inbox
 from tests.models.scores.test_scores import Coarse
 from tests.waiting import PATIENCE
 
@@ -264,20 +263,6 @@ def test_a_policy_starts_afresh_and_a_trace_cannot(quick, tmp_path):
     folder = tmp_path / "leaderboard/submissions/agents/mine"
     with pytest.raises(RacinesError, match="recorded data cannot be drawn anew"):
         draw_in_secret(folder, replay, tmp_path / "results", SECRET, DAY)
-
-
-class Watched(PlannerAgent):
-    """The planner, and what it saw and did."""
-
-    def __init__(self):
-        super().__init__()
-        self.seen, self.done = [], []
-
-    def act(self, observation, seeds):
-        action = super().act(observation, seeds)
-        self.seen.append(observation["params"].clone())
-        self.done.append(action.clone())
-        return action
 
 
 def test_a_policy_that_knows_the_public_starts_is_flagged(quick, tmp_path):

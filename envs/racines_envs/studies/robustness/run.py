@@ -20,13 +20,16 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.patients.pool import Pool
 from racines_data.patients.population import draw_patient
-from racines_envs.agents import learns, load_agent
-from racines_envs.agents.protocol import FILES, Agent
-from racines_envs.evaluation.agent_specs import check_view
+from racines_envs.agents.protocol import Agent
 from racines_envs.evaluation.measures import Values, measure_patients, patient_values
-from racines_envs.evaluation.patients import PatientsConfig, StartSet, act_on_patients, start_set
+from racines_envs.evaluation.patients import (
+    PatientsConfig,
+    StartSet,
+    act_on_patients,
+    open_agents,
+    start_set,
+)
 from racines_envs.evaluation.run import told_of_agent
-from racines_envs.evaluation.trainings import Training, find_trainings
 from racines_envs.studies.robustness.core import DisturbedCore
 from racines_envs.studies.robustness.disturbances import (
     DISTURBANCES,
@@ -114,6 +117,7 @@ def evaluate_robustness(
     out: Path,
     run: str | None = None,
     advance: Callable[[str], None] | None = None,
+    force: bool = False,
 ) -> dict[str, Any]:
     """Let an agent act under each condition; write `out` as it goes, and return what it holds.
 
@@ -124,13 +128,15 @@ def evaluate_robustness(
         out: the JSON file; one of the same study goes on from what it holds.
         run: what the agent is called.
         advance: told the title of each condition that is done.
+        force: take the place of another study, once the first condition is done.
 
     Raises:
-        RacinesError: as `evaluate_patients`; or a file of another study, which is left as it is.
+        RacinesError: as `evaluate_patients`; or, without `force`, a file of another study, which is
+            left as it is. Other code makes another study.
     """
     config, began = on_device(config), time.perf_counter()
     starts, wanted = start_set(config), conditions(config)
-    agents, trainings = _agents(name, run_dir, config)
+    agents, trainings = open_agents(name, run_dir, config)
     about = told_of_agent(agents[0], trainings, config.device)
     document: dict[str, Any] = {
         "schema": SCHEMA, **about, "agent": run or about["agent"],
@@ -140,7 +146,7 @@ def evaluate_robustness(
     }  # fmt: skip
     study = _identity(document, config)
     document |= {"study": study, "conditions": {}, "seconds": 0.0}
-    kept = _read(out, study)
+    kept = _read(out, study, force)
     spent = kept.get("seconds", 0.0)
     document["conditions"] = {
         each.title: kept["conditions"][each.title]
@@ -175,19 +181,6 @@ def described(name: str) -> dict[str, Any]:
     return {"what": each.what, "unit": each.unit, "amounts": list(each.amounts)}
 
 
-def _agents(
-    name: str, run_dir: Path, config: RobustnessConfig
-) -> tuple[list[Agent], list[Training]]:
-    first = load_agent(name, run_dir, config.device)
-    check_view(first, config.view, name, run_dir)
-    given = Path(name).suffix.lower() in FILES
-    trainings = [Training(Path(run_dir))]
-    if learns(first) and not given:
-        trainings = find_trainings(run_dir)
-    others = [load_agent(name, each.folder, config.device) for each in trainings[1:]]
-    return [first, *others], trainings
-
-
 def _under(
     condition: Condition, agents: list[Agent], config: RobustnessConfig, starts: StartSet
 ) -> Values:
@@ -216,20 +209,25 @@ def _identity(document: dict[str, Any], config: RobustnessConfig) -> str:
     aside = ("chunk", "device", "disturbances")
     settings = {key: value for key, value in asdict(config).items() if key not in aside}
     parts = {key: document[key] for key in ("agent", "weights", "task", "phantom", "disturbances")}
-    code = document["code"]["version"]
+    code = document["code"]
     return recipe_digest(json.loads(json.dumps(parts | {"settings": settings, "code": code})))
 
 
-def _read(out: Path, study: str) -> dict[str, Any]:
+def _read(out: Path, study: str, force: bool) -> dict[str, Any]:
+    """Return what a file holds of a study; nothing where there is none."""
     if not out.is_file():
         return {}
     try:
         kept = json.loads(out.read_text())
     except ValueError as error:
+        if force:
+            return {}
         raise RacinesError(f"{out}: not readable as JSON: {error}; remove it") from error
-    if kept.get("study") != study:
-        raise RacinesError(f"{out}: holds another study: give another --out, or --force")
-    return kept
+    if kept.get("study") == study:
+        return kept
+    if force:
+        return {}
+    raise RacinesError(f"{out}: holds another study: give another --out, or --force")
 
 
 def changes(document: dict[str, Any]) -> Iterator[tuple[str, list[dict[str, Any] | None]]]:
