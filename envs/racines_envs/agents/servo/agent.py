@@ -65,6 +65,7 @@ class ServoAgent:
         read, worth = self.read(observation, pose)
         mind = self._mind or Mind.new(read)
         mind.learn(read, pose, worth, labels, same)
+        mind.search(labels)
         centre = mind.centre(labels)
         goal, then = (mind.goal(centre, further, self._offsets, self._task) for further in (0, 1))
         action, reached = self._steering.by_way_of(pose, goal, then, SLACK)

@@ -1,12 +1,16 @@
 """What a servo keeps from step to step of N episodes, and where it wants to be.
 
-    belief ---- waypoint 1 about it, waypoint 2, … ---- the belief, where it rests
+    belief ---- waypoint 1 about it, waypoint 2, … ---- the next window, … ---- the best, to rest
 
 Readings of neighbouring images err alike; those of poses about a view err in their own ways, and
 their mean is more exact. So a servo that has come to where it believes the view does not rest yet:
 it looks on from poses about it, and goes to what all of them say. They say it twice: by where they
 read the view, and by how completely they show it themselves, of which the weighted mean of the
 poses is taken, as in the cross-entropy method (Rubinstein and Kroese, 2004).
+
+One rib space off, a picture looks much like the view and is foreshortened; between the spaces
+there is shadow, so that nothing leads from one to the other. The servo therefore goes there too,
+and rests where the view was shown best: see `windows`.
 """
 
 from dataclasses import dataclass
@@ -23,15 +27,19 @@ from racines_data.geometry import (
     rotation_vector,
 )
 from racines_envs.agents.servo.belief import FADE, LASTING, Belief
+from racines_envs.agents.servo.windows import Windows
 from racines_envs.task.tasks import Task
 from racines_envs.task.tiers import middles
 
-WAYPOINTS = 12
-"""Poses about the belief from which it looks; ways are walked step by step, looking all along."""
+WAYPOINTS, LOOK = 10, 4
+"""Poses about the belief from which it looks, and how many of them in each space, the rest where it
+is going to rest; ways are walked step by step, looking all along."""
 REACH = (1.5, 1.5, 0.0, 1.5, 1.5, 1.5)
 """Unit steps to either side, along and about the probe's axes; its pressure stays."""
-HOME = 110
-"""Steps after which it goes to its belief, wherever it is."""
+CHOOSE, HOME = 150, 180
+"""Steps after which it goes to the best of the spaces that it has seen, and to rest there."""
+FURTHER = 95
+"""Steps after which the space on the other side is not worth the way."""
 GOLDEN = 1.1347241384
 """Positive root of x⁶ = x + 1, whose inverse powers spread points evenly in five dimensions
 (Roberts, The Unreasonable Effectiveness of Quasirandom Sequences, 2018)."""
@@ -60,18 +68,21 @@ class Mind:
 
     belief: Belief
     seen: Tensor
-    """(N, 7): a weight, and weighted sums of shifts, m, and turns, rad, from the view's middle."""
+    """(N, 8): a weight, and weighted sums of shifts, m, and turns, rad, from the view's middle, and
+    of how well poses showed the view."""
     place: Tensor
     """(N,) int64 number of the waypoint that a row is on its way to."""
     steps: Tensor
     """(N,) int64 steps so far."""
+    windows: Windows
 
     @classmethod
     def new(cls, belief: Belief) -> "Mind":
         """Begin episodes with a first belief."""
         count, device = len(belief.placed), belief.placed.device
         none = torch.zeros(count, dtype=torch.int64, device=device)
-        return cls(belief, torch.zeros(count, 7, device=device), none, none.clone())
+        seen = torch.zeros(count, 8, device=device)
+        return cls(belief, seen, none, none.clone(), Windows.new(belief, seen))
 
     def learn(self, read: Belief, pose: Pose, worth: Tensor, labels: Tensor, same: Tensor) -> None:
         """Take in what (N,) images show; rows that are not the same episodes begin anew.
@@ -85,20 +96,33 @@ class Mind:
         """
         for each in (self.place, self.steps, self.seen):
             each.masked_fill_(~same.view(-1, *[1] * (each.dim() - 1)), 0)
+        self.windows.forget(~same)
+        looks = ~self.windows.travels
         fade = torch.where(self.place > 0, LASTING, FADE)[:, None, None]
-        self.belief = self.belief.after(read, fade).kept(same, read)
+        learned = self.belief.after(read, fade).kept(looks, self.belief)
+        self.belief = learned.kept(same, read)
         about = middles(labels)
         turn = rotation_vector(matmul3(about.rotation.transpose(1, 2).contiguous(), pose.rotation))
-        lies = torch.cat([torch.ones_like(worth)[:, None], pose.position - about.position, turn], 1)
-        weight = torch.exp(SHARP * (worth - 1.0)) * (self.place > 0)
-        self.seen = RECENT * self.seen + weight[:, None] * lies
+        lies = [torch.ones_like(worth)[:, None], pose.position - about.position, turn]
+        weight = torch.exp(SHARP * (worth - 1.0)) * ((self.place > 0) & looks)
+        self.seen = RECENT * self.seen + weight[:, None] * torch.cat([*lies, worth[:, None]], 1)
+
+    def search(self, labels: Tensor) -> None:
+        """Let rows that have looked all about a window go on to the next, at last to the best."""
+        windows, late = self.windows, self.steps >= CHOOSE
+        rows = ((self.place > LOOK) | late) & ~windows.chosen
+        windows.leave(rows, self.belief, self.seen, self.centre(labels), middles(labels))
+        enough = late | ((windows.number == 1) & (self.steps > FURTHER))
+        self.belief, self.seen = windows.enter(rows, self.belief, self.seen, enough)
+        begun = torch.where(windows.chosen, LOOK + 1, 0)
+        self.place = torch.where(rows, begun, self.place)
 
     def centre(self, labels: Tensor) -> Pose:
         """Return the (N,) poses where rows believe the views of (N,) labels, as read and seen."""
         read, about = self.belief.among(labels).pose, middles(labels)
         turn = rotation_vector(matmul3(about.rotation.transpose(1, 2).contiguous(), read.rotation))
         lies = torch.cat([read.position - about.position, turn], 1)
-        seen = self.seen[:, 1:] / self.seen[:, :1].clamp_min(1e-20)
+        seen = self.seen[:, 1:7] / self.seen[:, :1].clamp_min(1e-20)
         share = torch.where(self.seen[:, :1] > 0.0, SHOWN, 0.0)
         lies = lies + share * (seen - lies)
         rotation = matmul3(about.rotation, axis_angle_to_matrix(lies[:, 3:]))
@@ -122,4 +146,7 @@ class Mind:
 
     def step(self, reached: Tensor) -> None:
         """Count a step; (N,) bool rows have come to where they were going."""
-        self.place, self.steps = self.place + reached.long(), self.steps + 1
+        come = reached & self.windows.travels
+        self.windows.travels = self.windows.travels & ~come
+        self.place = self.place + (reached & ~come).long()
+        self.steps = self.steps + 1
