@@ -170,7 +170,7 @@ def test_looking_about_a_view_tells_more_than_one_look(still):
     core = make_core("AnyView-patients", 12, observation="params", phantom=still)
     final = rollout(core, Told(), torch.arange(12)).final
     assert np.median(final["position_error"]) < 0.5 * 0.15 * 0.02 * 3**0.5
-    assert final["steps"].max() <= mind.HOME + 40
+    assert final["steps"].max() <= mind.CHOOSE + 40
 
 
 def fake_shard(patient, config, folder):
@@ -186,7 +186,7 @@ def fake_visit(agent, patient, places, config, seed):
     return frames._replace(scores=torch.full((6, 5), weight % 1.0))
 
 
-VISITS = VisitConfig(rounds=1, patients=2, episodes=2, steps=3, every=1, images=16)
+VISITS = VisitConfig(rounds=1, patients=2, episodes=2, steps=3, images=16)
 
 
 @pytest.fixture
@@ -270,12 +270,12 @@ def test_a_killed_run_goes_on_with_its_round(tiny, tmp_path, monkeypatch):
 @pytest.mark.parametrize("patient", [2, 3])
 def test_what_a_servo_visits_is_where_it_went(patient):
     agent = ServoAgent(ServoConfig(), network())
-    seen = visit(agent, patient, 2, VisitConfig(episodes=4, steps=3, every=1), 0)
+    seen = visit(agent, patient, 2, VisitConfig(episodes=4, steps=3), 0)
     assert seen.images.shape == (12, 64, 64) and seen.ways.shape == (12, 5, 6)
     first, then = seen.ways[:4], seen.ways[4:8]
     stepped = (first - then)[..., :3].norm(dim=-1).amax(1)
     assert float(stepped.max()) < 0.02 and bool((seen.scores <= 1.0).all())
-    again = visit(agent, patient, 2, VisitConfig(episodes=4, steps=3, every=1), 0)
+    again = visit(agent, patient, 2, VisitConfig(episodes=4, steps=3), 0)
     assert all(torch.equal(*both) for both in zip(seen, again, strict=True))
     other = visit(agent, patient, 2, VisitConfig(episodes=4, steps=3), 1)
     assert not torch.equal(seen.ways, other.ways)

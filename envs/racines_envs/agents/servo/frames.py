@@ -1,7 +1,6 @@
 """What a servo learns from: frames of train patients, and the ways from there to all views.
 
     start about a view's middle ----- frame, strayed a little ----> nominal pose of that view
-    a rib space beside that ----- frame, aimed alike, strayed a little ----> the same
 
 A heart is drawn as it lies in several train patients, at no cost but a search for its views there.
 Frames of one patient are a shard, a function of the patient, the settings and the world's version
@@ -34,7 +33,6 @@ from racines_data.patients.pool import Pool
 from racines_data.patients.population import draw_patient, lie_anew
 from racines_data.patients.splits import seeds_of, split_of
 from racines_data.randomness import derive, normal, uniform
-from racines_envs.agents.servo.windows import SPACE, aimed
 from racines_envs.task.tiers import LONGEST, middles
 from racines_models.networks.servo import SIDE
 
@@ -45,12 +43,6 @@ JITTER, TURN = (0.005, 0.005, 0.0012), 0.08
 """Standard deviations of a frame about the straight way, m and rad: agents take other ways."""
 CLOSE = 0.25
 """Share of these that is left at the target: there agents are about to rest."""
-BESIDE, SLANT = 1.35, 0.4
-"""Greatest shift beside a view, rib spaces, and how far ribs may lie aslant."""
-STRAYED, TILTED = (0.002, 0.003, 0.0012), (0.04, 0.05, 0.1)
-"""Standard deviations about that, m in the base frame and rad about the probe's axes."""
-AIMED = 0.09, 0.08
-"""Least depth of what stays in the middle of the picture, and its range, m."""
 FORCE_LIMIT = 20.0  # N, as the tasks'
 
 
@@ -68,9 +60,6 @@ class FrameConfig:
     nearer: float = 1.6
     """Exponent on a uniform share of the way from target to start: above 1, more frames near the
     target, where an agent has to be exact, than far off."""
-    beside: float = 0.3
-    """Share of the frames up to a rib space and more beside a view and aimed alike: what is seen
-    there looks most like it, and has to be told from it."""
 
 
 class Frames(NamedTuple):
@@ -107,7 +96,7 @@ def draw_frames(pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig) ->
     time = uniform(seeds, 1, STREAM)[:, 0].double() * LONGEST
     moving = uniform(seeds, 1, STREAM + 1)[:, 0] < config.moving
     phase = torch.where(moving.unsqueeze(1), pool.phase(rows, time), 0.0)
-    pose = draw_poses(pool.targets(rows, phase), seeds, config.nearer, config.beside)
+    pose = draw_poses(pool.targets(rows, phase), seeds, config.nearer)
     allowed = pool.workspace.contains(pose) & (-pool.wrench(pose)[:, 2] <= FORCE_LIMIT)
     pose = Pose(*(part[allowed] for part in pose))
     rows, phase, seeds = rows[allowed], phase[allowed], seeds[allowed]
@@ -117,11 +106,8 @@ def draw_frames(pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig) ->
     return Frames(shrink(images), ways_to(pose, pool.targets(rows)), shown, grades)
 
 
-def draw_poses(targets: Pose, seeds: Tensor, nearer: float, beside: float = 0.0) -> Pose:
-    """Return (N,) poses on the way to one of each row's (N, V) targets, which the seed names.
-
-    A share of them lies beside it instead.
-    """
+def draw_poses(targets: Pose, seeds: Tensor, nearer: float) -> Pose:
+    """Return (N,) poses on the way to one of each row's (N, V) targets, which the seed names."""
     each, u = torch.arange(len(seeds)), uniform(seeds, 8, STREAM + 2)
     label = (u[:, 0] * targets.position.shape[1]).long()
     goal, about = Pose(*(part[each, label] for part in targets)), middles(label)
@@ -137,25 +123,7 @@ def draw_poses(targets: Pose, seeds: Tensor, nearer: float, beside: float = 0.0)
     place = place + strayed[:, :3] * torch.tensor(JITTER) * loose[:, :1]
     turn = rotation_vector(matmul3(goal.rotation.transpose(1, 2), begun))
     turned = axis_angle_to_matrix(turn * far[:, 1:] + strayed[:, 3:6] * TURN * loose[:, 1:])
-    way = Pose(place, orthonormalise(matmul3(goal.rotation, turned)))
-    off = _draw_beside(goal, seeds)
-    other = u[:, 7] < beside
-    return Pose(
-        torch.where(other[:, None], off.position, way.position),
-        torch.where(other[:, None, None], off.rotation, way.rotation),
-    )
-
-
-def _draw_beside(goal: Pose, seeds: Tensor) -> Pose:
-    """Return poses a rib space and less beside (N,) goals, aimed alike and strayed."""
-    u, strayed = uniform(seeds, 3, STREAM + 5), normal(seeds, 6, STREAM + 6)
-    along = (2.0 * u[:, 0] - 1.0) * (BESIDE * SPACE)
-    across = (2.0 * u[:, 1] - 1.0) * SLANT * along
-    shift = torch.stack([along, across, torch.zeros_like(along)], -1)
-    shift = shift + strayed[:, :3] * torch.tensor(STRAYED)
-    moved = aimed(goal, shift, AIMED[0] + AIMED[1] * u[:, 2:])
-    turn = axis_angle_to_matrix(strayed[:, 3:] * torch.tensor(TILTED))
-    return Pose(moved.position, orthonormalise(matmul3(moved.rotation, turn)))
+    return Pose(place, orthonormalise(matmul3(goal.rotation, turned)))
 
 
 def places_of(patient: int, count: int) -> list[Patient]:

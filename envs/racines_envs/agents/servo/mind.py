@@ -31,13 +31,13 @@ from racines_envs.agents.servo.windows import Windows
 from racines_envs.task.tasks import Task
 from racines_envs.task.tiers import middles
 
-WAYPOINTS, LOOK = 10, 4
-"""Poses about the belief from which it looks, and how many of them in each space, the rest where it
-is going to rest; ways are walked step by step, looking all along."""
+WAYPOINTS = 4
+"""Poses about the belief from which it looks in each space; ways are walked step by step, looking
+all along."""
 REACH = (1.5, 1.5, 0.0, 1.5, 1.5, 1.5)
 """Unit steps to either side, along and about the probe's axes; its pressure stays."""
-CHOOSE, HOME = 150, 180
-"""Steps after which it goes to the best of the spaces that it has seen, and to rest there."""
+CHOOSE = 150
+"""Steps after which it goes to the best of the spaces that it has seen, to rest there."""
 FURTHER = 95
 """Steps after which the space on the other side is not worth the way."""
 GOLDEN = 1.1347241384
@@ -46,11 +46,14 @@ GOLDEN = 1.1347241384
 
 
 def waypoints() -> Tensor:
-    """Return (W + 1, 6) offsets in unit steps, the first 0: the belief itself."""
-    count = torch.arange(1, WAYPOINTS + 1, dtype=torch.float64).unsqueeze(1)
+    """Return (W + 1, 6) offsets in unit steps, the first 0: the belief itself.
+
+    The second half are the first half's opposites, so that their mean is the belief.
+    """
+    count = torch.arange(1, WAYPOINTS // 2 + 1, dtype=torch.float64).unsqueeze(1)
     powers = GOLDEN ** -torch.tensor([1.0, 2.0, 0.0, 3.0, 4.0, 5.0], dtype=torch.float64)
     spread = 2.0 * (0.5 + count * powers).frac() - 1.0
-    offsets = spread * torch.tensor(REACH, dtype=torch.float64)
+    offsets = torch.cat([spread, -spread]) * torch.tensor(REACH, dtype=torch.float64)
     return torch.cat([offsets.new_zeros(1, 6), offsets]).float()
 
 
@@ -110,11 +113,11 @@ class Mind:
     def search(self, labels: Tensor) -> None:
         """Let rows that have looked all about a window go on to the next, at last to the best."""
         windows, late = self.windows, self.steps >= CHOOSE
-        rows = ((self.place > LOOK) | late) & ~windows.chosen
+        rows = ((self.place > WAYPOINTS) | late) & ~windows.chosen
         windows.leave(rows, self.belief, self.seen, self.centre(labels), middles(labels))
         enough = late | ((windows.number == 1) & (self.steps > FURTHER))
         self.belief, self.seen = windows.enter(rows, self.belief, self.seen, enough)
-        begun = torch.where(windows.chosen, LOOK + 1, 0)
+        begun = torch.where(windows.chosen, WAYPOINTS + 1, 0)
         self.place = torch.where(rows, begun, self.place)
 
     def centre(self, labels: Tensor) -> Pose:
@@ -138,7 +141,7 @@ class Mind:
             task: whose unit steps are taken.
         """
         place = self.place + further
-        offset = offsets[torch.where((place < len(offsets)) & (self.steps < HOME), place, 0)]
+        offset = offsets[torch.where(place < len(offsets), place, 0)]
         turn = axis_angle_to_matrix(offset[:, 3:] * task.step_rotation)
         shift = rotate(centre.rotation, offset[:, :3] * task.step_translation)
         rotation = orthonormalise(matmul3(centre.rotation, turn))

@@ -84,8 +84,7 @@ def _visited(
         places = config.frames.places
         return kept(path, lambda: visit(agent, patient, places, visits, run.seed + turn))
 
-    kept_steps = -(-visits.steps // visits.every)
-    bank = Bank(seeds, visits.episodes * kept_steps, drawn)
+    bank = Bank(seeds, visits.episodes * visits.steps, drawn)
     bank.holding(len(seeds))  # before the network that acts learns on
     return bank
 

@@ -8,14 +8,12 @@ errors lead, so it is let act on train patients, and learns on from what it sees
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.patients.pool import Pool
 from racines_data.randomness import derive
 from racines_envs.agents.protocol import Agent
 from racines_envs.agents.servo.frames import Frames, places_of, shrink, ways_to
-from racines_envs.task.core import ScanCore
 from racines_envs.task.names import ANY_VIEW, BEATING, PATIENTS, task_name
 from racines_envs.task.tiers import STEP_SECONDS
 from racines_envs.worlds.making import make_core
@@ -34,21 +32,15 @@ class VisitConfig:
     """Train patients on whom it acts in a round, each round others."""
     episodes: int = 32
     """Episodes on each, over all ways in which the patient lies."""
-    steps: int = 200
-    """Steps of an episode at most."""
-    every: int = 4
-    """Of how many steps one is kept: neighbours show the same."""
+    steps: int = 60
+    """Steps of an episode that are kept at most."""
     images: int = 300_000
     """Training images seen in a round."""
     share: float = 0.5
     """Of them, those of its own ways."""
 
-    @property
-    def _counts(self) -> tuple[int, ...]:
-        return self.patients, self.episodes, self.steps, self.every, self.images
-
     def __post_init__(self) -> None:
-        if self.rounds < 0 or min(self._counts) < 1:
+        if self.rounds < 0 or min(self.patients, self.episodes, self.steps, self.images) < 1:
             raise RacinesError("agents.servo.visits: rounds are 0 or more, the rest 1 or more")
         if not 0.0 < self.share < 1.0:
             raise RacinesError(f"agents.servo.visits: share {self.share}: between 0 and 1")
@@ -68,26 +60,19 @@ def visit(agent: Agent, patient: int, places: int, config: VisitConfig, seed: in
     seeds = derive(torch.full((count,), STREAM), seed, patient, torch.arange(count))
     observation = core.reset(seeds, case=torch.arange(count) % len(pool))
     seen: list[Frames] = []
-    for step in range(config.steps):
+    for _ in range(config.steps):
         state = core.state
         live = (~state.done).nonzero().squeeze(1)
         if len(live) == 0:
             break
-        kept = live[(live + step) % config.every == 0]
-        if len(kept) > 0:
-            seen.append(_shown(core, kept, observation["image"]))
+        case, pose = state.case[live], state.taken(live).pose
+        time = (state.began + STEP_SECONDS * state.steps)[live]
+        phase = pool.phase(case, time) if pool.beating else None
+        ways = ways_to(pose, pool.targets(case))
+        grades = pool.judge(pose, case, phase).view_grade / 10.0
+        shown = pool.scores(pose, case, phase).float()
+        seen.append(Frames(shrink(observation["image"][live]), ways, shown, grades))
         observation = core.step(
             agent.act(observation, core.decision_seeds()), rows=live
         ).observation
     return Frames(*(torch.cat(column) for column in zip(*seen, strict=True)))
-
-
-def _shown(core: ScanCore, rows: Tensor, images: Tensor) -> Frames:
-    """Return what (M,) rows of an environment of patients show now."""
-    state, pool = core.state, core.phantom.pool
-    case, pose = state.case[rows], state.taken(rows).pose
-    time = (state.began + STEP_SECONDS * state.steps)[rows]
-    phase = pool.phase(case, time) if pool.beating else None
-    grades = pool.judge(pose, case, phase).view_grade / 10.0
-    shown = pool.scores(pose, case, phase).float()
-    return Frames(shrink(images[rows]), ways_to(pose, pool.targets(case)), shown, grades)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3, orthonormalise
 from racines_envs.agents.servo.belief import UNITS, Belief
@@ -120,19 +121,14 @@ def beside(pose: Pose, side: Tensor) -> Belief:
     """Return what is believed on coming to a space beside (N,) poses, on (N,) sides."""
     shift = torch.zeros_like(pose.position)
     shift[:, 0] = SPACE * side
+    beam = pose.rotation[:, :, 2]
+    aimed = normalize(AIM * beam - shift, dim=-1)
+    axis = torch.linalg.cross(beam, aimed)
+    angle = torch.asin(axis.norm(dim=-1, keepdim=True).clamp_max(1.0))
+    turn = axis_angle_to_matrix(normalize(axis, dim=-1) * angle)
+    moved = Pose(pose.position + shift, orthonormalise(matmul3(turn, pose.rotation)))
     precise = [
         torch.diag((unit / torch.tensor(each, device=shift.device)).square())
         for each, unit in zip(UNSURE, UNITS, strict=True)
     ]
-    moved = aimed(pose, shift, torch.full_like(side, AIM).unsqueeze(1))
     return Belief(moved, *(each.expand(len(side), 3, 3) for each in precise))
-
-
-def aimed(pose: Pose, shift: Tensor, depth: Tensor) -> Pose:
-    """Return (N,) poses moved by (N, 3) shifts, m, that see what lay (N, 1) m deep where it was."""
-    beam = pose.rotation[:, :, 2]
-    turned = torch.nn.functional.normalize(depth * beam - shift, dim=-1)
-    axis = torch.linalg.cross(beam, turned)
-    angle = torch.asin(axis.norm(dim=-1, keepdim=True).clamp_max(1.0))
-    turn = axis_angle_to_matrix(torch.nn.functional.normalize(axis, dim=-1) * angle)
-    return Pose(pose.position + shift, orthonormalise(matmul3(turn, pose.rotation)))
