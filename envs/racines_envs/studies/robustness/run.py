@@ -3,7 +3,8 @@
     nothing, then each disturbance at three strengths, then all of them at three strengths
 
 What is reported is the share found and declared, and by how much less that is than with nothing
-wrong, paired by patient. Conditions are written as they are done; a run that was killed goes on.
+wrong, paired by patient; and who was found, episode by episode, so that whoever is handed a report
+can make its figures again. Conditions are written as they are done; a run that was killed goes on.
 """
 
 import json
@@ -45,7 +46,7 @@ from racines_envs.worlds.ward import Ward
 from racines_models.devices import on_device
 from racines_models.statistics import Evidence
 
-SCHEMA = "racines.robustness/1"
+SCHEMA = "racines.robustness/2"
 NOTHING, ALL = "nothing", "all"
 RANKED = "success_declared"
 SHOWN = (RANKED, "reached", "false_declarations", "seconds", "position_error_median",
@@ -143,6 +144,7 @@ def evaluate_robustness(
         "task": {"view": config.view, "start_set": starts.told(config)},
         "phantom": patients_recipe(config.task.tier),
         "disturbances": {each: described(each) for each in DISTURBANCES},
+        "patients": starts.units.tolist(),
     }  # fmt: skip
     study = _identity(document, config)
     document |= {"study": study, "conditions": {}, "seconds": 0.0}
@@ -165,6 +167,7 @@ def evaluate_robustness(
         row: dict[str, Any] = {"name": condition.name, "strength": condition.strength}
         row |= {"amounts": told(condition.applied)}
         row |= {"metrics": {each: metrics[each] for each in SHOWN}}
+        row["found"] = values[RANKED].astype(int).tolist()
         if condition.name != NOTHING:
             row["change"] = _change(values[RANKED] - base, starts.units)
         document["conditions"][condition.title] = row
@@ -208,7 +211,8 @@ def _identity(document: dict[str, Any], config: RobustnessConfig) -> str:
     """Return a digest of all that decides the figures."""
     aside = ("chunk", "device", "disturbances")
     settings = {key: value for key, value in asdict(config).items() if key not in aside}
-    parts = {key: document[key] for key in ("agent", "weights", "task", "phantom", "disturbances")}
+    keys = ("schema", "agent", "weights", "task", "phantom", "disturbances")
+    parts = {key: document[key] for key in keys}
     code = document["code"]
     return recipe_digest(json.loads(json.dumps(parts | {"settings": settings, "code": code})))
 
