@@ -31,14 +31,19 @@ def found_disturbed(document: dict[str, Any]) -> dict[str, Any]:
     Raises:
         ValueError: no condition of the middle strength, or lists of unequal lengths.
     """
-    rows = document["conditions"].values()
-    alone = [
-        row["found"]
-        for row in rows
-        if row["strength"] == MIDDLE and row["name"] not in (NOTHING, ALL)
-    ]
     units = np.asarray(document["patients"], np.int32)
+    alone = [row["found"] for row in single(document).values()]
     found = np.asarray(alone, np.float64).mean(0)  # (R, N)
     places = np.arange(len(units))
     figures = Evidence().add("found", "mean", found[:, None], places, units, 0.0, 1.0)
     return figures.interval().to_json()
+
+
+def single(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the conditions with one thing wrong at the middle strength, by its name."""
+    rows = document["conditions"].values()
+    return {
+        row["name"]: row
+        for row in rows
+        if row["strength"] == MIDDLE and row["name"] not in (NOTHING, ALL)
+    }
