@@ -31,6 +31,7 @@ from racines_envs.evaluation.patients import (
     start_set,
 )
 from racines_envs.evaluation.run import told_of_agent
+from racines_envs.studies.kept import read_kept
 from racines_envs.studies.robustness.core import DisturbedCore
 from racines_envs.studies.robustness.disturbances import (
     DISTURBANCES,
@@ -148,7 +149,7 @@ def evaluate_robustness(
     }  # fmt: skip
     study = _identity(document, config)
     document |= {"study": study, "conditions": {}, "seconds": 0.0}
-    kept = _read(out, study, force)
+    kept = read_kept(out, study, force)
     spent = kept.get("seconds", 0.0)
     document["conditions"] = {
         each.title: kept["conditions"][each.title]
@@ -215,23 +216,6 @@ def _identity(document: dict[str, Any], config: RobustnessConfig) -> str:
     parts = {key: document[key] for key in keys}
     code = document["code"]
     return recipe_digest(json.loads(json.dumps(parts | {"settings": settings, "code": code})))
-
-
-def _read(out: Path, study: str, force: bool) -> dict[str, Any]:
-    """Return what a file holds of a study; nothing where there is none."""
-    if not out.is_file():
-        return {}
-    try:
-        kept = json.loads(out.read_text())
-    except ValueError as error:
-        if force:
-            return {}
-        raise RacinesError(f"{out}: not readable as JSON: {error}; remove it") from error
-    if kept.get("study") == study:
-        return kept
-    if force:
-        return {}
-    raise RacinesError(f"{out}: holds another study: give another --out, or --force")
 
 
 def changes(document: dict[str, Any]) -> Iterator[tuple[str, list[dict[str, Any] | None]]]:
