@@ -33,6 +33,7 @@ def ejection(
     settings: opt.Set = None,
     params: opt.Params = None,
     profile: opt.Profile = None,
+    force: opt.Force = False,
     as_json: opt.AsJson = False,
 ) -> None:
     """Measure the ejection fraction at the four-chamber view that an agent finds in beating hearts.
@@ -60,17 +61,19 @@ def ejection(
     config = fill(EjectionConfig, section(values, "ejection") | chosen, "ejection")
     out = out or SCORES / f"{entry.name}-ejection.json"
     opt.check_ending(out, ".json")
+    parts = out.with_suffix(".parts.json")
     trained = (each for each in JUDGES if (each / "config.json").is_file())
     judge = SegmentationJudge.load(segmentation or next(trained, JUDGES[0]), config.device)
     with progress_bar(not as_json, "patients") as bar:
         task = bar.add_task(entry.name, total=config.patients)
         report, measured, truth = study_ejection(
             entry.agent, run or entry.folder, config, judge, entry.name,
-            lambda count: bar.advance(task, count),
+            lambda count: bar.advance(task, count), parts, force,
         )  # fmt: skip
     write_json(out, report)
     picture = out.with_suffix(".png")
     write_atomic(picture, draw_ejection(report, measured, truth))
+    parts.unlink(missing_ok=True)
     head = ("pose, outlines", "figure", "bias", "limits of agreement", "correlation", "n")
     rows = [row for title, told in report["agreement"].items() for row in _rows(title, told)]
     errors = ", ".join(

@@ -25,7 +25,7 @@ from racines_envs.agents.protocol import FILES, Agent
 from racines_envs.agents.rollout import Episodes, rollout
 from racines_envs.evaluation.agent_specs import check_view, plain_name
 from racines_envs.evaluation.measures import Metrics, Values, measure_patients, patient_values
-from racines_envs.evaluation.run import SCHEMA, Scored, core_for, told_of_agent
+from racines_envs.evaluation.run import SCHEMA, Scored, core_for, extractors_of, told_of_agent
 from racines_envs.evaluation.trainings import Training, find_trainings
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER
@@ -141,6 +141,8 @@ def evaluate_patients(
     scores |= {"task": task, "phantom": patients_recipe(config.task.tier), "metrics": metrics}
     scores |= {"by_pathology": _by_pathology(values, starts.units), "seeds": [starts.seed]}
     scores |= {"agent": run or agent.name} | ({"board": board} if board else {})
+    if guide := extractors_of(agent):
+        scores["extractors"] = guide
     return Scored(scores | {"seconds": time.perf_counter() - began}, evidence)
 
 

@@ -163,7 +163,7 @@ def evaluate(
         metrics["latency"] = timed
     by_seed = measure_by_seed(values, config.sets)
     scores = _document(trainings, config, core, agent, {"metrics": metrics, "by_seed": by_seed})
-    scores |= {"extractors": _extractors(agent, grader), "agent": run or agent.name}
+    scores |= {"extractors": extractors_of(agent, grader), "agent": run or agent.name}
     scores |= {"board": board} if board else {}
     scores["seconds"] = time.perf_counter() - began
     return Evaluation(scores, evidence, acted[0][0], core, config.pictured)
@@ -255,7 +255,7 @@ def reference_steps(view: str, seeds: Tensor, phantom: World, device: str) -> np
     return rollout(core, PlannerAgent(), seeds.to(core.device)).final["steps"]
 
 
-def _extractors(agent: Agent, grader: Judge | None) -> dict[str, dict[str, Any]]:
+def extractors_of(agent: Agent, grader: Judge | None = None) -> dict[str, dict[str, Any]]:
     """Return the settings, with hashes, of what judged the last images and of the agent's guide."""
     graders = {"grader": grader, "guide": getattr(agent, "guide", None)}
     told = {kind: each.settings for kind, each in graders.items() if each is not None}

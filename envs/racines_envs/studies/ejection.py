@@ -6,12 +6,17 @@ The same is done with the true outlines in place of the judge's, and with the pl
 told where the view is, in place of the agent's. What the planner's true outlines miss is geometry:
 one plane and round disks. What the agent's true outlines miss beyond that is the view; what the
 judge's outlines miss beyond those is the segmentation.
+
+Each training's part of each chunk of patients is kept as it is done; a study that was killed goes
+on.
 """
 
 import io
+import json
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,8 +25,10 @@ import torch
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.escape import visible
+from racines_data.files import write_json
 from racines_data.geometry import Pose
 from racines_data.patients.labels import LABELS
 from racines_data.patients.pool import Pool
@@ -31,17 +38,19 @@ from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import rollout
 from racines_envs.evaluation.patients import PatientsConfig, StartSet, open_agents, start_set
 from racines_envs.evaluation.run import core_for, told_of_agent
+from racines_envs.studies.kept import read_kept
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import BEATING
 from racines_envs.task.tiers import STEP_SECONDS
 from racines_envs.worlds.making import patients_recipe
-from racines_envs.worlds.ward import make_ward
+from racines_envs.worlds.ward import Ward, make_ward
 from racines_models.devices import on_device
 from racines_models.judges.segmentation.model import SegmentationJudge
 from racines_models.judges.segmentation.structures import relabel, to_camus, to_structures
 from racines_models.studies.sim_to_real.ejection import agreement, disk_volume
 
 SCHEMA = "racines.ejection/1"
+PARTS = "racines.ejection-parts/1"
 FRAMES = 25
 """Pictures of the beat for which the probe is held."""
 STREAM = 457
@@ -86,6 +95,8 @@ def study_ejection(
     segmentation: SegmentationJudge,
     run: str | None = None,
     advance: Callable[[int], None] | None = None,
+    keep: Path | None = None,
+    force: bool = False,
 ) -> tuple[dict[str, Any], Measured, Beat]:
     """Let an agent find A4C, hold the probe there for a beat, and measure.
 
@@ -96,12 +107,16 @@ def study_ejection(
         segmentation: who outlines.
         run: what the agent is called.
         advance: told how many patients are through.
+        keep: a JSON file that holds what is done, from which a study that was killed goes on. It
+            stays, for who calls to remove when the report is safe.
+        force: let it take the place of another study's.
 
     Returns:
         The report, all that was measured, and what is true, an entry an episode.
 
     Raises:
-        RacinesError: as `evaluate_patients`; hearts that do not beat, or another view.
+        RacinesError: as `evaluate_patients`; hearts that do not beat, or another view; without
+            `force`, a file `keep` of another study.
     """
     config, began = on_device(config), time.perf_counter()
     if config.task.tier != BEATING or config.task.view != "A4C":
@@ -111,9 +126,14 @@ def study_ejection(
         )
     starts = start_set(config)
     agents, trainings = open_agents(name, run_dir, config)
+    about = told_of_agent(agents[0], trainings, config.device)
+    report: dict[str, Any] = {"schema": SCHEMA, **about, "agent": run or about["agent"]}
+    report |= {"task": {"view": config.view, "start_set": starts.told(config)}}
+    report |= {"phantom": patients_recipe(config.task.tier), "segmentation": segmentation.settings}
+    kept = Kept.open(keep, _identity(report, config), force)
     parts: list[tuple[Measured, Beat, np.ndarray]] = []
     for chunk in starts.chunks(config.chunk):
-        parts.append(_chunk(agents, config, chunk, segmentation))
+        parts.append(_chunk(agents, config, chunk, segmentation, kept))
         if advance is not None:
             advance(len(chunk.patients))
     measured = {
@@ -122,41 +142,113 @@ def study_ejection(
     }
     truth = _joined([part[1] for part in parts])
     declared = np.concatenate([part[2] for part in parts], 1)
-    about = told_of_agent(agents[0], trainings, config.device)
-    report: dict[str, Any] = {"schema": SCHEMA, **about, "agent": run or about["agent"]}
-    report |= {"task": {"view": config.view, "start_set": starts.told(config)}}
-    report |= {"phantom": patients_recipe(config.task.tier), "segmentation": segmentation.settings}
     report |= {"frames": FRAMES, "found_and_declared": float(declared.mean())}
     report["agreement"] = {
         f"{pose}, {outline}": _agreement(own, truth, starts.units)
         for (pose, outline), own in measured.items()
     }
     report["errors"] = _errors(measured, truth)
-    report["seconds"] = time.perf_counter() - began
+    report["seconds"] = kept.spent + time.perf_counter() - began
     return report, measured, truth
 
 
+def _identity(report: dict[str, Any], config: EjectionConfig) -> str:
+    """Return a digest of all that decides the figures, and of how patients are cut to chunks."""
+    settings = {key: value for key, value in asdict(config).items() if key != "device"}
+    names = ("schema", "agent", "weights", "task", "phantom", "segmentation", "code")
+    parts = {name: report[name] for name in names} | {"settings": settings, "frames": FRAMES}
+    return recipe_digest(json.loads(json.dumps(parts)))
+
+
+@dataclass
+class Kept:
+    """The parts of a study that are done: rows of numbers by name, in a file where there is one."""
+
+    path: Path | None
+    study: str
+    parts: dict[str, dict[str, list[float | None]]]
+    spent: float
+    """Seconds that earlier runs of the study took."""
+    began: float
+
+    @classmethod
+    def open(cls, path: Path | None, study: str, force: bool) -> "Kept":
+        """Take up what a file holds of a study; raises as `read_kept`."""
+        held = {} if path is None else read_kept(path, study, force)
+        began = time.perf_counter()
+        return cls(path, study, held.get("parts", {}), held.get("seconds", 0.0), began)
+
+    def part(self, name: str, make: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+        """Return the (N,) columns of a part, made and kept if it is not there."""
+        if name not in self.parts:
+            made = make()
+            self.parts[name] = {
+                key: [float(value) if np.isfinite(value) else None for value in column]
+                for key, column in made.items()
+            }
+            if self.path is not None:
+                seconds = self.spent + time.perf_counter() - self.began
+                content = {"schema": PARTS, "study": self.study, "parts": self.parts}
+                write_json(self.path, content | {"seconds": seconds})
+        return {key: np.array(row, np.float64) for key, row in self.parts[name].items()}
+
+
 def _chunk(
-    agents: Sequence[Agent], config: EjectionConfig, starts: StartSet, judge: SegmentationJudge
-) -> tuple[Measured, Beat, np.ndarray]:
+    agents: Sequence[Agent], config: EjectionConfig, starts: StartSet, judge: SegmentationJudge,
+    kept: Kept,
+) -> tuple[Measured, Beat, np.ndarray]:  # fmt: skip
     """Return what is measured on a chunk's patients, the truth, and (R, N) who found the view."""
-    ward = make_ward(BEATING, config.split, starts.patients, config.device)
-    case, seeds = ward.case_of(starts.units.tolist()), starts.seeds
+    made: list[Ward] = []
+
+    def ward() -> Ward:
+        """Bake the hearts, if any part is still to be done."""
+        if not made:
+            made.append(make_ward(BEATING, config.split, starts.patients, config.device))
+        return made[0]
+
+    whose = f"patients {starts.patients[0]} to {starts.patients[-1]}"
     found: Measured = {(pose, outline): [] for pose in POSES for outline in OUTLINES}
     declared = []
-    for who, several in (("agent", agents), ("planner", [PlannerAgent()])):
-        for agent in several:
-            core = core_for(
-                agent, config.task, len(seeds), reward="oracle", phantom=ward, device=config.device
-            )
-            final = rollout(core, agent, seeds.to(core.device), case).final
-            if who == "agent":
-                declared.append((final["success"] > 0) & (final["declared"] > 0))
-            for outline, beat in zip(OUTLINES, hold(ward.pool, core, judge), strict=True):
-                found[who, outline].append(beat)
-    every = [ward.pool.measures(row) for row in range(len(starts.patients))]
-    volumes = np.array([[each.volumes["lv"][0], each.volumes["lv"][-1]] for each in every])
-    return found, Beat(*np.repeat(volumes, starts.starts, 0).T), np.stack(declared)
+    for who, training, agent in _who(agents):
+        part = kept.part(
+            f"{who}, training {training}, {whose}",
+            partial(_held, agent, config, starts, judge, ward),
+        )
+        if who == "agent":
+            declared.append(part["declared"])
+        for outline in OUTLINES:
+            found[who, outline].append(Beat(part[f"{outline}.full"], part[f"{outline}.empty"]))
+    true = kept.part(f"truth, {whose}", partial(_true, starts, ward))
+    return found, Beat(true["full"], true["empty"]), np.stack(declared)
+
+
+def _who(agents: Sequence[Agent]) -> Iterator[tuple[str, int, Agent]]:
+    """Yield who acts: the agent's trainings, then the planner."""
+    yield from (("agent", row, agent) for row, agent in enumerate(agents))
+    yield "planner", 0, PlannerAgent()
+
+
+def _held(
+    agent: Agent, config: EjectionConfig, starts: StartSet, judge: SegmentationJudge,
+    ward: Callable[[], Ward],
+) -> dict[str, np.ndarray]:  # fmt: skip
+    """Return what one agent's (N,) episodes come to, by outlines, and who found the view."""
+    case, seeds = ward().case_of(starts.units.tolist()), starts.seeds
+    core = core_for(
+        agent, config.task, len(seeds), reward="oracle", phantom=ward(), device=config.device
+    )
+    final = rollout(core, agent, seeds.to(core.device), case).final
+    told = {"declared": (final["success"] > 0) & (final["declared"] > 0)}
+    for outline, beat in zip(OUTLINES, hold(ward().pool, core, judge), strict=True):
+        told |= {f"{outline}.{key}": column for key, column in beat._asdict().items()}
+    return told
+
+
+def _true(starts: StartSet, ward: Callable[[], Ward]) -> dict[str, np.ndarray]:
+    """Return the true volumes of (N,) episodes' patients."""
+    every = [ward().pool.measures(row).volumes["lv"] for row in range(len(starts.patients))]
+    volumes = np.array([[each[0], each[-1]] for each in every])
+    return Beat(*np.repeat(volumes, starts.starts, 0).T)._asdict()
 
 
 def hold(pool: Pool, core: ScanCore, judge: SegmentationJudge) -> tuple[Beat, Beat]:

@@ -15,6 +15,8 @@ from racines_data.manifest import MANIFEST
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.evaluation.patients import PatientsConfig
 from racines_envs.evaluation.run import EvaluationConfig
+from racines_envs.task.names import PATIENTS
+from racines_envs.worlds.backends import GRADERS
 from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.submissions.confined.session import Limits
@@ -165,6 +167,10 @@ class Bench:
 
     def judge_folders(self, kind: str) -> list[Path]:
         """Return where judges of a kind lie: the one given, or else those of the usual places."""
-        usual = [self.places.runs / kind, self.places.weights / kind]
+        runs, weights = self.places.runs, self.places.weights
+        usual = [runs / kind, weights / kind]
+        if kind == "grader":  # of patients, which an agent may go by
+            own, published = GRADERS[PATIENTS]
+            usual += [runs / own.name, weights.joinpath(*published.parts[-2:])]
         folders = [self.places.judges[kind]] if kind in self.places.judges else usual
         return [folder for folder in folders if (folder / JUDGES[kind]).is_file()]

@@ -196,6 +196,8 @@ def compare_numbers(record: Record, made: dict[str, Any], tier: str) -> Iterator
         if kind in made.get("extractors", {}):
             same = claimed == made["extractors"][kind]
             yield tell(same, f"extractors.{kind}.settings", "those that it was scored with")
+    if "guide" in made.get("extractors", {}) and "guide" not in extractors:
+        yield fails("extractors.guide", "made again, it goes by one, and the record names none")
 
 
 def _numbers(

@@ -239,18 +239,17 @@ def score_agent(
         own: Any = fill(cls.Config, entry.settings, entry.where)
         data = bench.data
         cls.train(own, folder, seed=seed, phantom=phantom, data=data, progress=False)
-    if record["track"] == PATIENT_AGENTS.name:
-        on, name = dataclasses.replace(bench.on_patients(view), device="cpu"), record["name"]
-        one: Any = load_agent(entry.agent, folder, "cpu") if first else None
-        return Made.of(evaluate_patients(entry.agent, folder, on, one, name, bench.board))
     judge, guide = (_judge(record, bench, kind) for kind in ("grader", "guide"))
-    settings = {"view": view, "grader": str(judge or ""), "latency": 0, "device": "cpu"}
-    config = dataclasses.replace(bench.evaluation, **settings)
     agent: Any = None
     if guide is not None or first:
-        agent = load_agent(entry.agent, folder, config.device)
+        agent = load_agent(entry.agent, folder, "cpu")
     if guide is not None:
-        agent.guide = make_grader(guide, config.device)
+        agent.guide = make_grader(guide, "cpu")
+    if record["track"] == PATIENT_AGENTS.name:
+        on, name = dataclasses.replace(bench.on_patients(view), device="cpu"), record["name"]
+        return Made.of(evaluate_patients(entry.agent, folder, on, agent, name, bench.board))
+    settings = {"view": view, "grader": str(judge or ""), "latency": 0, "device": "cpu"}
+    config = dataclasses.replace(bench.evaluation, **settings)
     published = _published(record, bench)
     return Made.of(
         evaluate(

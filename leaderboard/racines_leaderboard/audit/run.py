@@ -30,6 +30,7 @@ from racines_leaderboard.audit.numbers import (
 )
 from racines_leaderboard.audit.remedies import remedies
 from racines_leaderboard.audit.roads import Made, Road, find_road, score_agent, score_fitted
+from racines_leaderboard.audit.robustness import check_robustness
 from racines_leaderboard.audit.tier import check_reproduced, check_tier, tier_of
 from racines_leaderboard.audit.verdicts import (
     SKIPPED,
@@ -149,6 +150,7 @@ def _check(path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
     yield from claims.beyond_truth(record, peers)
     yield from weights.check_weights(record, bench)
     yield from weights.check_content(record, bench)
+    yield from check_robustness(record, path, bench)
     yield from check_metrics(record, bench)
 
 

@@ -12,14 +12,17 @@ from typing import Any
 from racines_data.errors import RacinesError
 from racines_data.files import locked, write_atomic
 from racines_leaderboard.board.evidence import evidence_path, read_evidence
+from racines_leaderboard.board.robustness import robustness_of
 from racines_leaderboard.board.standing import with_standing
 from racines_leaderboard.records.experts import FOLDER as EXPERTS
 from racines_leaderboard.records.experts import with_experts
 from racines_leaderboard.records.names import check_unlike
 from racines_leaderboard.records.pins import check_fits, read_pin, recipe_of
 from racines_leaderboard.records.ranges import check_possible
+from racines_leaderboard.records.robustness import FOLDER as ROBUSTNESS
+from racines_leaderboard.records.robustness import with_robustness
 from racines_leaderboard.records.schema import KEY, check, read_json, sealed, write_record
-from racines_leaderboard.records.tracks import TRACK, TRACKS, Track, track_of
+from racines_leaderboard.records.tracks import PATIENT_AGENTS, TRACK, TRACKS, Track, track_of
 from racines_leaderboard.records.verdicts import among, read_verdicts
 from racines_leaderboard.submissions.document import find_submission
 from racines_models.provenance import same_result
@@ -37,7 +40,7 @@ def read_board(results: Path, board: str) -> dict[str, list[Record]]:
     """Read the records of a board by track, as they may stand on it.
 
     Those of a pinned board say how they stand, those of generators what experts say of them, those
-    that were audited what came out.
+    on patients what they bear, those that were audited what came out.
 
     Raises:
         RacinesError: a damaged record, one in another's place, or one that does not fit the board.
@@ -53,6 +56,8 @@ def read_board(results: Path, board: str) -> dict[str, list[Record]]:
                 record = record | {"verdict": said.verdict}
             records.append(with_standing(record, path, track, pin))
     content["generators"] = with_experts(content["generators"], results / board / EXPERTS)
+    found = with_robustness(content[PATIENT_AGENTS.name], results / board / ROBUSTNESS)
+    content[PATIENT_AGENTS.name] = found
     return content
 
 
@@ -107,23 +112,30 @@ def collect(
             if (beside := evidence_path(path, record["scores"])) is not None:
                 evidence[place] = beside.read_bytes()
     one_dataset(records, results, board)
-    write_records(records, results, board, force, evidence)
+    write_records(records, results, submissions, board, force, evidence)
     return list(records)
 
 
 def write_records(
-    records: dict[Path, Record], results: Path, board: str, force: bool,
+    records: dict[Path, Record], results: Path, submissions: Path, board: str, force: bool,
     evidence: Mapping[Path, bytes] | None = None,
 ) -> None:  # fmt: skip
     """Write records where they belong, all or none; one process at a time writes to boards.
 
     `evidence` has the content of the file beside a record, by the record's path. What lies beside
-    a record that has none, or none any more, is removed.
+    a record that has none, or none any more, is removed. So it is with what the robustness reports
+    of their submissions say.
 
     Raises:
-        RacinesError: as `collect`, of names, what the board is pinned to, and what is there.
+        RacinesError: as `collect`, of names, what the board is pinned to, and what is there; or a
+            robustness report at fault.
     """
-    evidence = evidence or {}
+    evidence, studied = evidence or {}, results / board / ROBUSTNESS
+    reported = {
+        studied / path.name: robustness_of(record, submissions / record["track"])
+        for path, record in records.items()
+        if record["track"] == PATIENT_AGENTS.name
+    }
     with locked(results):
         one_dataset(records, results, board)
         for path, record in records.items():
@@ -137,14 +149,17 @@ def write_records(
             for table in folder.glob("*.parquet"):
                 if not table.with_suffix(".json").is_file():
                     tables.setdefault(table, None)
-        with _undone_on_error([*records, *tables]):
+        with _undone_on_error([*records, *tables, *reported]):
             for path, content in tables.items():
                 if content is None:
                     path.unlink(missing_ok=True)
                 else:
                     write_atomic(path, content)
-            for path, record in records.items():
-                write_record(path, record)
+            for path, record in (reported | records).items():
+                if record is None:
+                    path.unlink(missing_ok=True)
+                else:
+                    write_record(path, record)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from racines_leaderboard.board.standing import UNPINNED, Standing, is_bound, standing_of
+from racines_leaderboard.records.robustness import PREFIX as DISTURBED
 from racines_leaderboard.records.tracks import Column, Track
 
 Record = dict[str, Any]
@@ -39,9 +40,13 @@ class Ranked:
 def metric_of(record: Record, key: str) -> dict[str, Any] | None:
     """Return a metric of a result, or None where it is absent or has no value.
 
-    Metrics of experts come from a study that was checked, never from the scores of a submission.
+    Metrics of experts and of robustness come from what was checked, never from scores.
     """
-    source = record.get("expert", {}) if key.startswith(EXPERT) else record["scores"]["metrics"]
+    source = record["scores"]["metrics"]
+    if key.startswith(EXPERT):
+        source = record.get("expert", {})
+    elif key.startswith(DISTURBED):
+        source = record.get("robustness", {}).get("metrics", {})
     metric = source.get(key)
     return metric if metric is not None and metric["value"] is not None else None
 

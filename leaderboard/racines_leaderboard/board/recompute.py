@@ -99,7 +99,7 @@ def recompute(folder: Path, ground: Ground, results: Path, force: bool = False) 
     record = record_of(board, track, document["name"], "recomputed", document, scores)
     check(record, "record", str(path))
     check(record["scores"], track.schema, f"{path}: scores")
-    write_records({path: record}, results, board, force, tables)
+    write_records({path: record}, results, folder.parents[1], board, force, tables)
     return record
 
 

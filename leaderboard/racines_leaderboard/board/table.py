@@ -29,6 +29,8 @@ from racines_leaderboard.board.rank import (
 from racines_leaderboard.records.tracks import PERCENT, TRACKS, Column, Track, board_tracks
 from racines_models.statistics import LEVEL
 
+STUDIED = ("expert", "robustness")
+"""What studies say of a record beside its scores."""
 REPORTED = "reported in the paper, on other data"
 
 
@@ -97,7 +99,7 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
             | {"verdict": verdict_of(ranked.record) or None}
             | ({"task": ranked.record["scores"]["task"]} if track.steers else {})
             | {"metrics": ranked.record["scores"]["metrics"]}
-            | ({"expert": ranked.record["expert"]} if "expert" in ranked.record else {})
+            | {key: ranked.record[key] for key in STUDIED if key in ranked.record}
             for ranked in rankings(track, content[track.name])
         ]
         for track in TRACKS
@@ -246,10 +248,25 @@ def _notes(ranking: list[Ranked]) -> Iterator[str]:
             "Expert: a blinded study of the generator's images, views that agree with the truth of "
             "the pose, and grades that differ from it by at most 1; it does not rank."
         )
-    if stale := [record["name"] for record in records if record.get("expert_stale")]:
+    if disturbed := [each["robustness"] for each in records if "robustness" in each]:
+        notes.append(_on_whom(disturbed))
+    stale = [r["name"] for r in records if any(r.get(f"{key}_stale") for key in STUDIED)]
+    if stale:
         notes.append(f"Left out: studies of other weights or data ({', '.join(stale)}).")
     if notes:
         yield " ".join(notes)
+
+
+def _on_whom(disturbed: list[Record]) -> str:
+    """Say what robustness is and on whom it was measured."""
+    counts = sorted({each["task"]["start_set"]["patients"] for each in disturbed})
+    things = sorted({len(each["disturbances"]) for each in disturbed})
+    told, wrong = (" or ".join(map(str, each)) for each in (counts, things))
+    return (
+        f"Disturbed: found and declared with one thing wrong, the mean over {wrong} disturbances "
+        f"at moderate strength, on {told} validation patients and not on the test patients; the "
+        "submitter's own report; it does not rank."
+    )
 
 
 def _basis(records: list[Record]) -> Iterator[str]:

@@ -17,7 +17,7 @@ CLOSE = 1e-9
 RATES = (
     r"(precision|recall|coverage)(_grader)?|(view|grade)_agreement(_truth)?|copies(_truth)?"
     r"|distinct|success_\w+|spl(_iqm)?|return_without_success|out_of_support|expert_\w+"
-    r"|declared|false_declarations|reached"
+    r"|declared|false_declarations|reached|disturbed_\w+"
 )
 AMOUNTS = (
     r"fid(_grader)?|density(_grader)?|pose_error_mm(_view)?(_truth)?|(view_)?position_error|seconds"

@@ -166,6 +166,7 @@ PATIENT_AGENTS = Track(
         Column("rotation_error_median", "Angle, median", "lower", 1, unit="°"),
         Column("final_grade", "Final grade", "higher", 2),
         Column("peak_force", "Peak force", "lower", 1, unit="N"),
+        Column("disturbed_found", "Disturbed, validation patients", "higher", 1, 100.0, "%"),
     ),
     ranked_by=("success_declared",),
     anchors=("constant-pose", "planner"),

@@ -60,6 +60,17 @@ def selected(results: Path, *chosen: Any) -> Selection:
     return Selection(board, track, view, sees, choices(tiers, TIERS, "tier"), details is True)
 
 
+def held(results: Path, board: str) -> list[str]:
+    """Return the tracks of which a board has a result; the page offers no board without any."""
+    return [name for name, records in _content(results, board).items() if records]
+
+
+def track_held(results: Path, board: str, chosen: str = "") -> str:
+    """Return the chosen track where a board has it, else the first that it has."""
+    there = held(results, board)
+    return chosen if chosen in there else there[0]
+
+
 def views(results: Path, board: str, track: str) -> list[str]:
     """Return the target views of a track's results; none for generators."""
     tasks = (r["scores"].get("task") for r in _content(results, board)[track])
@@ -127,10 +138,9 @@ def tables_html(results: Path, wanted: Selection) -> str:
     for title, ranking in ranked_groups(results, wanted).items():
         tables += map(_table, ranked_tables(title, track, ranking, wanted.details))
     if not tables:
-        content = _content(results, wanted.board)
-        held = [name for name, records in content.items() if records]
-        if track.name not in held:
-            return note(f"This board has no {track.name}: choose {' or '.join(held)}.")
+        there = held(results, wanted.board)
+        if track.name not in there:
+            return note(f"This board has no {track.name}: choose {' or '.join(there)}.")
         return note("No result fits: choose other filters.")
     return "\n".join([*tables, *(_table(each, named=False) for each in reported_tables(track))])
 

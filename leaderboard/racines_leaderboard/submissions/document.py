@@ -87,6 +87,7 @@ KINDS = {
     "trace": Kind(".json", (AGENTS,), "the actions of every episode", True),
     "weights": Kind(".safetensors", ALL, "weights of merged code"),
     "scores": Kind(".json", ALL, "the submitter's own scores"),
+    "robustness": Kind(".json", (ON_PATIENTS,), "the submitter's own robustness report"),
     "adapter": Kind("", ALL, "merged code"),
 }
 YAML = "submission.yaml"
@@ -141,7 +142,9 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
         if content in held:
             raise RacinesError(f"{field}: the same as {held[content]}: one entry an artefact")
         held[content] = f"artefacts.{i}"
-    if files_of(document) and "digest" not in document["dataset"]:
+    # A robustness report says itself in which world it was made, and one submission may have two.
+    made = [each for each in files_of(document) if each["kind"] != "robustness"]
+    if made and "digest" not in document["dataset"]:
         raise RacinesError(
             f"{where}: dataset.digest: missing: the content or recipe digest of the data"
         )

@@ -27,6 +27,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import locked, swap_folder
 from racines_envs.agents.onnx.policy import read_policy
 from racines_envs.agents.trace import read_trace
+from racines_leaderboard.board.robustness import read_report
 from racines_leaderboard.records.names import check_unlike
 from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.records.tracks import TRACK
@@ -261,6 +262,8 @@ def check_content(path: Path, kind: str, track: str, limits: Limits | None = Non
         read_trace(path)
     elif kind == "scores":
         read_json(path, TRACK[track].schema)
+    elif kind == "robustness":
+        read_report(path)
 
 
 def check_parquet(content: bytes, where: str) -> None:

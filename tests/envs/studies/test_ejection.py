@@ -84,3 +84,64 @@ def test_what_has_no_ejection_fraction_is_refused(tmp_path):
     words = ["study", "ejection", "planner", "--patients", "1", "--segmentation", str(tmp_path)]
     with pytest.raises(RacinesError, match="no segmentation judge there"):
         CliRunner().invoke(app, words, catch_exceptions=False)
+
+
+def test_a_study_that_was_killed_goes_on_training_by_training(tmp_path, monkeypatch):
+    judge, keep = SegmentationJudge.load(JUDGE), tmp_path / "parts.json"
+    config = EjectionConfig(patients=2, chunk=1)
+    whole, measured, truth = study_ejection("planner", Path(), config, judge)
+    held, done = module._held, []
+
+    def counted(*rest):
+        done.append(rest)
+        if len(done) == stop:
+            raise KeyboardInterrupt
+        return held(*rest)
+
+    monkeypatch.setattr(module, "_held", counted)
+    stop = 4  # the planner's part of the second patient
+    with pytest.raises(KeyboardInterrupt):
+        study_ejection("planner", Path(), config, judge, None, None, keep)
+    names = list(json.loads(keep.read_text())["parts"])
+    assert names == [
+        "agent, training 0, patients 10000 to 10000",
+        "planner, training 0, patients 10000 to 10000",
+        "truth, patients 10000 to 10000",
+        "agent, training 0, patients 10001 to 10001",
+    ]
+    done, stop, through = [], 0, []
+    report, again, true = study_ejection(
+        "planner", Path(), config, judge, None, through.append, keep
+    )
+    assert len(done) == 1, "the one part that was not done"
+    assert through == [1, 1]
+    for key, own in measured.items():
+        for one, other in zip(own, again[key], strict=True):
+            assert np.array_equal(one, other, equal_nan=True)
+    assert np.array_equal(truth, true)
+    apart = {key for key in whole if whole[key] != report[key]}
+    assert apart <= {"seconds"}
+    with pytest.raises(RacinesError, match=r"parts\.json: holds another study"):
+        other = EjectionConfig(patients=1, chunk=1)
+        study_ejection("planner", Path(), other, judge, None, None, keep)
+    assert len(json.loads(keep.read_text())["parts"]) == 6, "and stays as it was"
+    before = json.loads(keep.read_text())["parts"]
+    beat = before["agent, training 0, patients 10000 to 10000"]
+    beat["judge.full"][0] = None  # as a beat that was not measured is kept
+    keep.write_text(json.dumps(json.loads(keep.read_text()) | {"parts": before}))
+    unseen = study_ejection("planner", Path(), config, judge, None, None, keep)[0]
+    assert unseen["agreement"]["agent, judge"]["ejection_fraction"]["not_seen"] == 1
+
+
+def test_parts_are_gone_once_the_report_is_there(tmp_path):
+    out = tmp_path / "e.json"
+    parts = tmp_path / "e.parts.json"
+    parts.write_text('{"study": "another"}')
+    words = ["study", "ejection", "planner", "--patients", "1", "--segmentation", JUDGE]
+    words += ["--out", str(out)]
+    with pytest.raises(RacinesError, match="holds another study: give another --out, or --force"):
+        CliRunner().invoke(app, words, catch_exceptions=False)
+    assert parts.is_file() and not out.exists()
+    done = CliRunner().invoke(app, [*words, "--force"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    assert out.is_file() and out.with_suffix(".png").is_file() and not parts.exists()

@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from typer.testing import CliRunner
@@ -21,6 +22,7 @@ from racines_envs.studies.robustness.core import DisturbedCore
 from racines_envs.studies.robustness.disturbances import DISTURBANCES, disturbed
 from racines_envs.studies.robustness.figures import draw_robustness
 from racines_envs.studies.robustness.run import RobustnessConfig, conditions, evaluate_robustness
+from racines_envs.studies.robustness.summary import found_disturbed
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.worlds.making import make_core
 from racines_envs.worlds.ward import make_ward
@@ -182,6 +184,27 @@ def test_what_a_disturbance_costs_is_told_as_a_loss(tmp_path, monkeypatch):
         "pose bias",
         "all",
     )
+
+
+def test_the_figure_of_a_study_is_the_mean_of_single_disturbances_at_the_middle_strength(tmp_path):
+    config = replace(QUICK, starts=2)
+    document = evaluate_robustness("planner", tmp_path, config, tmp_path / "f.json")
+    assert document["patients"] == [10_000, 10_000, 10_001, 10_001]
+    for row in document["conditions"].values():
+        assert np.shape(row["found"]) == (1, 4)
+        assert math.isclose(np.mean(row["found"]), row["metrics"]["success_declared"]["value"])
+    # Others than those of the middle strength, and all at once, have no say in it.
+    for title, row in document["conditions"].items():
+        row["found"] = [[1, 1, 1, 1]]
+        if title == "pose bias, moderate":
+            row["found"] = [[0, 0, 1, 0]]
+        elif title == "slip, moderate":
+            row["found"] = [[1, 0, 1, 0]]
+        elif row["name"] == "all":
+            row["found"] = [[0, 0, 0, 0]]
+    metric = found_disturbed(document)
+    assert metric["value"] == pytest.approx((0.25 + 0.5) / 2) and metric["n"] == 4
+    assert metric["settings"]["units"] == 2 and metric["settings"]["trainings"] == 1
 
 
 def test_what_cannot_be_is_refused(tmp_path):

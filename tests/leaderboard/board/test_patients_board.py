@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
 from racines_data.patients.splits import split_of
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.evaluation.patients import PatientsConfig, StartSet, evaluate_patients
@@ -139,6 +140,39 @@ def test_what_is_changed_afterwards_does_not_hold(board, place, value):
     ROW.write_text(json.dumps(sealed(record)))
     said = json.loads(racines("audit", "planner-a4c", "--board", "patients", "--json", code=1))
     assert said["reports"][0]["verdict"] == "does not hold"
+
+
+def test_what_an_agent_goes_by_is_pinned_by_its_hash(board):
+    """The hill-climber climbs the opinion of the grader of patients."""
+    guide = Path("models/weights/phantom-patients/grader")
+    shutil.copytree(ROOT / guide, guide)
+    racines("eval", "agent", "hill-climber", "--view", "A4C", "--tier", "patients")
+    scores = json.loads((SCORES / "hill-climber-a4c.json").read_text())
+    sha256 = sha256_file(guide / "grader.safetensors")
+    assert {kind: each["sha256"] for kind, each in scores["extractors"].items()} == {
+        "guide": sha256
+    }
+    assert "extractors" not in json.loads((SCORES / "planner-a4c.json").read_text())
+    collect([SCORES], RESULTS, Path("leaderboard/submissions"), "patients")
+    words = ("audit", "hill-climber-a4c", "--board", "patients", "--json")
+
+    def told(code: int, *more: str) -> tuple[str, dict[str, str]]:
+        (report,) = json.loads(racines(*words, *more, code=code))["reports"]
+        return report["verdict"], {e["subject"]: e["verdict"] for e in report["verdicts"]}
+
+    verdict, claims = told(0)
+    assert verdict == "holds" and claims["extractors.guide"] == "holds"
+    path = RESULTS / "patients/patient-agents/hill-climber-a4c.json"
+    (SCORES / "hill-climber-a4c.json").unlink()  # which would tell that the record was changed
+    record = json.loads(path.read_text())
+    record["scores"]["extractors"]["guide"]["sha256"] = hashlib.sha256(b"another").hexdigest()
+    path.write_text(json.dumps(sealed(record)))
+    verdict, claims = told(3)
+    assert verdict == "not verified" and claims["extractors.guide"] == "cannot be checked"
+    assert claims["metrics.success_declared"] == "cannot be checked", "that grader is not here"
+    del record["scores"]["extractors"]
+    path.write_text(json.dumps(sealed(record)))
+    assert told(1)[0] == "does not hold", "left out"
 
 
 def test_a_track_is_told_by_whom_an_agent_scanned(board):

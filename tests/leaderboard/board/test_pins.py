@@ -118,7 +118,7 @@ def test_scores_that_are_not_the_boards_are_refused_on_every_road(
         take(results, other.parent)
     with pytest.raises(RacinesError, match=message):  # the road of a recomputed record
         record = json.loads(place.read_text())
-        write_records({place: record}, results, "b", True)
+        write_records({place: record}, results, Path(), "b", True)
 
 
 def test_an_easier_task_of_the_same_name_is_refused(tmp_path: Path):

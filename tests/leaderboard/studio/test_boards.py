@@ -1,20 +1,24 @@
 """The boards as the Studio shows them: filters, intervals, charts, provenance."""
 
 import dataclasses
+import json
 import shutil
 
 import pytest
 
 from racines_data.errors import RacinesError
+from racines_leaderboard.records.schema import sealed
 from racines_leaderboard.records.tracks import TIERS
 from racines_leaderboard.studio.boards import (
     Selection,
     charts_html,
+    held,
     names,
     provenance_html,
     record_of,
     selected,
     tables_html,
+    track_held,
 )
 from racines_leaderboard.studio.parts import Place
 
@@ -92,3 +96,37 @@ def test_a_new_result_shows_without_a_restart(place: Place, tmp_path):
     assert names(results, GENERATORS) == ["mine", "other"]
     (results / "tiny" / "generators" / "other.json").unlink()
     assert names(results, GENERATORS) == ["mine"]
+
+
+@pytest.fixture
+def two_boards(place: Place, tmp_path) -> Place:
+    """A board with both tracks, and one that has agents alone, which is the last by name."""
+    results = tmp_path / "results"
+    shutil.copytree(place.results / "tiny", results / "tiny")
+    for path in (place.results / "tiny/agents").glob("*.json"):
+        record = json.loads(path.read_text()) | {"board": "zoo"}
+        kept = results / "zoo/agents" / path.name
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(json.dumps(sealed(record)))
+    return dataclasses.replace(place, results=results)
+
+
+def test_a_board_is_shown_by_a_track_that_it_has(two_boards: Place):
+    results = two_boards.results
+    assert held(results, "zoo") == ["agents"]
+    assert track_held(results, "tiny") == track_held(results, "tiny", "patient-agents")
+    assert track_held(results, "tiny", "agents") == "agents", "what was chosen stays, where it is"
+    gradio = pytest.importorskip("gradio", reason='needs Gradio: pip install "racines[studio]"')
+    from racines_leaderboard.studio.tabs import leaderboards
+
+    assert leaderboards._track(two_boards, "zoo", "generators") == "agents"
+    assert leaderboards._track(two_boards, "tiny", "agents") == "agents"
+    with pytest.raises(RacinesError, match="was not offered"):
+        leaderboards._track(two_boards, "zoo", "<script>")
+    with gradio.Blocks() as page:
+        leaderboards.build(two_boards)
+    parts = {getattr(each, "label", None): each for each in page.blocks.values()}
+    assert parts["Board"].value == "zoo" and parts["Track"].value == "agents"
+    offered = [value for _, value in parts["View"].choices]
+    assert offered == ["all", "PL", "SC"], "of the track that is shown"
+    assert "sc-image" in tables_html(results, Selection("zoo", parts["Track"].value))

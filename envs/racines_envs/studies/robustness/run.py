@@ -3,7 +3,8 @@
     nothing, then each disturbance at three strengths, then all of them at three strengths
 
 What is reported is the share found and declared, and by how much less that is than with nothing
-wrong, paired by patient. Conditions are written as they are done; a run that was killed goes on.
+wrong, paired by patient; and who was found, episode by episode, so that whoever is handed a report
+can make its figures again. Conditions are written as they are done; a run that was killed goes on.
 """
 
 import json
@@ -30,6 +31,7 @@ from racines_envs.evaluation.patients import (
     start_set,
 )
 from racines_envs.evaluation.run import told_of_agent
+from racines_envs.studies.kept import read_kept
 from racines_envs.studies.robustness.core import DisturbedCore
 from racines_envs.studies.robustness.disturbances import (
     DISTURBANCES,
@@ -45,7 +47,7 @@ from racines_envs.worlds.ward import Ward
 from racines_models.devices import on_device
 from racines_models.statistics import Evidence
 
-SCHEMA = "racines.robustness/1"
+SCHEMA = "racines.robustness/2"
 NOTHING, ALL = "nothing", "all"
 RANKED = "success_declared"
 SHOWN = (RANKED, "reached", "false_declarations", "seconds", "position_error_median",
@@ -143,10 +145,11 @@ def evaluate_robustness(
         "task": {"view": config.view, "start_set": starts.told(config)},
         "phantom": patients_recipe(config.task.tier),
         "disturbances": {each: described(each) for each in DISTURBANCES},
+        "patients": starts.units.tolist(),
     }  # fmt: skip
     study = _identity(document, config)
     document |= {"study": study, "conditions": {}, "seconds": 0.0}
-    kept = _read(out, study, force)
+    kept = read_kept(out, study, force)
     spent = kept.get("seconds", 0.0)
     document["conditions"] = {
         each.title: kept["conditions"][each.title]
@@ -165,6 +168,7 @@ def evaluate_robustness(
         row: dict[str, Any] = {"name": condition.name, "strength": condition.strength}
         row |= {"amounts": told(condition.applied)}
         row |= {"metrics": {each: metrics[each] for each in SHOWN}}
+        row["found"] = values[RANKED].astype(int).tolist()
         if condition.name != NOTHING:
             row["change"] = _change(values[RANKED] - base, starts.units)
         document["conditions"][condition.title] = row
@@ -208,26 +212,10 @@ def _identity(document: dict[str, Any], config: RobustnessConfig) -> str:
     """Return a digest of all that decides the figures."""
     aside = ("chunk", "device", "disturbances")
     settings = {key: value for key, value in asdict(config).items() if key not in aside}
-    parts = {key: document[key] for key in ("agent", "weights", "task", "phantom", "disturbances")}
+    keys = ("schema", "agent", "weights", "task", "phantom", "disturbances")
+    parts = {key: document[key] for key in keys}
     code = document["code"]
     return recipe_digest(json.loads(json.dumps(parts | {"settings": settings, "code": code})))
-
-
-def _read(out: Path, study: str, force: bool) -> dict[str, Any]:
-    """Return what a file holds of a study; nothing where there is none."""
-    if not out.is_file():
-        return {}
-    try:
-        kept = json.loads(out.read_text())
-    except ValueError as error:
-        if force:
-            return {}
-        raise RacinesError(f"{out}: not readable as JSON: {error}; remove it") from error
-    if kept.get("study") == study:
-        return kept
-    if force:
-        return {}
-    raise RacinesError(f"{out}: holds another study: give another --out, or --force")
 
 
 def changes(document: dict[str, Any]) -> Iterator[tuple[str, list[dict[str, Any] | None]]]:

@@ -30,9 +30,11 @@ def build(place: Place) -> None:
         return
     with gr.Row():
         board = gr.Dropdown(names, value=names[-1], label="Board", min_width=200)
-        track = gr.Radio(shown.TRACK_NAMES, value=shown.TRACK_NAMES[0], label="Track")
-    with gr.Row(visible=False) as of_agents:
-        view = gr.Dropdown([shown.ALL], value=shown.ALL, label="View", min_width=300)
+        first = shown.track_held(place.results, names[-1])
+        track = gr.Radio(shown.TRACK_NAMES, value=first, label="Track")
+    with gr.Row(visible=TRACK[first].steers) as of_agents:
+        views = [shown.ALL, *shown.views(place.results, names[-1], first)]
+        view = gr.Dropdown(views, value=shown.ALL, label="View", min_width=300)
         sights = [shown.ALL, *shown.SIGHT]
         sees = gr.Radio(sights, value=shown.ALL, label="The agent sees", min_width=300)
     tiers = gr.CheckboxGroup(list(TIERS), value=list(TIERS), label="Tier")
@@ -44,10 +46,17 @@ def build(place: Place) -> None:
     chosen, outputs = [board, track, view, sees, tiers, details], [tables, charts, system, record]
     wire = wiring("boards", show_progress="minimal")
     filters = partial(_filters, place)
+    wire(board.change, "track", partial(_track, place), chosen[:2], track)
     wire([board.change, track.change], "filters", filters, chosen[:2], [of_agents, view])
     wire(None, "show", partial(_show, place), chosen, outputs)
     wire(tables.click, "clicked", _clicked, None, system)
     wire(system.change, "record", partial(_record, place), [system, *chosen], record)
+
+
+def _track(place: Place, board: Any, track: Any) -> str:
+    """Return the track that was chosen, or one that the board has in its place."""
+    wanted = shown.selected(place.results, board, track, shown.ALL, shown.ALL, [], False)
+    return shown.track_held(place.results, wanted.board, wanted.track)
 
 
 def _filters(place: Place, board: Any, track: Any) -> tuple[Any, Any]:
