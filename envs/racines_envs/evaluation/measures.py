@@ -193,6 +193,26 @@ def measure_by_seed(values: Values, seeds: Sequence[int]) -> dict[str, Metrics]:
     return {str(seed): measure(own)[0] for seed, own in zip(seeds, each_set, strict=True)}
 
 
+def by_seed_of(evidence: Evidence, seeds: Sequence[int]) -> dict[str, Metrics]:
+    """Return the metrics of each start set that follow from the evidence of all episodes.
+
+    Raises:
+        ValueError: evidence without the episodes, or of as many as make no such sets.
+    """
+    values = dict(values_of(evidence))
+    if not {"success_true", "episode_steps"} <= values.keys():
+        raise ValueError("no success or no steps of each episode")
+    # Where a training has no success its steps are not kept, and follow from these.
+    steps = np.where(values["success_true"] > 0, values["episode_steps"], np.nan)
+    return measure_by_seed(values | {"steps": steps, "steps_median": steps}, seeds)
+
+
+def values_of(evidence: Evidence) -> Values:
+    """Return the figures of episodes that evidence keeps, as they were measured."""
+    kept = ((name, evidence.figures[name].values) for name in METRICS if name in evidence.figures)
+    return {name: values[:, 0] for name, values in kept if values is not None}
+
+
 def path_length_score(
     success: np.ndarray, steps: np.ndarray, reference_steps: np.ndarray
 ) -> np.ndarray:

@@ -24,7 +24,13 @@ from racines_envs.agents import learns, load_agent
 from racines_envs.agents.protocol import FILES, Agent
 from racines_envs.agents.rollout import Episodes, rollout
 from racines_envs.evaluation.agent_specs import check_view, plain_name
-from racines_envs.evaluation.measures import Metrics, Values, measure_patients, patient_values
+from racines_envs.evaluation.measures import (
+    Metrics,
+    Values,
+    measure_patients,
+    patient_values,
+    values_of,
+)
 from racines_envs.evaluation.run import SCHEMA, Scored, core_for, extractors_of, told_of_agent
 from racines_envs.evaluation.trainings import Training, find_trainings
 from racines_envs.task.core import ScanCore
@@ -34,6 +40,7 @@ from racines_envs.task.tiers import MIDDLES
 from racines_envs.worlds.making import patients_recipe
 from racines_envs.worlds.ward import Ward, choose_patients, make_ward
 from racines_models.devices import on_device
+from racines_models.statistics import Evidence
 
 _EVALUATION = 0xA7157
 
@@ -214,6 +221,18 @@ def _act(
     )
     core = core if around is None else around(core)
     return rollout(core, agent, seeds.to(core.device), case)
+
+
+def by_pathology_of(evidence: Evidence) -> dict[str, Metrics]:
+    """Return the metrics of each pathology that follow from the evidence of all episodes.
+
+    Raises:
+        ValueError: evidence without the episodes.
+    """
+    units = [each.units for each in evidence.figures.values() if each.units is not None]
+    if not units:
+        raise ValueError("no patient of any episode")
+    return _by_pathology(values_of(evidence), units[0])
 
 
 def _by_pathology(values: Values, units: np.ndarray) -> dict[str, Metrics]:

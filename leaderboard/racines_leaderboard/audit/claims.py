@@ -29,7 +29,7 @@ from racines_leaderboard.audit.verdicts import (
     told,
     unknown,
 )
-from racines_leaderboard.audit.weights import data_of
+from racines_leaderboard.audit.weights import data_of, submitted
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.schema import KEY, seal_of
 from racines_leaderboard.records.tracks import PATIENT_AGENTS, TRACK
@@ -80,8 +80,8 @@ def _names(record: Record) -> Iterator[Verdict]:
     scores, subject = record["scores"], TRACK[record["track"]].subject
     yield equal(f"scores.{subject}", scores[subject], record["name"], "the record's name")
     data, generator = scores.get("dataset") or {}, record["track"] == "generators"
-    on_patients = record["track"] == PATIENT_AGENTS.name
-    for place, part, must in (("board", scores, on_patients), ("dataset.board", data, generator)):
+    merged = not generator and not submitted(record)
+    for place, part, must in (("board", scores, merged), ("dataset.board", data, generator)):
         if must or "board" in part:
             stated = part.get("board")
             yield equal(f"scores.{place}", stated, record["board"], "the record's board")

@@ -5,6 +5,7 @@ again speaks of the items: those of the trainings that were made again, one by o
 pairs the items of two methods can rest on made-up ones.
 """
 
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +16,10 @@ import numpy as np
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_envs.evaluation.agent_specs import SECTIONS
+from racines_envs.evaluation.measures import by_seed_of
+from racines_envs.evaluation.patients import by_pathology_of
 from racines_leaderboard.audit.bench import Bench
+from racines_leaderboard.audit.leaves import MISSING, leaves, same
 from racines_leaderboard.audit.numbers import starts_of
 from racines_leaderboard.audit.verdicts import (
     FAILS,
@@ -27,11 +31,12 @@ from racines_leaderboard.audit.verdicts import (
     tell,
     unknown,
 )
-from racines_leaderboard.audit.weights import first_training, named, run_called
+from racines_leaderboard.audit.weights import first_training, hours_of, named, run_called
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.ranges import CLOSE, ENDS, range_of
-from racines_leaderboard.records.tracks import TRACK
+from racines_leaderboard.records.tracks import PATIENT_AGENTS, TRACK
 from racines_models.statistics import Evidence, Figures
+from racines_models.training.checkpoint import PREFIX
 
 
 def read_evidence(record: Record, path: Path) -> tuple[Evidence | None, Verdict | None]:
@@ -67,6 +72,8 @@ def check_evidence(record: Record, evidence: Evidence, bench: Bench) -> Iterator
             yield from _of_items(key, figures, record, bench)
         elif key in TRACK[record["track"]].ranked_by and metric["value"] is not None:
             yield fails(f"evidence.{key}", "it ranks, and no figures of it are kept")
+    if TRACK[record["track"]].steers:
+        yield _parts(record, evidence)
     if stray := sorted(set(evidence.figures) - set(scores["metrics"])):
         yield fails("evidence", f"figures of what the record does not have: {', '.join(stray)}")
 
@@ -93,6 +100,26 @@ def _follows(key: str, metric: dict[str, Any], figures: Figures, runs: int) -> I
     # What a judge says of the true frames rests on no training.
     trained = 1 if key.endswith("_truth") else runs
     yield equal(f"{subject}.runs", found.trainings, trained, "the trainings that were scored")
+
+
+def _parts(record: Record, evidence: Evidence) -> Verdict:
+    """Say whether the figures of each start set, or of each pathology, follow from the episodes."""
+    scores = record["scores"]
+    kind = "by_pathology" if record["track"] == PATIENT_AGENTS.name else "by_seed"
+    subject = f"evidence.{kind}"
+    try:
+        sets = kind == "by_seed"
+        found = by_seed_of(evidence, scores["seeds"]) if sets else by_pathology_of(evidence)
+    except ValueError as error:
+        return fails(subject, f"nothing follows from it: {error}")
+    claimed, here = (dict(leaves(one)) for one in (scores.get(kind), json.loads(json.dumps(found))))
+    for key in dict.fromkeys((*claimed, *here)):
+        stated, made = claimed.get(key, MISSING), here.get(key, MISSING)
+        number = isinstance(stated, float) and isinstance(made, float)
+        if not (_near(stated, made) if number else same(stated, made)):
+            both = (None if each is MISSING else each for each in (stated, made))
+            return fails(f"{subject}.{key}", "it follows otherwise from the episodes", *both)
+    return holds(subject, f"all {len(here)} leaves follow from the episodes")
 
 
 def _near(claimed: float | None, found: float | None) -> bool:
@@ -179,16 +206,18 @@ def _same_items(there: Figures, here: Figures) -> bool:
 
 def further_trainings(record: Record, evidence: Evidence | None, bench: Bench) -> Iterator[Verdict]:
     """Say of the trainings beyond the first, if they were not made again, what is there of them."""
-    runs = record["scores"].get("runs", 1)
-    weights = named(record)
-    hours = ((record["submission"] or {}).get("training") or {}).get("hours")
+    settings, scores = bench.settings or {}, record["scores"]
+    first, runs, weights = settings.get("seed", 0), scores.get("runs", 1), named(record)
+    if TRACK[record["track"]].steers:
+        yield from _trainings(record, bench, range(first, first + runs))
+    further = {f"{PREFIX}{seed}" for seed in range(first + 1, first + runs)}
     folders = {name.split("/")[0] for name in set(weights) - set(first_training(weights))}
-    settings = bench.settings or {}
+    hours = hours_of(record, bench)
     sections = ("generators", *SECTIONS)
     recipe = any(run_called(record) in settings.get(each, {}) for each in sections)
     needed = {
         "its recipe in the board's settings": recipe,
-        "the digests of their weights": len(folders) == runs - 1,
+        "the digests of their weights": folders == further,
         "the figures of each item": evidence is not None,
         "the hours of a training (training.hours of its submission)": hours is not None,
     }
@@ -196,5 +225,17 @@ def further_trainings(record: Record, evidence: Evidence | None, bench: Bench) -
     if lacking:
         yield unknown("trainings", f"{runs - 1} beyond the first; missing: {'; '.join(lacking)}")
         return
-    reason = f"{runs - 1} beyond the first: recipe, digests and figures are here; {hours:g} h"
+    reason = f"{runs - 1} beyond the first: recipe, digests and figures are here; {hours:.2g} h"
     yield Verdict("trainings", RETRAINABLE, reason, runs)
+
+
+def _trainings(record: Record, bench: Bench, seeds: range) -> Iterator[Verdict]:
+    """Check the seeds of an agent's trainings, and that those said to be published are here."""
+    claimed = record["scores"].get("trainings", [])
+    told = [each["seed"] for each in claimed]
+    yield equal("trainings.seeds", told, list(seeds), "consecutive, from the board's seed on")
+    for each in claimed:
+        lies = bench.places.policies / bench.board / run_called(record) / f"{PREFIX}{each['seed']}"
+        here = lies.is_dir()
+        reason = f"whether it lies in {lies}"
+        yield equal(f"trainings.{each['seed']}.published", each["published"], here, reason)

@@ -67,6 +67,26 @@ def run_of(record: Record, bench: Bench) -> Path:
     return folders[0]
 
 
+def hours_of(record: Record, bench: Bench) -> float | None:
+    """Return the hours of a training: by its submission, or else what the first one here took."""
+    stated = ((record["submission"] or {}).get("training") or {}).get("hours")
+    if stated is not None:
+        return stated
+    seconds = None
+    for name in ("config.json", "metrics.json"):  # published weights of generators, and all others
+        told = _read(run_of(record, bench) / name)
+        seconds = told.get("seconds", (told.get("training") or {}).get("seconds", seconds))
+    return None if seconds is None else seconds / 3600
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Return what a JSON file says; nothing where there is none that can be read."""
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError):
+        return {}
+
+
 def _holds(folder: Path, claimed: dict[str, str]) -> bool:
     files = [(folder / name, sha256) for name, sha256 in claimed.items()]
     return all(path.is_file() and sha256_file(path) == sha256 for path, sha256 in files)
@@ -82,11 +102,11 @@ def check_weights(record: Record, bench: Bench) -> Iterator[Verdict]:
             yield fails("weights", f"it names none, and {run} has some", None, sorted(here))
         else:
             yield holds("weights", "it names none: it learns nothing")
-    if "sha256" in (stated := record["scores"]["weights"] or {}):
+    if "files" in (stated := record["scores"]["weights"] or {}):
         first = first_training(claimed)
         only = next(iter(first.values())) if len(first) == 1 else None
         stands = first.get("policy.safetensors", only)
-        yield equal("weights.sha256", stated["sha256"], stands, "the file that stands for all")
+        yield equal("weights.sha256", stated.get("sha256"), stands, "the file that stands for all")
     if submitted(record):
         files = sorted(each["path"] for each in rescored(record["submission"]))
         yield equal("weights", sorted(claimed), files, "the artefacts that were scored")
@@ -150,10 +170,7 @@ def published(record: Record, bench: Bench) -> dict[str, Any] | None:
 
 def data_of(folder: Path) -> str | None:
     """Return the recipe digest of what the weights in a folder were trained on, if it is told."""
-    try:
-        content = json.loads((folder / "config.json").read_text())
-    except (OSError, ValueError):
-        return None
+    content = _read(folder / "config.json")
     data = content.get("data") or content.get("dataset") or content.get("environment") or {}
     return (data.get("phantom") or data).get("recipe_digest")
 

@@ -39,6 +39,8 @@ STARTS = 8
 """Episodes of a rollout."""
 SCORED = 16
 """Frames of the scores."""
+FIGURES = ("value", "low", "high")
+"""Of each metric."""
 SETTINGS: dict[str, Any] = {
     "data": {"frames": FRAMES, "workers": 1, "phantom": {"shortest": 10, "longest": 20}},
     "grader": {"input_size": 32, "view_stage": {"epochs": 1}, "grade_stage": {"epochs": 1}},
@@ -183,6 +185,7 @@ def stages() -> list[Stage]:
         *made,
         Stage("scores", "figures", scores, TWICE),
         Stage("rollouts", "figures", rollouts, BATCHED),
+        Stage("evaluate and collect", "figures", collected, TWICE),
         Stage("PPO, training", weights, ppo, TRAINED),
     ]
 
@@ -242,9 +245,8 @@ def scores(work: Work, setup: Setup) -> Arrays:
     config = ScoresConfig(samples=SCORED, resamples=50, speed=False)
     mean = work.generator("mean-image")
     content = score(mean, work.store, config, "mean-image", grader=work.grader).content
-    figures = ("value", "low", "high")
     return {
-        key: torch.from_numpy(np.array([metric[figure] for figure in figures], np.float64))
+        key: torch.from_numpy(np.array([metric[figure] for figure in FIGURES], np.float64))
         for key, metric in content["metrics"].items()
     }
 
@@ -260,6 +262,26 @@ def rollouts(work: Work, setup: Setup) -> Arrays:
         for key, values in episodes.final.items():
             finals.setdefault(key, []).append(torch.as_tensor(values, dtype=torch.float64))
     return {key: torch.cat(values) for key, values in finals.items()}
+
+
+def collected(work: Work, setup: Setup) -> Arrays:
+    """Evaluate the planner from 8 starts, and collect its scores into a board."""
+    from racines_envs.evaluation.run import EvaluationConfig, evaluate, write_evaluation
+    from racines_leaderboard.board.collect import collect, read_record
+    from racines_leaderboard.records.tracks import TRACK
+    from racines_models.statistics import Evidence
+
+    place = work.new()
+    config = EvaluationConfig(starts=STARTS, seeds=(0,), latency=0)
+    (place / "scores").mkdir(parents=True)
+    evaluated = evaluate("planner", place, config, board="small")
+    write_evaluation(evaluated, place / "scores/planner.json", None)
+    (path,) = collect([place / "scores"], place / "results", place / "submissions", "small")
+    metrics = read_record(path, "small", TRACK["agents"])["scores"]["metrics"]
+    kept = Evidence.read(path.with_suffix(".parquet")).figures
+    arrays = {name: np.array([each[key] for key in FIGURES]) for name, each in metrics.items()}
+    arrays |= {f"{name}, each": one.values for name, one in kept.items() if one.values is not None}
+    return {name: torch.from_numpy(each.astype(np.float64)) for name, each in arrays.items()}
 
 
 def ppo(work: Work, setup: Setup) -> Arrays:

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import torch
 import yaml
+from typer.testing import CliRunner
 
 from racines_data.files import sha256_file
 from racines_data.store.frames import open_store
@@ -26,6 +27,7 @@ from racines_envs.worlds.making import make_phantom, phantom_recipe
 from racines_leaderboard.audit.bench import JUDGES
 from racines_leaderboard.board.collect import collect
 from racines_leaderboard.board.recompute import Ground, recompute
+from racines_leaderboard.cli.command import app
 from racines_models.exchange.onnx.generator import OnnxGenerator
 from racines_models.exchange.predictions.file import Task, write_predictions
 from racines_models.generators.mean_image import MeanImage
@@ -143,7 +145,8 @@ def evaluate_at_one_start_set(starts: int) -> None:
 
 def climb(config: EvaluationConfig) -> Path:
     """Leave the record of a hill-climber that goes by the grader of its evaluation."""
-    scores = evaluate("hill-climber", Path("envs/runs/hill-climber"), config).scores
+    run = Path("envs/runs/hill-climber")
+    scores = evaluate("hill-climber", run, config, board="tiny").scores
     Path("envs/runs/scores").mkdir(parents=True)
     Path("envs/runs/scores/hill-climber.json").write_text(json.dumps(scores))
     (path,) = collect([Path("envs/runs/scores")], RESULTS, SUBMISSIONS, "tiny")
@@ -221,3 +224,63 @@ def guided(ground) -> Path:
     pin("agents", grader=grader)
     Path("envs/runs/scores/hill-climber.json").unlink()
     return path
+
+
+@copied
+def learned(ground) -> Path:
+    """The record of an agent of three trainings, of which the first alone was published."""
+    settings = yaml.safe_load(Path("params.yaml").read_text())
+    entry = {"frames": 128, "envs": 8, "update_every": 128, "minibatch": 64, "epochs": 1}
+    entry |= {"hidden": [8, 8], "validation_starts": 2, "repeats": 3}
+    settings |= {"agents": {"ppo": entry}, "evaluation": {"seeds": [0, 1], "starts": 4}}
+    Path("params.yaml").write_text(yaml.safe_dump(settings))
+    run, scored = Path("envs/runs/ppo"), inbox(Path.cwd(), "scored")
+    recipe: Any = phantom_recipe(make_phantom(None))
+    adapter = {"kind": "adapter", "adapter": "racines_envs.agents.ppo:PPOAgent"}
+    data = {"source": "phantom", "version": "1.0.0", "digest": recipe["recipe_digest"]}
+    about = {"name": "ppo", "track": "agents", "dataset": data}
+    write_submission(SUBMISSIONS / "agents/ppo", adapter, **about)
+    for words in (
+        ("train", "agent", "ppo"),
+        ("eval", "agent", "ppo", "--out", str(scored)),
+        ("leaderboard", "--board", "tiny", "--collect", str(scored)),
+    ):
+        run_command(*words)
+    published = inbox(Path.cwd() / "envs", "weights") / "ppo"
+    published.mkdir()
+    for file in ("config.json", "metrics.json", "policy.safetensors"):
+        shutil.move(run / file, published / file)
+    shutil.rmtree(run)
+    return RESULTS / "tiny/agents/ppo.json"
+
+
+def run_command(*words: str) -> None:
+    done = CliRunner().invoke(app, list(words))
+    assert done.exit_code == 0, done.output
+
+
+@copied
+def painted(ground) -> Path:
+    """The record of a generator of three trainings, of which a copy of the first was published."""
+    settings = yaml.safe_load(Path("params.yaml").read_text())
+    settings["generators"]["vae-gan"]["training"]["repeats"] = 3
+    Path("params.yaml").write_text(yaml.safe_dump(settings))
+    runs, copy = Path("models/runs"), Path("models/weights/vae-gan")
+    scored = inbox(Path.cwd(), "scored")
+    adapter = {"kind": "adapter", "adapter": "racines_models.generators.vae_gan:VaeGan"}
+    digest = open_store(ground.data).manifest["digest"]
+    data = {"source": "phantom", "version": "1.0.0", "digest": digest}
+    write_submission(SUBMISSIONS / "generators/vae-gan", adapter, name="vae-gan", dataset=data)
+    run_command("train", "generator", "vae-gan")
+    further = [shutil.move(runs / f"vae-gan/seed-{seed}", f"seed-{seed}") for seed in (1, 2)]
+    run_command("export", "weights", str(runs / "vae-gan"), "--out", str(copy))
+    shutil.rmtree(runs / "vae-gan")
+    for each in further:
+        shutil.move(each, copy / each)
+    run_command(
+        "eval", "generator", "vae-gan", "--no-grader", "--run", str(copy), "--out", str(scored)
+    )
+    for each in further:
+        shutil.rmtree(copy / each)
+    run_command("leaderboard", "--board", "tiny", "--collect", str(scored))
+    return RESULTS / "tiny/generators/vae-gan.json"
