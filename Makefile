@@ -9,6 +9,17 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 READY := $(VENV)/.ready
 export PATH := $(abspath $(VENV))/bin:$(PATH)
+# DVC runs one stage at a time. Two of it run stages that need nothing of each other, and check nothing
+# that comes before them: it is there. Both end if one of them fails or the user stops them.
+ALONE := dvc --wait-for-lock repro --single-item
+define beside
+set -m; $(ALONE) $(1) </dev/null & other=$$!; set +m; trap 'kill -- -$$other 2>/dev/null || :' EXIT; \
+$(2); wait $$other
+endef
+# Threads of oneDNN wait by spinning when they train a judge: two that share a core with other work take
+# several times as long as one. Those of OpenMP wait asleep, if told to.
+SHARE := $(or $(OMP_NUM_THREADS),$(shell echo $$(( ($$(getconf _NPROCESSORS_ONLN) + 1) / 2 ))))
+repro: export OMP_WAIT_POLICY ?= PASSIVE
 # Compiled code is kept: without it each process reads all of the tests and packages anew.
 TESTS := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs
 # The files that have tests of a mark: to read all others takes each process longer than some of those.
@@ -29,6 +40,9 @@ ifneq ($(PROFILE),)
 	cp racines_data/profiles/$(PROFILE).yaml params.yaml.part
 	mv params.yaml.part params.yaml
 endif
+	dvc repro data
+	$(call beside,generators,OMP_NUM_THREADS=$(SHARE) $(ALONE) encoder grader student pose)
+	$(call beside,scores gallery,$(ALONE) agents evaluate patient_agents evaluate_patients evaluate_beating realism)
 	dvc repro
 	@test ! -f data/racines/card/patients.png || echo "patients: data/racines/card/patients.png; how agents fare on them: envs/runs/patients"
 	@echo "one heart: leaderboard/LEADERBOARD.md"

@@ -25,12 +25,16 @@ from tests.modules import closure, modules, says_only_what_it_offers
 from tests.stage_code import is_code, stage_code, stages_that_use
 
 STAND_IN = """#!{python}
-import hashlib, json, pathlib, sys
+import hashlib, json, pathlib, sys, time
 command = " ".join(["racines", *sys.argv[1:]])
 stages = json.loads(pathlib.Path("stages.json").read_text())
 stage, needed = stages[command], [dep for each in stages.values() for dep in each["deps"]]
 with open("ran.txt", "a") as log:
     log.write(stage["name"] + "\\n")
+if pathlib.Path("stop", stage["name"]).exists():
+    sys.exit("told to fail")
+while pathlib.Path("wait", stage["name"]).exists():
+    time.sleep(0.1)
 digest = hashlib.sha256(json.dumps(stage["params"]).encode())
 for path in map(pathlib.Path, stage["deps"]):
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
@@ -78,8 +82,13 @@ def stages(folder: Path) -> dict[str, dict[str, Any]]:
 @pytest.fixture(scope="module")
 def reproduced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     """A scratch repository with the pipeline, its code and the stand-in, run once; what ran."""
-    tmp_path = tmp_path_factory.mktemp("pipeline")
-    for name in ("dvc.yaml", "params.yaml", ".dvcignore"):
+    folder = scratch(tmp_path_factory.mktemp("pipeline"))
+    return folder, repro(folder)
+
+
+def scratch(tmp_path: Path) -> Path:
+    """Make a folder a repository with the pipeline, its code and the stand-in; return it."""
+    for name in ("dvc.yaml", "params.yaml", ".dvcignore", "Makefile"):
         shutil.copy(ROOT / name, tmp_path / name)
     for name in ("racines_data", "models/racines_models", "envs/racines_envs"):
         skip = shutil.ignore_patterns("__pycache__")
@@ -101,7 +110,7 @@ def reproduced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str
     stand_in = tmp_path / "bin" / "racines"
     stand_in.write_text(STAND_IN.format(python=sys.executable))
     stand_in.chmod(0o755)
-    return tmp_path, repro(tmp_path)
+    return tmp_path
 
 
 def repro(folder: Path) -> list[str]:
@@ -159,6 +168,49 @@ def test_a_change_runs_again_what_follows_from_it_and_nothing_else(
     shutil.rmtree(pipeline / "data" / "racines")
     assert repro(pipeline) == [], "documentation is no dependency; data come from the cache"
     assert (pipeline / "data" / "racines" / "out.txt").is_file()
+
+
+def make_repro(folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run `make repro` with the stand-in, in a scratch repository."""
+    path = os.pathsep.join(
+        [str(folder / "bin"), str(Path(sys.executable).parent), os.environ["PATH"]]
+    )
+    set_up = folder / ".venv" / ".ready"
+    command = ["make", "-o", str(set_up), f"READY={set_up}", f"PATH={path}", "repro"]
+    (folder / "stages.json").write_text(json.dumps(stages(folder)))
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+
+
+@pytest.mark.thorough
+def test_make_runs_stages_side_by_side_each_once_and_after_what_it_reads(tmp_path: Path):
+    pipeline = scratch(tmp_path)
+    done = make_repro(pipeline)
+    assert done.returncode == 0, done.stdout + done.stderr
+    ran, known = (pipeline / "ran.txt").read_text().split(), stages(pipeline).values()
+    assert sorted(ran) == sorted(stage["name"] for stage in known)
+    made = {Path(out): stage["name"] for stage in known for out in stage["outs"]}
+    for stage in known:
+        for dep in map(Path, stage["deps"]):
+            for name in {made[each] for each in (dep, *dep.parents) if each in made}:
+                assert ran.index(name) < ran.index(stage["name"])
+    between = ran[ran.index("grader") : ran.index("pose")]
+    assert any(name.startswith("generators@") for name in between), "one half after the other"
+    assert repro(pipeline) == [], "DVC finds all of it up to date"
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("failing, other", [("grader", "generators@mean-image"), ("gallery", "")])
+def test_make_fails_with_a_stage_of_either_half_and_leaves_nothing_running(
+    tmp_path: Path, failing: str, other: str
+):
+    pipeline = scratch(tmp_path)
+    for folder, name in (("stop", failing), ("wait", other)):
+        (pipeline / folder).mkdir()
+        (pipeline / folder / (name or "none")).touch()
+    done = make_repro(pipeline)  # it returns though the other half would wait for ever
+    assert done.returncode != 0 and f"failed to reproduce '{failing}'" in done.stderr
+    ran = (pipeline / "ran.txt").read_text().split()
+    assert failing in ran and "leaderboard" not in ran
 
 
 def test_params_yaml_is_the_default_profile():
