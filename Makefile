@@ -10,7 +10,8 @@ SHELL := /bin/bash
 READY := $(VENV)/.ready
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 # DVC runs one stage at a time. Two of it run stages that need nothing of each other, and check nothing
-# that comes before them: it is there. Both end if one of them fails or the user stops them.
+# that comes before them: it is there. Where one fails, make fails: the second half stops the first at
+# once, the first lets the second come to its end.
 ALONE := dvc --wait-for-lock repro --single-item
 define beside
 set -m; $(ALONE) $(1) </dev/null & other=$$!; set +m; trap 'kill -- -$$other 2>/dev/null || :' EXIT; \
