@@ -56,9 +56,7 @@ class AskedStore(MadeStore):
         """
         self.config, self.root = "asked", Path(cache or ".")
         seeds = _chosen(split, patients)
-        recipe = {"world": PATIENTS_VERSION, "scouts": SCOUTS_VERSION, "strata": list(STRATA)}
-        recipe |= {"frames": FRAMES, "poses": POSES, "patients": list(seeds), "seed": seed}
-        digest = recipe_digest(recipe)
+        digest = asked_digest(split, patients, seed)
         parts = []
         for each in seeds:
             parts.append(_scanned(each, seed, cache))
@@ -82,6 +80,17 @@ class AskedStore(MadeStore):
 
 
 _LYING = "heart_axes", "heart_origin", "heart_sway"
+
+
+def asked_digest(split: str, patients: int | tuple[int, ...], seed: int) -> str:
+    """Return the recipe digest of what is asked, without asking.
+
+    Raises:
+        RacinesError: as `AskedStore`.
+    """
+    recipe = {"world": PATIENTS_VERSION, "scouts": SCOUTS_VERSION, "strata": list(STRATA)}
+    recipe |= {"frames": FRAMES, "poses": POSES, "seed": seed}
+    return recipe_digest(recipe | {"patients": list(_chosen(split, patients))})
 
 
 def _chosen(split: str, patients: int | tuple[int, ...]) -> tuple[int, ...]:

@@ -20,9 +20,14 @@ from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_models.sample import Sample, take_sample
 from racines_models.scores import scoring
+from racines_models.scores.on_patients import PatientScoresConfig
 from racines_models.scores.scoring import ScoresConfig
 
-JUDGES = {"grader": "grader.safetensors", "pose": "model.safetensors"}
+JUDGES = {
+    "grader": "grader.safetensors",
+    "pose": "model.safetensors",
+    "segmentation": "model.safetensors",
+}
 """File of a judge's weights in its folder."""
 PINS = "board.json"
 """What a board is pinned to, in its folder."""
@@ -87,6 +92,12 @@ class Bench:
         """Return how the board evaluates agents at a task on patients."""
         settings = section(self.settings or {}, "evaluation_patients")
         return fill(PatientsConfig, settings | {"view": view}, "evaluation_patients")
+
+    @functools.cached_property
+    def patient_scores(self) -> PatientScoresConfig:
+        """How the board scores generators on patients, likewise."""
+        stated = section(self.settings or {}, "patient_scores")
+        return fill(PatientScoresConfig, stated, "patient_scores")
 
     @functools.cached_property
     def recipe(self) -> str | None:
@@ -165,6 +176,8 @@ class Bench:
 
     def judge_folders(self, kind: str) -> list[Path]:
         """Return where judges of a kind lie: the one given, or else those of the usual places."""
+        of_patients = getattr(self.patient_scores, kind, None)
         usual = [self.places.runs / kind, self.places.weights / kind]
+        usual += [Path(of_patients)] if of_patients else []
         folders = [self.places.judges[kind]] if kind in self.places.judges else usual
         return [folder for folder in folders if (folder / JUDGES[kind]).is_file()]

@@ -15,6 +15,7 @@ import numpy as np
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_envs.evaluation.agent_specs import SECTIONS
+from racines_leaderboard.audit.adapting import asked_items
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.numbers import starts_of
 from racines_leaderboard.audit.verdicts import (
@@ -30,7 +31,7 @@ from racines_leaderboard.audit.verdicts import (
 from racines_leaderboard.audit.weights import first_training, named, run_called
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.ranges import CLOSE, ENDS, range_of
-from racines_leaderboard.records.tracks import TRACK
+from racines_leaderboard.records.tracks import PATIENT_GENERATORS, TRACK
 from racines_models.statistics import Evidence, Figures
 
 
@@ -112,6 +113,9 @@ def _of_items(key: str, figures: Figures, record: Record, bench: Bench) -> Itera
             right = set(items) <= episodes and len(set(items)) == len(items)
             yield tell(right, subject, "each an episode from the starts, once")
         return
+    if record["track"] == PATIENT_GENERATORS.name:
+        yield asked_items(subject, figures, bench)
+        return
     if bench.data_for(record) is None:
         yield unknown(subject, bench.no_data)
         return
@@ -184,7 +188,7 @@ def further_trainings(record: Record, evidence: Evidence | None, bench: Bench) -
     hours = ((record["submission"] or {}).get("training") or {}).get("hours")
     folders = {name.split("/")[0] for name in set(weights) - set(first_training(weights))}
     settings = bench.settings or {}
-    sections = ("generators", *SECTIONS)
+    sections = ("generators", "patient_generators", *SECTIONS)
     recipe = any(run_called(record) in settings.get(each, {}) for each in sections)
     needed = {
         "its recipe in the board's settings": recipe,

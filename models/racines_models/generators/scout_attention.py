@@ -12,6 +12,7 @@ from torch.optim import AdamW, Optimizer
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
+from racines_data.patients.scouts import POSES
 from racines_data.store.frames import FrameStore
 from racines_models.adapting import check_scout
 from racines_models.generators.learned import NetworkGenerator
@@ -50,9 +51,7 @@ class ScoutAttentionConfig:
     grain: float = 0.0
     """Share of the deviation about the expected image that is added as speckle, with the grain of
     the scout's nearest frame: more of it looks real, and is further from the one true frame."""
-    training: Training = Training(
-        images=36_000, schedule="cosine", warmup_images=800, gradient_clip=1.0
-    )
+    training: Training = Training(images=36_000, schedule="cosine", gradient_clip=1.0)
 
     def __post_init__(self) -> None:
         if self.width < 8 or self.width % 8:
@@ -111,7 +110,7 @@ class ScoutAttention(NetworkGenerator[ScoutAttentionConfig]):
 
         def look(seen: int, folder: Path) -> Mapping[str, float]:
             figures = self._look(store, folder / "samples" / f"{seen:09d}.png")
-            return {f"validation/{key}": figures[key] for key in ("ssim", "mae")}
+            return {f"validation/{key}": figures[key] for key in ("ssim", "psnr", "mae")}
 
         training = self.config.training
         course = EpisodeCourse(store, training, run.seed, self.device, look)
@@ -127,18 +126,23 @@ class ScoutAttention(NetworkGenerator[ScoutAttentionConfig]):
         """Adapt to some validation patients; write true and drawn images of each, rows in turn."""
         split = "validation" if len(store.split_indices("validation")) else "train"
         cases = cases_of(store, split)[:LOOKED_AT].tolist()
-        rows, similar, error = [], 0.0, 0.0
+        rows, found = [], []
         for case in cases:
             images, parameters = (x[0] for x in scouts_of(store, torch.tensor([case])))
             truth, asked = asked_of(store, case)
             drawn = self.adapt(images, parameters, 0).generate(asked, 0)
-            ssim, _ = image_loss(drawn.float() / 255.0, truth.float() / 255.0)
-            similar += float(ssim) / len(cases)
-            error += float((drawn.float() - truth.float()).abs().mean()) / len(cases)
+            error = drawn.float() - truth.float()
+            ratio = 10.0 * (255.0**2 / error.square().mean((1, 2)).clamp_min(1e-3)).log10()
+            found.append([
+                float(image_loss(drawn.float() / 255.0, truth.float() / 255.0)[0]),
+                float(ratio.mean()), float(error.abs().mean()),
+            ])  # fmt: skip
             some = evenly(len(truth), SHOWN)
             rows += [truth[some], drawn[some]]
         write_strip(path, rows, gap=0)
-        return {"split": split, "n": len(cases) * len(truth), "mae": error, "ssim": similar}
+        means = torch.tensor(found).mean(0).tolist()
+        figures = dict(zip(("ssim", "psnr", "mae"), means, strict=True))
+        return {"split": split, "n": len(cases) * POSES, **figures}
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return one AdamW."""
