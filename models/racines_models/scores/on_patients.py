@@ -94,6 +94,14 @@ class Remembered:
         return torch.stack([self._known[key] for key in keys])
 
 
+def check_named(spec: str) -> None:
+    """Refuse a file, which draws poses and has no method to adapt."""
+    if is_file(spec):
+        raise RacinesError(
+            f"{spec}: a file draws poses and cannot adapt to a patient: name a generator"
+        )
+
+
 def open_for_patients(
     spec: str, folder: Path | None, published: Sequence[Path] = (), device: str = "cpu"
 ) -> list[Any]:
@@ -102,10 +110,7 @@ def open_for_patients(
     Raises:
         RacinesError: unknown, absent or refused, by name; or a file, which cannot adapt.
     """
-    if is_file(spec):
-        raise RacinesError(
-            f"{spec}: a file draws poses and cannot adapt to a patient: name a generator"
-        )
+    check_named(spec)
     cls: Any = generator_class(spec)
     if cls is NoiseCeiling:
         return [SeenAgain()]

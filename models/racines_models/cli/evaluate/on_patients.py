@@ -40,12 +40,14 @@ def evaluate_on_patients(
     from racines_models.scores.on_patients import (
         Judges,
         PatientScoresConfig,
+        check_named,
         open_for_patients,
         score_on_patients,
     )
     from racines_models.statistics import write_scores
     from racines_models.training.published import published_seeds
 
+    check_named(name)
     config = fill(PatientScoresConfig, section(values, "patient_scores") | chosen, "patient_scores")
     tier_board = PATIENTS if PATIENTS in values.get("patient_boards", ()) else None
     folder = run_folder(name, run, PATIENTS)
