@@ -80,7 +80,7 @@ def score_run(record: Record, bench: Bench, folder: Path) -> Any:
     scores = score_on_patients(generators, ground, config, name, judges)
     there = (folder / "config.json").is_file()
     weights = (weights_of(name, folder) if there else None) or None
-    content = scores.content | {"weights": weights}
+    content: dict[str, Any] = scores.content | {"weights": weights}
     content["dataset"]["board"] = bench.board
     return Scores(content, scores.sample, scores.images, scores.evidence)
 

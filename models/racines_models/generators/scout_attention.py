@@ -151,11 +151,7 @@ class ScoutAttention(NetworkGenerator[ScoutAttentionConfig]):
     def updates(self, nets: Mapping[str, nn.Module], batch: Episode) -> Iterator[Update]:
         """Yield one step: likeness of the expected image, then how far the frame is from it."""
         assert self.cases is not None
-        held = self.cases
-        of_step = Scouts(
-            *(part[batch.cases] if isinstance(part, Tensor) else
-              Pose(*(each[batch.cases] for each in part)) for part in held)
-        )  # fmt: skip
+        of_step = self.cases.of(batch.cases)
         truth = batch.images.float() / 255.0
         painted = nets["painter"](of_step, batch.owner, parameters_to_pose(batch.parameters))
         ssim, error = image_loss(painted.mean, truth)
@@ -169,8 +165,7 @@ class ScoutAttention(NetworkGenerator[ScoutAttentionConfig]):
         """Return it with a patient's scout before its eyes (see `Adapting`); nothing is trained."""
         check_scout(images, parameters, self.scout, self.name)
         other = copy.copy(self)
-        held = known(images.cpu(), parameters.cpu())
-        other.known = Scouts(*(part.to(self.device) for part in held))  # type: ignore[arg-type]
+        other.known = known(images.cpu(), parameters.cpu()).on(self.device)
         other.frames = images.to(self.device)
         return other
 

@@ -63,6 +63,17 @@ class Scouts(NamedTuple):
     pixel: Tensor
     """(G,) m, the side of a pixel of the full image."""
 
+    def of(self, rows: Tensor) -> "Scouts":
+        """Return those of (N,) of the patients."""
+        poses = Pose(*(each[rows] for each in self.poses))
+        return Scouts(self.images[rows], poses, self.lit[rows], self.pixel[rows])
+
+    def on(self, device: str) -> "Scouts":
+        """Return them on a device."""
+        held = (each.to(device) for each in (self.images, self.lit, self.pixel))
+        images, lit, pixel = held
+        return Scouts(images, self.poses.to(device), lit, pixel)
+
 
 class Painted(NamedTuple):
     """Images of B poses, black 0 and white 1."""
