@@ -4,6 +4,7 @@ The probe frame has x to the right of the image, y out of the image plane (eleva
 the central beam, into the block. A probe that looks straight down has rotation_x = ±π.
 """
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -94,6 +95,16 @@ def rotation_vector(rotation: Tensor) -> Tensor:
     axis = torch.stack([flipped[..., 2, 1], flipped[..., 0, 2], flipped[..., 1, 0]], -1)
     angle = geodesic(torch.eye(3, device=rotation.device).expand_as(rotation), rotation)
     return axis / axis.norm(dim=-1, keepdim=True).clamp_min(1e-9) * angle.unsqueeze(-1)
+
+
+def pose_keys(pose: Pose, metres_per_radian: float) -> Tensor:
+    """Return (B, 12) keys of poses, m, whose Euclidean distance is that of the poses.
+
+    It is sqrt(|Δp|² + (w · 2 sin(θ/2))²) with Δp the shift, θ the angle between the rotations, and
+    w what a turn weighs against a shift: the rotation matrix is scaled by w/√2.
+    """
+    weight = metres_per_radian / math.sqrt(2.0)
+    return torch.cat([pose.position, weight * pose.rotation.flatten(-2)], -1)
 
 
 def parameters_to_pose(parameters: Tensor) -> Pose:

@@ -7,6 +7,7 @@ import pytest
 from racines_data.build.dataset import make_also, make_source, read_data_section
 from racines_data.config import PROFILES, fill, read_params, section
 from racines_data.phantom import PhantomConfig
+from racines_data.store.scouts import ScoutsConfig
 from racines_envs.agents import agent_class
 from racines_envs.evaluation.agent_specs import find_entry
 from racines_envs.evaluation.patients import PatientsConfig
@@ -16,6 +17,7 @@ from racines_models.judges.grader.model import GraderConfig
 from racines_models.judges.pose.regressor import PoseConfig
 from racines_models.judges.student.model import StudentConfig
 from racines_models.registry import generator_class
+from racines_models.scores.on_patients import PatientScoresConfig
 
 ENCODER = "models/runs/encoder"
 """What the stage of that name makes."""
@@ -39,6 +41,12 @@ def test_every_section_is_known_to_its_owner(profile: str):
     for name in params["generators"]:
         path = f"generators.{name}"
         fill(generator_class(name).Config, section(params, path), path)
+    assert set(params["patient_generators"]) <= registered
+    for name in params["patient_generators"]:
+        path = f"patient_generators.{name}"
+        fill(generator_class(name).Config, section(params, path), path)
+    assert fill(ScoutsConfig, section(params, "scouts"), "scouts").count
+    fill(PatientScoresConfig, section(params, "patient_scores"), "patient_scores")
     fill(PatientsConfig, section(params, "evaluation_patients"), "evaluation_patients")
     for name in [*params["agents"], *params["patient_agents"]]:
         entry = find_entry(params, name)

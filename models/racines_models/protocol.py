@@ -54,6 +54,8 @@ class Card:
     """Whether the pose changes the image."""
     trained: bool = True
     """Whether it learns by random draws, so that another training of it ends elsewhere."""
+    adapts: bool = False
+    """Whether it adapts to a patient's scout (see `Adapting`); else it ignores who is scanned."""
 
 
 @runtime_checkable
@@ -88,6 +90,27 @@ class Generator(ImageSource, Protocol):
     @classmethod
     def load(cls, folder: Path, device: str = "cpu") -> Self:
         """Read what `save` wrote; a `RacinesError` says that there is no such model."""
+        ...
+
+
+@runtime_checkable
+class Adapting(Protocol):
+    """What a generator has besides, if it can meet a patient whom it has never seen."""
+
+    scout: ClassVar[int]
+    """Fewest frames of a scout that it can adapt to."""
+
+    def adapt(self, images: Tensor, parameters: Tensor, seed: int) -> ImageSource:
+        """Return the generator adapted to one patient; this one stays as it is.
+
+        Args:
+            images: (S, 128, 128) uint8 frames of a sweep over the patient.
+            parameters: (S, 12) of the probe in these frames, as `schema.PARAMETERS`.
+            seed: of all chance in adapting; the same scout and seed give the same images.
+
+        Raises:
+            RacinesError: fewer frames than `scout`, or frames that cannot be used.
+        """
         ...
 
 

@@ -14,7 +14,7 @@ from racines_data.store.frames import FrameStore
 
 PASSING = ("seconds", "environment", "code")
 """Of scores: what differs from one run of the same measurement to the next."""
-SPEEDS = ("latency", "images_per_second_1", "images_per_second_64")
+SPEEDS = ("latency", "images_per_second_1", "images_per_second_64", "seconds_to_adapt")
 """Metrics of which the same holds."""
 
 

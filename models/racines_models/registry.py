@@ -21,6 +21,8 @@ GENERATORS = Plugins(
 )
 RUNS = Path("models/runs")
 """Where trained generators lie, each in a folder of its name."""
+PATIENTS = "patients"
+"""The tier of still patients, whom a generator meets by their scouts."""
 FILES = (".onnx", ".parquet")
 """Endings of the files that are generators."""
 
@@ -96,9 +98,25 @@ def is_file(spec: str) -> bool:
     return Path(spec).suffix.lower() in FILES
 
 
-def run_folder(spec: str, folder: Path | str | None = None) -> Path:
-    """Return the run's folder of a name or class: the one given, else `models/runs/NAME`."""
-    return RUNS / generator_class(spec).name if folder is None else Path(folder)
+def run_folder(spec: str, folder: Path | str | None = None, tier: str | None = None) -> Path:
+    """Return the run's folder of a name or class: the one given, else that of its tier.
+
+    That is `models/runs/NAME`, or `models/runs/patients/NAME`.
+    """
+    usual = RUNS / PATIENTS if on_patients(tier) else RUNS
+    return usual / generator_class(spec).name if folder is None else Path(folder)
+
+
+def on_patients(tier: str | None) -> bool:
+    """Return whether a tier is that of still patients, on which generators adapt.
+
+    Raises:
+        RacinesError: an unknown tier, or hearts that beat.
+    """
+    if tier not in (None, "heart", PATIENTS):
+        told = "generators know no phase of the beat" if tier == "beating" else "unknown tier"
+        raise RacinesError(f"--tier {tier}: {told}: choose heart or {PATIENTS}")
+    return tier == PATIENTS
 
 
 def weights_of(

@@ -81,6 +81,8 @@ NoGrader = Annotated[bool, typer.Option("--no-grader", help="Leave out what need
 Pose = Annotated[Path | None, typer.Option(help="Folder of the pose regressor's run.")]
 NoPose = Annotated[bool, typer.Option("--no-pose", help="Leave out what needs a pose regressor.")]
 
+Tier = Annotated[str | None, typer.Option(help="heart, patients or beating.")]
+Patients = Annotated[int | None, typer.Option("--patients", min=1, help="Patients of the split.")]
 View = Annotated[str | None, typer.Option(help="Target view.")]
 Observation = Annotated[str | None, typer.Option(help="image, params or multimodal.")]
 Reward = Annotated[str | None, typer.Option(help="paper, oracle, shaped, or another's.")]

@@ -4,13 +4,14 @@ from typing import Annotated, Any
 
 import typer
 
+from racines_data.cli import options as opt
+
 Agent = Annotated[
     str, typer.Argument(help="Registered agent, module:Class, or a run of the section agents.")
 ]
 Name = Annotated[str | None, typer.Option(help="What to call the run; as the agent, or its entry.")]
 
-
-Tier = Annotated[str | None, typer.Option(help="heart, patients or beating.")]
+Tier = opt.Tier
 
 
 def on_tier(view: str | None, tier: str | None) -> str | None:

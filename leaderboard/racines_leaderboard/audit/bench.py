@@ -22,9 +22,14 @@ from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_models.sample import Sample, take_sample
 from racines_models.scores import scoring
+from racines_models.scores.on_patients import PatientScoresConfig
 from racines_models.scores.scoring import ScoresConfig
 
-JUDGES = {"grader": "grader.safetensors", "pose": "model.safetensors"}
+JUDGES = {
+    "grader": "grader.safetensors",
+    "pose": "model.safetensors",
+    "segmentation": "model.safetensors",
+}
 """File of a judge's weights in its folder."""
 PINS = "board.json"
 """What a board is pinned to, in its folder."""
@@ -89,6 +94,12 @@ class Bench:
         """Return how the board evaluates agents at a task on patients."""
         settings = section(self.settings or {}, "evaluation_patients")
         return fill(PatientsConfig, settings | {"view": view}, "evaluation_patients")
+
+    @functools.cached_property
+    def patient_scores(self) -> PatientScoresConfig:
+        """How the board scores generators on patients, likewise."""
+        stated = section(self.settings or {}, "patient_scores")
+        return fill(PatientScoresConfig, stated, "patient_scores")
 
     @functools.cached_property
     def recipe(self) -> str | None:
@@ -168,7 +179,9 @@ class Bench:
     def judge_folders(self, kind: str) -> list[Path]:
         """Return where judges of a kind lie: the one given, or else those of the usual places."""
         runs, weights = self.places.runs, self.places.weights
+        of_patients = getattr(self.patient_scores, kind, None)
         usual = [runs / kind, weights / kind]
+        usual += [Path(of_patients)] if of_patients else []
         if kind == "grader":  # of patients, which an agent may go by
             own, published = GRADERS[PATIENTS]
             usual += [runs / own.name, weights.joinpath(*published.parts[-2:])]

@@ -47,6 +47,7 @@ JUDGED = {
     "grader": re.compile(r"(fid|kid|precision|recall|density|coverage|success)_grader"
                          r"|(view|grade)_agreement(_truth)?|grade_error(_all)?(_truth)?"),
     "pose": re.compile(r"pose_error_.+"),
+    "segmentation": re.compile(r"dice(_.+)?"),
 }  # fmt: skip
 """The metrics that rest on each judge."""
 
@@ -69,7 +70,7 @@ def check_claims(record: Record, bench: Bench) -> Iterator[Verdict]:
         yield told("environment", reason)
     else:
         yield holds("environment", f"as here: {', '.join(MACHINE)}")
-    folder = bench.places.runs if record["track"] == "generators" else bench.places.agents
+    folder = bench.places.agents if TRACK[record["track"]].steers else bench.places.runs
     path = folder / "scores" / f"{record['name']}.json"
     if record["tier"] == "self-reported" and path.is_file():
         yield from _scores_file(record, path, bench)
@@ -79,7 +80,7 @@ def _names(record: Record) -> Iterator[Verdict]:
     """Check that scores say they are of this record's system and board."""
     scores, subject = record["scores"], TRACK[record["track"]].subject
     yield equal(f"scores.{subject}", scores[subject], record["name"], "the record's name")
-    data, generator = scores.get("dataset") or {}, record["track"] == "generators"
+    data, generator = scores.get("dataset") or {}, not TRACK[record["track"]].steers
     merged = not generator and not submitted(record)
     for place, part, must in (("board", scores, merged), ("dataset.board", data, generator)):
         if must or "board" in part:
@@ -241,7 +242,7 @@ def beyond_truth(record: Record, peers: list[Record]) -> Iterator[Verdict]:
     """
     metrics, name = record["scores"]["metrics"], record["name"]
     drawn_again = next((peer for peer in peers if peer["name"] == CEILING), None)
-    if record["track"] != "generators" or name == CEILING:
+    if TRACK[record["track"]].steers or name == CEILING:
         return
     for key, most in LIKENESS.items():
         value, low = metrics[key]["value"], metrics[key]["low"]

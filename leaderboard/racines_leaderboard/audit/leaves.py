@@ -15,6 +15,7 @@ from racines_leaderboard.board.collect import Record
 
 INFORMATIVE = {
     r"scores\.metrics\.(images_per_second_\d+|latency)(\..+)?": "speeds: they are the machine's",
+    r"scores\.metrics\.seconds_to_adapt(\..+)?": "a time: it is the machine's",
     r"scores\.seconds": "how long scoring took",
     r"scores\.environment(\..+)?": "the machine: another one is held within the stated tolerance",
     r"scores\.code\.commit": "the numbers are made again by the code that is here",
@@ -24,14 +25,14 @@ INFORMATIVE = {
 }
 """Leaves that no rank, tier or verdict rests on, and why. Those of a submission must still be
 those of its `submission.yaml`."""
-NUMBERS = r"(metrics|by_(seed|pathology)\.[^.]+)\.[^.]+\.(value|low|high|n)"
+NUMBERS = r"(metrics|by_(seed|pathology|stratum)\.[^.]+)\.[^.]+\.(value|low|high|n)"
 ELSEWHERE = (
     r"extractors\..+|(weights|evidence)(\..+)?",
     r"dataset\.(digest|board)|board|code\.version|agent|generator",
 )
 """Leaves of scores that have a check of their own."""
 OF_TRAININGS = (
-    r"runs|(seeds|trainings)(\..+)?|(metrics|by_(seed|pathology)\.[^.]+)\.[^.]+\.settings\.(interval|units|trainings|trajectories|by_set)"
+    r"runs|(seeds|trainings)(\..+)?|(metrics|by_(seed|pathology|stratum)\.[^.]+)\.[^.]+\.settings\.(interval|units|trainings|trajectories|by_set)"
     r"(\..+)?"
 )
 """Those that differ where some of the trainings were made again; the evidence tells them."""

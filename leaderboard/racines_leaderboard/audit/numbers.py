@@ -23,7 +23,7 @@ from racines_leaderboard.audit.claims import differing, judge_of
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.ranges import CLOSE, ENDS, RANGES, faults
-from racines_leaderboard.records.tracks import TRACK
+from racines_leaderboard.records.tracks import PATIENT_GENERATORS, TRACK
 from racines_models.scores import diversity
 from racines_models.scores.scoring import PRDC_FRAMES
 from racines_models.statistics import wilson
@@ -31,7 +31,7 @@ from racines_models.statistics import wilson
 OF_VIEW = re.compile(r"(grade_agreement|grade_error|pose_error_(mm|deg)_view)(_truth)?")
 """Metrics over the frames of a view alone."""
 PRDC = re.compile(r"(precision|recall|density|coverage)(_grader)?")
-TIMED = re.compile(r"images_per_second_(?P<batch>\d+)|latency")
+TIMED = re.compile(r"images_per_second_(?P<batch>\d+)|latency|seconds_to_adapt")
 """Metrics of the machine."""
 BITWISE, TOLERANCE, HALF = "bitwise", "tolerance", "half precision"
 PRIMARY = 4e-4
@@ -58,7 +58,7 @@ def _groups(scores: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the metrics by place: those of all runs together, of each seed or pathology."""
     parts = {
         f"{kind}.{name}": each
-        for kind in ("by_seed", "by_pathology")
+        for kind in ("by_seed", "by_pathology", "by_stratum")
         for name, each in scores.get(kind, {}).items()
     }
     return {"metrics": scores["metrics"]} | parts
@@ -96,6 +96,8 @@ def _counts(
     """Return the n that each metric must have, and why, as far as it is known."""
     if TRACK[record["track"]].steers:
         return _episodes(record, place, metrics)
+    if record["track"] == PATIENT_GENERATORS.name:
+        return {}  # of which frames each is, its evidence tells
     store = bench.data_for(record)
     if store is None:
         most = bench.scores.samples

@@ -7,8 +7,9 @@ from racines_leaderboard.audit import weights
 from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.verdicts import RETRAINABLE, Report
 from racines_leaderboard.board.collect import Record
-from racines_leaderboard.records.tracks import PATIENT_AGENTS, TRACK
+from racines_leaderboard.records.tracks import PATIENT_AGENTS, PATIENT_GENERATORS, TRACK
 from racines_leaderboard.records.verdicts import NOT_VERIFIED
+from racines_models.registry import PATIENTS
 
 TRAIN = "racines train"
 
@@ -37,7 +38,9 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
     if not quick and not lacking and _unmade(record, subjects, report):
         kind = "agent" if TRACK[record["track"]].steers else "generator"
         name = weights.run_called(record)
-        on = "" if record["track"] == PATIENT_AGENTS.name else f" --data {data}"
+        on = f" --data {data}"
+        if record["track"] in (PATIENT_AGENTS.name, PATIENT_GENERATORS.name):
+            on = "" if kind == "agent" else f" --tier {PATIENTS}"
         yield f"{TRAIN} {kind} {name} {settings}{on}"
     if any(each.startswith("truth.") for each in subjects):
         yield f"racines leaderboard --recompute {record['track']}/{record['name']} --secret"

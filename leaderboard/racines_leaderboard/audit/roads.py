@@ -18,12 +18,13 @@ from racines_envs.evaluation.patients import evaluate_patients
 from racines_envs.evaluation.run import evaluate
 from racines_envs.evaluation.trainings import find_trainings, published_run
 from racines_envs.worlds.backends import make_grader
+from racines_leaderboard.audit import adapting
 from racines_leaderboard.audit import weights as files
 from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.numbers import HALF
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.board.recompute import Ground, recompute_scores, scored_on
-from racines_leaderboard.records.tracks import PATIENT_AGENTS
+from racines_leaderboard.records.tracks import PATIENT_AGENTS, PATIENT_GENERATORS
 from racines_models.protocol import Run
 from racines_models.provenance import weights_sha256
 from racines_models.registry import generator_class, open_generator, open_runs, weights_of
@@ -86,6 +87,8 @@ def find_road(record: Record, bench: Bench) -> Road | str:
         on, folder = _ground(record, bench), files.submission_of(record, bench)
         source = f"the artefacts in {folder}"
         return Road("artefacts", source, partial(_of_artefacts, folder, on))
+    if record["track"] == PATIENT_GENERATORS.name:
+        return _adapting(record, bench)
     return (_generator if record["track"] == "generators" else _agent)(record, bench)
 
 
@@ -144,6 +147,20 @@ def _generator(record: Record, bench: Bench) -> Road | str:
         source = f"the half-precision copy of the first training's weights, {copy}"
         return Road(HALF, source, lambda: score_first(record, bench, copy), 1)
     return f"no weights of it here: neither {folder} nor a published copy; --retrain trains anew"
+
+
+def _adapting(record: Record, bench: Bench) -> Road | str:
+    """Return how a generator that meets patients is scored again: from its weights, if any."""
+    for kind in adapting.JUDGES:
+        if adapting.judge_of(kind, record, bench) is None:
+            return f"the {kind} judge that it names is not here"
+    folder, claimed = files.run_of(record, bench), files.named(record)
+    again = partial(adapting.score_run, record, bench, folder)
+    if not claimed:
+        return Road("no weights", "it learns nothing", again)
+    if folder.is_dir() and weights_of(record["name"], folder) == claimed:
+        return Road("run", f"the weights in {folder}", again)
+    return f"no weights of it in {folder}; --retrain trains anew"
 
 
 def score_fitted(record: Record, bench: Bench, folder: Path | None = None) -> Made:

@@ -12,7 +12,7 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import locked
-from racines_leaderboard.audit import claims, weights
+from racines_leaderboard.audit import adapting, claims, weights
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.evidence import (
     check_evidence,
@@ -45,7 +45,7 @@ from racines_leaderboard.audit.verdicts import (
 )
 from racines_leaderboard.board.collect import Record, read_record
 from racines_leaderboard.records.schema import sealed, write_record
-from racines_leaderboard.records.tracks import TRACK
+from racines_leaderboard.records.tracks import PATIENT_GENERATORS, TRACK
 from racines_models.statistics import Evidence
 
 Finder = Callable[[Record, Bench], Road | str]
@@ -104,6 +104,8 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
     folder = into / bench.board / record["track"] / record["name"]
     if record["track"] == "generators":
         again = score_fitted(record, bench, folder)
+    elif record["track"] == PATIENT_GENERATORS.name:
+        again = Made.of(adapting.score_trained(record, bench, folder))
     else:
         again = score_agent(record, bench, folder, train=True)
     made = again.scores
@@ -142,6 +144,8 @@ def _check(path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
     if record["track"] == "generators":
         yield from claims.dataset(record, bench)
         yield from claims.drawing_seeds(record, bench)
+    elif record["track"] == PATIENT_GENERATORS.name:
+        yield from adapting.asked(record, bench)
     else:
         yield from claims.task(record, bench)
     others = [_read(other, bench) for other in sorted(path.parent.glob("*.json")) if other != path]

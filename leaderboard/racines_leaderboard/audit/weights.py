@@ -12,10 +12,11 @@ from racines_envs.evaluation.patients import run_name
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
 from racines_leaderboard.board.collect import Record, basis_of
-from racines_leaderboard.records.tracks import PATIENT_AGENTS
+from racines_leaderboard.records.tracks import PATIENT_AGENTS, PATIENT_GENERATORS
 from racines_leaderboard.submissions.document import files_of, rescored
 from racines_models.exchange.predictions.file import Predictions
 from racines_models.provenance import weights_sha256
+from racines_models.registry import PATIENTS
 
 
 def named(record: Record) -> dict[str, str]:
@@ -54,7 +55,9 @@ def run_of(record: Record, bench: Bench) -> Path:
     board, `weights/<name>`. Where no folder has all, one that has the first training will do.
     """
     places, name = bench.places, run_called(record)
-    if record["track"] == "generators":
+    if record["track"] == PATIENT_GENERATORS.name:
+        folders = [each / PATIENTS / name for each in (places.runs, places.weights)]
+    elif record["track"] == "generators":
         kept = places.weights
         folders = [places.runs / name, kept / bench.board / name, kept / name]
     else:

@@ -19,7 +19,7 @@ from racines_leaderboard.records.pins import (
     recipe_of,
 )
 from racines_leaderboard.records.schema import check
-from racines_leaderboard.records.tracks import GENERATORS, TRACKS, Track
+from racines_leaderboard.records.tracks import TRACKS, Track
 from racines_models.provenance import SPEEDS, result_sha256
 
 OPTIONAL = ("diversity",)
@@ -89,8 +89,8 @@ def make_pin(board: str, found: dict[str, Found]) -> Pin:
         RacinesError: as `pin_board`.
     """
     parts = {
-        GENERATORS.name: _pin_generators(found[GENERATORS.name]),
-        **{each.name: _pin_agents(found[each.name], each) for each in TRACKS if each.steers},
+        each.name: (_pin_agents if each.steers else _pin_generators)(found[each.name], each)
+        for each in TRACKS
     }
     kept = {name: part for name, part in parts.items() if part is not None}
     if not kept:
@@ -101,8 +101,8 @@ def make_pin(board: str, found: dict[str, Found]) -> Pin:
     return pin
 
 
-def _pin_generators(found: Found) -> Pin | None:
-    pair = [_named(found, GENERATORS, name) for name in GENERATORS.anchors]
+def _pin_generators(found: Found, track: Track) -> Pin | None:
+    pair = [_named(found, track, name) for name in track.anchors]
     if not all(pair):
         return None
     zero, one = (paths[0] for paths in pair)
@@ -114,7 +114,7 @@ def _pin_generators(found: Found) -> Pin | None:
     part["judges"] = _shared("judges", lambda s: hashes_of(s, False), both)
     part["extractors"] = _shared("extractors", lambda s: hashes_of(s, True), both)
     part["metrics"] = _metrics(list(both.values()))
-    return part | _anchors(GENERATORS, both)
+    return part | _anchors(track, both)
 
 
 def _pin_agents(found: Found, track: Track) -> Pin | None:

@@ -47,6 +47,13 @@ WEIGHINGS: dict[str, dict[str, Weighing]] = {
         "distribution": _of("fid", "kid"),
         **COMMON,
     },
+    "patient-generators": {
+        "score": _of("ssim", "psnr", "kid", "pose_error_mm", "dice"),
+        "likeness": _of("ssim", "psnr"),
+        "distribution": _of("kid"),
+        "what is seen": _of("pose_error_mm", "dice"),
+        **COMMON,
+    },
     "agents": {
         "score": _of("success_true", "spl", "final_grade"),
         "success": _of("success_true"),

@@ -32,7 +32,8 @@ def submit(
     results: opt.Results = opt.RESULTS,
     unconfined: opt.Unconfined = False,
     track: Annotated[
-        str, typer.Option(help="With --new: generators, agents or patient-agents.")
+        str,
+        typer.Option(help="With --new: generators or agents; patient-… of either."),
     ] = "generators",
     as_json: opt.AsJson = False,
 ) -> None:

@@ -17,12 +17,13 @@ CLOSE = 1e-9
 RATES = (
     r"(precision|recall|coverage)(_grader)?|(view|grade)_agreement(_truth)?|copies(_truth)?"
     r"|distinct|success_\w+|spl(_iqm)?|return_without_success|out_of_support|expert_\w+"
-    r"|declared|false_declarations|reached|disturbed_\w+"
+    r"|declared|false_declarations|reached|disturbed_\w+|dice(_\w+)?"
 )
 AMOUNTS = (
     r"fid(_grader)?|density(_grader)?|pose_error_mm(_view)?(_truth)?|(view_)?position_error|seconds"
     r"|(position_error|seconds)_(median|(upper_)?quartile)"
     r"|(episode_)?steps(_iqm|_median)?|(peak|mean)_force|violations|latency|images_per_second_\d+"
+    r"|seconds_to_adapt"
 )
 ANGLES = r"pose_error_deg(_view)?(_truth)?|(view_)?rotation_error(_median|_(upper_)?quartile)?"
 GRADES = r"grade_error(_all)?(_truth)?|final_grade(_iqm)?"
@@ -84,7 +85,7 @@ def check_possible(scores: dict[str, Any], where: str) -> None:
         RacinesError: the first, with its field and what was expected.
     """
     groups = {"metrics": scores["metrics"]}
-    for kind in ("by_seed", "by_pathology"):
+    for kind in ("by_seed", "by_pathology", "by_stratum"):
         groups |= {f"{kind}.{name}": each for name, each in scores.get(kind, {}).items()}
     for place, metrics in groups.items():
         for name, metric in metrics.items():

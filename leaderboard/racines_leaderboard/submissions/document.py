@@ -66,7 +66,8 @@ REMEDY = (
 )
 
 GENERATORS, AGENTS, ON_PATIENTS = "generators", "agents", "patient-agents"
-ALL = (GENERATORS, AGENTS, ON_PATIENTS)
+ADAPTING = "patient-generators"
+ALL = (GENERATORS, AGENTS, ON_PATIENTS, ADAPTING)
 
 
 @dataclass(frozen=True)

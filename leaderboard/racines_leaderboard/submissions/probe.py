@@ -57,6 +57,7 @@ FRAMES = 64
 """Frames whose poses are shuffled."""
 PLACES = {
     "generators": (Path("models/runs"), Path("models/weights")),
+    "patient-generators": (Path("models/runs/patients"), Path("models/weights/patients")),
     **dict.fromkeys(("agents", "patient-agents"), (Path("envs/runs"), Path("envs/weights"))),
 }
 """Where runs of merged classes lie, from the folder that commands run in."""

@@ -16,7 +16,7 @@ from racines_data.imaging import check_parameters
 from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
 from racines_models.networks.painting import OnnxModule
-from racines_models.protocol import Card, Run
+from racines_models.protocol import Adapting, Card, Run
 from racines_models.provenance import dataset_card
 from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.objective import Validation
@@ -92,11 +92,15 @@ class BaseGenerator(ABC, Generic[C]):
         metrics |= self.learn(store, run)
         if not is_main_process():
             return metrics
-        metrics["validation"] = Validation(store, run.seed).look(self, run.folder / "samples.png")
+        metrics["validation"] = self.look_back(store, run)
         self.save(run.folder)
         write_json(run.folder / "metrics.json", metrics)
         discard_checkpoint(run.folder)
         return metrics
+
+    def look_back(self, store: FrameStore, run: Run) -> dict[str, Any]:
+        """Draw some validation frames after the fit; return figures, leave `samples.png`."""
+        return Validation(store, run.seed).look(self, run.folder / "samples.png")
 
     @torch.no_grad()
     def generate(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
@@ -112,6 +116,7 @@ class BaseGenerator(ABC, Generic[C]):
         told = ("name", "title", "summary", "source", "stochastic", "data", "seed", "limits")
         told += ("conditional", "trained")
         return Card(
+            adapts=isinstance(self, Adapting),
             weights=sum(tensor.numel() for tensor in self.tensors().values()),
             config=dataclasses.asdict(self.config),  # type: ignore[call-overload]
             **{key: getattr(self, key) for key in told},

@@ -1,6 +1,5 @@
 """Retrieval: the training image whose pose is nearest."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,8 +7,9 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import parameters_to_pose
+from racines_data.geometry import parameters_to_pose, pose_keys
 from racines_data.store.frames import FrameStore
+from racines_models.adapting import check_scout
 from racines_models.generators.base import BaseGenerator
 from racines_models.protocol import Run
 from racines_models.sample import evenly
@@ -49,6 +49,7 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
     trained = False
     limits = ("draws nothing new", "jumps between neighbouring training frames")
     holds = ("keys", "images")
+    scout = 1
 
     def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
         """Remember poses and images of the train split, in order of the store."""
@@ -60,11 +61,18 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
         self.held = {name: tensor.to(self.device) for name, tensor in memory.items()}
         return {"images": len(frames)}
 
+    def adapt(self, images: Tensor, parameters: Tensor, seed: int) -> "NearestPose":
+        """Remember a patient's scout instead (see `Adapting`); nothing has to be fitted before."""
+        check_scout(images, parameters, self.scout, self.name)
+        other = NearestPose(self.config)
+        other.device, other.seed, other.data = self.device, self.seed, self.data
+        held = {"keys": self.embed(parameters.float()), "images": images}
+        other.held = {name: tensor.to(self.device) for name, tensor in held.items()}
+        return other
+
     def embed(self, parameters: Tensor) -> Tensor:
         """Return (B, 12) keys of (B, 12) parameters: Euclidean distance is that of the poses, m."""
-        pose = parameters_to_pose(parameters)
-        weight = self.config.metres_per_radian / math.sqrt(2.0)
-        return torch.cat([pose.position, weight * pose.rotation.flatten(-2)], -1)
+        return pose_keys(parameters_to_pose(parameters), self.config.metres_per_radian)
 
     def nearest(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """Return the (B,) index of the nearest training frame and the (B,) distance, m."""

@@ -17,6 +17,9 @@ from racines_models.judges.grader.report import MOST, compare
 from racines_models.judges.pose.frames import parameters_in
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.judges.pose.training import LARGEST, pose_errors
+from racines_models.judges.segmentation.model import SegmentationJudge
+from racines_models.judges.segmentation.overlap import dice
+from racines_models.judges.segmentation.structures import relabel, to_structures
 from racines_models.sample import Progress, Sample, evenly
 from racines_models.scores import diversity, metrics
 from racines_models.scores.features import (
@@ -174,6 +177,35 @@ class Scorer:
                     values = [each.where(chosen, torch.nan) for each in errors]
                     ends = (0.0, LARGEST[unit])
                     figures[name] = self._of_frames(name, "median", values, ends, unit, rule=told)
+        return figures
+
+    def overlap(
+        self, judge: SegmentationJudge, masks: Tensor, labels: Sequence[str]
+    ) -> dict[str, Any]:
+        """Return the Dice of what the judge outlines in the images with the true masks.
+
+        The mean over the structures that the true mask has, and each of them; `…_truth` is of what
+        it outlines in the true frames: what the judge's own errors cost.
+
+        Args:
+            judge: outlines chambers and walls.
+            masks: (N, 128, 128) uint8, the true ones of the sample's frames.
+            labels: names of their numbers.
+        """
+        names, figures = judge.structures, {}
+        truth = relabel(masks, to_structures(labels, names))
+        rule = "judge's outline in the image, true mask of the frame"
+        for suffix, sets in self._sides.items():
+            found = [dice(judge.segment(each), truth, len(names)) for each in sets]
+            parts = {"dice": [each.nanmean(1) for each in found]}
+            for place, name in enumerate(names):
+                key = f"dice_{name.lower().replace(' ', '_')}"
+                parts |= {key: [each[:, place] for each in found]}
+            for key, values in parts.items():
+                if bool(values[0].isfinite().any()):
+                    figures[f"{key}{suffix}"] = self._of_frames(
+                        f"{key}{suffix}", "mean", values, SHARE, rule=rule
+                    )
         return figures
 
     def variety(

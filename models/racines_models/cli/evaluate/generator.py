@@ -15,6 +15,8 @@ def eval_generator(
     name: Annotated[
         str, typer.Argument(help="A registered generator, module:Class, FILE.onnx or FILE.parquet.")
     ],
+    tier: opt.Tier = None,
+    patients: opt.Patients = None,
     data: opt.Data = opt.DATA,
     run: opt.Trained = None,
     grader: opt.Grader = None,
@@ -37,7 +39,19 @@ def eval_generator(
     Judges are those of the settings, models/runs/grader and models/runs/pose by default; a pose
     regressor that is not there is left out. Published trainings of the board count as the run's
     (models/weights/<board>/NAME/seed-<n>); of --run FOLDER, those in it.
+    With --tier patients it is shown a scout of each of --patients of the split, adapts if it can,
+    and draws poses at stated distances from it; judges are those of patients.
     """
+    from racines_models.registry import on_patients
+
+    if on_patients(tier):
+        from racines_models.cli.evaluate.on_patients import evaluate_on_patients
+
+        chosen = given(split=split, patients=patients, pose=pose)
+        where = {"run": run, "out": out, "device": device, "force": force, "as_json": as_json}
+        return evaluate_on_patients(name, chosen, read_settings(params, profile), **where)
+    if patients:
+        raise RacinesError("--patients needs --tier patients")
     from racines_data.config import fill, section
     from racines_data.progress import image_counter
     from racines_data.store.frames import open_store

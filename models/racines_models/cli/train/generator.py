@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 def train_generator(
     name: Annotated[str, typer.Argument(help="A registered generator, or module:Class.")],
+    tier: opt.Tier = None,
     data: opt.Data = opt.DATA,
     out: opt.OwnOut = None,
     params: opt.Params = None,
@@ -27,18 +28,29 @@ def train_generator(
     resume: opt.Resume = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Train a generator on the train split; leaves model, config, metrics and samples."""
+    """Train a generator on the train split; leaves model, config, metrics and samples.
+
+    With --tier patients it learns from scouts of train patients, which are drawn on the way and
+    kept in models/runs/scouts; the model goes to models/runs/patients/NAME.
+    """
     from racines_data.config import section
+    from racines_data.errors import RacinesError
     from racines_models.cli.output import tell
     from racines_models.protocol import Run
-    from racines_models.registry import generator_class
+    from racines_models.registry import generator_class, on_patients, run_folder
 
     cls = generator_class(name)
     values = read_settings(params, profile)
-    settings = section(values, ("generators", cls.name))
-    folder = out or Path("models/runs") / cls.name
+    of_patients = on_patients(tier)
+    if of_patients and processes > 1:
+        raise RacinesError(
+            "--processes: on patients a generator trains in one process: leave it out"
+        )
+    where = ("patient_generators" if of_patients else "generators", cls.name)
+    scouts = section(values, "scouts") if of_patients else None
+    folder = out or run_folder(name, tier=tier)
     run = Run(folder, seed_of(values, seed), device, resume, progress=not as_json)
-    metrics = _started(processes, name, settings, data, run)
+    metrics = _started(processes, name, section(values, where), data, run, scouts)
     if metrics is not None:
         tell({"out": str(folder), **metrics}, as_json, f"{folder}: {_words(metrics)}")
 
@@ -56,14 +68,26 @@ def _started(processes: int, *fit: Any) -> dict[str, Any] | None:
         leave()
 
 
-def _fit(name: str, settings: dict[str, Any], data: Path, run: "Run") -> dict[str, Any]:
+def _fit(
+    name: str, settings: dict[str, Any], data: Path, run: "Run", scouts: dict[str, Any] | None
+) -> dict[str, Any]:
     from racines_data.config import fill
+    from racines_data.progress import progress_bar
     from racines_data.store.frames import open_store
+    from racines_data.store.scouts import FOLDER, ScoutsConfig, ScoutStore
     from racines_models.registry import generator_class
     from racines_models.training.checkpoint import train_seeds
 
-    cls, store = generator_class(name), open_store(data)
-    config = fill(cls.Config, settings, f"generators.{cls.name}")
+    cls = generator_class(name)
+    section = "generators" if scouts is None else "patient_generators"
+    config = fill(cls.Config, settings, f"{section}.{cls.name}")
+    if scouts is None:
+        store = open_store(data)
+    else:
+        wanted = fill(ScoutsConfig, scouts, "scouts")
+        with progress_bar(run.progress, "patients") as bar:
+            task = bar.add_task("scouts", total=wanted.count)
+            store = ScoutStore(FOLDER, wanted, lambda some: bar.advance(task, some))
     repeats = getattr(getattr(config, "training", None), "repeats", 1)
     return train_seeds(lambda one: cls(config).fit(store, one), run, repeats)
 

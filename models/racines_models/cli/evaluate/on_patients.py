@@ -1,0 +1,97 @@
+"""What `racines eval generator --tier patients` does."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from racines_data.config import fill, section
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from racines_data.store.asked import AskedStore
+
+SHOWN, COLUMNS = 4, 8
+"""Patients in the picture, and images of each in a row."""
+
+
+def evaluate_on_patients(
+    name: str, chosen: dict[str, Any], values: dict[str, Any], *, run: Path | None, out: Path,
+    device: str, force: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Score a generator on patients; write NAME.json, .parquet and .png, and tell the figures.
+
+    Args:
+        name: of a registered generator, or `module:Class`.
+        chosen: settings that the command line gives.
+        values: all settings.
+        run: folder of the run; None: that of the name.
+        out: folder to write.
+        device: where features are computed and images drawn.
+        force: whether another result is replaced.
+        as_json: whether figures are printed as JSON.
+    """
+    from racines_data.progress import progress_bar
+    from racines_data.store.asked import AskedStore
+    from racines_models.cli.output import metrics_table, tell
+    from racines_models.judges.pose.regressor import PoseRegressor
+    from racines_models.judges.segmentation.model import SegmentationJudge
+    from racines_models.registry import PATIENTS, generator_class, run_folder, weights_of
+    from racines_models.scores.features import InceptionFeatures
+    from racines_models.scores.on_patients import (
+        Judges,
+        PatientScoresConfig,
+        check_named,
+        open_for_patients,
+        score_on_patients,
+    )
+    from racines_models.statistics import write_scores
+    from racines_models.training.published import published_seeds
+
+    check_named(name)
+    config = fill(PatientScoresConfig, section(values, "patient_scores") | chosen, "patient_scores")
+    tier_board = PATIENTS if PATIENTS in values.get("patient_boards", ()) else None
+    folder = run_folder(name, run, PATIENTS)
+    further = published_seeds(tier_board, folder) if run is None else []
+    generators = open_for_patients(name, folder, further, device)
+    pose = PoseRegressor.load(config.pose, device)
+    outlines = SegmentationJudge.load(config.segmentation, device)
+    judges = Judges(pose, outlines, InceptionFeatures(device))
+    out = out / PATIENTS if out == Path("models/runs/scores") else out
+    with progress_bar(not as_json, "patients") as bar:
+        task = bar.add_task("scouts", total=config.patients)
+        cache = Path("models/runs/scores/reference")
+        asked = AskedStore(
+            config.split, config.patients, config.seed, cache, lambda n: bar.advance(task, n)
+        )
+        total = 2 * len(asked)
+        drawn = bar.add_task(f"scoring {name}, images", total=total)
+        title = generator_class(name).name
+        scores = score_on_patients(
+            generators, asked, config, title, judges, device, lambda n: bar.advance(drawn, n)
+        )
+    there = (folder / "config.json").is_file()
+    weights = weights_of(name, folder, further) if there else None
+    content: dict[str, Any] = {**scores.content, "weights": weights or None}
+    content["dataset"]["board"] = tier_board
+    written = out / f"{title}.json"
+    content = write_scores(written, content, scores.evidence, force)
+    write_sheet(out / f"{title}.png", asked, scores.images)
+    tables = [metrics_table(f"{title}, {config.split} patients", content["metrics"])]
+    tables += [
+        metrics_table(f"{title}, {stratum} from the scout", found)
+        for stratum, found in content["by_stratum"].items()
+    ]
+    tell(content, as_json, *tables, f"{written}, .parquet, .png")
+
+
+def write_sheet(path: Path, asked: "AskedStore", drawn: "Tensor") -> None:
+    """Write three rows a patient: frames of the scout, true frames near to far, and drawn ones."""
+    from racines_data.patients.scouts import FRAMES, POSES
+    from racines_models.pictures import write_strip
+    from racines_models.sample import evenly
+
+    rows, some = [], evenly(POSES, COLUMNS)
+    for place in range(min(SHOWN, len(asked.trajectories))):
+        rows.append(asked.scouts[place][evenly(FRAMES, COLUMNS)])
+        rows += [images[place * POSES + some] for images in (asked.images, drawn)]
+    write_strip(path, rows)

@@ -1,0 +1,212 @@
+"""Scores of generators on patients whom nobody has seen: adapt to a scout, then draw.
+
+    patient ──> scout, 64 frames ──> adapt ──> 32 poses in strata of distance ──> figures
+
+Every figure is over all patients, and again by stratum; intervals resample patients, and trainings
+where a method is trained. A generator that does not adapt draws as ever.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.imaging import ImageSource
+from racines_data.patients.scouts import POSES, strata_names
+from racines_data.randomness import derive
+from racines_data.store.asked import AskedStore
+from racines_models.adapting import adapted
+from racines_models.contract import declared
+from racines_models.generators.noise_ceiling import NoiseCeiling
+from racines_models.judges.pose.regressor import PoseRegressor
+from racines_models.judges.segmentation.model import SegmentationJudge
+from racines_models.protocol import Adapting
+from racines_models.provenance import code_version, dataset_card, environment
+from racines_models.registry import generator_class, is_file, open_runs, run_folder
+from racines_models.sample import DRAW, Progress, Sample, check_drawn
+from racines_models.scores.features import Extractor
+from racines_models.scores.scorer import Scorer, ScoresConfig, plain
+from racines_models.scores.scoring import SCHEMA, Scores
+
+NOTES = [
+    "FID is biased upwards by small n: compare only figures of equal n, extractor and patients.",
+    "Intervals are over patients and trainings; those of one training say nothing of another.",
+    "Strata are of the distance to the nearest frame of the scout, where 1 degree counts 1.2 mm.",
+]
+BY_STRATUM = (
+    "ssim", "psnr", "fid", "kid", "pose_error_mm", "pose_error_deg", "dice", "pose_error_mm_truth",
+    "pose_error_deg_truth", "dice_truth",
+)  # fmt: skip
+"""Figures that are told of each stratum."""
+
+
+@dataclass(frozen=True)
+class PatientScoresConfig:
+    """On whom generators are scored, and by whom."""
+
+    split: str = "validation"
+    """Whose patients: `train`, `validation` or `test`."""
+    patients: int = 40
+    """So many of them, the first."""
+    seed: int = 0
+    """Names scouts and poses, and draws the images."""
+    pose: str = "models/weights/phantom-patients/pose"
+    """Folder of the pose regressor of patients."""
+    segmentation: str = "models/weights/phantom-patients/segmentation"
+    """Folder of the segmentation judge."""
+
+
+class SeenAgain:
+    """The bound: what the patient's own heart shows at the same poses, seen a second time."""
+
+    name = NoiseCeiling.name
+
+
+@dataclass(frozen=True)
+class Judges:
+    """Who judge."""
+
+    pose: PoseRegressor
+    segmentation: SegmentationJudge
+    features: Extractor
+
+
+class Remembered:
+    """An extractor that looks at no image twice: strata are parts of what was looked at whole."""
+
+    def __init__(self, extractor: Extractor) -> None:
+        """Wrap an extractor."""
+        self._extractor, self.settings = extractor, extractor.settings
+        self._known: dict[bytes, Tensor] = {}
+
+    def __call__(self, images: Tensor, progress: Progress | None = None) -> Tensor:
+        """Return (N, D) features of (N, 128, 128) uint8 images."""
+        keys = [image.numpy().tobytes() for image in images]
+        new = [row for row, key in enumerate(keys) if key not in self._known]
+        if new:
+            found = self._extractor(images[torch.tensor(new)], progress)
+            self._known |= {keys[row]: each for row, each in zip(new, found, strict=True)}
+        return torch.stack([self._known[key] for key in keys])
+
+
+def check_named(spec: str) -> None:
+    """Refuse a file, which draws poses and has no method to adapt."""
+    if is_file(spec):
+        raise RacinesError(
+            f"{spec}: a file draws poses and cannot adapt to a patient: name a generator"
+        )
+
+
+def open_for_patients(
+    spec: str, folder: Path | None, published: Sequence[Path] = (), device: str = "cpu"
+) -> list[Any]:
+    """Return the trainings of a generator for patients; what is not trained needs no run.
+
+    Raises:
+        RacinesError: unknown, absent or refused, by name; or a file, which cannot adapt.
+    """
+    check_named(spec)
+    cls: Any = generator_class(spec)
+    if cls is NoiseCeiling:
+        return [SeenAgain()]
+    untrained = getattr(cls, "trained", True) is False and hasattr(cls, "adapt")
+    if untrained and not (run_folder(spec, folder) / "config.json").is_file():
+        return [cls()]
+    return list(open_runs(spec, folder, published, device=device))
+
+
+def draw_patients(generator: Any, asked: AskedStore, seed: int) -> tuple[Tensor, float]:
+    """Return the (P · 32, 128, 128) images that a generator draws, and mean seconds to adapt.
+
+    Raises:
+        RacinesError: a scout that it cannot adapt to, or images that cannot be scored.
+    """
+    if isinstance(generator, SeenAgain):
+        return asked.again.flatten(0, 1), 0.0
+    parts, seconds, patients = [], 0.0, asked.patients or []
+    for place, patient in enumerate(patients):
+        own = int(derive(torch.tensor(seed), DRAW, patient))
+        began = time.perf_counter()
+        source: ImageSource = adapted(
+            generator, asked.scouts[place], asked.scout_parameters[place], own
+        )
+        seconds += time.perf_counter() - began
+        rows = slice(place * POSES, (place + 1) * POSES)
+        seeds = derive(torch.tensor(own), torch.arange(POSES))
+        parts.append(source.generate(asked.parameters[rows], seeds).cpu())
+    return check_drawn(torch.cat(parts)), seconds / len(patients)
+
+
+def score_on_patients(
+    generators: Sequence[Any], asked: AskedStore, config: PatientScoresConfig, name: str,
+    judges: Judges, device: str = "cpu", progress: Callable[[int], None] | None = None,
+) -> Scores:  # fmt: skip
+    """Score a generator, one or several trainings of it, on what is asked of patients.
+
+    Raises:
+        RacinesError: as `draw_patients`.
+    """
+    began = time.perf_counter()
+    pairs = [draw_patients(each, asked, config.seed + k) for k, each in enumerate(generators)]
+    drawn = [images for images, _ in pairs]
+    features = Remembered(judges.features)
+    looked = Judges(judges.pose, judges.segmentation, features)
+    everything = torch.arange(len(asked))
+    scorer = _scorer(asked, everything, drawn, progress)
+    metrics = _figures(scorer, asked, everything, looked)
+    metrics |= scorer.plugged(features, metrics)
+    seconds = sum(each for _, each in pairs) / len(pairs)
+    adapts = isinstance(generators[0], Adapting)
+    if adapts:
+        rule = "mean over patients, of one scout"
+        metrics["seconds_to_adapt"] = plain(seconds, len(asked.trajectories), "s", rule=rule)
+    strata = {}
+    for place, title in enumerate(strata_names()):
+        rows = (asked.strata == place).nonzero().squeeze(1)
+        part = _scorer(asked, rows, [images[rows] for images in drawn])
+        found = _figures(part, asked, rows, looked)
+        strata[title] = {key: found[key] for key in BY_STRATUM if key in found}
+    card = dataset_card(asked) | {"split": config.split, "sample": scorer.sample.digest}
+    content = {
+        "schema": SCHEMA, "generator": name, "dataset": card, "seeds": [config.seed],
+        "runs": len(generators),
+        "trained": any(_trained(each) for each in generators),
+        "adapts": adapts,
+        "metrics": metrics, "by_stratum": strata,
+        "extractors": {
+            "inception": features.settings, "pose": judges.pose.settings,
+            "segmentation": judges.segmentation.settings,
+        },
+        "weights": None, "code": code_version(), "environment": environment(device),
+        "seconds": round(time.perf_counter() - began, 3), "notes": NOTES,
+    }  # fmt: skip
+    return Scores(content, scorer.sample, drawn[0], scorer.evidence)
+
+
+def _trained(generator: Any) -> bool:
+    return not isinstance(generator, SeenAgain) and declared(generator).trained is not False
+
+
+def _scorer(
+    asked: AskedStore, rows: Tensor, drawn: list[Tensor], progress: Progress | None = None
+) -> Scorer:
+    """Return a scorer of some rows, whose units are patients."""
+    sample = Sample(asked.take(rows), asked.units(rows))
+    return Scorer(ScoresConfig(), asked, sample, drawn, None, progress, len(drawn))
+
+
+def _figures(scorer: Scorer, asked: AskedStore, rows: Tensor, judges: Judges) -> dict[str, Any]:
+    """Return all figures of a scorer's images that judges give."""
+    figures = scorer.likeness() | scorer.distances("", judges.features)
+    assert asked.masks is not None and asked.mask_labels is not None
+    masks = asked.masks[rows]
+    return (
+        figures
+        | scorer.poses(judges.pose)
+        | scorer.overlap(judges.segmentation, masks, asked.mask_labels)
+    )

@@ -1,0 +1,166 @@
+"""Generators on boards of patients: scored by scouts, pinned, ranked, and audited."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+from racines_data.errors import RacinesError
+from racines_leaderboard.audit import adapting
+from racines_leaderboard.board.collect import read_board, read_scores
+from racines_leaderboard.board.rank import rankings
+from racines_leaderboard.board.standing import is_bound
+from racines_leaderboard.cli.command import app
+from racines_leaderboard.records.schema import sealed
+from racines_leaderboard.records.tracks import PATIENT_GENERATORS
+from racines_models.scores import features, scoring
+from racines_models.scores.on_patients import draw_patients, open_for_patients
+from tests.conftest import ROOT
+from tests.models.scores.test_scores import Coarse
+
+JUDGES = ROOT / "models/weights/phantom-patients"
+SETTINGS = {
+    "board": "mini",
+    "patient_boards": ["patients"],
+    "seed": 0,
+    "scouts": {"train": 1, "validation": 1, "places": 2},
+    "patient_generators": {
+        "scout-attention": {"width": 8, "frames": 4, "training": {"images": 32, "batch_size": 16}}
+    },
+    "patient_scores": {
+        "split": "validation", "patients": 2,
+        "pose": str(JUDGES / "pose"), "segmentation": str(JUDGES / "segmentation"),
+    },
+}  # fmt: skip
+RESULTS, SCORES = Path("leaderboard/results"), Path("models/runs/scores/patients")
+NAMES = ("mean-image", "noise-ceiling", "nearest-pose", "scout-attention")
+
+
+def racines(*words: str, code: int = 0) -> str:
+    done = CliRunner().invoke(app, list(words), catch_exceptions=False)
+    assert done.exit_code == code, done.output
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """A workplace with a board of patients that holds anchors, retrieval, and one that learned."""
+    folder = tmp_path_factory.mktemp("adapting-board")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        coarse(patch)
+        Path("params.yaml").write_text(yaml.safe_dump(SETTINGS))
+        for name in ("mean-image", "scout-attention"):
+            racines("train", "generator", name, "--tier", "patients", "--json")
+        for name in NAMES:
+            racines("eval", "generator", name, "--tier", "patients", "--json")
+        racines("leaderboard", "--board", "patients", "--collect", str(SCORES))
+        racines("board", "pin", "patients")
+    return folder
+
+
+def coarse(patch: pytest.MonkeyPatch) -> None:
+    """Put block means in the place of Inception."""
+    for module in (features, scoring, adapting):
+        patch.setattr(module, "InceptionFeatures", Coarse)
+
+
+@pytest.fixture
+def board(made, tmp_path, monkeypatch) -> Path:
+    coarse(monkeypatch)
+    shutil.copytree(made, tmp_path / "work")
+    monkeypatch.chdir(tmp_path / "work")
+    return tmp_path / "work"
+
+
+def test_scores_say_who_adapts_and_how_well_by_stratum(board):
+    told = {name: read_scores(SCORES / f"{name}.json") for name in NAMES}
+    assert {track.name for _, track in told.values()} == {PATIENT_GENERATORS.name}
+    adapts = {name for name, (scores, _) in told.items() if scores["adapts"]}
+    assert adapts == {"nearest-pose", "scout-attention"}
+    for name, (scores, _) in told.items():
+        strata, metrics = scores["by_stratum"], scores["metrics"]
+        assert list(strata) == ["0-5 mm", "5-10 mm", "10-15 mm", "15-20 mm"]
+        assert metrics["ssim"]["n"] == 64 and strata["0-5 mm"]["ssim"]["n"] == 16
+        assert metrics["ssim"]["settings"]["units"] == 2, "patients"
+        of_strata = [each["ssim"]["value"] for each in strata.values()]
+        assert abs(sum(of_strata) / 4 - metrics["ssim"]["value"]) < 1e-9
+        assert ("seconds_to_adapt" in metrics) == (name in adapts)
+    near = [told["nearest-pose"][0]["by_stratum"][key]["ssim"]["value"]
+            for key in ("0-5 mm", "15-20 mm")]  # fmt: skip
+    assert near[0] > near[1], "retrieval is worse the further off"
+
+
+def test_anchors_stand_at_their_ends_and_bounds_without_a_place(board):
+    records = read_board(RESULTS, "patients")[PATIENT_GENERATORS.name]
+    by_name = {each["name"]: each for each in records}
+    score = {name: each["standing"].score.value for name, each in by_name.items()}
+    assert score["mean-image"] == 0.0 and score["noise-ceiling"] == 1.0
+    assert {name for name in NAMES if is_bound(by_name[name])} == set(NAMES[:3])
+    why = {each.record["name"]: each.standing.why for each in rankings(PATIENT_GENERATORS, records)}
+    assert why == dict.fromkeys(NAMES[:3], "bound") | {"scout-attention": "one training"}
+    shown = racines("leaderboard", "--board", "patients")
+    assert "Dice" in shown and "scout-attention" in shown
+
+
+def test_an_audit_makes_every_number_again(board):
+    said = json.loads(racines("audit", "--all", "--board", "patients", "--json"))
+    verdicts = {each["name"]: each["verdict"] for each in said["reports"]}
+    assert verdicts == dict.fromkeys(NAMES, "holds"), said
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("metrics", "dice_lv", "value"), 0.99),
+        (("by_stratum", "0-5 mm", "ssim", "high"), 0.999),
+        (("adapts",), False),
+        (("dataset", "recipe_digest"), "0" * 64),
+    ],
+)
+def test_what_is_changed_afterwards_does_not_hold(board, place, value):
+    path = RESULTS / "patients/patient-generators/nearest-pose.json"
+    record = json.loads(path.read_text())
+    node = record["scores"]
+    for key in place[:-1]:
+        node = node[key]
+    node[place[-1]] = value
+    path.write_text(json.dumps(sealed(record)))
+    (board / "leaderboard/results/patients/board.json").unlink()
+    words = ("audit", "nearest-pose", "--board", "patients", "--json")
+    said = json.loads(racines(*words, code=1))
+    assert said["reports"][0]["verdict"] == "does not hold"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("eval", "generator", "nearest-pose", "--tier", "beating"), "know no phase of the beat"),
+        (("eval", "generator", "nearest-pose", "--tier", "nobody"), "unknown tier"),
+        (("eval", "generator", "mine.onnx", "--tier", "patients"), "cannot adapt to a patient"),
+        (("eval", "generator", "nearest-pose", "--patients", "3"), "needs --tier patients"),
+        (("eval", "generator", "flow", "--tier", "patients"), "no trained flow here"),
+        (("eval", "generator", "nearest-pose", "--tier", "patients", "--patients", "2000"),
+         "has 1 to 1000"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_scored_is_refused(board, words, message):
+    done = CliRunner().invoke(app, list(words))
+    assert done.exit_code != 0 and message in str(done.exception or done.output)
+
+
+def test_a_scout_that_is_too_short_is_refused(board):
+    from racines_data.store.asked import AskedStore
+
+    asked = AskedStore("validation", 2, 0, Path("models/runs/scores/reference"))
+    (generator,) = open_for_patients(
+        "scout-attention", Path("models/runs/patients/scout-attention")
+    )
+    asked.scouts, asked.scout_parameters = (
+        part[:, :7] for part in (asked.scouts, asked.scout_parameters)
+    )
+    with pytest.raises(RacinesError, match="has 7 frames and adapt needs 8"):
+        draw_patients(generator, asked, 0)

@@ -1,0 +1,171 @@
+"""Attention over a scout's frames: the contract, what it learns, and what cannot be a scout."""
+
+import pytest
+import torch
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import parameters_to_pose
+from racines_data.patients.scouts import FRAMES
+from racines_data.store.scouts import RUN, MadeStore
+from racines_models.adapting import adapted
+from racines_models.generators.mean_image import MeanImage
+from racines_models.generators.nearest_pose import NearestPose
+from racines_models.generators.scout_attention import ScoutAttention, ScoutAttentionConfig
+from racines_models.networks.scale import pixel_side
+from racines_models.protocol import Adapting, Run
+from racines_models.testing import GeneratorContract
+from racines_models.training.episodes import EpisodeCourse, scouts_of
+from racines_models.training.objective import Training
+from tests.models.conftest import FakeStore, pictures, random_parameters
+
+TINY = ScoutAttentionConfig(
+    width=8, frames=4, training=Training(images=32, batch_size=16, precision="fp32")
+)
+
+
+class FakeScouts(MadeStore):
+    """Scouts and what is asked for, of pictures that follow the pose; the test split is asked."""
+
+    config = "scouts"
+
+    def __init__(self, train: int = 3):
+        cases = train + 1
+        parameters = random_parameters(cases * RUN, 1)
+        self._hold(pictures(parameters), parameters, list(range(1, cases + 1)), RUN)
+        self._splits = {"train": [0, train * RUN], "validation": [train * RUN, cases * RUN]}
+        self._splits["test"] = [train * RUN + FRAMES, cases * RUN]
+        self.manifest = {"source": "scouts", "version": "0.0.1", "digest": "d" * 9}
+
+
+@pytest.fixture(scope="module")
+def store():
+    return FakeScouts()
+
+
+def scout_of(store, case=3):
+    return tuple(part[0] for part in scouts_of(store, torch.tensor([case])))
+
+
+class TestScoutAttention(GeneratorContract):
+    generator_class = ScoutAttention
+    config = TINY
+
+    def met(self, generator, store):
+        return generator.adapt(*scout_of(store), 0)
+
+    def test_its_scout_decides(self, store, tmp_path):
+        """Another scout changes the images, the same one does not, and the original stays."""
+        generator, poses = self.fitted(store, tmp_path), self.parameters(store)
+        mine = generator.generate(poses, 0)
+        other = generator.adapt(*scout_of(store, 0), 0)
+        assert not torch.equal(other.generate(poses, 0), mine)
+        assert torch.equal(generator.generate(poses, 0), mine)
+        assert torch.equal(other.adapt(*scout_of(store), 9).generate(poses, 0), mine)
+        assert generator.card.adapts and isinstance(generator, Adapting)
+
+    def test_where_a_patient_lies_counts_for_nothing(self, store, tmp_path):
+        """Scout and poses moved together give the same images, but for rounding."""
+        generator, poses = self.fitted(store, tmp_path), self.parameters(store)
+        images, parameters = scout_of(store)
+        moved, there = parameters.clone(), poses.clone()
+        for each in (moved, there):
+            each[:, 6:8] += torch.tensor([0.03, -0.05])
+        first = generator.generate(poses, 0).int()
+        again = generator.adapt(images, moved, 0).generate(there, 0).int()
+        assert (first - again).abs().float().mean() < 0.05
+
+    def test_grain_adds_what_the_deviation_says(self, store, tmp_path):
+        generator, poses = self.fitted(store, tmp_path), self.parameters(store)
+        rough = ScoutAttention(ScoutAttentionConfig(width=8, frames=4, grain=1.0))
+        rough.nets, rough.known, rough.frames = generator.nets, generator.known, generator.frames
+        smooth, rough = (each.generate(poses, 0).float() for each in (generator, rough))
+        assert (rough - smooth).abs().mean() > 0.1
+
+
+def test_nothing_is_drawn_before_the_patient_is_met(store, tmp_path):
+    generator = ScoutAttention(TINY)
+    generator.fit(store, Run(tmp_path, progress=False))
+    with pytest.raises(RacinesError, match=r"no scout of this patient: call adapt\("):
+        generator.generate(store.parameters[:2], 0)
+
+
+def test_it_learns_from_scouts_alone(tmp_path):
+    frames = FakeStore()
+    frames.config = "frames"
+    with pytest.raises(RacinesError, match="'frames' has no scouts .* --tier patients"):
+        ScoutAttention(TINY).fit(frames, Run(tmp_path, progress=False))
+
+
+@pytest.mark.parametrize("cls", [ScoutAttention, NearestPose])
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda images, poses, least: (images[: least - 1], poses[: least - 1]),
+         r"has \d+ frames and adapt needs \d+"),
+        (lambda images, poses, least: (images, poses[:-1]), "64 images and 63 poses"),
+        (lambda images, poses, least: (images, poses * torch.nan), "is not finite"),
+        (lambda images, poses, least: (images.float(), poses), "give uint8"),
+    ],
+    ids=["few", "counts", "nan", "floats"],
+)  # fmt: skip
+def test_what_is_no_scout_is_refused(store, cls, spoil, message):
+    images, poses = spoil(*scout_of(store), cls.scout)
+    with pytest.raises(RacinesError, match=message):
+        cls().adapt(images, poses, 0)
+
+
+def test_who_does_not_adapt_draws_as_ever(store, tmp_path):
+    generator = MeanImage()
+    generator.fit(store, Run(tmp_path, progress=False))
+    assert adapted(generator, *scout_of(store), 0) is generator and not generator.card.adapts
+
+
+def test_retrieval_finds_the_frames_of_the_scout(store):
+    images, poses = scout_of(store)
+    met = NearestPose().adapt(images, poses, 0)
+    assert torch.equal(met.generate(poses, 0), images) and met.card.adapts
+
+
+def test_episodes_are_a_function_of_seed_and_position(store):
+    def episodes(seed, start):
+        training = Training(images=64, batch_size=16)
+        return list(EpisodeCourse(store, training, seed, "cpu", lambda *_: {}).batches(start, 64))
+
+    whole, rest, other = episodes(3, 0), episodes(3, 32), episodes(4, 0)
+    for one, two in zip(whole[2:], rest, strict=True):
+        assert all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
+    assert not torch.equal(whole[0].images, other[0].images)
+    for episode in whole:  # what is asked for is of the patient whose scout is shown
+        rows = [store.parameters.eq(each).all(1).nonzero().item() for each in episode.parameters]
+        assert [row // RUN for row in rows] == episode.cases[episode.owner].tolist()
+        assert all(row % RUN >= FRAMES for row in rows)
+        assert all(len(set(rows[i : i + 8])) == 8 for i in (0, 8))
+
+
+def test_a_batch_is_whole_patients(store, tmp_path):
+    config = ScoutAttentionConfig(width=8, training=Training(images=32, batch_size=12))
+    with pytest.raises(RacinesError, match="batch_size 12: give a multiple of 8"):
+        ScoutAttention(config).fit(store, Run(tmp_path, progress=False))
+
+
+@pytest.mark.parametrize("change", [{"width": 12}, {"frames": 3}, {"grain": 1.5}])
+def test_impossible_settings_are_refused(change):
+    with pytest.raises(RacinesError, match="scout-attention"):
+        ScoutAttentionConfig(**change)
+
+
+def test_the_side_of_a_pixel_is_read_from_posed_frames():
+    """Slices of one solid tell how large their pixels are."""
+    generator = torch.Generator().manual_seed(0)
+    parameters = random_parameters(FRAMES, 5)
+    pose = parameters_to_pose(parameters)
+    centres = torch.rand(24, 3, generator=generator) * 0.12 - 0.06
+    centres = centres + torch.tensor([0.49, 0.0, -0.04])
+    for side in (0.0016, 0.0022):
+        middle = torch.arange(64) * 2.0 + 1.0
+        axial, lateral = torch.meshgrid(middle * side, (middle - 64.0) * side, indexing="ij")
+        places = pose.position[:, :, None, None] + pose.rotation[:, :, 0, None, None] * lateral
+        places = places + pose.rotation[:, :, 2, None, None] * axial
+        apart = (places.unsqueeze(1) - centres[None, :, :, None, None]).square().sum(2)
+        images = (-apart / 0.018**2).exp().sum(1).clamp(0.01, 1.0)
+        assert abs(pixel_side(images, pose) / side - 1.0) < 0.06
