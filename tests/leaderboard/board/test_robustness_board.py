@@ -124,7 +124,10 @@ def test_a_report_that_is_withdrawn_or_of_another_record_is_shown_no_more(work):
     ROW.write_text(json.dumps(sealed(record)))
     (row,) = read_board(RESULTS, "patients")["patient-agents"]
     assert row["robustness_stale"] and "robustness" not in row
-    table = board_tables("patients", {"generators": [], "agents": [], "patient-agents": [row]})[0]
+    table = board_tables(
+        "patients",
+        {"generators": [], "agents": [], "patient-generators": [], "patient-agents": [row]},
+    )[0]
     assert "Left out: studies of other weights or data (planner-a4c)." in " ".join(table.notes)
     (SUBMISSIONS / "patient-agents/planner/submission.yaml").write_text(plain)
     (SUBMISSIONS / "patient-agents/planner/a4c.json").unlink()
