@@ -2,9 +2,9 @@
 
 import torch
 
-from racines_data.geometry import Pose, geodesic
+from racines_data.geometry import Pose, axis_angle_to_matrix, geodesic, matmul3
 from racines_envs.agents.rollout import rollout
-from racines_envs.agents.servo import windows
+from racines_envs.agents.servo import mind, windows
 from racines_envs.agents.servo.belief import Belief, reading
 from racines_envs.agents.servo.frames import ways_to
 from racines_envs.agents.servo.windows import AIM, SPACE, SPACES, Windows, beside
@@ -74,6 +74,36 @@ def test_who_is_late_chooses_among_what_was_seen_and_rows_are_their_own():
     kept.forget(torch.tensor([True, False, True]))
     assert kept.number.tolist() == [0, 1, 0] and kept.travels.tolist() == [False, True, False]
     assert float(kept.seen[0][0].abs().sum()) == 0.0 < float(kept.seen[0][1].abs().sum())
+
+
+def minded(rows: torch.Tensor) -> list[Pose]:
+    """Return where some of 24 rows believe their views, step by step, read at random."""
+    draw = torch.Generator().manual_seed(1)
+    labels = torch.arange(24) % 5
+    kept, believed = None, []
+    for step in range(mind.CHOOSE + 10):
+        about = middles(labels)
+        turn = axis_angle_to_matrix(0.2 * torch.randn(24, 3, generator=draw))
+        place = about.position + 0.02 * torch.randn(24, 3, generator=draw)
+        way, deviation = 0.02 * torch.rand(2, 24, 6, generator=draw) + 0.002
+        worth, reached = torch.rand(2, 24, generator=draw)
+        pose = Pose(place[rows], matmul3(turn, about.rotation)[rows])
+        read = reading(pose, way[rows], deviation[rows])
+        kept = kept or mind.Mind.new(read)
+        kept.learn(read, pose, worth[rows], labels[rows], torch.full((len(rows),), step > 0))
+        kept.search(labels[rows])
+        believed.append(kept.centre(labels[rows]))
+        kept.step(reached[rows] < 0.3)
+    assert bool(kept.windows.chosen.all())
+    return believed
+
+
+def test_where_a_row_searches_does_not_hang_on_the_others():
+    every = minded(torch.arange(24))
+    for rows in (torch.tensor([3]), torch.arange(5, 22)):
+        for whole, part in zip(every, minded(rows), strict=True):
+            assert torch.equal(whole.position[rows], part.position)
+            assert torch.equal(whole.rotation[rows], part.rotation)
 
 
 class Local(Told):

@@ -19,6 +19,7 @@ from racines_leaderboard.records.tracks import PATIENT_GENERATORS
 from racines_models.scores import features, scoring
 from racines_models.scores.on_patients import draw_patients, open_for_patients
 from tests.conftest import ROOT
+from tests.leaderboard.called import racines
 from tests.models.scores.test_scores import Coarse
 
 JUDGES = ROOT / "models/weights/phantom-patients"
@@ -37,12 +38,6 @@ SETTINGS = {
 }  # fmt: skip
 RESULTS, SCORES = Path("leaderboard/results"), Path("models/runs/scores/patients")
 NAMES = ("mean-image", "noise-ceiling", "nearest-pose", "scout-attention")
-
-
-def racines(*words: str, code: int = 0) -> str:
-    done = CliRunner().invoke(app, list(words), catch_exceptions=False)
-    assert done.exit_code == code, done.output
-    return done.stdout
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from typer.testing import CliRunner
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
@@ -22,7 +21,6 @@ from racines_leaderboard.board.collect import collect, read_board, read_scores
 from racines_leaderboard.board.rank import rankings
 from racines_leaderboard.board.recompute import Ground, recompute
 from racines_leaderboard.board.standing import is_bound
-from racines_leaderboard.cli.command import app
 from racines_leaderboard.fresh.draws import draw_in_secret, secret_starts
 from racines_leaderboard.fresh.rounds import Secret, commit
 from racines_leaderboard.records.schema import sealed
@@ -31,6 +29,7 @@ from racines_leaderboard.studio.boards import Selection, tables_html
 from racines_leaderboard.submissions import intake
 from racines_leaderboard.submissions.probe import Probed
 from tests.conftest import ROOT
+from tests.leaderboard.called import racines
 from tests.leaderboard.graphs import lookup_policy, sound_policy
 from tests.leaderboard.handed_in import Watched, inbox, submitted
 
@@ -43,12 +42,6 @@ SETTINGS = {
 }
 RESULTS, SCORES = Path("leaderboard/results"), Path("envs/runs/scores")
 ROW = RESULTS / "patients/patient-agents/planner-a4c.json"
-
-
-def racines(*words: str, code: int = 0) -> str:
-    done = CliRunner().invoke(app, list(words), catch_exceptions=False)
-    assert done.exit_code == code, done.output
-    return done.stdout
 
 
 @pytest.fixture(scope="module")

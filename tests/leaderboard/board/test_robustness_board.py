@@ -25,6 +25,7 @@ from racines_leaderboard.records.tracks import PATIENT_AGENTS
 from racines_leaderboard.submissions.document import find_submission, read_document
 from racines_leaderboard.submissions.intake import take_in
 from tests.conftest import ROOT
+from tests.leaderboard.called import racines
 from tests.leaderboard.conftest import artefact, write_submission
 
 SETTINGS = {
@@ -39,12 +40,6 @@ SUBMISSIONS = Path("leaderboard/submissions")
 KEPT = RESULTS / "patients/robustness/planner-a4c.json"
 ROW = RESULTS / "patients/patient-agents/planner-a4c.json"
 Change = Callable[[dict[str, Any]], Any]
-
-
-def racines(*words: str, code: int = 0) -> str:
-    done = CliRunner().invoke(app, list(words), catch_exceptions=False)
-    assert done.exit_code == code, done.output
-    return done.stdout
 
 
 @pytest.fixture(scope="module")
