@@ -11,11 +11,11 @@ READY := $(VENV)/.ready
 export PATH := $(abspath $(VENV))/bin:$(PATH)
 # DVC runs one stage at a time. Two of it run stages that need nothing of each other, and check nothing
 # that comes before them: it is there. Where one fails, make fails: the second half stops the first at
-# once, the first lets the second come to its end.
+# once, the first lets the second come to its end. Whoever stops make stops both.
 ALONE := dvc --wait-for-lock repro --single-item
 define beside
-set -m; $(ALONE) $(1) </dev/null & other=$$!; set +m; trap 'kill -- -$$other 2>/dev/null || :' EXIT; \
-$(2); wait $$other
+set -m; $(ALONE) $(1) </dev/null & one=$$!; { $(2); } </dev/null & two=$$!; set +m; \
+trap 'kill -- -$$one 2>/dev/null || :; kill -- -$$two 2>/dev/null || :' EXIT; wait $$two; wait $$one
 endef
 # Threads of oneDNN wait by spinning when they train a judge: two that share a core with other work take
 # several times as long as one. Those of OpenMP wait asleep, if told to.

@@ -10,7 +10,6 @@ Hearts stand still at end diastole, breathed out. All is a function of the patie
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -126,20 +125,19 @@ def nearest(parameters: Tensor, among: Tensor) -> Tensor:
     return apart.amin(1).float()
 
 
-def check_asked(scouted: Scouted, patients: Sequence[int]) -> None:
-    """Refuse poses that do not lie about the scout beside which they are asked for.
+def check_asked(patient: int, swept: Tensor, asked: Tensor) -> None:
+    """Refuse (N, 12) poses that do not lie about the (M, 12) of a patient's scout.
 
     Raises:
-        RacinesError: poses of another patient, with the first that lies too far off.
+        RacinesError: poses of another patient, with the one that lies farthest off.
     """
-    for seed, swept, asked in zip(patients, scouted.parameters, scouted.asked, strict=True):
-        away = nearest(asked, swept) * 1e3
-        if float(away.max()) >= STRATA[-1]:
-            row = int(away.argmax())
-            raise RacinesError(
-                f"patient {seed}: pose {row} lies {float(away[row]):.0f} mm from the nearest frame "
-                f"of the scout, and {STRATA[-1]:g} is the most: these are poses of another patient"
-            )
+    away = nearest(asked, swept) * 1e3
+    if float(away.max()) >= STRATA[-1]:
+        row = int(away.argmax())
+        raise RacinesError(
+            f"patient {patient}: pose {row} lies {float(away[row]):.0f} mm from the nearest frame "
+            f"of the scout, and {STRATA[-1]:g} is the most: these are poses of another patient"
+        )
 
 
 def strata_of(distances: Tensor) -> Tensor:

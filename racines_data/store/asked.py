@@ -6,7 +6,7 @@ from typing import Any
 
 import pyarrow as pa
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor
 
 from racines_data.digest import recipe_digest
@@ -21,13 +21,13 @@ from racines_data.patients.scouts import (
     POSES,
     SCOUTS_VERSION,
     STRATA,
-    check_asked,
+    Scouted,
     scout,
     strata_of,
 )
 from racines_data.patients.splits import check_split, seeds_of
 from racines_data.store.hearts import columns
-from racines_data.store.scouts import MadeStore
+from racines_data.store.scouts import MadeStore, read_shard
 
 
 class AskedStore(MadeStore):
@@ -109,10 +109,9 @@ def _scanned(patient: int, seed: int, cache: Path | None) -> dict[str, Tensor]:
     told = {"world": PATIENTS_VERSION, "scouts": SCOUTS_VERSION, "patient": patient, "seed": seed}
     path = None if cache is None else cache / f"{patient}-{recipe_digest(told)[:16]}.safetensors"
     if path is not None and path.is_file():
-        return load_file(path)
+        return read_shard(path, (*Scouted._fields, "views", "grades", *_LYING))
     pool = Pool([patient])
     found = scout(pool, seed)
-    check_asked(found, [patient])
     rows = torch.zeros(POSES, dtype=torch.int64)
     truth = pool.judge(parameters_to_pose(found.asked[0].double()), rows)
     lies = pool.hearts[0].placement

@@ -8,7 +8,7 @@ The frames of one heart are a shard on disk, a function of the patient, the sett
 the world's version alone, so that drawing goes on where it was killed.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -177,9 +177,18 @@ def shard(patient: int, places: int, seed: int, folder: Path) -> dict[str, Tenso
         joined = Scouted(*(torch.cat(column) for column in zip(*made, strict=True)))
         columns = {name: getattr(joined, name).contiguous() for name in COLUMNS}
         write_once(path, lambda part: save_file(columns, part))
+    return read_shard(path, COLUMNS)
+
+
+def read_shard(path: Path, columns: Sequence[str]) -> dict[str, Tensor]:
+    """Return the columns of a file of scouts.
+
+    Raises:
+        RacinesError: a damaged file, which is drawn anew once it is removed.
+    """
     try:
         found = load_file(path)
-        return {name: found[name] for name in COLUMNS}
+        return {name: found[name] for name in columns}
     except (SafetensorError, KeyError, OSError) as error:
         raise RacinesError(f"{path}: damaged ({error}): remove it, it is drawn anew") from error
 

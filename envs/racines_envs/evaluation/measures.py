@@ -204,7 +204,10 @@ def by_seed_of(evidence: Evidence, seeds: Sequence[int]) -> dict[str, Metrics]:
         raise ValueError("no success or no steps of each episode")
     # Where a training has no success its steps are not kept, and follow from these.
     steps = np.where(values["success_true"] > 0, values["episode_steps"], np.nan)
-    return measure_by_seed(values | {"steps": steps, "steps_median": steps}, seeds)
+    try:
+        return measure_by_seed(values | {"steps": steps, "steps_median": steps}, seeds)
+    except (KeyError, IndexError) as error:
+        raise ValueError(f"no {error}") from error
 
 
 def values_of(evidence: Evidence) -> Values:

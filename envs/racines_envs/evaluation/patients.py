@@ -229,10 +229,20 @@ def by_pathology_of(evidence: Evidence) -> dict[str, Metrics]:
     Raises:
         ValueError: evidence without the episodes.
     """
-    units = [each.units for each in evidence.figures.values() if each.units is not None]
-    if not units:
+    kept = [
+        (each.items, each.units)
+        for each in evidence.figures.values()
+        if each.items is not None and each.units is not None
+    ]
+    if not kept:
         raise ValueError("no patient of any episode")
-    return _by_pathology(values_of(evidence), units[0])
+    items, units = kept[0]
+    if not all(np.array_equal(a, items) and np.array_equal(b, units) for a, b in kept):
+        raise ValueError("figures of unlike episodes")
+    try:
+        return _by_pathology(values_of(evidence), units)
+    except (KeyError, RacinesError) as error:
+        raise ValueError(f"no {error}") from error
 
 
 def _by_pathology(values: Values, units: np.ndarray) -> dict[str, Metrics]:

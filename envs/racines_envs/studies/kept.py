@@ -13,21 +13,17 @@ def read_kept(path: Path, study: str, force: bool = False) -> dict[str, Any]:
     Args:
         path: The file.
         study: A digest of all that decides the study's figures; the file has it as `study`.
-        force: What the file holds of anything else is to be replaced, and counts as nothing.
+        force: What the file holds is to be replaced, and counts as nothing.
 
     Raises:
         RacinesError: without `force`, a file of another study, or a damaged one.
     """
-    if not path.is_file():
+    if force or not path.is_file():
         return {}
     try:
         kept = json.loads(path.read_text())
     except ValueError as error:
-        if force:
-            return {}
         raise RacinesError(f"{path}: not readable as JSON: {error}; remove it") from error
-    if kept.get("study") == study:
+    if isinstance(kept, dict) and kept.get("study") == study:
         return kept
-    if force:
-        return {}
     raise RacinesError(f"{path}: holds another study: give another --out, or --force")

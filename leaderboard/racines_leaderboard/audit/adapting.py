@@ -1,6 +1,6 @@
 """Rows of generators on patients: what they were asked for, and their numbers made again."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -61,8 +61,10 @@ def asked_items(subject: str, figures: Figures, bench: Bench) -> Verdict:
     return tell(right, subject, "each a pose that is asked for, once, of its own patient")
 
 
-def score_run(record: Record, bench: Bench, folder: Path) -> Any:
-    """Return the scores of a generator, its trainings in a folder, by the judges it names.
+def score_run(record: Record, bench: Bench, folder: Path, further: Sequence[Path] = ()) -> Any:
+    """Return the scores of a generator, its trainings in folders, by the judges it names.
+
+    Scouts and what is asked are drawn anew: what a former run has kept is not looked at.
 
     Raises:
         RacinesError: a judge that is not here.
@@ -74,12 +76,12 @@ def score_run(record: Record, bench: Bench, folder: Path) -> Any:
     judges = Judges(
         PoseRegressor.load(pose), SegmentationJudge.load(outlines), InceptionFeatures("cpu")
     )
-    cache = bench.places.runs / "scores" / "reference"
-    ground = AskedStore(config.split, config.patients, config.seed, cache)
-    generators = open_for_patients(name, folder)
+    ground = AskedStore(config.split, config.patients, config.seed)
+    own = section(bench.settings or {}, "patient_generators").get(name)
+    generators = open_for_patients(name, folder, further, settings=own)
     scores = score_on_patients(generators, ground, config, name, judges)
     there = (folder / "config.json").is_file()
-    weights = (weights_of(name, folder) if there else None) or None
+    weights = (weights_of(name, folder, further) if there else None) or None
     content: dict[str, Any] = scores.content | {"weights": weights}
     content["dataset"]["board"] = bench.board
     return Scores(content, scores.sample, scores.images, scores.evidence)

@@ -82,6 +82,7 @@ def _names(record: Record) -> Iterator[Verdict]:
     yield equal(f"scores.{subject}", scores[subject], record["name"], "the record's name")
     data, generator = scores.get("dataset") or {}, not TRACK[record["track"]].steers
     merged = not generator and not submitted(record)
+    merged = merged or record["track"] == PATIENT_AGENTS.name
     for place, part, must in (("board", scores, merged), ("dataset.board", data, generator)):
         if must or "board" in part:
             stated = part.get("board")

@@ -155,11 +155,13 @@ def _adapting(record: Record, bench: Bench) -> Road | str:
         if adapting.judge_of(kind, record, bench) is None:
             return f"the {kind} judge that it names is not here"
     folder, claimed = files.run_of(record, bench), files.named(record)
-    again = partial(adapting.score_run, record, bench, folder)
+    further = published_seeds(bench.board, folder, bench.places.weights)
+    again = partial(adapting.score_run, record, bench, folder, further)
     if not claimed:
         return Road("no weights", "it learns nothing", again)
-    if folder.is_dir() and weights_of(record["name"], folder) == claimed:
-        return Road("run", f"the weights in {folder}", again)
+    if folder.is_dir() and weights_of(record["name"], folder, further) == claimed:
+        source = " and ".join(f"the weights in {each}" for each in (folder, *further))
+        return Road("run", source, again)
     return f"no weights of it in {folder}; --retrain trains anew"
 
 

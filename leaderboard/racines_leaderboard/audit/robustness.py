@@ -10,6 +10,7 @@ from racines_leaderboard.board.collect import Record
 from racines_leaderboard.board.robustness import robustness_of
 from racines_leaderboard.records.robustness import FOLDER, METRIC, reports_of
 from racines_leaderboard.records.schema import read_json
+from racines_leaderboard.records.tracks import PATIENT_AGENTS
 
 
 def check_robustness(record: Record, path: Path, bench: Bench) -> Iterator[Verdict]:
@@ -20,6 +21,8 @@ def check_robustness(record: Record, path: Path, bench: Bench) -> Iterator[Verdi
         path: Its file.
         bench: Names the folder of the submissions.
     """
+    if record["track"] != PATIENT_AGENTS.name:
+        return
     kept = path.parents[1] / FOLDER / path.name
     if not (reports_of(record) or kept.is_file()):
         return

@@ -78,16 +78,19 @@ def hours_of(record: Record, bench: Bench) -> float | None:
     seconds = None
     for name in ("config.json", "metrics.json"):  # published weights of generators, and all others
         told = _read(run_of(record, bench) / name)
-        seconds = told.get("seconds", (told.get("training") or {}).get("seconds", seconds))
+        training = told.get("training")
+        inside = training.get("seconds", seconds) if isinstance(training, dict) else seconds
+        seconds = told.get("seconds", inside)
     return None if seconds is None else seconds / 3600
 
 
 def _read(path: Path) -> dict[str, Any]:
     """Return what a JSON file says; nothing where there is none that can be read."""
     try:
-        return json.loads(path.read_text())
+        told = json.loads(path.read_text())
     except (OSError, ValueError):
         return {}
+    return told if isinstance(told, dict) else {}
 
 
 def _holds(folder: Path, claimed: dict[str, str]) -> bool:

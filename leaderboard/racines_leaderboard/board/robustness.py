@@ -8,8 +8,15 @@ from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_envs.evaluation.patients import PatientsConfig, start_set
 from racines_envs.studies.robustness.disturbances import DISTURBANCES
-from racines_envs.studies.robustness.run import NOTHING, RANKED, described
-from racines_envs.studies.robustness.summary import MIDDLE, found_disturbed, single
+from racines_envs.studies.robustness.disturbances import told as amounts
+from racines_envs.studies.robustness.run import (
+    NOTHING,
+    RANKED,
+    RobustnessConfig,
+    conditions,
+    described,
+)
+from racines_envs.studies.robustness.summary import found_disturbed, single
 from racines_envs.task.names import BEATING, PATIENTS, tier_of
 from racines_leaderboard.records.robustness import METRIC, apart, hashes_of, reports_of
 from racines_leaderboard.records.schema import check, read_json
@@ -73,6 +80,9 @@ def _faults(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     config = PatientsConfig(
         view=view, seed=starts["seeds"][0], **{name: starts[name] for name in names}
     )
+    if len(units) != starts["patients"] * starts["starts"]:
+        yield "patients", f"{len(units)}, and the start set has {starts['patients']} patients"
+        return
     here = start_set(config)
     if here.told(config) != starts or here.units.tolist() != units:
         yield "patients", "others, or other starts, than the start set's here"
@@ -80,12 +90,19 @@ def _faults(report: dict[str, Any]) -> Iterator[tuple[str, str]]:
     told = {name: report["disturbances"].get(name, {}).get("amounts") for name in wanted}
     if told != {name: described(name)["amounts"] for name in wanted}:
         yield "disturbances", "other amounts than those here"
-    rows = {(row["name"], row["strength"]): row for row in report["conditions"].values()}
-    for name, strength in ((NOTHING, ""), *((name, MIDDLE) for name in wanted)):
-        if (name, strength) not in rows:
-            yield "conditions", f"without {name} {strength}".strip()
+    rows = report["conditions"]
+    asked = {
+        each.title: {"name": each.name, "strength": each.strength, "amounts": amounts(each.applied)}
+        for each in conditions(RobustnessConfig(view=view, disturbances=tuple(wanted)))
+    }
+    for title in dict.fromkeys((*asked, *rows)):
+        if title not in rows:
+            yield "conditions", f"without {title}"
             return
-    yield from _unlike(report["conditions"], len(rows[NOTHING, ""]["found"]), len(units))
+        if title not in asked or any(rows[title][key] != asked[title][key] for key in asked[title]):
+            yield f"conditions.{title}", "none of those here, or of other amounts"
+            return
+    yield from _unlike(rows, len(rows[NOTHING]["found"]), len(units))
 
 
 def _unlike(conditions: dict[str, Any], trainings: int, count: int) -> Iterator[tuple[str, str]]:
@@ -103,12 +120,18 @@ def _unlike(conditions: dict[str, Any], trainings: int, count: int) -> Iterator[
 
 def _row(record: Record, report: dict[str, Any], path: Path) -> Record:
     """Return what a board keeps of a report; refuse one that is of another agent or world."""
+    own = record["scores"]["submission"]
+    if report["submission"] != own:
+        raise RacinesError(
+            f"{path}: submission: {report['submission']!r}, and the row is of {own!r}"
+        )
     row = {
         "schema": SCHEMA,
         "board": record["board"],
         "agent": record["name"],
         "report": sha256_file(path),
         "weights": hashes_of(report),
+        "code": report["code"],
         "task": report["task"],
         "phantom": report["phantom"],
         "disturbances": sorted(single(report)),

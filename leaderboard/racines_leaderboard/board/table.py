@@ -248,24 +248,30 @@ def _notes(ranking: list[Ranked]) -> Iterator[str]:
             "Expert: a blinded study of the generator's images, views that agree with the truth of "
             "the pose, and grades that differ from it by at most 1; it does not rank."
         )
-    if disturbed := [each["robustness"] for each in records if "robustness" in each]:
+    if disturbed := [each for each in records if "robustness" in each]:
         notes.append(_on_whom(disturbed))
     stale = [r["name"] for r in records if any(r.get(f"{key}_stale") for key in STUDIED)]
     if stale:
-        notes.append(f"Left out: studies of other weights or data ({', '.join(stale)}).")
+        why = "of other weights or data, or no longer handed in"
+        notes.append(f"Left out: studies {why} ({', '.join(stale)}).")
     if notes:
         yield " ".join(notes)
 
 
 def _on_whom(disturbed: list[Record]) -> str:
     """Say what robustness is and on whom it was measured."""
-    counts = sorted({each["task"]["start_set"]["patients"] for each in disturbed})
-    things = sorted({len(each["disturbances"]) for each in disturbed})
+    reports = [each["robustness"] for each in disturbed]
+    counts = sorted({each["task"]["start_set"]["patients"] for each in reports})
+    things = sorted({len(each["disturbances"]) for each in reports})
     told, wrong = (" or ".join(map(str, each)) for each in (counts, things))
+    other = [
+        each["name"] for each in disturbed if each["robustness"]["code"] != each["scores"]["code"]
+    ]
+    apart = f" By other code than the scores: {', '.join(other)}." if other else ""
     return (
         f"Disturbed: found and declared with one thing wrong, the mean over {wrong} disturbances "
         f"at moderate strength, on {told} validation patients and not on the test patients; the "
-        "submitter's own report; it does not rank."
+        f"submitter's own report; it does not rank.{apart}"
     )
 
 

@@ -99,7 +99,8 @@ class ScoutAttention(NetworkGenerator[ScoutAttentionConfig]):
                 ]  # fmt: skip
         images, poses, lit, pixel = zip(*held, strict=True)
         pose = Pose(*(torch.cat(part) for part in zip(*poses, strict=True)))
-        self.cases = Scouts(torch.cat(images), pose, torch.cat(lit), torch.cat(pixel))
+        cases = Scouts(torch.cat(images), pose, torch.cat(lit), torch.cat(pixel))
+        self.cases = cases.on(self.device)
 
     def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
         """Learn to paint the poses of train patients from their scouts."""

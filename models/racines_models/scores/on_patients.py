@@ -15,9 +15,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
-from racines_data.patients.scouts import POSES, strata_names
+from racines_data.patients.scouts import POSES, check_asked, strata_names
 from racines_data.randomness import derive
 from racines_data.store.asked import AskedStore
 from racines_models.adapting import adapted
@@ -103,9 +104,17 @@ def check_named(spec: str) -> None:
 
 
 def open_for_patients(
-    spec: str, folder: Path | None, published: Sequence[Path] = (), device: str = "cpu"
-) -> list[Any]:
+    spec: str, folder: Path | None, published: Sequence[Path] = (), device: str = "cpu",
+    settings: dict[str, Any] | None = None,
+) -> list[Any]:  # fmt: skip
     """Return the trainings of a generator for patients; what is not trained needs no run.
+
+    Args:
+        spec: a registered generator, or `module:Class`.
+        folder: of the run; None: that of the name.
+        published: folders of further trainings.
+        device: where it draws.
+        settings: of one that is not trained.
 
     Raises:
         RacinesError: unknown, absent or refused, by name; or a file, which cannot adapt.
@@ -114,9 +123,12 @@ def open_for_patients(
     cls: Any = generator_class(spec)
     if cls is NoiseCeiling:
         return [SeenAgain()]
-    untrained = getattr(cls, "trained", True) is False and hasattr(cls, "adapt")
-    if untrained and not (run_folder(spec, folder) / "config.json").is_file():
-        return [cls()]
+    if not (run_folder(spec, folder) / "config.json").is_file():
+        if getattr(cls, "trained", True) is False and hasattr(cls, "adapt"):
+            return [cls(fill(cls.Config, settings or {}, f"patient_generators.{cls.name}"))]
+        if isinstance(getattr(cls, "name", None), str):
+            train = f"racines train generator {cls.name} --tier patients"
+            raise RacinesError(f"{folder}: no trained {cls.name} here; run: {train}")
     return list(open_runs(spec, folder, published, device=device))
 
 
@@ -124,19 +136,21 @@ def draw_patients(generator: Any, asked: AskedStore, seed: int) -> tuple[Tensor,
     """Return the (P · 32, 128, 128) images that a generator draws, and mean seconds to adapt.
 
     Raises:
-        RacinesError: a scout that it cannot adapt to, or images that cannot be scored.
+        RacinesError: a scout that it cannot adapt to, poses of another patient, or images that
+            cannot be scored.
     """
     if isinstance(generator, SeenAgain):
         return asked.again.flatten(0, 1), 0.0
     parts, seconds, patients = [], 0.0, asked.patients or []
     for place, patient in enumerate(patients):
         own = int(derive(torch.tensor(seed), DRAW, patient))
+        rows = slice(place * POSES, (place + 1) * POSES)
         began = time.perf_counter()
         source: ImageSource = adapted(
             generator, asked.scouts[place], asked.scout_parameters[place], own
         )
         seconds += time.perf_counter() - began
-        rows = slice(place * POSES, (place + 1) * POSES)
+        check_asked(patient, asked.scout_parameters[place], asked.parameters[rows])
         seeds = derive(torch.tensor(own), torch.arange(POSES))
         parts.append(source.generate(asked.parameters[rows], seeds).cpu())
     return check_drawn(torch.cat(parts)), seconds / len(patients)

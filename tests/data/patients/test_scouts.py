@@ -80,10 +80,17 @@ def test_seen_again_differs_by_noise_alone(scouted):
 
 
 def test_poses_of_another_patient_are_refused(scouted):
-    check_asked(scouted, SEEDS)
-    mixed = scouted._replace(asked=scouted.asked.roll(1, 0))
+    check_asked(SEEDS[0], scouted.parameters[0], scouted.asked[0])
     with pytest.raises(RacinesError, match=r"patient 10000: pose \d+ lies .* of another patient"):
-        check_asked(mixed, SEEDS)
+        check_asked(SEEDS[0], scouted.parameters[0], scouted.asked[1])
+
+
+def test_a_damaged_file_of_what_is_asked_is_named(own_cache, tmp_path):
+    AskedStore("validation", SEEDS[:1], 0, tmp_path)
+    (path,) = tmp_path.glob("*.safetensors")
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(RacinesError, match=rf"{path.name}: damaged .* drawn anew"):
+        AskedStore("validation", SEEDS[:1], 0, tmp_path)
 
 
 def test_hearts_that_beat_have_no_scout(pool):

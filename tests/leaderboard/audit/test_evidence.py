@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from racines_leaderboard.audit.bench import Bench, Places
+from racines_leaderboard.audit.evidence import _parts
 from racines_leaderboard.audit.roads import FIRST, Made, Road
 from racines_leaderboard.audit.run import audit
 from racines_leaderboard.audit.verdicts import FAILS, RETRAINABLE, Report
 from racines_leaderboard.records.schema import sealed
 from racines_leaderboard.records.verdicts import NOT_VERIFIED
 from racines_models.statistics import Evidence
+from tests.conftest import ROOT
 
 TRAININGS = 3
 RUN = Path("models/runs/mean-image")
@@ -167,3 +169,40 @@ def test_without_figures_of_the_recomputed_items_it_is_not_verified(several):
     made = Made(several.first.scores, None)
     report = several.audit(several.evidence_of(several.values), made)
     assert report.verdict == NOT_VERIFIED and not failing(report)
+
+
+def without(evidence: Evidence, name: str) -> None:
+    del evidence.figures[name]
+
+
+def shorter(evidence: Evidence, name: str) -> None:
+    each = evidence.figures[name]
+    evidence.figures[name] = replace(
+        each, values=each.values[..., 1:], items=each.items[1:], units=each.units[1:]
+    )
+
+
+def of_nobody(evidence: Evidence, name: str) -> None:
+    for key, each in evidence.figures.items():
+        if each.units is not None:
+            units = each.units.copy()
+            units[0] = -5
+            evidence.figures[key] = replace(each, units=units)
+
+
+@pytest.mark.parametrize(
+    ("record", "change", "name"),
+    [
+        ("patients/patient-agents/servo-a4c", without, "position_error"),
+        ("patients/patient-agents/servo-a4c", shorter, "position_error"),
+        ("patients/patient-agents/servo-a4c", of_nobody, ""),
+        ("phantom-default/agents/ppo", without, "final_grade"),
+        ("phantom-default/agents/ppo", shorter, "final_grade"),
+    ],
+)
+def test_evidence_that_lacks_episodes_fails_and_nothing_breaks(record, change, name):
+    path = ROOT / "leaderboard/results" / f"{record}.json"
+    evidence = Evidence.read(path.with_suffix(".parquet"))
+    assert _parts(json.loads(path.read_text()), evidence).verdict != FAILS
+    change(evidence, name)
+    assert _parts(json.loads(path.read_text()), evidence).verdict == FAILS

@@ -5,10 +5,13 @@ import shutil
 from pathlib import Path
 
 import pytest
+import torch
 import yaml
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
+from racines_data.patients.scouts import POSES
+from racines_data.store.asked import AskedStore
 from racines_leaderboard.audit import adapting
 from racines_leaderboard.board.collect import read_board, read_scores
 from racines_leaderboard.board.rank import rankings
@@ -16,6 +19,7 @@ from racines_leaderboard.board.standing import is_bound
 from racines_leaderboard.cli.command import app
 from racines_leaderboard.records.schema import sealed
 from racines_leaderboard.records.tracks import PATIENT_GENERATORS
+from racines_models.generators.nearest_pose import NearestPose
 from racines_models.scores import features, scoring
 from racines_models.scores.on_patients import draw_patients, open_for_patients
 from tests.conftest import ROOT
@@ -107,6 +111,53 @@ def test_an_audit_makes_every_number_again(board):
     assert verdicts == dict.fromkeys(NAMES, "holds"), said
 
 
+def test_an_audit_draws_what_is_asked_itself(board):
+    """What a former run has kept may be anything, or damaged."""
+    kept = list((board / "models/runs/scores/reference").glob("*.safetensors"))
+    assert len(kept) == 2
+    for path in kept:
+        path.write_bytes(path.read_bytes()[:100])
+    said = json.loads(racines("audit", "nearest-pose", "--board", "patients", "--json"))
+    assert said["reports"][0]["verdict"] == "holds"
+
+
+def test_poses_of_another_patient_are_not_drawn(board):
+    asked = AskedStore("validation", 2, 0, Path("models/runs/scores/reference"))
+    asked.parameters = asked.parameters.roll(POSES, 0)
+    with pytest.raises(RacinesError, match="poses of another patient"):
+        draw_patients(NearestPose(), asked, 0)
+
+
+class Noted:
+    """Notes the seeds that it is given, and draws what it is told of the frames."""
+
+    scout = 1
+
+    def __init__(self, truth: torch.Tensor) -> None:
+        self.truth, self.seeds = truth, []
+
+    def adapt(self, images: torch.Tensor, parameters: torch.Tensor, seed: int) -> "Noted":
+        self.seeds.append(seed)
+        return self
+
+    def generate(self, parameters: torch.Tensor, seed: torch.Tensor) -> torch.Tensor:
+        self.seeds += seed.tolist()
+        return self.truth[: len(parameters)]
+
+
+def test_seeds_differ_by_patient_pose_and_training_and_come_again(board):
+    asked = AskedStore("validation", 2, 0, Path("models/runs/scores/reference"))
+
+    def given(seed: int) -> list[int]:
+        noted = Noted(asked.images)
+        draw_patients(noted, asked, seed)
+        return noted.seeds
+
+    first, again, other = given(0), given(0), given(1)
+    assert first == again and len(first) == 2 * (1 + POSES)
+    assert len(set(first)) == len(first) and not set(first) & set(other)
+
+
 @pytest.mark.parametrize(
     ("place", "value"),
     [
@@ -148,8 +199,6 @@ def test_what_cannot_be_scored_is_refused(board, words, message):
 
 
 def test_a_scout_that_is_too_short_is_refused(board):
-    from racines_data.store.asked import AskedStore
-
     asked = AskedStore("validation", 2, 0, Path("models/runs/scores/reference"))
     (generator,) = open_for_patients(
         "scout-attention", Path("models/runs/patients/scout-attention")

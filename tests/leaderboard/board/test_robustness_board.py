@@ -123,7 +123,7 @@ def test_a_report_that_is_withdrawn_or_of_another_record_is_shown_no_more(work):
         "patients",
         {"generators": [], "agents": [], "patient-generators": [], "patient-agents": [row]},
     )[0]
-    assert "Left out: studies of other weights or data (planner-a4c)." in " ".join(table.notes)
+    assert "or data, or no longer handed in (planner-a4c)." in " ".join(table.notes)
     (SUBMISSIONS / "patient-agents/planner/submission.yaml").write_text(plain)
     (SUBMISSIONS / "patient-agents/planner/a4c.json").unlink()
     assert "robustness" not in gather() and not KEPT.exists()
@@ -143,6 +143,23 @@ def _amounts(report: dict[str, Any]) -> None:
 
 def _without(report: dict[str, Any]) -> None:
     del report["conditions"]["slip, moderate"]
+
+
+def _more(report: dict[str, Any]) -> None:
+    easy = report["conditions"]["nothing"] | {"name": "ease", "strength": "moderate"}
+    report["conditions"]["ease, moderate"] = easy
+
+
+def _milder(report: dict[str, Any]) -> None:
+    report["conditions"]["slip, moderate"]["amounts"]["slip"] = 0.0
+
+
+def _another(report: dict[str, Any]) -> None:
+    report["submission"] = "random"
+
+
+def _fewer(report: dict[str, Any]) -> None:
+    report["patients"].pop()
 
 
 def _better(report: dict[str, Any]) -> None:
@@ -176,7 +193,11 @@ def _unknown(report: dict[str, Any]) -> None:
         (_split, "task.start_set: a board shows 2 or more validation patients"),
         (_patients, "patients: others, or other starts, than the start set's here"),
         (_amounts, "disturbances: other amounts than those here"),
-        (_without, "conditions: without slip moderate"),
+        (_without, "conditions: without slip, moderate"),
+        (_more, r"conditions\.ease, moderate: none of those here"),
+        (_milder, r"conditions\.slip, moderate: none of those here, or of other amounts"),
+        (_another, "submission: 'random', and the row is of 'planner'"),
+        (_fewer, "patients: 1, and the start set has 2 patients"),
         (_better, r"conditions\.slip, moderate\.metrics\.success_declared: 0\.25, and its ep"),
         (_shorter, r"conditions\.haze, mild\.found: not of 1 trainings and 2 starts"),
         (_weights, "of other weights than the row planner-a4c: make it again"),

@@ -1,5 +1,7 @@
 """Attention over a scout's frames: the contract, what it learns, and what cannot be a scout."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -10,11 +12,15 @@ from racines_data.store.scouts import RUN, MadeStore
 from racines_models.adapting import adapted
 from racines_models.generators.mean_image import MeanImage
 from racines_models.generators.nearest_pose import NearestPose
-from racines_models.generators.scout_attention import ScoutAttention, ScoutAttentionConfig
+from racines_models.generators.scout_attention import (
+    ScoutAttention,
+    ScoutAttentionConfig,
+    known,
+)
 from racines_models.networks.scale import pixel_side
 from racines_models.protocol import Adapting, Run
 from racines_models.testing import GeneratorContract
-from racines_models.training.episodes import EpisodeCourse, scouts_of
+from racines_models.training.episodes import EpisodeCourse, asked_of, scouts_of
 from racines_models.training.objective import Training
 from tests.models.conftest import FakeStore, pictures, random_parameters
 
@@ -66,6 +72,11 @@ class TestScoutAttention(GeneratorContract):
     def test_where_a_patient_lies_counts_for_nothing(self, store, tmp_path):
         """Scout and poses moved together give the same images, but for rounding."""
         generator, poses = self.fitted(store, tmp_path), self.parameters(store)
+        # It begins with what the frames show; now what it has looked at goes on to the image.
+        torch.manual_seed(0)
+        for name, weight in generator.net("painter").named_parameters():
+            if "leave" in name:
+                torch.nn.init.normal_(weight, std=0.05)
         images, parameters = scout_of(store)
         moved, there = parameters.clone(), poses.clone()
         for each in (moved, there):
@@ -73,6 +84,8 @@ class TestScoutAttention(GeneratorContract):
         first = generator.generate(poses, 0).int()
         again = generator.adapt(images, moved, 0).generate(there, 0).int()
         assert (first - again).abs().float().mean() < 0.05
+        alone = generator.generate(there, 0).int()
+        assert (first - alone).abs().float().mean() > 1.0, "poses alone are others"
 
     def test_grain_adds_what_the_deviation_says(self, store, tmp_path):
         generator, poses = self.fitted(store, tmp_path), self.parameters(store)
@@ -87,6 +100,30 @@ def test_nothing_is_drawn_before_the_patient_is_met(store, tmp_path):
     generator.fit(store, Run(tmp_path, progress=False))
     with pytest.raises(RacinesError, match=r"no scout of this patient: call adapt\("):
         generator.generate(store.parameters[:2], 0)
+
+
+def test_it_learns_to_draw(store, tmp_path):
+    """What it draws of a patient that it learns from comes nearer to the truth."""
+    images, parameters = scout_of(store, 0)
+    truth, asked = asked_of(store, 0)
+
+    def error(seen: int) -> float:
+        training = Training(images=seen, batch_size=16, precision="fp32")
+        config = replace(TINY, training=training, learning_rate=4e-3)
+        generator = ScoutAttention(config)
+        generator.fit(store, Run(tmp_path / str(seen), progress=False))
+        drawn = generator.adapt(images, parameters, 0).generate(asked, 0)
+        return float((drawn.float() - truth.float()).abs().mean())
+
+    little, more = error(16), error(480)
+    assert more < 0.85 * little, (little, more)
+
+
+def test_how_large_a_pixel_is_reaches_what_is_known():
+    for side in (0.0016, 0.0022):
+        images, parameters = solid(side)
+        found = known((images * 255).round().to(torch.uint8), parameters)
+        assert abs(float(found.pixel) / side - 1.0) < 0.08
 
 
 def test_it_learns_from_scouts_alone(tmp_path):
@@ -154,18 +191,27 @@ def test_impossible_settings_are_refused(change):
         ScoutAttentionConfig(**change)
 
 
-def test_the_side_of_a_pixel_is_read_from_posed_frames():
-    """Slices of one solid tell how large their pixels are."""
+def solid(side: float, pixels: int = 128) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return (64, S, S) slices of one solid, whose pixels are so many m at 128, and their poses."""
     generator = torch.Generator().manual_seed(0)
     parameters = random_parameters(FRAMES, 5)
     pose = parameters_to_pose(parameters)
     centres = torch.rand(24, 3, generator=generator) * 0.12 - 0.06
     centres = centres + torch.tensor([0.49, 0.0, -0.04])
+    fold = 128 // pixels
+    middle = (torch.arange(pixels) + 0.5) * fold
+    axial, lateral = torch.meshgrid(middle * side, (middle - 64.0) * side, indexing="ij")
+    images = []
+    for position, rotation in zip(*pose, strict=True):
+        places = position[:, None, None] + rotation[:, 0, None, None] * lateral
+        places = places + rotation[:, 2, None, None] * axial
+        apart = (places - centres[:, :, None, None]).square().sum(1)
+        images.append((-apart / 0.018**2).exp().sum(0).clamp(0.01, 1.0))
+    return torch.stack(images), parameters
+
+
+def test_the_side_of_a_pixel_is_read_from_posed_frames():
+    """Slices of one solid tell how large their pixels are."""
     for side in (0.0016, 0.0022):
-        middle = torch.arange(64) * 2.0 + 1.0
-        axial, lateral = torch.meshgrid(middle * side, (middle - 64.0) * side, indexing="ij")
-        places = pose.position[:, :, None, None] + pose.rotation[:, :, 0, None, None] * lateral
-        places = places + pose.rotation[:, :, 2, None, None] * axial
-        apart = (places.unsqueeze(1) - centres[None, :, :, None, None]).square().sum(2)
-        images = (-apart / 0.018**2).exp().sum(1).clamp(0.01, 1.0)
-        assert abs(pixel_side(images, pose) / side - 1.0) < 0.06
+        images, parameters = solid(side, 64)
+        assert abs(pixel_side(images, parameters_to_pose(parameters)) / side - 1.0) < 0.06

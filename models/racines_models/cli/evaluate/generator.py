@@ -47,6 +47,12 @@ def eval_generator(
     if on_patients(tier):
         from racines_models.cli.evaluate.on_patients import evaluate_on_patients
 
+        vain = {
+            "--data": data != opt.DATA, "--grader": grader, "--no-grader": no_grader,
+            "--no-pose": no_pose, "--samples": samples,
+        }  # fmt: skip
+        for option in (option for option, there in vain.items() if there):
+            raise RacinesError(f"{option} is not for --tier patients: leave it out")
         chosen = given(split=split, patients=patients, pose=pose)
         where = {"run": run, "out": out, "device": device, "force": force, "as_json": as_json}
         return evaluate_on_patients(name, chosen, read_settings(params, profile), **where)

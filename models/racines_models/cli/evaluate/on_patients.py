@@ -52,7 +52,8 @@ def evaluate_on_patients(
     tier_board = PATIENTS if PATIENTS in values.get("patient_boards", ()) else None
     folder = run_folder(name, run, PATIENTS)
     further = published_seeds(tier_board, folder) if run is None else []
-    generators = open_for_patients(name, folder, further, device)
+    own = section(values, "patient_generators").get(generator_class(name).name)
+    generators = open_for_patients(name, folder, further, device, own)
     pose = PoseRegressor.load(config.pose, device)
     outlines = SegmentationJudge.load(config.segmentation, device)
     judges = Judges(pose, outlines, InceptionFeatures(device))

@@ -46,6 +46,8 @@ def train_generator(
         raise RacinesError(
             "--processes: on patients a generator trains in one process: leave it out"
         )
+    if of_patients and data != opt.DATA:
+        raise RacinesError("--data is not for --tier patients: leave it out")
     where = ("patient_generators" if of_patients else "generators", cls.name)
     scouts = section(values, "scouts") if of_patients else None
     folder = out or run_folder(name, tier=tier)
