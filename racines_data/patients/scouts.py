@@ -4,9 +4,10 @@
       ·      ·       ·         32 poses away from them, in strata of distance to the nearest frame
 
 The sweep goes by all of the patient's views in an order drawn by chance, past each of them twice
-and never exactly, as an examiner who looks round does. A pose's distance from a frame counts
-millimetres and degrees alike: a turn weighs what it moves a point at half of the usual depth.
-Hearts stand still at end diastole, breathed out. All is a function of the patient and the seed.
+and never exactly, as an examiner who looks round does, at a nearly even pace. A pose's distance
+from a frame counts millimetres and degrees alike: a turn weighs what it moves a point at half of
+the usual depth. Hearts stand still at end diastole, breathed out. All is a function of the patient
+and the seed.
 """
 
 import math
@@ -47,7 +48,7 @@ STRATA = (0.0, 5.0, 10.0, 15.0, 20.0)
 """Ends of the strata of distance to the nearest frame of the scout, mm; as many poses in each."""
 METRES_PER_RADIAN = 0.07
 """What a turn weighs against a shift."""
-SCOUTS_VERSION = "0.1.0"
+SCOUTS_VERSION = "0.2.0"
 """Of how scouts and poses are drawn: raise it whenever one of them moves."""
 PAST = 6.0
 """Spread of the way-points about a view, mm along and degrees about each axis."""
@@ -158,11 +159,24 @@ def _sweep(pool: Pool, row: int, seed: Tensor) -> Tensor:
     views = coordinates(Pose(*(part[0] for part in targets)))
     order = draw.uniform(len(views)).argsort()
     points = torch.cat([around(views[view], PAST, draw, 2) for view in order.tolist()])
-    shares = 0.5 + draw.uniform(len(points) - 1)
+    points[:, 3:] = _unwrapped(points[:, 3:])
+    shares = _apart(points) * (0.75 + 0.5 * draw.uniform(len(points) - 1))
     limits = limits_of(pool.workspace, SURFACE, PhantomConfig())
     hand = pool.seeds[row] % OPERATORS
     path = follow(points, shares, limits, SWEEPS, hand, FRAMES, draw)
     return record(pool, SWEEPS, path, seed).float()
+
+
+def _unwrapped(angles: Tensor) -> Tensor:
+    """Return (P, 3) angles, each at most half a turn from the one before: the short way round."""
+    steps = torch.remainder(angles.diff(dim=0) + math.pi, 2.0 * math.pi) - math.pi
+    return torch.cat([angles[:1], angles[:1] + steps.cumsum(0)])
+
+
+def _apart(points: Tensor) -> Tensor:
+    """Return the (P - 1,) distances, m, from each of (P, 6) way-points to the next."""
+    turns = points.diff(dim=0)
+    return torch.cat([turns[:, :3], turns[:, 3:] * METRES_PER_RADIAN], 1).norm(dim=1)
 
 
 def _asked(pool: Pool, row: int, swept: Tensor, seed: Tensor) -> Tensor:
