@@ -29,6 +29,7 @@ from racines_data.sources.base import (
     source_names,
 )
 from racines_data.sources.gate.bounds import bounds_of
+from racines_data.sources.licence import declared_card
 
 
 def read_data_section(values: Mapping[str, Any]) -> tuple[DataConfig, dict[str, Settings]]:
@@ -48,14 +49,14 @@ def read_data_section(values: Mapping[str, Any]) -> tuple[DataConfig, dict[str, 
 def make_source(
     config: DataConfig, section: dict[str, Any] | None = None, inputs: Sequence[Path] = ()
 ) -> Source:
-    """Make the source that a config names; it gets `frames` and `seed` if it has such settings.
+    """Make the source that a config names; it gets `frames`, `seed`, `allow` if it can.
 
     Raises:
         RacinesError: no such source, or it refuses its settings or inputs.
     """
     kind = source_class(config.source)
     known = {field.name for field in dataclasses.fields(kind.Config)}
-    given = {name: getattr(config, name) for name in ("frames", "seed") if name in known}
+    given = {name: getattr(config, name) for name in ("frames", "seed", "allow") if name in known}
     return kind.from_config(given | (section or {}), inputs)
 
 
@@ -129,6 +130,8 @@ def build(
     if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
         raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
     bounds = bounds_of(source, config.allow)
+    card = declared_card(source, config.licence, config.consent)
+    held_card = dataclasses.asdict(card) if card else None
     units = plan_units(source, config)
     many_units = [] if many is None else plan_units(many, config)
     recipe = _recipe(source, config, many)
@@ -146,7 +149,9 @@ def build(
         for each in filter(None, (main, part)):
             check_part(each, bounds.allow)
         final = folder / f"final-{config.shards}"  # what is whole there has the same bounds
-        manifest = writer.write_dataset(final, main, part, recipe, config.shards, progress, bounds)
+        manifest = writer.write_dataset(
+            final, main, part, recipe, config.shards, progress, bounds, held_card
+        )
         with locked_place(out):
             beside.carry(out, final, manifest)
             swap_folder(final, out)

@@ -47,8 +47,13 @@ _NEAR = 3  # voxels about the heart that are blurred with it; beyond, the box is
 
 def bake(patient: Patient) -> Tensor:
     """Return the (HEART_SIZE,) int64 voxels of a patient's heart and tiles."""
-    shape, fields = shape_of(patient.form), draw_fields(patient)
-    label = label_box(shape)
+    shape = shape_of(patient.form)
+    return bake_labels(patient, label_box(shape), shape)
+
+
+def bake_labels(patient: Patient, label: Tensor, shape: Shape) -> Tensor:
+    """Return the (HEART_SIZE,) int64 voxels of a heart's (BOX, BOX, BOX) uint8 codes and tiles."""
+    fields = draw_fields(patient)
     around = tile_of(patient, fields)
     box = _box(patient, fields, label, around)
     liver, chest = liver_tile(patient, fields), chest_tile(patient, fields)

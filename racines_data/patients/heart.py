@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -46,16 +47,43 @@ def make_heart(patient: Patient, beating: bool) -> Heart:
     placement = place(shape, patient)
     start = geometric_poses(shape, placement)
     depth = depth_to_hold(shape, placement, start, patient.examination.margin)
-    settings = Settings(*_row(settings_of(patient, placement, depth, shape)))
-    chest = Chest(*_row(chest_of(patient, placement, start)))
     dynamics = Dynamics(*_row(dynamics_of(shape, patient.motion)))
     marks = landmarks(shape)
     radii = torch.tensor([mark.radius for mark in marks], dtype=torch.float64)
     weights = _weights(shape, [mark.name for mark in marks])
     tracks = _tracks(torch.tensor([mark.centre for mark in marks], dtype=torch.float64), dynamics)
-    moments = tracks[list(BEATING if beating else STILL)]
-    scene = Scene(placement.to_base(moments) * 1e3, radii, weights, settings, chest)
-    found = find_poses(start, scene)
+    seen = Seen(tracks, radii, weights, BEATING if beating else STILL)
+    return assemble(patient, shape, placement, start, depth, seen)
+
+
+class Seen(NamedTuple):
+    """What views show of a heart, and where it is over the beat."""
+
+    tracks: Tensor  # (T, S, 3) landmarks, organ frame, mm
+    radii: Tensor  # (S,) mm
+    weights: Tensor  # (V, S), rows sum to one
+    moments: tuple[int, ...]  # of the T over which nominal poses are to be good
+
+
+def assemble(
+    patient: Patient, shape: Shape, placement: Placement, start: Pose, depth: float, seen: Seen
+) -> Heart:
+    """Join a heart, its chest and its settings, and search its nominal poses.
+
+    Args:
+        patient: who.
+        shape: of the heart.
+        placement: where it lies.
+        start: (V,) poses where the search begins, and by which windows between ribs are laid.
+        depth: of the sector, m.
+        seen: landmarks and views.
+    """
+    settings = Settings(*_row(settings_of(patient, placement, depth, shape)))
+    chest = Chest(*_row(chest_of(patient, placement, start)))
+    dynamics = Dynamics(*_row(dynamics_of(shape, patient.motion)))
+    tracks, radii, weights, moments = seen
+    marks = placement.to_base(tracks[list(moments)]) * 1e3
+    found = find_poses(start, Scene(marks, radii, weights, settings, chest))
     return Heart(
         patient, shape, placement, settings, chest, dynamics, tracks, radii, weights, found
     )

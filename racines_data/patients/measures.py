@@ -5,6 +5,7 @@ where it was at end diastole and what is there. So they hold all that is drawn, 
 and the walls' unevenness included, and not what a formula meant to do.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +46,8 @@ PARTS = {
     "ra": (RA,),
 }
 """Labels of the parts whose volumes are told."""
+LabelOf = Callable[[Tensor], Tensor]
+"""From (M, 3) points of the organ frame, mm, to (M,) labels."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ def measure(heart: Heart) -> Measures:
         name: tuple(float(x) for x in np.interp([*levels, 1.0], LEVELS, [c[name] for c in counted]))
         for name in PARTS
     }
-    form, ends = heart.patient.form, [_calipers(box, heart, level) for level in (0.0, 1.0)]
+    form, ends = heart.patient.form, [_at_level(box, heart, level) for level in (0.0, 1.0)]
     first, last = ends
     return Measures(
         phases=(*phases, 0.375),
@@ -110,33 +113,47 @@ def measure(heart: Heart) -> Measures:
 
 def volumes(box: Tensor, dynamics: Dynamics, level: float) -> dict[str, float]:
     """Count the volumes of parts, ml, at a level of contraction; `box` holds labels."""
+    return count_volumes(lambda points: _labels(points, box, dynamics, level))
+
+
+def count_volumes(label_of: LabelOf) -> dict[str, float]:
+    """Count the volumes of parts, ml, in a heart."""
     sides = [torch.arange(low, low + BOX * size, LATTICE, dtype=torch.float64)
              for low, size in zip(LOW, VOXEL, strict=True)]  # fmt: skip
     # A lattice that no voxel's edge runs along: it is turned by its own coordinates' shares.
     points = torch.cartesian_prod(*sides) + 0.37 * LATTICE
-    found = torch.cat([_labels(part, box, dynamics, level) for part in points.split(1 << 17)])
+    found = torch.cat([label_of(part) for part in points.split(1 << 17)])
     counts = torch.bincount(found.long(), minlength=AORTIC + 1)
     cell = LATTICE**3 / 1000.0
     return {name: float(sum(counts[i] for i in own)) * cell for name, own in PARTS.items()}
 
 
+def _at_level(box: Tensor, heart: Heart, level: float) -> tuple[float, float, float]:
+    return calipers(lambda points: _labels(points, box, heart.dynamics, level))
+
+
 def _labels(points: Tensor, box: Tensor, dynamics: Dynamics, level: float) -> Tensor:
     """Return the labels of (M, 3) points of a contracted heart, organ frame, mm."""
     act = torch.tensor([level], dtype=torch.float64)
-    index = to_voxels(to_diastole(points.unsqueeze(0), dynamics, act)[0]).floor().long()
+    return labels_at(to_diastole(points.unsqueeze(0), dynamics, act)[0], box)
+
+
+def labels_at(points: Tensor, box: Tensor) -> Tensor:
+    """Return the labels of (M, 3) points at end diastole, organ frame, mm."""
+    index = to_voxels(points).floor().long()
     inside = ((index >= 0) & (index < BOX)).all(1)
     index = index.clamp(0, BOX - 1)
     return box[tuple(index.unbind(1))] * inside
 
 
-def _calipers(box: Tensor, heart: Heart, level: float) -> tuple[float, float, float]:
+def calipers(label_of: LabelOf) -> tuple[float, float, float]:
     """Measure LV, posterior wall and septum across the LV's axis at its middle, mm."""
     height = MIDDLE - 8.0
     out = torch.arange(0.0, 75.0, 0.1, dtype=torch.float64)
     found: list[tuple[float, float]] = []
     for way in ((0.5, -0.8660254), (-0.5, 0.8660254), (-1.0, 0.0)):
         points = torch.stack([out * way[0], out * way[1], torch.full_like(out, height)], 1)
-        label = _labels(points, box, heart.dynamics, level)
+        label = label_of(points)
         wall = label == MYOCARDIUM
         start = int(wall.int().argmax())
         found.append((start * 0.1, float(wall.sum()) * 0.1))

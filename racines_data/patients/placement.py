@@ -5,7 +5,9 @@ the samples of a probe. Contact and forces know the base frame alone.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -45,9 +47,14 @@ class Placement:
 
 def place(shape: Shape, patient: Patient) -> Placement:
     """Lay a heart under the chest wall, turned and tilted."""
+    return lay(partial(_top, shape), patient)
+
+
+def lay(top_of: Callable[[Point], float], patient: Patient) -> Placement:
+    """Lay a heart that reaches so far, mm from its origin, in a direction of its own frame."""
     axes = _upright() @ _rotation(patient.place).T
     up = axes[:, 2].tolist()
-    top = _top(shape, (up[0], up[1], up[2])) * 1e-3  # above the organ's origin
+    top = top_of((up[0], up[1], up[2])) * 1e-3  # above the organ's origin
     height = SURFACE - patient.chest.thickness - patient.place.clearance - top
     middle = torch.tensor([0.0, 0.0, MIDDLE * 1e-3], dtype=torch.float64) @ axes
     x, y = ORIGIN[0] + patient.place.x, ORIGIN[1] + patient.place.y

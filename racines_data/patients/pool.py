@@ -9,6 +9,7 @@ hangs on its own patient, pose, phase and seed alone, whatever else the pool or 
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -92,13 +93,15 @@ class Pool:
             each if isinstance(each, Patient) else draw_patient(int(each)) for each in seeds
         )
         self.seeds = tuple(patient.seed for patient in self.patients)
-        self._baked = {recipe(patient): patient for patient in self.patients}
+        self._baked = {self._recipe(patient): patient for patient in self.patients}
         check_memory(len(self._baked), memory)
         self.device = torch.device(device)
         self.beating = beating
         self.views, self.labels = VIEWS, LABELS
+        self.shown: tuple[str, ...] = VIEWS
+        self.provenance: dict[str, Any] | None = None
         self.surface_height = SURFACE
-        self.hearts = [make_heart(patient, beating) for patient in self.patients]
+        self.hearts = [self._heart(patient) for patient in self.patients]
         self._join(self.hearts)
         self._grid = make_grid(self.device)
         self._scanner = make_scanner(self._grid, self.device)
@@ -112,8 +115,31 @@ class Pool:
         whole = len(self._baked) * HEART_SIZE
         voxels = torch.empty(whole, dtype=torch.int64, device=self.device)
         for row, patient in enumerate(self._baked.values()):
-            voxels[row * HEART_SIZE : (row + 1) * HEART_SIZE] = baked(patient).to(self.device)
+            voxels[row * HEART_SIZE : (row + 1) * HEART_SIZE] = self._bake(patient).to(self.device)
         return voxels
+
+    # What hearts are, how they are baked and how they move; a pool of others says so for itself.
+
+    def _heart(self, patient: Patient) -> Heart:
+        return make_heart(patient, self.beating)
+
+    def _recipe(self, patient: Patient) -> str:
+        return recipe(patient)
+
+    def _bake(self, patient: Patient) -> Tensor:
+        return baked(patient)
+
+    def _to_diastole(self, organ: Tensor, rows: Tensor, phase: Tensor) -> Tensor:
+        """Return where (B, …, 3) points of the organ frame were at end diastole."""
+        return to_diastole(organ, self._dynamics.rows(rows), self._act(rows, phase))
+
+    def _organ_marks(self, rows: Tensor, phase: Tensor) -> Tensor:
+        """Return the (B, S, 3) landmarks in the organ frame, mm."""
+        level = self._act(rows, phase).clamp(0.0, 1.0) * (LEVELS - 1)
+        below = level.floor().clamp_max(LEVELS - 2).long()
+        tracks = self._tracks.flatten(0, 1)
+        first, second = (tracks.index_select(0, rows * LEVELS + below + i) for i in (0, 1))
+        return torch.lerp(first, second, (level - below).view(-1, 1, 1))
 
     def _join(self, hearts: list[Heart]) -> None:
         """Stack what differs from patient to patient."""
@@ -140,7 +166,7 @@ class Pool:
         # Offsets of more than 2^31 voxels need wider integers.
         kind = torch.int32 if len(self._baked) * HEART_SIZE < 2**31 else torch.int64
         held = list(self._baked)
-        places = torch.tensor([held.index(recipe(patient)) for patient in self.patients])
+        places = torch.tensor([held.index(self._recipe(patient)) for patient in self.patients])
         self._offsets = places.mul_(HEART_SIZE).to(device, kind)
 
     @property
@@ -212,9 +238,7 @@ class Pool:
         base = undeform(base_nodes(pose, self._grid, settings), pose.position * 1e3)
         origin = settings.origin + breathing(chest, phase[:, 1])
         organ = rotate(settings.axes[:, None, None], base - origin[:, None, None])
-        act = self._act(rows, phase)
-        beating = to_diastole(organ, self._dynamics.rows(rows), act)
-        return coordinates(base, beating, settings)
+        return coordinates(base, self._to_diastole(organ, rows, phase), settings)
 
     def _act(self, rows: Tensor, phase: Tensor) -> Tensor:
         return activation(phase[:, 0], self._dynamics.kick.index_select(0, rows))
@@ -283,11 +307,7 @@ class Pool:
 
     def _marks(self, rows: Tensor, phase: Tensor) -> Tensor:
         """Return the (B, S, 3) landmarks of moved hearts, mm, base frame."""
-        level = self._act(rows, phase).clamp(0.0, 1.0) * (LEVELS - 1)
-        below = level.floor().clamp_max(LEVELS - 2).long()
-        tracks = self._tracks.flatten(0, 1)
-        first, second = (tracks.index_select(0, rows * LEVELS + below + i) for i in (0, 1))
-        organ = torch.lerp(first, second, (level - below).view(-1, 1, 1))
+        organ = self._organ_marks(rows, phase)
         axes = self._settings.axes.index_select(0, rows).transpose(-1, -2).unsqueeze(1)
         origin = self._settings.origin.index_select(0, rows)
         origin = origin + breathing(self._chest.rows(rows), phase[:, 1])

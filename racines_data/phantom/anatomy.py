@@ -1,7 +1,8 @@
 """What an anatomy is: tissues painted in space, named structures, and the views that show them.
 
 A new organ is one file with one function `(seed: int) -> Anatomy`, and one entry point of the group
-`racines.anatomies`, which names its views. See docs/organs.md.
+`racines.anatomies`, which names its views (docs/organs.md); or a folder that was made of meshes or
+of a label map (docs/own-anatomy.md).
 """
 
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from functools import cache
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.phantom.saved import Saved, find_saved, read_saved
 from racines_data.views import ANATOMIES, organs
 
 Point = tuple[float, float, float]
@@ -103,11 +105,20 @@ class Anatomy:
 
 
 def load_anatomy(name: str, seed: int) -> Anatomy:
-    """Build an anatomy by its name, or by `module:function`.
+    """Build an anatomy by its name, by `module:function`, or by the folder of one's own.
 
     Raises:
-        RacinesError: no such anatomy, it cannot be imported, or its entry point names other views.
+        RacinesError: no such anatomy, it cannot be imported, its entry point names other views, or
+            a seed is given of a folder, which is one organ.
     """
+    folder = None if name in ANATOMIES.names() else find_saved(name)
+    if folder is not None:
+        if seed:
+            raise RacinesError(
+                f"anatomy {name}: is one organ, anatomy_seed is {seed}: give 0, and leave out "
+                "multi_phantom"
+            )
+        return _anatomy_of(read_saved(folder))
     anatomy: Anatomy = ANATOMIES.load(name)(seed)
     views, named = tuple(view.name for view in anatomy.views), organs().get(name)
     if named and views != named:
@@ -116,6 +127,28 @@ def load_anatomy(name: str, seed: int) -> Anatomy:
             f"{', '.join(named)}: write [{','.join(views)}] there"
         )
     return anatomy
+
+
+def _anatomy_of(saved: Saved) -> Anatomy:
+    told, place = saved.told, saved.told["place"]
+    views = [
+        ViewSpec(**view | {name: tuple(view[name]) for name in ("focus", "beam", "normal")}
+                 | {"structures": tuple((name, weight) for name, weight in view["structures"])})
+        for view in told["views"]
+    ]  # fmt: skip
+    return Anatomy(
+        name=told["name"],
+        tissues=tuple(Tissue(**each) for each in told["tissues"]),
+        paint=saved.paint,
+        structures=tuple(
+            Structure(name, tuple(centre), radius) for name, centre, radius in told["structures"]
+        ),
+        views=tuple(views),
+        axes=tuple(tuple(row) for row in place["axes"]),
+        origin=tuple(place["origin"]),
+        home=tuple(place["home"]),
+        wander=tuple(place["wander"]),
+    )
 
 
 @cache

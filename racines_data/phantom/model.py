@@ -47,7 +47,7 @@ class Phantom(World):
         self.titles = {view.name: view.title for view in anatomy.views}
         self.home, self.wander = anatomy.home, anatomy.wander
         self.structures = tuple(structure.name for structure in anatomy.structures)
-        self.workspace = _workspace(self.config.workspace, self.config.block, self.device)
+        self.workspace = workspace_of(self.config.workspace, self.config.block, self.device)
 
     @property
     def config(self) -> PhantomConfig:
@@ -149,7 +149,8 @@ class Phantom(World):
         return Pose(*(x[row : row + 1] for x in self._oracle.targets))
 
 
-def _workspace(config: WorkspaceConfig, block: BlockConfig, device: torch.device) -> Workspace:
+def workspace_of(config: WorkspaceConfig, block: BlockConfig, device: torch.device) -> Workspace:
+    """Return where the probe may go over a block."""
     low = [*(edge + config.margin for edge in block.minimum[:2]), config.lowest]
     high = [*(edge - config.margin for edge in block.maximum[:2]), config.highest]
     lowest, highest = torch.tensor([low, high], device=device)

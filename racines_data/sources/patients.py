@@ -24,6 +24,8 @@ from torch import Tensor
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, euler_to_matrix
+from racines_data.own.heart import open_heart
+from racines_data.own.pool import make_pool
 from racines_data.patients.chest import sway_of
 from racines_data.patients.labels import LABELS as MASK_LABELS
 from racines_data.patients.patient import PATIENTS_VERSION
@@ -43,9 +45,10 @@ from racines_data.phantom.acquisition import (
     sweep_points,
 )
 from racines_data.phantom.config import PhantomConfig
+from racines_data.phantom.saved import provenance
 from racines_data.randomness import derive, sample_seeds, uniform
 from racines_data.schema import Trajectory
-from racines_data.sources.base import Finding, SourceCard, Unit
+from racines_data.sources.base import Finding, SourceCard, Unit, card_with
 from racines_data.store.hearts import columns
 from racines_data.views import LABELS, MIDDLES, RANDOM, VIEWS
 from racines_data.world import LONGEST, STEP_SECONDS
@@ -98,6 +101,8 @@ class PatientsConfig:
     """Whether frames have masks; without, the column is null."""
     seed: int = 0
     """Draws the sweeps."""
+    phantom: str = ""
+    """Folder or name of a heart of one's own that all of them have; none if empty."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +130,8 @@ class PatientsSource:
     def __init__(self, config: PatientsConfig):
         self.config = config
         self.report: list[Finding] = []
+        if own := self._own():
+            self.card = card_with(CARD, own)
 
     @classmethod
     def from_config(cls, config: dict[str, Any], inputs: Sequence[Path] = ()) -> Self:
@@ -143,7 +150,13 @@ class PatientsSource:
             raise RacinesError(f"{where}.frames_per_sweep: {found}: give 2 or more")
         if not any(source.seeds(split) for split in SPLITS):
             raise RacinesError(f"{where}: no patient: set train, validation or test")
+        if source.config.phantom:
+            open_heart(source.config.phantom)
         return source
+
+    def _own(self) -> dict[str, Any] | None:
+        """Return what records say of the heart that all have; None where each has an own one."""
+        return provenance(self.config.phantom) if self.config.phantom else None
 
     def seeds(self, split: str) -> tuple[int, ...]:
         """Return the patients of a split, in order.
@@ -175,12 +188,15 @@ class PatientsSource:
         """Return what decides the bytes: versions, hand and sensors, and all settings."""
         acquisition = dataclasses.asdict(SWEEPS)
         del acquisition["phantom"], acquisition["frames"], acquisition["seed"]
+        settings = dataclasses.asdict(self.config)
+        del settings["phantom"]  # by its content, wherever its folder lies
+        own = self._own()
         return {
             "patients": PATIENTS_VERSION,
             "beating": self.beating,
             "acquisition": acquisition,
-            "settings": dataclasses.asdict(self.config),
-        }
+            "settings": settings,
+        } | ({"own": own} if own else {})
 
     def plan(self) -> Sequence[PatientUnit]:
         """Return the sweeps in order, patient by patient."""
@@ -195,7 +211,7 @@ class PatientsSource:
     def produce(self, unit: Unit) -> Trajectory:
         """Scan one sweep."""
         assert isinstance(unit, PatientUnit)
-        pool = _pool(unit.patient, self.beating)
+        pool = _pool(unit.patient, self.beating, self.config.phantom)
         seed = derive(sample_seeds(self.config.seed, 1), _STREAM, unit.patient, unit.index)
         sweep = _sweep(pool, unit, seed)
         rows, phase = torch.zeros(unit.frames, dtype=torch.int64), torch.zeros(unit.frames, 2)
@@ -223,7 +239,7 @@ class PatientsSource:
 
     def measures(self, patient: int) -> dict[str, Any]:
         """Return who a patient is and what is true of the heart: a row of the table of measures."""
-        pool = _pool(patient, self.beating)
+        pool = _pool(patient, self.beating, self.config.phantom)
         who, found = pool.patients[0], dataclasses.asdict(pool.measures(0))
         volumes = {f"volume_{part}": list(each) for part, each in found.pop("volumes").items()}
         lasting = {name: found.pop(name) for name in _ENDS}
@@ -253,8 +269,8 @@ _ENDS = ("lv_diameter", "lv_length", "wall", "septum")
 
 
 @lru_cache(maxsize=1)
-def _pool(patient: int, beating: bool) -> Pool:
-    return Pool([patient], beating=beating)
+def _pool(patient: int, beating: bool, phantom: str) -> Pool:
+    return make_pool([patient], beating=beating, phantom=phantom)
 
 
 def _sweep(pool: Pool, unit: PatientUnit, seed: Tensor) -> PlannedSweep:

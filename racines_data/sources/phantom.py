@@ -26,9 +26,10 @@ from racines_data.phantom.acquisition import (
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig, heart_config
 from racines_data.phantom.model import shared_phantom
+from racines_data.phantom.saved import provenance
 from racines_data.randomness import derive, sample_seeds
 from racines_data.schema import Trajectory
-from racines_data.sources.base import Finding, SourceCard, Unit
+from racines_data.sources.base import Finding, SourceCard, Unit, card_with
 from racines_data.views import labels_of
 
 _STREAM = 0x4EA7
@@ -85,6 +86,8 @@ class PhantomSource:
         self.config = config
         self.report: list[Finding] = []
         self.labels = labels_of(anatomy_views(config.phantom.anatomy))
+        if own := provenance(config.phantom.anatomy):
+            self.card = card_with(CARD, own)
 
     @classmethod
     def from_config(cls, config: dict[str, Any], inputs: Sequence[Path]) -> Self:
@@ -105,7 +108,9 @@ class PhantomSource:
 
     def recipe(self) -> dict[str, Any]:
         """Return what decides the bytes: the phantom's version and all settings."""
-        return {"phantom": PHANTOM_VERSION, "acquisition": dataclasses.asdict(self.config)}
+        told = {"phantom": PHANTOM_VERSION, "acquisition": dataclasses.asdict(self.config)}
+        own = provenance(self.config.phantom.anatomy)
+        return told | ({"own": own} if own else {})
 
     def plan(self) -> Sequence[SweepUnit]:
         """Return the sweeps in order, sessions in turn."""
