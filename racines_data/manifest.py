@@ -125,10 +125,11 @@ def describe(manifest: Mapping[str, Any], config: str = "frames") -> str:
     from racines_data.sources.base import manifest_card
 
     manifest = config_manifest(manifest, config)
-    origin = manifest_card(manifest).origin
+    card = manifest_card(manifest)
     annotation = manifest.get("annotation") if config in ("frames", "sessions") else None
     return (
-        f"source {manifest['source']} ({origin}); version {manifest['version']}; "
+        f"source {manifest['source']} ({card.origin}); version {manifest['version']}; "
         f"content sha256 {config_digest(manifest, config)}"
         + (f"; annotated by grader {annotation['grader']}" if annotation else "")
+        + (f"; licence {card.license}" if manifest.get("card") else "")
     )

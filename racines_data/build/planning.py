@@ -41,6 +41,10 @@ class DataConfig:
     """Largest share of frames that may be refused."""
     allow: tuple[str, ...] = ()
     """Opinions of the gate that are not held against this data, by name (docs/import.md)."""
+    licence: str = ""
+    """Licence of recordings, as their user states it at import; empty where none was said."""
+    consent: str = ""
+    """Statement on consent and review, likewise."""
     also: tuple[str, ...] = ()
     """Sources that add a config each once the dataset stands, in order: `patients`, `beating`."""
 

@@ -30,7 +30,7 @@ from racines_data.manifest import CARD, DIGEST_VERSION, MANIFEST, MULTI_PHANTOM,
 from racines_data.progress import progress_bar
 from racines_data.records import MASK_PIXELS, RAW_PIXELS
 from racines_data.schema import PARAMETERS, SPLITS, trajectory_features
-from racines_data.sources.base import Finding, Source, Unit, has_poses, labels_of_source, own_card
+from racines_data.sources.base import Finding, Source, Unit, has_poses, labels_of_source
 from racines_data.sources.gate.bounds import Bounds, to_manifest
 from racines_data.store.sweeps import write_store
 
@@ -110,12 +110,12 @@ def write_dataset(
     shards: int,
     progress: bool = False,
     bounds: Bounds | None = None,
+    card: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Write a dataset of staged units, at least `shards` shards a config; return its manifest.
 
-    Shards and stores that a killed run has left in `final` are kept. `many` is the `multi_phantom`
-    config, if there is one; `recipe` is all that decided the bytes; `bounds` are what the gate held
-    the source to.
+    Shards and stores that a killed run has left in `final` are kept. `many` is `multi_phantom`,
+    `recipe` all that decided the bytes, `bounds` the gate's, `card` what the dataset has to hold.
     """
     _keep_finished(final)
     source, rows = main.source, main.rows
@@ -131,7 +131,7 @@ def write_dataset(
         "recipe": recipe,
         "labels": list(labels_of_source(source)),
         "poses": has_poses(source),
-        **({"card": dataclasses.asdict(card)} if (card := own_card(source)) else {}),
+        **({"card": card} if card else {}),
         **to_manifest(bounds or Bounds()),
         "held_out_session": main.held_out,
         "counts": _counts(rows),

@@ -79,9 +79,16 @@ def build(
 def import_(
     inputs: Annotated[list[Path], typer.Argument(help="Folder or files to import.")],
     source: Annotated[
-        str, typer.Option(help="release, cactus, tracked, or another's name.")
+        str, typer.Option(help="release, cactus, tracked, table, or another's name.")
     ] = "release",
     out: opt.Out = Path("data/imported"),
+    mapping: opt.Mapping = None,
+    licence: Annotated[
+        str, typer.Option(help="Licence of the recordings, e.g. CC-BY-4.0; kept on the card.")
+    ] = "",
+    consent: Annotated[
+        str, typer.Option(help="Statement on consent of those scanned; kept on the card.")
+    ] = "",
     settings: opt.Set = None,
     strict: opt.Strict = False,
     allow: opt.Allow = None,
@@ -101,14 +108,17 @@ def import_(
     """
     from racines_data.build import dataset
     from racines_data.config import section
+    from racines_data.sources.licence import WARNING, asks
 
     values = section(read_settings(params, profile), "data") | given(
         source=source, workers=workers, seed=seed, max_refused=max_refused, strict=strict or None
     )
-    values |= given(allow=allow or None)
+    values |= given(allow=allow or None, licence=licence or None, consent=consent or None)
     config, sections = dataset.read_data_section(values)
-    own = sections.get(config.source, {}) | overrides(settings)
+    own = sections.get(config.source, {}) | overrides(settings) | given(mapping=mapping)
     made = dataset.make_source(config, own, inputs)
+    if asks(made) and not config.licence:
+        say(f"racines: {WARNING}", err=True)
     if hasattr(made, "progress"):
         setattr(made, "progress", not as_json)  # noqa: B010
     try:

@@ -45,6 +45,10 @@ Verify = Annotated[
     bool,
     typer.Option("--verify", help="Hash every file of a dataset again, changed or not."),
 ]
+Mapping = Annotated[
+    Path | None,
+    typer.Option(help="What is what in the folder, YAML.  [default: mapping.yaml in it]"),
+]
 Strict = Annotated[bool, typer.Option(help="Stop at the first refused input.")]
 Allow = Annotated[
     list[str] | None,

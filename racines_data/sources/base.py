@@ -11,7 +11,7 @@ dataset is described where that package is not installed.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkable
 
@@ -175,8 +175,36 @@ def manifest_card(manifest: Mapping[str, Any]) -> SourceCard:
         return SourceCard()
 
 
+def rights_of(manifest: Mapping[str, Any]) -> dict[str, str]:
+    """Return licence, rights and what is said of persons: what every export carries."""
+    card = manifest_card(manifest)
+    return {"license": card.license, "rights": card.rights, "personal": card.personal}
+
+
 def own_card(source: Any) -> SourceCard | None:
-    """Return the card that a dataset has to hold itself; None for our sources, which are there."""
+    """Return the card that a dataset has to hold itself; None for our sources, which are there.
+
+    One of ours that scans a phantom of one's own has a card of its own, too.
+    """
     from racines_data.schema import SOURCES as OURS
 
-    return None if source.name in OURS else getattr(source, "card", None)
+    if source.name in OURS:
+        return None if isinstance(source, type) else vars(source).get("card")
+    return getattr(source, "card", None)
+
+
+def card_with(card: SourceCard, own: Mapping[str, Any]) -> SourceCard:
+    """Return a simulated source's card for a phantom of one's own: `provenance` of it."""
+    made = f"The anatomy is {own['name']}, a phantom of one's own ({own['digest'][:12]}…): "
+    made += f"{own['source'] or 'its source is not said'}. "
+    added = "".join(f"Synthetic, in no file of its source: {name}: {why}. "
+                    for name, why in own["synthetic"].items())  # fmt: skip
+    rights = f"{card.rights} The anatomy: {own['licence'] or 'licence not said'}."
+    return replace(
+        card,
+        rights=rights,
+        collection=made + added + card.collection,
+        biases=f"One organ: {own['name']}. {card.biases}",
+        limits=f"{added}{card.limits}",
+        like_paper=False,
+    )

@@ -6,6 +6,8 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 
+READING = "reading"
+"""What a mapping of the source `table` is inferred to have taken for something else."""
 OPINIONS = (
     "looks-up",
     "force-sign",
@@ -15,6 +17,7 @@ OPINIONS = (
     "sector",
     "saturated",
     "units-mixed",
+    READING,
 )
 """Checks that infer a mistake and could be wrong about a source; each can be allowed by name."""
 

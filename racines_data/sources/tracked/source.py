@@ -36,6 +36,8 @@ NEAREST = TRACKER.nearest
 _USUAL = 1.0  # ordinary distance of a probe from a tracker, m
 _FRAME = re.compile(r"Seq_Frame(\d+)_(\w+)")
 _CHUNK = 1 << 20
+_LONGEST = 1 << 16  # bytes of a header's line
+_MOST_PIXELS = 64_000_000  # of one frame, which is in memory
 _READ = {
     "ObjectType": "Image",
     "NDims": "3",
@@ -72,7 +74,7 @@ def read_header(path: Path) -> Recording:
     fields: dict[str, str] = {}
     by_frame: dict[int, dict[str, str]] = {}
     with path.open("rb") as file:
-        for line in iter(file.readline, b""):
+        for line in iter(lambda: file.readline(_LONGEST), b""):
             key, equals, value = map(str.strip, line.decode("latin-1").partition("="))
             if not equals or (not fields and key != "ObjectType"):
                 break
@@ -99,6 +101,10 @@ def _sequence(
         raise RacinesError(f"{path}: DimSize is missing or not three numbers") from error
     if min(width, height, count) < 1 or any(index >= count for index in by_frame):
         raise RacinesError(f"{path}: DimSize {fields['DimSize']} does not fit the frames' fields")
+    if width * height > _MOST_PIXELS:
+        raise RacinesError(
+            f"{path}: DimSize {fields['DimSize']}: more than {_MOST_PIXELS:,} pixels"
+        )
     compressed = fields.get("CompressedData", "False") == "True"
     orientation = fields.get("UltrasoundImageOrientation", "")
     frames = [by_frame.get(index, {}) for index in range(count)]
@@ -218,6 +224,7 @@ class TrackedSource:
     version = "0.1.0"
     Config = TrackedConfig
     card = CARD
+    of_users: ClassVar[bool] = True
     bounds: ClassVar[Bounds] = TRACKER
 
     @classmethod
