@@ -1,6 +1,6 @@
 """What a dataset says of itself: `croissant.json` to machines, the datasheet to reviewers.
 
-Format: Croissant 1.0 and Croissant RAI 1.0 (mlcommons.org/croissant). The file lists the Parquet
+Format: Croissant 1.1 and Croissant RAI 1.0 (mlcommons.org/croissant). The file lists the Parquet
 files with size and sha256, a file set for each config and for each of its splits, and a record set
 for each config that has files of its own. It cannot list itself; `manifest.json` has its sha256.
 
@@ -34,14 +34,15 @@ from racines_data.schema import CONTROLS, PARAMETERS, SPLITS, trajectory_feature
 from racines_data.sources.base import manifest_card
 
 _PARQUET = "application/x-parquet"
-_CONFORMS = ("http://mlcommons.org/croissant/1.0", "http://mlcommons.org/croissant/RAI/1.0")
+_CONFORMS = ("http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0")
 _URLS = {"cc-by-4.0": "https://creativecommons.org/licenses/by/4.0/"}
 _TYPES = {"string": "sc:Text"} | {
     name: f"cr:{name.capitalize()}" for name in ("int32", "int64", "float32", "float64")
 }
 _CR = (
-    *("citeAs", "column", "equivalentProperty", "extract", "field", "fileObject", "fileProperty"),
-    *("fileSet", "format", "includes", "isLiveDataset", "jsonPath", "key", "md5", "parentField"),
+    *("arrayShape", "citeAs", "column", "containedIn", "equivalentProperty", "extract", "field"),
+    *("fileObject", "fileProperty", "fileSet", "format", "includes", "isArray", "isLiveDataset"),
+    *("jsonPath", "key", "md5", "parentField"),
     *("path", "recordSet", "references", "regex", "repeated", "replace", "samplingRate"),
     *("separator", "source", "subField", "transform"),
 )
@@ -54,7 +55,9 @@ _CONTEXT = {
     "data": {"@id": "cr:data", "@type": "@json"},
     "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
     "dct": "http://purl.org/dc/terms/",
+    "description": {"@container": "@language"},
     "examples": {"@id": "cr:examples", "@type": "@json"},
+    "name": {"@container": "@language"},
     "rai": "http://mlcommons.org/croissant/RAI/",
     "sc": "https://schema.org/",
 }

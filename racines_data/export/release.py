@@ -29,6 +29,7 @@ from racines_data.manifest import read_manifest
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS
+from racines_data.sources.base import rights_of
 from racines_data.sources.release import layout
 from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 from racines_data.views import RANDOM
@@ -74,13 +75,17 @@ def export(
             bar.advance(task, len(sweep))
     os.replace(staging, out)
     known = "a loader that knows only `Folder 1` to `Folder 3` will not see the others"
+    notes = [f"{len(sessions)} sessions: {known}"] if len(sessions) > _KNOWN_FOLDERS else []
+    if manifest.get("card"):
+        rights = rights_of(manifest)["rights"].rstrip(".")
+        notes.append(f"licence: {rights}: the layout has no place for it; hand it on beside")
     return {
         "out": str(out),
         "format": "release",
         "frames": total,
         "trajectories": len(places),
         "sessions": sessions,
-        "notes": [f"{len(sessions)} sessions: {known}"] if len(sessions) > _KNOWN_FOLDERS else [],
+        "notes": notes,
     }
 
 

@@ -39,6 +39,7 @@ from racines_data.manifest import (
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS, PHASES, SPLITS
+from racines_data.sources.base import rights_of
 from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 from racines_data.tables import escape
 
@@ -77,18 +78,22 @@ def export(
     limit: int | None = None,
     progress: bool = False,
     config: str = "frames",
+    channels: int = 1,
 ) -> dict[str, Any]:
     """Write a dataset in the LeRobot format: `LeRobotDataset(NAME, root=out)` opens it.
 
     Arguments and errors as of `registry.Exporter`, and an error where there is no commanded
     velocity. A config of patients has their columns besides, and masks as images of labels, which
-    `meta/racines.json` names by number. Returns `out`, counts, `fps`, `splits` as ranges of
-    episodes, and notes.
+    `meta/racines.json` names by number. Images have one channel, or three equal ones. Returns
+    `out`, counts, `fps`, `splits` as ranges of episodes, and notes.
     """
     manifest = config_manifest(read_manifest(root), config)
     with new_folder(out) as folder, progress_bar(progress) as bar:
         task = bar.add_task("frames", total=None)
-        writer = _Writer(folder, manifest_labels(manifest), features_of(manifest, config))
+        features = features_of(manifest, config)
+        shape = [*features[IMAGE]["shape"][:2], channels]
+        features = features | {IMAGE: features[IMAGE] | {"shape": shape}}
+        writer = _Writer(folder, manifest_labels(manifest), features)
         for sweep in read_sweeps(root, split, limit, config):
             writer.add(sweep)
             bar.advance(task, len(sweep))
@@ -150,7 +155,7 @@ class _Writer:
         for name in images_of(self.features):
             counted = _histogram(sweep.pngs(images_of(self.features)[name]), self.frames)
             self.histograms.setdefault(name, []).append(counted)
-            own[name] = _image_statistics([counted])
+            own[name] = _image_statistics([counted], self.features[name]["shape"][2])
         for name, values in columns.items():
             self.columns.setdefault(name, []).append(values)
             own[name] = _statistics([values])
@@ -178,7 +183,7 @@ class _Writer:
         """Write the rows; return the chunk and the number of the file they went to."""
         features, images = hf_features(self.features), images_of(self.features)
         arrays = [
-            sweep.table[images[name]].combine_chunks() if name in images else _array(columns[name])
+            self._images(sweep, name) if name in images else _array(columns[name])
             for name in features
         ]
         table = pa.table(arrays, schema=features.arrow_schema)
@@ -192,6 +197,14 @@ class _Writer:
         self._open.write_table(table)
         self._bytes += table.nbytes
         return chunk, number
+
+    def _images(self, sweep: Sweep, name: str) -> pa.Array:
+        """Return the PNG files of an image feature, as recorded or with three equal channels."""
+        held = sweep.table[images_of(self.features)[name]].combine_chunks()
+        if self.features[name]["shape"][2] == 1:
+            return held
+        made = [{"bytes": _coloured(png), "path": None} for png in sweep.pngs("image")]
+        return pa.array(made, held.type)
 
     def close(self) -> None:
         """End the file that is being written."""
@@ -240,6 +253,12 @@ def _columns(sweep: Sweep, episode: int, start: int, task: int) -> dict[str, np.
     }
 
 
+def _coloured(png: bytes) -> bytes:
+    buffer = io.BytesIO()
+    Picture.open(io.BytesIO(png)).convert("RGB").save(buffer, "PNG")
+    return buffer.getvalue()
+
+
 def _array(values: np.ndarray) -> pa.Array:
     flat = pa.array(values.ravel())
     return flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
@@ -277,7 +296,7 @@ def _statistics(parts: Sequence[np.ndarray]) -> dict[str, list[float]]:
     return {**{key: value.tolist() for key, value in made.items()}, "count": [len(table)]}
 
 
-def _image_statistics(histograms: Sequence[np.ndarray]) -> dict[str, Any]:
+def _image_statistics(histograms: Sequence[np.ndarray], channels: int) -> dict[str, Any]:
     """Return the statistics of gray levels scaled to 0-1, as LeRobot hands images out."""
     histogram = np.sum(histograms, axis=0)
     counts, levels = histogram[:256], np.arange(256) / 255
@@ -291,7 +310,8 @@ def _image_statistics(histograms: Sequence[np.ndarray]) -> dict[str, Any]:
         "std": float(np.sqrt((counts * (levels - mean) ** 2).sum() / total)),
         **{key: float(levels[np.searchsorted(running, q)]) for key, q in QUANTILES.items()},
     }
-    return {**{key: [[[value]]] for key, value in made.items()}, "count": [int(histogram[256])]}
+    alike = {key: [[[value]]] * channels for key, value in made.items()}
+    return {**alike, "count": [int(histogram[256])]}
 
 
 def _write_meta(
@@ -313,11 +333,15 @@ def _write_meta(
         "features": writer.features,
     }
     write_json(folder / "meta/info.json", info)
-    found: dict[str, Any] = {n: _image_statistics(each) for n, each in writer.histograms.items()}
+    found: dict[str, Any] = {
+        name: _image_statistics(each, writer.features[name]["shape"][2])
+        for name, each in writer.histograms.items()
+    }
     found |= {name: _statistics(parts) for name, parts in writer.columns.items()}
     write_json(folder / "meta/stats.json", found)
     about = {key: manifest[key] for key in ("source", "version", "digest", "recipe_digest")}
     about |= {"labels": list(writer.labels), "description": describe(manifest, config)}
+    about |= rights_of(manifest)
     if MASK in writer.features:
         about["mask_labels"] = list(manifest["mask_labels"])
     write_json(folder / "meta/racines.json", about)
@@ -351,7 +375,7 @@ def _card(described: str, info: Mapping[str, Any]) -> str:
         f"LeRobot v3.0: {info['total_episodes']} episodes, "
         f"{info['total_frames']} frames at {info['fps']} per second; splits as ranges of episodes: "
         f"{json.dumps(info['splits'])}.\n\n`observation.state` and `action` in the robot's base "
-        "frame: m, rad, N, N·m; m/s, rad/s. Images have one channel; policies that want three: "
-        "`image_transforms=torchvision.transforms.v2.RGB()`.\n\nResearch data, not for clinical "
-        "use.\n"
+        "frame: m, rad, N, N·m; m/s, rad/s. Images have one channel, or three equal ones "
+        "(`--format lerobot-rgb`), which policies such as ACT want.\n\nResearch data, not for "
+        "clinical use.\n"
     )

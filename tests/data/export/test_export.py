@@ -8,6 +8,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pandas as pd
+import PIL.Image
 import pyarrow.parquet as pq
 import pytest
 import torch
@@ -122,6 +123,25 @@ def test_lerobot_keeps_pngs_byte_for_byte(moving: Path, tmp_path: Path):
     pngs = [png for sweep in read_sweeps(moving) for png in sweep.pngs()]
     assert [row["bytes"] for row in table[lerobot.IMAGE].to_pylist()] == pngs
     assert table["index"].to_pylist() == [*range(200)]
+
+
+def test_lerobot_pictures_of_three_channels_are_the_same_gray(moving: Path, tmp_path: Path):
+    load_exporter("lerobot")(moving, tmp_path / "gray", limit=30)
+    load_exporter("lerobot-rgb")(moving, tmp_path / "rgb", limit=30)
+    gray, rgb = (
+        [np.asarray(PIL.Image.open(io.BytesIO(row["bytes"]))) for row in
+         pq.read_table(tmp_path / name / "data")[lerobot.IMAGE].to_pylist()]
+        for name in ("gray", "rgb")
+    )  # fmt: skip
+    assert all(np.array_equal(three, np.stack([one] * 3, -1))
+               for one, three in zip(gray, rgb, strict=True))  # fmt: skip
+    told = [
+        json.loads((tmp_path / name / "meta/info.json").read_text()) for name in ("gray", "rgb")
+    ]
+    assert [each["features"][lerobot.IMAGE]["shape"][2] for each in told] == [1, 3]
+    means = [json.loads((tmp_path / name / "meta/stats.json").read_text())[lerobot.IMAGE]["mean"]
+             for name in ("gray", "rgb")]  # fmt: skip
+    assert means[1] == means[0] * 3
 
 
 def test_lerobot_data_files_end_between_trajectories(moving: Path, tmp_path: Path, monkeypatch):
@@ -274,5 +294,5 @@ def test_the_command(moving: Path, tmp_path: Path):
     assert "exists; name a new folder" in again.stderr
     assert set(exporter_names()) >= {"release", "lerobot", "minari"}
     unknown = command(tmp_path, *words, "--format", "zarr", code=1)
-    assert "choose one of lerobot, minari, release" in unknown.stderr
+    assert "choose one of lerobot, lerobot-rgb, minari, release" in unknown.stderr
     command(tmp_path, *words, code=2)
