@@ -24,15 +24,16 @@ ALIGNED = 16
 Result = TypeVar("Result", bound=Tensor | tuple[Tensor, ...])
 
 
-def in_fixed_batches(function: Callable[..., Result], *inputs: Tensor) -> Result:
+def in_fixed_batches(function: Callable[..., Result], *inputs: Tensor, size: int = 0) -> Result:
     """Apply `function` to (B, …) inputs in chunks of one size, the last one padded with ones.
 
     It treats rows independently, but for rounding, and returns a tensor or a tuple of tensors,
     (B, …) each; B may be 0. What is returned is for each row to the last bit the same at every
-    place of every batch, on one machine with one number of threads.
+    place of every batch, on one machine with one number of threads. `size` rows make a chunk; 0:
+    as many as suit the device.
     """
     count, kind = len(inputs[0]), inputs[0].device.type
-    size = SIZE.get(kind, 256)
+    size = size or SIZE.get(kind, 256)
     short = -count % size if count else size
     # The copy is aligned as any other batch is, also where the inputs are part of a tensor.
     padded = [torch.cat([x, x.new_ones(1).expand(short, *x.shape[1:])]) for x in inputs]

@@ -13,11 +13,13 @@ if TYPE_CHECKING:
 
 JUDGES = Path("models/runs")
 """Where judges lie that are not named."""
+PUBLISHED = Path("models/weights/phantom-patients")
+"""Where the published judges of patients lie."""
 
 
 def sim_to_real(
     real: Annotated[
-        Path, typer.Option(help="Parquet of real A4C frames, or a folder of real echo.")
+        Path, typer.Option(help="Parquet of real A4C frames, a folder of real echo, or a dataset.")
     ],
     grader: opt.Grader = None,
     segmentation: Annotated[
@@ -35,8 +37,12 @@ def sim_to_real(
 
     The share of real A4C frames called A4C, beside that of the same frames upside down, scrambled
     and mirrored, of other views, and of planes turned away; Dice and ejection fraction against
-    cardiologists. Judges that are not named are those in models/runs.
+    cardiologists. Judges that are not named are those in models/runs. Of an imported dataset: what
+    its frames are called, KID to simulated patients, and motion read from images; by the published
+    judges of patients.
     """
+    if (real / "manifest.json").is_file():
+        return _imported(real, grader, no_grader, out, device, as_json)
     from racines_data.files import write_atomic, write_json
     from racines_data.progress import image_counter
     from racines_models.cli.output import tell
@@ -60,6 +66,29 @@ def sim_to_real(
     write_json(out.with_suffix(".json"), measured.content)
     written = ", ".join(f"{out}{ending}.png" for ending in endings)
     tell(measured.content, as_json, *_tables(measured.content), f"{out}.json, {written}")
+
+
+def _imported(
+    root: Path, grader: Path | None, no_grader: bool, out: Path, device: str, as_json: bool
+) -> None:
+    """Measure a dataset, and write what came out with a sheet of what frames are called."""
+    from racines_data.files import write_atomic, write_json
+    from racines_data.store.frames import open_store
+    from racines_data.tables import console_table
+    from racines_models.cli.output import tell
+    from racines_models.judges.grader.model import Grader
+    from racines_models.judges.pose.regressor import PoseRegressor
+    from racines_models.scores.features import InceptionFeatures
+    from racines_models.studies.sim_to_real.imported import measure_imported
+    from racines_models.studies.sim_to_real.imported_sheet import sheet, told_rows
+
+    judge = None if no_grader else Grader.load(grader or PUBLISHED / "grader", device)
+    regressor = PoseRegressor.load(PUBLISHED / "pose", device)
+    measured = measure_imported(open_store(root), judge, regressor, InceptionFeatures(device))
+    write_atomic(out.with_suffix(".png"), sheet(measured))
+    write_json(out.with_suffix(".json"), measured.content)
+    table = console_table(("of the imported set", "figure"), told_rows(measured.content))
+    tell(measured.content, as_json, table, f"{out}.json, {out}.png")
 
 
 def _there(name: str) -> Path | None:
