@@ -41,6 +41,7 @@ def check_policy(
     seen: Seen,
     seeds: Tensor,
     temperature: float,
+    twists: bool = False,
 ) -> Tensor:
     """Check all that one process can tell (clauses A1, A2 and A4 to A6); return the actions.
 
@@ -51,6 +52,7 @@ def check_policy(
         seen: Of (N,) rows, more than eight, from different places.
         seeds: (N,) int64.
         temperature: What it declares; above 0 actions are drawn.
+        twists: Whether it declares to act by (N, 6) twists, not by one of the thirteen steps.
 
     Raises:
         ContractError: the clause that is broken.
@@ -58,8 +60,8 @@ def check_policy(
     keys = SEEN[observation]
     seen = {key: seen[key] for key in keys}
     actions = act(seen, seeds)
-    _check_actions(act({key: seen[key][:0] for key in keys}, seeds[:0]), 0)
-    _check_actions(actions, len(seeds))
+    _check_actions(act({key: seen[key][:0] for key in keys}, seeds[:0]), 0, twists)
+    _check_actions(actions, len(seeds), twists)
     check_same_actions(actions, act(seen, seeds), "A2")
     _check_own_rows(act, seen, seeds)
     _check_seed(act, seen, seeds, actions, temperature)
@@ -76,7 +78,12 @@ def check_same_actions(first: Tensor, again: Tensor, clause: str) -> None:
         raise ContractError(clause, f"{found}: draw all chance from the seed", CLAUSES)
 
 
-def _check_actions(actions: Tensor, count: int) -> None:
+def _check_actions(actions: Tensor, count: int, twists: bool) -> None:
+    if twists:
+        if actions.dtype != torch.float32 or tuple(actions.shape) != (count, 6):
+            found = f"{count} rows gave {actions.dtype} {tuple(actions.shape)}"
+            raise ContractError("A1", f"{found}: give float32 ({count}, 6)", CLAUSES)
+        return
     fits = actions.dtype == torch.int64 and tuple(actions.shape) == (count,)
     if not fits or bool(((actions < 0) | (actions >= len(ACTIONS))).any()):
         came = f"{actions.dtype} {tuple(actions.shape)}"

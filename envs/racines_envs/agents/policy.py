@@ -38,9 +38,11 @@ def make_network(
     return ObservationNetwork(config.observation, outputs, config.hidden, gain, features, rotation)
 
 
-def make_actor(config: Any, encoder: nn.Module | None = None) -> ObservationNetwork:
+def make_actor(
+    config: Any, encoder: nn.Module | None = None, outputs: int = len(ACTIONS)
+) -> ObservationNetwork:
     """Return an untrained actor, near uniform."""
-    return make_network(config, encoder, len(ACTIONS), 0.01)
+    return make_network(config, encoder, outputs, 0.01)
 
 
 def actor_logits(
@@ -73,6 +75,8 @@ class PolicyAgent:
 
     name: ClassVar[str]
     Config: ClassVar[type]
+    outputs: ClassVar[int] = len(ACTIONS)
+    """Numbers that its network gives."""
 
     def __init__(
         self, config: Any, actor: ObservationNetwork, encoder: PoseEncoder | None = None
@@ -98,13 +102,17 @@ class PolicyAgent:
         return choose(logits, seeds, getattr(self.config, "temperature", 0.0))
 
     def logits(self, observation: dict[str, Tensor]) -> Tensor:
-        """Return the (N, 13) scores of the actions.
+        """Return the (N, 13) scores of the actions, or whatever else the network gives.
 
         Differentiable with respect to `image` (N, 128, 128), 0-255, where it is float.
         """
         device = next(self.actor.parameters()).device
         seen = {name: value.to(device) for name, value in observation.items()}
         return actor_logits(self.actor, self.encoder, seen)
+
+    def decide(self, outputs: Tensor) -> Tensor:
+        """Return what an ONNX file of it gives of the network's outputs: logits, as they are."""
+        return outputs
 
     def save(self, run_dir: Path, metrics: dict[str, Any], seed: int) -> None:
         """Write policy.safetensors, config.json and metrics.json."""
@@ -128,6 +136,6 @@ class PolicyAgent:
         config = fill(cls.Config, content["config"], str(described))
         spec, sha256 = getattr(config, "encoder", ""), str(content.get("encoder_sha256"))
         encoder = open_encoder(spec, device, Path(run_dir), sha256)
-        actor = make_actor(config, encoder)
+        actor = make_actor(config, encoder, cls.outputs)
         load_network(policy, actor, remedy)
         return cls(config, actor.to(device).eval(), encoder)

@@ -15,6 +15,7 @@ from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.plugins import Plugins
 from racines_envs.task.core import ScanCore
+from racines_envs.task.motion import DISCRETE
 
 SETTINGS = "config.json"
 AGENTS = Plugins(
@@ -75,6 +76,11 @@ def sees(agent: Agent) -> str:
     `truth` for the simulator's state, `nothing`.
     """
     return getattr(agent, "sees", agent.observation)
+
+
+def acts(agent: Any) -> str:
+    """Return how an agent acts: its attribute `action`, `velocity` for twists, else `discrete`."""
+    return getattr(agent, "action", DISCRETE)
 
 
 def learns(agent: Agent | type[Agent]) -> bool:

@@ -158,7 +158,9 @@ class TrainingRun(ABC):
         from racines_envs.apis.torchrl_env import ScanEnv
 
         self.env = ScanEnv(self.config.view, self.config.envs, **self.where)
-        self.actor = make_actor(self.config, self.encoder).to(self.config.device).eval()
+        self.actor = (
+            make_actor(self.config, self.encoder, self.cls.outputs).to(self.config.device).eval()
+        )
         self.agent: Any = self.cls(self.config, self.actor, self.encoder)
 
     @abstractmethod

@@ -15,6 +15,7 @@ from racines_data.imaging import IMAGE_SIZE
 from racines_envs.apis.rendering import History, compose
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import PARAMS_SIZE, ScanCore
+from racines_envs.task.motion import Velocity
 from racines_envs.task.state import Transition
 from racines_envs.worlds.making import make_core
 from racines_envs.worlds.ward import Ward
@@ -23,15 +24,29 @@ OPTIONS = ("pose", "patient")
 """What a reset may be told."""
 
 
-def read_actions(actions: Any) -> torch.Tensor:
-    """Turn actions of any kind of sequence into a tensor, if they are integers."""
+def action_space(core: ScanCore) -> spaces.Space[Any]:
+    """Return the space of one row's action: 13 steps, or a twist in m/s and rad/s."""
+    if isinstance(core.motion, Velocity):
+        limits = core.motion.limits.cpu().numpy()
+        return spaces.Box(-limits, limits, dtype=np.float32)
+    return spaces.Discrete(len(ACTIONS))
+
+
+def read_actions(actions: Any, core: ScanCore) -> torch.Tensor:
+    """Turn the actions of all rows, in any kind of sequence, into a tensor of (N,) or (N, 6)."""
+    twists = isinstance(core.motion, Velocity)
+    wanted = "twists of six numbers, m/s and rad/s" if twists else "integers 0-12"
     try:
         array = np.asarray(actions)
     except ValueError as error:
-        raise RacinesError(f"actions {actions!r} are ragged: give integers 0-12") from error
+        raise RacinesError(f"actions {actions!r} are ragged: give {wanted}") from error
+    if twists and array.dtype.kind == "f":
+        alone = array.shape == (6,) and core.num_envs == 1
+        return torch.as_tensor(array.astype(np.float32)[None] if alone else array)
     if array.dtype.kind not in "iu":
-        raise RacinesError(f"action {actions!r} is no integer: give integers 0-12")
-    return torch.as_tensor(array.astype(np.int64))
+        kind = "of the wrong kind" if twists else "no integer"
+        raise RacinesError(f"action {actions!r} is {kind}: give {wanted}")
+    return torch.as_tensor(np.atleast_1d(array).astype(np.int64))
 
 
 def read_pose(options: dict[str, Any] | None, count: int) -> Pose | None:
@@ -104,6 +119,9 @@ class Scan:
         seen: dict[str, spaces.Space[Any]] = {"image": image, "params": params}
         if self.core.observation != "multimodal":
             seen = {self.core.observation: seen[self.core.observation]}
+        if self.core.robot.joints and "params" in seen:
+            turn = 2.0 * np.pi
+            seen["joints"] = spaces.Box(-turn, turn, (self.core.robot.joints,), np.float32)
         if self.core.task.any_view:
             seen["goal"] = spaces.Box(0.0, 1.0, (len(self.core.phantom.views),), np.float32)
         return spaces.Dict(seen) if len(seen) > 1 else seen[self.core.observation]
@@ -158,7 +176,7 @@ class Scan:
         return arrays if len(arrays) > 1 else arrays[self.core.observation]
 
 
-class GymScanEnv(gymnasium.Env[Any, np.int64]):
+class GymScanEnv(gymnasium.Env[Any, Any]):
     """Find a standard view with one probe."""
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
@@ -168,7 +186,7 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         self._scan = Scan(view, None, render_mode, settings)
         self.core, self.render_mode = self._scan.core, render_mode
         self.observation_space = self._scan.space()
-        self.action_space = spaces.Discrete(len(ACTIONS))
+        self.action_space = action_space(self.core)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -183,8 +201,8 @@ class GymScanEnv(gymnasium.Env[Any, np.int64]):
         return self._scan.reset(self, seed, options), self._info()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Take one of the 13 actions, an integer 0-12; refused when the episode has ended."""
-        row = read_actions(action).reshape(-1)
+        """Take one of the 13 actions, an integer 0-12, or a twist; refused after the end."""
+        row = read_actions(action, self.core)
         seen, reward, ended, cut = self._scan.step(row, strict=True)
         return seen, float(reward), bool(ended), bool(cut), self._info()
 
@@ -215,7 +233,7 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         self._scan = Scan(view, num_envs, render_mode, settings)
         self.core, self.render_mode, self.num_envs = self._scan.core, render_mode, num_envs
         self.single_observation_space = self._scan.space()
-        self.single_action_space = spaces.Discrete(len(ACTIONS))
+        self.single_action_space = action_space(self.core)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 
@@ -228,8 +246,9 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         return self._scan.reset(self, seeds, options), self._infos()
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Take (N,) actions, integers 0-12."""
-        seen, reward, *ends = self._scan.step(read_actions(actions), autoreset=True)
+        """Take (N,) actions, integers 0-12, or (N, 6) twists."""
+        taken = read_actions(actions, self.core)
+        seen, reward, *ends = self._scan.step(taken, autoreset=True)
         ended, cut = (value.cpu().numpy() for value in ends)
         return seen, reward.double().cpu().numpy(), ended, cut, self._infos()
 

@@ -22,6 +22,7 @@ from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
 from racines_data.phantom.config import ProbeConfig
+from racines_envs.robots.following import ArmRobot
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 
@@ -32,7 +33,7 @@ _MARGIN, _DEEP = 0.012, 0.14
 _BODY = 0.06  # m, length of the probe's body as drawn
 _BACK, _PANEL, _LINE, _TEXT = "#101418", "#1a2026", "#5b6670", "#e6e9ec"
 _BLOCK, _SPACE, _GOAL, _PATH, _PROBE = "#2f3942", "#7d8a96", "#4ade80", "#facc15", "#38bdf8"
-_SECTOR, _WARN = "#1e4a63", "#f87171"
+_SECTOR, _WARN, _ARM = "#1e4a63", "#f87171", "#b8c2cc"
 
 _SIDE = 286, 318
 _ABOVE, _FRONT = (IMAGE + 2, 0), (IMAGE + 290, 0)
@@ -47,7 +48,7 @@ class Steps:
     Positions are in m; probabilities and grades are p and g by the reward's own source.
     """
 
-    actions: list[int | None] = field(default_factory=list)
+    actions: list[Any] = field(default_factory=list)
     positions: list[list[float]] = field(default_factory=list)
     probabilities: list[float] = field(default_factory=list)
     grades: list[float] = field(default_factory=list)
@@ -63,7 +64,7 @@ class History:
         return self._rows[row]
 
     def note(self, core: ScanCore, actions: Tensor | None = None) -> None:
-        """Add the present state of all rows, after (N,) actions or a reset.
+        """Add the present state of all rows, after actions of each or a reset.
 
         A row at step 0 begins anew; a row that has ended and was not reset stays as it is.
         """
@@ -128,9 +129,10 @@ def _font(size: int) -> Any:
 def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
     info = {name: value[row].item() for name, value in core.info(view_error=False).items()}
     task, action = core.task, steps.actions[-1] if steps.actions else None
-    moved = "start" if action is None else ACTIONS[action]
+    moved = "start" if action is None else _moved(action)
     goal = core.phantom.views[int(core.state.goal[row])]
     force, refused = info["force"], info["workspace_hits"] + info["force_hits"]
+    refused += info.get("arm_hits", 0)
     away, turned = info["position_error"] * 1e3, math.degrees(info["rotation_error"])
     found = _GOAL if info["success"] else _TEXT
     pressed = _WARN if force > 0.9 * task.force_limit else _TEXT
@@ -149,6 +151,21 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
     if bool(core.state.done[row]):
         rows.append(("the episode has ended", found))
     return rows
+
+
+def _moved(action: int | list[float]) -> str:
+    """Return an action in words; of a twist how fast it shifts and turns the probe."""
+    if isinstance(action, int):
+        return ACTIONS[action]
+    along, about = math.hypot(*action[:3]) * 1e3, math.degrees(math.hypot(*action[3:]))
+    return f"{along:.0f} mm/s, {about:.0f} deg/s"
+
+
+def _arm(core: ScanCore, row: int) -> np.ndarray:
+    """Return the (n, 3) m along the arm, from its base to the tip; none of a free probe."""
+    if not isinstance(core.robot, ArmRobot):
+        return np.empty((0, 3))
+    return core.robot.kinematics.points(core.state.joints[row : row + 1])[0].cpu().numpy()
 
 
 def _bounds(core: ScanCore) -> np.ndarray:
@@ -174,7 +191,10 @@ def _view(
     block = _bounds(core)
     panel = Image.new("RGB", (_SIDE[0] * zoom, _SIDE[1] * zoom), _PANEL)
     draw = ImageDraw.Draw(panel)
-    to_pixels = _projection(block[0], block[1] + np.array([0.0, 0.0, _BODY + 0.02]), axes, zoom)
+    arm = _arm(core, row)
+    corners = np.stack([block[0], block[1] + np.array([0.0, 0.0, _BODY + 0.02])])
+    shown = np.concatenate([corners, arm])
+    to_pixels = _projection(shown.min(0), shown.max(0), axes, zoom)
 
     def box(corners: np.ndarray) -> tuple[float, ...]:
         (left, bottom), (right, top) = to_pixels(corners)
@@ -193,7 +213,12 @@ def _view(
         path = to_pixels(np.array(steps.positions))
         draw.line(path, fill=_PATH, width=2 * zoom)
         draw.circle(path[0], 4 * zoom, fill=_PATH)
-    _draw_probe(draw, to_pixels, probe, *pose, colour=_PROBE, width=3 * zoom)
+    if len(arm):
+        links = to_pixels(arm)
+        draw.line(links, fill=_ARM, width=5 * zoom, joint="curve")
+        for place in links[:-1]:
+            draw.circle(place, 4 * zoom, fill=_PANEL, outline=_ARM, width=2 * zoom)
+    _draw_probe(draw, to_pixels, probe, *pose, colour=_PROBE, width=(2 if len(arm) else 3) * zoom)
     across, up = ("xyz"[axis] for axis in axes)
     label, font = f"{title}    {across} to the right, {up} up", _font(13 * zoom)
     draw.text((8 * zoom, 6 * zoom), label, _TEXT, font)

@@ -10,6 +10,7 @@ from torchrl.envs import EnvBase
 from racines_data.imaging import IMAGE_SIZE
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import PARAMS_SIZE
+from racines_envs.task.motion import Velocity
 from racines_envs.task.tasks import Task
 from racines_envs.worlds.making import make_core
 from racines_models.devices import resolve_device
@@ -20,8 +21,9 @@ class ScanEnv(EnvBase):
 
     Keys: `image` (N, 1, 128, 128) uint8, channels first (with an encoder, its `features` instead),
     and/or `params` (N, 9) float32, and `goal` (N, V) where it is drawn for each episode; `action`
-    (N,) int64; `reward`, `done`, `terminated`, `truncated` (N, 1); and under `info`, for curves and
-    not for policies, `success` by the oracle, `steps` and `return` so far.
+    (N,) int64, or (N, 6) float32 twists with `action="velocity"`; `reward`, `done`, `terminated`,
+    `truncated` (N, 1); and under `info`, for curves and not for policies, `success` by the oracle,
+    `steps` and `return` so far.
     """
 
     def __init__(
@@ -47,6 +49,8 @@ class ScanEnv(EnvBase):
             seen["image"] = Bounded(0, 255, image, dtype=torch.uint8)
         if core.observation != "image":
             seen["params"] = Bounded(-1.0, 1.0, torch.Size([n, PARAMS_SIZE]), dtype=float32)
+            if core.robot.joints:
+                seen["joints"] = Unbounded(torch.Size([n, core.robot.joints]), dtype=float32)
         if core.task.any_view:
             goals = torch.Size([n, len(core.phantom.views)])
             seen["goal"] = Bounded(0.0, 1.0, goals, dtype=float32)
@@ -58,6 +62,9 @@ class ScanEnv(EnvBase):
         seen["info"] = Composite(info, shape=rows)
         self.observation_spec = Composite(seen, shape=rows)
         self.action_spec = Categorical(len(ACTIONS), rows, dtype=torch.int64)
+        if isinstance(core.motion, Velocity):
+            limits = core.motion.limits.expand(n, 6)
+            self.action_spec = Bounded(-limits, limits, torch.Size([n, 6]), dtype=float32)
         self.reward_spec = Unbounded(column)
         flag = Categorical(2, column, dtype=torch.bool)
         flags = {key: flag.clone() for key in ("done", "terminated", "truncated")}

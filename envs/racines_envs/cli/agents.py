@@ -174,7 +174,11 @@ def _on_patients(
     config = fill(PatientsConfig, stated | chosen, "evaluation_patients")
     board, tier = values.get("board"), tier_of(config.view)
     label = plain_name(f"{entry.name}-{config.view}-{config.split}")
-    if tier in values.get("patient_boards", ()):
+    if config.phantom:
+        from pathlib import PurePath
+
+        board, label = None, f"{label}-{PurePath(config.phantom).name}"
+    elif tier in values.get("patient_boards", ()):
         board = tier
         # From the board's own starts it is a row; others are told by all that makes them.
         usual = fill(PatientsConfig, stated | {"view": config.view}, "evaluation_patients")

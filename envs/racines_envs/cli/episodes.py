@@ -138,6 +138,23 @@ def export_agent(
         say(line)
 
 
+def export_envhub(
+    tasks: Annotated[list[str], typer.Argument(help="Views or tasks, e.g. SC PL-beating.")],
+    out: opt.Out,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Write a folder that LeRobot loads tasks from (EnvHub), to evaluate policies in them."""
+    from racines_envs.apis.envhub import write_envhub
+
+    made = write_envhub(out, tasks)
+    if as_json:
+        say_json(made)
+    else:
+        say(
+            f"{out}: {', '.join(made['tasks'])}; lerobot-eval takes it as an environment of the hub"
+        )
+
+
 def export_trace(
     agent: Annotated[str, typer.Argument(help="Registered agent, module:Class or FILE.onnx.")],
     out: opt.OutFile,

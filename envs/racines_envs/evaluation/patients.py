@@ -19,6 +19,7 @@ from racines_data.errors import RacinesError
 from racines_data.patients.patient import PATHOLOGIES
 from racines_data.patients.pool import check_memory
 from racines_data.patients.population import draw_patient
+from racines_data.phantom.saved import provenance
 from racines_data.randomness import derive
 from racines_envs.agents import learns, load_agent
 from racines_envs.agents.protocol import FILES, Agent
@@ -64,6 +65,8 @@ class PatientsConfig:
     reward: str = "oracle"
     """Whose return is reported."""
     device: str = "cpu"
+    phantom: str = ""
+    """Folder or name of a heart of one's own that all of them have; none if empty."""
 
     @property
     def task(self) -> Task:
@@ -115,6 +118,8 @@ class StartSet(NamedTuple):
         told = {"split": config.split, "patients": len(self.patients)}
         told |= {"starts": self.starts, "seeds": [self.seed]}
         rule = {"task": config.task.definition, "middles": MIDDLES, "seeds": self.seeds.tolist()}
+        if config.phantom:  # another world: no start set of a board
+            rule |= {"phantom": (provenance(config.phantom) or {}).get("digest")}
         return told | {"digest": recipe_digest(rule | {"patients": list(self.patients)})}
 
 
@@ -145,12 +150,20 @@ def evaluate_patients(
         "definition": config.task.definition,
     }  # fmt: skip
     scores = {"schema": SCHEMA, **told_of_agent(agent, trainings, config.device)}
-    scores |= {"task": task, "phantom": patients_recipe(config.task.tier), "metrics": metrics}
-    scores |= {"by_pathology": _by_pathology(values, starts.units), "seeds": [starts.seed]}
+    scores |= {"task": task, "phantom": world_of(config), "metrics": metrics}
+    if not config.phantom:
+        scores |= {"by_pathology": _by_pathology(values, starts.units)}
+    scores |= {"seeds": [starts.seed]}
     scores |= {"agent": run or agent.name} | ({"board": board} if board else {})
     if guide := extractors_of(agent):
         scores["extractors"] = guide
     return Scored(scores | {"seconds": time.perf_counter() - began}, evidence)
+
+
+def world_of(config: PatientsConfig) -> dict[str, Any]:
+    """Return what scores say of the world that settings name."""
+    own = provenance(config.phantom) if config.phantom else None
+    return patients_recipe(config.task.tier, own)
 
 
 def open_agents(
@@ -202,7 +215,10 @@ def act_on_patients(
     parts: list[list[Episodes]] = [[] for _ in agents]
     for chunk in starts.chunks(config.chunk):
         if ward_of is None:
-            ward = make_ward(config.task.tier, config.split, chunk.patients, config.device)
+            ward = make_ward(
+                config.task.tier, config.split, chunk.patients, config.device,
+                phantom=config.phantom,
+            )  # fmt: skip
         else:
             ward = ward_of(chunk)
         for agent, own in zip(agents, parts, strict=True):

@@ -15,7 +15,7 @@ from racines_data.world import World
 from racines_envs.agents import learns, load_agent, sees
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
-from racines_envs.agents.protocol import FILES, Agent, Untrained
+from racines_envs.agents.protocol import FILES, Agent, Untrained, acts
 from racines_envs.agents.rollout import Episodes, rollout
 from racines_envs.agents.trace import TraceAgent, circumstances, read_trace, write_trace
 from racines_envs.evaluation.agent_specs import check_view, plain_name
@@ -244,7 +244,8 @@ def start_seeds(starts: int, sets: Sequence[int]) -> Tensor:
 def core_for(agent: Agent, view: str | Task, rows: int, **settings: Any) -> ScanCore:
     """Return the environment of a view as an agent looks at it; settings as of `make_core`."""
     encoder = getattr(agent, "encoder", None)
-    return make_core(view, rows, observation=agent.observation, encoder=encoder, **settings)
+    shown: dict[str, Any] = {"observation": agent.observation, "encoder": encoder}
+    return make_core(view, rows, action=acts(agent), **shown, **settings)
 
 
 def reference_steps(view: str, seeds: Tensor, phantom: World, device: str) -> np.ndarray:

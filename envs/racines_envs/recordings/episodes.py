@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import numpy as np
 import torch
 from gymnasium.utils import RecordConstructorArgs
 from PIL import Image
@@ -27,9 +26,11 @@ from racines_data.files import write_atomic
 from racines_data.geometry import Pose, geodesic
 from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
 from racines_envs.agents.protocol import Agent
+from racines_envs.apis.gym_env import read_actions
 from racines_envs.apis.rendering import History, compose
-from racines_envs.task.actions import ACTIONS
+from racines_envs.robots.arm import FREE
 from racines_envs.task.core import ScanCore
+from racines_envs.task.motion import DISCRETE, make_motion
 from racines_envs.task.rewards import RewardConfig, get_reward
 from racines_envs.task.state import Transition
 from racines_envs.task.tasks import Task
@@ -89,8 +90,8 @@ class CoreRecorder:
         if not self._open:
             return
         self._history.note(self.core, actions)
-        info = self.core.info()
-        columns = (actions, transition.reward, transition.terminated, transition.truncated)
+        info, taken = self.core.info(), self.core.motion.check(actions, self.core.num_envs)
+        columns = (taken, transition.reward, transition.terminated, transition.truncated)
         for row, values in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
             if row not in self._open:
                 continue
@@ -104,16 +105,17 @@ class CoreRecorder:
             self._write(row)
 
     def _add(
-        self, row: int, info: dict[str, Tensor], action: int | None, reward: float, ended: bool,
+        self, row: int, info: dict[str, Tensor], action: Any, reward: float, ended: bool,
         cut: bool,
     ) -> None:  # fmt: skip
         state, (_, lines, frames) = self.core.state, self._open[row]
         line = {
             "step": int(state.steps[row]),
-            "action": None if action is None else ACTIONS[action],
+            "action": None if action is None else self.core.motion.tell(action),
             "position": state.position[row].tolist(),
             "rotation": state.rotation[row].flatten().tolist(),
             "wrench": state.wrench[row].tolist(),
+            **({"joints": state.joints[row].tolist()} if self.core.robot.joints else {}),
             "reward": reward,
             "terminated": ended,
             "truncated": cut,
@@ -144,9 +146,12 @@ def _header(core: ScanCore) -> dict[str, Any]:
     if core.phantom.config is not None:
         phantom = {"version": PHANTOM_VERSION, "config": asdict(core.phantom.config)}
         phantom["recipe_digest"] = recipe_digest(phantom)
+    own = core.motion.name
     return {
         "schema": SCHEMA,
         "task": core.task.definition,
+        **({} if own == DISCRETE else {"action": own}),
+        **({"robot": core.robot.name} if core.robot.joints else {}),
         "observation": core.observation,
         "reward": core.reward.name,
         "rewards": asdict(core.rewards),
@@ -193,7 +198,8 @@ class EpisodeRecorder(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorAr
         """Step, and add it to the record."""
         seen, reward, terminated, truncated, info = self.env.step(action)
         flags = (torch.tensor([reward]), torch.tensor([terminated]), torch.tensor([truncated]))
-        self._recorder.step(torch.as_tensor(np.asarray(action)).reshape(1), Transition({}, *flags))
+        taken = read_actions(action, self._recorder.core)
+        self._recorder.step(taken, Transition({}, *flags))
         return seen, reward, terminated, truncated, info
 
     def close(self) -> None:
@@ -261,8 +267,9 @@ def read_recording(path: Path) -> RecordedEpisode:
         raise RacinesError(f"{path}: line 1 names no schema {SCHEMA!r}: not a recorded episode")
     if len(lines) < 2:
         raise RacinesError(f"{path}: it ends before the start pose: record it anew")
+    motion = make_motion(lines[0].get("action", DISCRETE), Task("SC"), "cpu")
     for number, line in enumerate(lines[2:], 3):
-        if line.get("action") not in ACTIONS:
+        if motion.read(line.get("action")) is None:
             raise RacinesError(f"{path}, line {number}: unknown action {line.get('action')!r}")
     return RecordedEpisode(lines[0], lines[1:])
 
@@ -284,7 +291,8 @@ def rerun(path: Path, core: ScanCore | None = None) -> Rerun:
     compared = own and not get_reward(recording.header["reward"]).needs_judge
     metres = radians = rewards = 0.0
     for line in recording.steps[1:]:
-        reward = core.step(torch.tensor([ACTIONS.index(line["action"])])).reward
+        action = core.motion.read(line["action"])
+        reward = core.step(torch.tensor([action], device=core.device)).reward
         position, rotation = _pose(line)
         metres = max(metres, float((core.state.position.cpu() - position).norm()))
         radians = max(radians, float(geodesic(core.state.rotation.cpu(), rotation)))
@@ -313,7 +321,10 @@ def _core(recording: RecordedEpisode, path: Path) -> ScanCore:
         task, reward = replace(task, termination="timeout"), "oracle"
     rewards = fill(RewardConfig, header["rewards"], f"{path}: rewards")
     phantom = _phantom(header, path)
-    return make_core(task, observation="params", reward=reward, rewards=rewards, phantom=phantom)
+    return make_core(
+        task, observation="params", reward=reward, rewards=rewards, phantom=phantom,
+        action=header.get("action", DISCRETE), robot=header.get("robot", FREE),
+    )  # fmt: skip
 
 
 def _phantom(header: dict[str, Any], path: Path) -> Any:

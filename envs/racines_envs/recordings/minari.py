@@ -53,6 +53,7 @@ from racines_data.phantom.config import PhantomConfig, recorded_phantom
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS, PHASES
+from racines_data.sources.base import rights_of
 from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 from racines_envs.task.names import task_id
 from racines_envs.task.rewards import ORACLE, RewardConfig, Score, is_hit
@@ -256,7 +257,8 @@ def _write_metadata(
         "author": ["The RACINES developers"],
         "algorithm_name": "recorded sweeps",
         "description": told,
-        "racines": {key: manifest[key] for key in ("source", "version", "digest", "recipe_digest")},
+        "racines": {key: manifest[key] for key in ("source", "version", "digest", "recipe_digest")}
+        | rights_of(manifest),
     }
     if spec is not None:
         metadata["env_spec"] = spec

@@ -36,13 +36,18 @@ from racines_data.randomness import derive
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
 from racines_envs.agents.rollout import rollout
-from racines_envs.evaluation.patients import PatientsConfig, StartSet, open_agents, start_set
+from racines_envs.evaluation.patients import (
+    PatientsConfig,
+    StartSet,
+    open_agents,
+    start_set,
+    world_of,
+)
 from racines_envs.evaluation.run import core_for, told_of_agent
 from racines_envs.studies.kept import read_kept
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import BEATING
 from racines_envs.task.tiers import STEP_SECONDS
-from racines_envs.worlds.making import patients_recipe
 from racines_envs.worlds.ward import Ward, make_ward
 from racines_models.devices import on_device
 from racines_models.judges.segmentation.model import SegmentationJudge
@@ -129,7 +134,7 @@ def study_ejection(
     about = told_of_agent(agents[0], trainings, config.device)
     report: dict[str, Any] = {"schema": SCHEMA, **about, "agent": run or about["agent"]}
     report |= {"task": {"view": config.view, "start_set": starts.told(config)}}
-    report |= {"phantom": patients_recipe(config.task.tier), "segmentation": segmentation.settings}
+    report |= {"phantom": world_of(config), "segmentation": segmentation.settings}
     kept = Kept.open(keep, _identity(report, config), force)
     parts: list[tuple[Measured, Beat, np.ndarray]] = []
     for chunk in starts.chunks(config.chunk):
@@ -203,7 +208,11 @@ def _chunk(
     def ward() -> Ward:
         """Bake the hearts, if any part is still to be done."""
         if not made:
-            made.append(make_ward(BEATING, config.split, starts.patients, config.device))
+            made.append(
+                make_ward(
+                    BEATING, config.split, starts.patients, config.device, phantom=config.phantom
+                )
+            )
         return made[0]
 
     whose = f"patients {starts.patients[0]} to {starts.patients[-1]}"

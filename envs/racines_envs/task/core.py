@@ -23,14 +23,17 @@ from racines_data.geometry import Pose, geodesic, pose_to_parameters, rotation_6
 from racines_data.imaging import ImageSource
 from racines_data.randomness import derive, uniform
 from racines_data.world import World
+from racines_envs.robots.arm import FREE, Arm
+from racines_envs.robots.following import make_robot
 from racines_envs.task import sensing
-from racines_envs.task.actions import IDLE, ActionTable, check_actions
+from racines_envs.task.motion import DISCRETE, make_motion
 from racines_envs.task.names import HEART_TIER
 from racines_envs.task.rewards import Reward, RewardConfig, Score, get_reward, is_hit
 from racines_envs.task.starts import check_starts, draw_starts, nearest_showing
 from racines_envs.task.state import State, Transition
 from racines_envs.task.tasks import DECLARED, Task
 from racines_envs.task.tiers import LONGEST, STEP_SECONDS, middles
+from racines_envs.task.told import told_of
 from racines_models.networks.batching import in_fixed_batches
 from racines_models.protocol import Judge
 
@@ -48,12 +51,14 @@ class ScanCore:
         observation: str = "params", reward: str | Reward = "oracle",
         rewards: RewardConfig | None = None, num_envs: int = 1, device: torch.device | str = "cpu",
         encoder: sensing.Encoder | None = None, forces: sensing.ForceSource | None = None,
+        action: str = DISCRETE, robot: str | Arm = FREE,
     ) -> None:  # fmt: skip
         """Join a task, a phantom (truth, limits) and a source of images.
 
-        An `encoder` looks once at each image; what it says is observed as `features`. Forces come
-        from `forces`, else from the source of images if it has a `wrench(pose)`, else from the
-        phantom's contact. A reward that needs a grader is refused without one.
+        An `encoder` looks once at each image; its answer is observed as `features`. Forces are of
+        `forces`, else of the source of images if it has a `wrench(pose)`, else the phantom's
+        contact's. A reward that needs a grader is refused without one. A `robot` that is an arm
+        carries the probes, and refuses steps that its joints cannot follow.
         """
         if observation not in OBSERVATIONS:
             known = ", ".join(OBSERVATIONS)
@@ -73,10 +78,11 @@ class ScanCore:
         self.encoder = encoder if observation != "params" else None
         own = images if isinstance(images, sensing.ForceSource) else phantom
         self.forces: sensing.ForceSource = own if forces is None else forces
-        self.table = ActionTable.make(task.step_translation, task.step_rotation, self.device)
-        self._one: Pose | None = None
-        if task.tier == HEART_TIER:
-            self._one = phantom.target(task.view).to(self.device)
+        self.motion = make_motion(action, task, self.device)
+        self.table = self.motion.table
+        self.robot = make_robot(robot, self.device)
+        one_heart = task.tier == HEART_TIER
+        self._one = phantom.target(task.view).to(self.device) if one_heart else None
         low, high = phantom.workspace.position_min, phantom.workspace.position_max
         self._centre = ((high + low) / 2).to(self.device)
         self._half = ((high - low) / 2).to(self.device)
@@ -130,9 +136,9 @@ class ScanCore:
         none, zero = torch.zeros_like(seed), torch.zeros_like(wrench[:, 0])
         false = torch.zeros_like(seed, dtype=torch.bool)
         return State(
-            *pose, wrench, seed, case, goal, began, steps=none, streak=none, reached=false,
-            idle=none, workspace_hits=none, force_hits=none, peak_force=-wrench[:, 2],
-            force_sum=zero, total=zero, done=false,
+            *pose, wrench, self.robot.begin(pose), seed, case, goal, began, steps=none,
+            streak=none, reached=false, idle=none, workspace_hits=none, force_hits=none,
+            arm_hits=none, peak_force=-wrench[:, 2], force_sum=zero, total=zero, done=false,
         )  # fmt: skip
 
     def _goals(self, seed: Tensor) -> Tensor:
@@ -150,7 +156,7 @@ class ScanCore:
         self, action: Tensor, autoreset: bool = False, rows: Tensor | None = None,
         strict: bool = False,
     ) -> Transition:  # fmt: skip
-        """Move every row by one of the 13 actions, (N,) integers.
+        """Move every row by one of the 13 actions, (N,) integers, or as its `motion` takes them.
 
         With `autoreset`, a row that ended in the step before ignores its action and starts its next
         episode instead (Gymnasium's NEXT_STEP): reward 0, neither terminated nor truncated.
@@ -170,7 +176,7 @@ class ScanCore:
             )
         state, before = self.state, self.score
         live = ~state.done
-        self.state = self._move(state, check_actions(action, self.num_envs), live)
+        self.state = self._move(state, self.motion.check(action, self.num_envs), live)
         if autoreset:
             ended = state.done.nonzero().squeeze(1)
             if len(ended):
@@ -180,10 +186,11 @@ class ScanCore:
 
     def _move(self, state: State, action: Tensor, live: Tensor) -> State:
         """Apply actions within the limits to the live rows, and count what was refused."""
-        candidate = self.table.move(state.pose, action)
+        candidate = self.motion.move(state.pose, action)
         wrench = self.wrench(candidate)
         inside, soft = self.limits(candidate, wrench, state.force)
-        free = inside & soft & live
+        joints, follows = self.robot.follow(state.joints, candidate)
+        free = inside & soft & follows & live
         wrench = torch.where(free[:, None], wrench, state.wrench)
         force = -wrench[:, 2]
         return replace(
@@ -191,10 +198,12 @@ class ScanCore:
             position=torch.where(free[:, None], candidate.position, state.position),
             rotation=torch.where(free[:, None, None], candidate.rotation, state.rotation),
             wrench=wrench,
+            joints=torch.where(free[:, None], joints, state.joints),
             steps=state.steps + live,
-            idle=torch.where(live, (state.idle + 1) * (action == IDLE), state.idle),
+            idle=torch.where(live, (state.idle + 1) * self.motion.idles(action), state.idle),
             workspace_hits=state.workspace_hits + (live & ~inside),
             force_hits=state.force_hits + (live & inside & ~soft),
+            arm_hits=state.arm_hits + (live & inside & soft & ~follows),
             peak_force=torch.maximum(state.peak_force, force),
             force_sum=state.force_sum + force * live,
         )
@@ -333,7 +342,8 @@ class ScanCore:
         """Return what an agent sees: `image` (N, 128, 128) uint8, `params` (N, 9) float32.
 
         With an encoder also `features`, what it says of the images; where the goal is drawn for
-        each episode also `goal`, (N, V) float32, 1 for the goal's label and else 0.
+        each episode also `goal`, (N, V) float32, 1 for the goal's label and else 0. Where an arm
+        carries the probe and its pose is seen, also `joints` (N, J) float32, rad.
         """
         names = [] if self.observation == "params" else ["image"]
         names += [] if self.encoder is None else ["features"]
@@ -342,57 +352,15 @@ class ScanCore:
             at, turned = self.told_pose()
             encoded = torch.cat([(at - self._centre) / self._half, rotation_6d(turned)], -1)
             seen["params"] = encoded.clamp(-1.0, 1.0)
+            if self.robot.joints:
+                seen["joints"] = self.state.joints.float()
         if self.task.any_view:
             seen["goal"] = one_hot(self.state.goal, len(self.phantom.views)).float()
         return seen
 
     def info(self, view_error: bool = True) -> dict[str, Tensor]:
-        """Return what the agent is not told, N rows each.
-
-        `view` and `grade` are the oracle's; `success` is the true view being the target's,
-        `success_graded` also a true grade of at least 5; on patients both are `succeeds`, and there
-        are `reached` (hits enough in a row on the way), `declared`, `goal`, and `seconds` that the
-        steps took. `probability` and `score` are p and g by
-        the reward's own source. Forces in N, errors in m and rad: to the nominal pose, and those of
-        the view (left out without `view_error`: they cost as much as some steps) to the nearest
-        pose that truly shows it. `out_of_support` is there if the source of images tells it.
-        """
-        state, sensed, success = self.state, self._sensed, self.succeeds()
-        metres, radians = self.pose_error()
-        further: dict[str, Tensor] = {}
-        if view_error:
-            names = ("view_position_error", "view_rotation_error")
-            further |= dict(zip(names, self.view_error(), strict=True))
-        if isinstance(self.images, sensing.KnowsSupport):
-            further["out_of_support"] = self.images.out_of_support(self.parameters)
-        if self._one is None:
-            further |= self._told_of_patients()
-        return further | {
-            "view": sensed["view"],
-            "grade": sensed["grade"],
-            "success": success,
-            "success_graded": success & (sensed["grade"] >= self.rewards.grade),
-            "probability": self.score.probability,
-            "score": self.score.grade,
-            "steps": state.steps,
-            "return": state.total,
-            "force": state.force,
-            "peak_force": state.peak_force,
-            "mean_force": state.force_sum / state.steps.clamp_min(1),
-            "workspace_hits": state.workspace_hits,
-            "force_hits": state.force_hits,
-            "position_error": metres,
-            "rotation_error": radians,
-        }
-
-    def _told_of_patients(self) -> dict[str, Tensor]:
-        state = self.state
-        return {
-            "reached": state.reached,
-            "declared": state.idle >= self.task.idles,
-            "goal": state.goal,
-            "seconds": STEP_SECONDS * state.steps,
-        }
+        """Return what the agent is not told, N rows each; see `told_of`."""
+        return told_of(self, self._sensed, view_error)
 
 
 def _of(values: Tensor, labels: Tensor) -> Tensor:

@@ -17,7 +17,8 @@ GOALS = (*VIEWS, ANY_VIEW)
 
 def task_name(view: str, anatomy: str = HEART, tier: str = HEART_TIER) -> str:
     """Return a task's name: the view, with organ and tier where they are not the one heart's."""
-    name = view if anatomy == HEART else f"{anatomy}-{view}"
+    organ = anatomy.replace("\\", "/").rstrip("/").rpartition("/")[2]  # of a folder, its name
+    name = view if anatomy == HEART else f"{organ}-{view}"
     return name if tier == HEART_TIER else f"{name}-{tier}"
 
 

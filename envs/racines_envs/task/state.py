@@ -12,16 +12,19 @@ from racines_data.geometry import Pose
 class State:
     """The state of N rows; every field has N rows.
 
-    Position (N, 3), m; rotation (N, 3, 3); wrench (N, 6), N and N·m, of the probe at rest; int64
-    seed of the episode, case of the world (which patient) and label of the goal; float64 seconds at
-    which the episode began; steps; hits in a row, and whether there ever were enough; idle actions
-    in a row; steps that would have left the workspace, or pressed over the limit, and became idle;
-    greatest normal force of the episode, N, and its sum over the steps; undiscounted return.
+    Position (N, 3), m; rotation (N, 3, 3); wrench (N, 6), N and N·m, of the probe at rest; float64
+    joints (N, J) of the arm that carries it, rad, none of a free one; int64 seed of the episode,
+    case of the world (which patient) and label of the goal; float64 seconds at which the episode
+    began; steps; hits in a row, and whether there ever were enough; idle actions in a row; steps
+    that would have left the workspace, pressed over the limit, or that the arm could not follow,
+    and became idle; greatest normal force of the episode, N, and its sum over the steps;
+    undiscounted return.
     """
 
     position: Tensor
     rotation: Tensor
     wrench: Tensor
+    joints: Tensor
     seed: Tensor
     case: Tensor
     goal: Tensor
@@ -32,6 +35,7 @@ class State:
     idle: Tensor
     workspace_hits: Tensor
     force_hits: Tensor
+    arm_hits: Tensor
     peak_force: Tensor
     force_sum: Tensor
     total: Tensor

@@ -132,4 +132,6 @@ def get_task(name: str, anatomy: str = HEART) -> Task:
     if name in PATIENT_TASKS:
         return PATIENT_TASKS[name]
     view = name.removeprefix(f"{anatomy}-")
-    return TASKS.get(task_name(view, anatomy)) or Task(view, anatomy=anatomy)
+    # A folder of one's own may be called as a registered organ is.
+    known = TASKS.get(task_name(view, anatomy)) if anatomy in organs() else None
+    return known or Task(view, anatomy=anatomy)

@@ -15,10 +15,13 @@ from racines_data.patients.patient import PATIENTS_VERSION
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
 from racines_data.phantom.model import shared_phantom
+from racines_data.phantom.saved import provenance
 from racines_data.views import HEART, labels_of
 from racines_data.world import World
+from racines_envs.robots.arm import FREE, Arm
 from racines_envs.task.core import ScanCore
-from racines_envs.task.names import BEATING, HEART_TIER, PATIENTS
+from racines_envs.task.motion import DISCRETE
+from racines_envs.task.names import BEATING, HEART_TIER, PATIENTS, tier_of
 from racines_envs.task.rewards import Reward, RewardConfig, get_reward
 from racines_envs.task.sensing import Encoder, ForceSource
 from racines_envs.task.tasks import Task, get_task
@@ -30,9 +33,9 @@ from racines_models.devices import resolve_device
 if TYPE_CHECKING:
     from racines_data.store.frames import FrameStore
 
-WorldLike = World | PhantomConfig | Mapping[str, Any] | str | None
-"""What names a world: itself, a phantom's settings (as a mapping too, as JSON has them),
-`recorded`, or None for the default."""
+WorldLike = World | PhantomConfig | Mapping[str, Any] | Path | str | None
+"""What names a world: itself, a phantom's settings (as a mapping too, as JSON has them), the folder
+or name of a phantom of one's own, `recorded`, or None for the default."""
 RECORDED = "recorded"  # the `phantom` that stands for the recordings themselves
 ANY = "any"  # the `data_version` that lets everything pass
 _SHORTEST = 8  # characters of a digest that name a dataset
@@ -58,6 +61,8 @@ def make_core(
     data_version: str | None = None,
     split: str | None = None,
     patients: int | Sequence[int] | None = None,
+    action: str = DISCRETE,
+    robot: str | Arm = FREE,
 ) -> ScanCore:
     """Build the batched core of a task.
 
@@ -71,7 +76,8 @@ def make_core(
             `module:REWARD`, or a `Reward`.
         phantom: A phantom or its configuration; the shared one of the anatomy by default, and for
             `replay` that of the dataset. `recorded` for the recordings in its place, which stand
-            there anyway where they are no phantom's.
+            there anyway where they are no phantom's. The folder or name of a phantom of one's own:
+            the organ in the block, or the heart that all patients have.
         anatomy: Whose view it is; the phantom's anatomy by default, or else the heart.
         generator: For the backend `generator`: a name, run folder, `module:Class`, `FILE.onnx` or
             object; see `racines_envs.worlds.backends.open_source`.
@@ -87,6 +93,8 @@ def make_core(
             to agree in any case, unless it is `any`. See `check_datasets`.
         split: Whose patients: `train` (the default), `validation` or `test`; for tasks on patients.
         patients: So many of the split, or their seeds; see `make_ward`.
+        action: `discrete`, the thirteen steps, or `velocity`, a twist; see `task.motion`.
+        robot: `free`, or the arm that carries the probe: `ur5e`, another's name, `module:ARM`.
 
     Raises:
         RacinesError: any name that is unknown or any artefact that is not there.
@@ -94,6 +102,8 @@ def make_core(
     device = resolve_device(device)
     if isinstance(phantom, Mapping):
         phantom = fill(PhantomConfig, phantom, "phantom")
+    if isinstance(phantom, Path | str) and phantom != RECORDED and _tier(view) == HEART_TIER:
+        phantom = PhantomConfig(anatomy=str(phantom))
     task = find_task(view, None if phantom == RECORDED else phantom, anatomy)
     reward = reward or ("paper" if task.tier == HEART_TIER else "shaped")
     phantom = _world_of(task, phantom, backend, device, split, patients)
@@ -118,8 +128,12 @@ def make_core(
     check_datasets(parts, data_version)
     return ScanCore(
         task, phantom, images, judge, observation, reward, rewards, num_envs, device, encoder,
-        make_forces(forces, images, phantom, store, device),
+        make_forces(forces, images, phantom, store, device), action, robot,
     )  # fmt: skip
+
+
+def _tier(view: str | Task) -> str:
+    return view.tier if isinstance(view, Task) else tier_of(view)
 
 
 def _world_of(
@@ -137,10 +151,26 @@ def _world_of(
     if isinstance(phantom, Ward):
         if named or phantom.pool.beating != (task.tier == BEATING):
             raise RacinesError(f"{task.id}: the ward that is given has its own patients and tier")
-        return phantom
+        return check_shown(task, phantom)
+    if isinstance(phantom, Path | str):
+        own = make_ward(task.tier, split or "train", patients, device, phantom=str(phantom))
+        return check_shown(task, own)
     if phantom is not None:
         raise RacinesError(f"{task.id}: its world is a ward of patients, not {phantom!r}")
     return make_ward(task.tier, split or "train", patients, device)
+
+
+def check_shown(task: Task, ward: Ward) -> Ward:
+    """Refuse a task on a view that the hearts of a ward do not have, as one's own may not."""
+    shown = ward.pool.shown
+    lacking = [view for view in ward.views if view not in shown]
+    if task.view in lacking or (task.any_view and lacking):
+        told = "has no " + ", ".join(lacking) if task.any_view else f"has no view {task.view}"
+        raise RacinesError(
+            f"{task.id}: the phantom's heart {told}, but {', '.join(shown)}: name one of these, or "
+            "give the view in its tissues.yaml"
+        )
+    return ward
 
 
 def _open_data(
@@ -232,18 +262,29 @@ def phantom_recipe(phantom: WorldLike) -> dict[str, Any] | None:
     Of a ward, the version of its patients: who they are is the start set's to say.
     """
     if isinstance(phantom, Ward):
-        return patients_recipe(BEATING if phantom.pool.beating else PATIENTS)
+        return patients_recipe(
+            BEATING if phantom.pool.beating else PATIENTS, phantom.pool.provenance
+        )
     config = config_of(phantom)
     if config is None:
         return None
     recipe = {"version": PHANTOM_VERSION, "config": dataclasses.asdict(config)}
-    return {"version": PHANTOM_VERSION, "recipe_digest": recipe_digest(recipe)}
+    own = provenance(config.anatomy)
+    if own is not None:  # by its content, wherever its folder lies
+        recipe["config"]["anatomy"] = own["digest"]
+    told = {"version": PHANTOM_VERSION, "recipe_digest": recipe_digest(recipe)}
+    return told | ({"own": own} if own else {})
 
 
-def patients_recipe(tier: str) -> dict[str, Any]:
-    """Return what scores say of the world of a tier of patients."""
+def patients_recipe(tier: str, own: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return what scores say of the world of a tier of patients.
+
+    `own` is the provenance of the heart that all of them have, where it is one of one's own.
+    """
     recipe = {"version": PATIENTS_VERSION, "world": tier}
-    return {**recipe, "recipe_digest": recipe_digest(recipe)}
+    if own is None:
+        return {**recipe, "recipe_digest": recipe_digest(recipe)}
+    return {**recipe, "recipe_digest": recipe_digest(recipe | {"own": own["digest"]}), "own": own}
 
 
 def trained_on(part: Any) -> dict[str, Any] | None:

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
+from racines_data.own.pool import make_pool
 from racines_data.patients.pool import MEMORY, Pool, check_memory
 from racines_data.patients.splits import check_split, seeds_of
 from racines_data.phantom.model import VECTORS
@@ -158,6 +159,7 @@ def make_ward(
     patients: int | Sequence[int] | None = None,
     device: torch.device | str = "cpu",
     memory: int = MEMORY,
+    phantom: str = "",
 ) -> Ward:
     """Return a ward of patients, which is made once.
 
@@ -167,15 +169,17 @@ def make_ward(
         patients: So many of the split, its first, or their seeds; `PATIENTS` by default.
         device: Where their voxels lie.
         memory: Bytes that the voxels may take.
+        phantom: Folder or name of a heart of one's own that all of them have in place of theirs.
 
     Raises:
-        RacinesError: an unknown split, a seed of another, more patients than it has or than fit.
+        RacinesError: an unknown split, a seed of another, more patients than it has or than fit; a
+            phantom that is not there or no heart.
     """
     if tier == HEART_TIER:
         raise RacinesError("the one heart has no patients: use tier 'patients' or 'beating'")
     seeds = choose_patients(split, PATIENTS if patients is None else patients)
     check_memory(len(seeds), memory)
-    return Ward(_pool(seeds, str(device), tier == BEATING, memory))
+    return Ward(_pool(seeds, str(device), tier == BEATING, memory, phantom))
 
 
 def choose_patients(split: str, patients: int | Sequence[int]) -> tuple[int, ...]:
@@ -194,5 +198,5 @@ def choose_patients(split: str, patients: int | Sequence[int]) -> tuple[int, ...
 
 
 @lru_cache(maxsize=2)
-def _pool(seeds: tuple[int, ...], device: str, beating: bool, memory: int) -> Pool:
-    return Pool(seeds, device, beating, memory)
+def _pool(seeds: tuple[int, ...], device: str, beating: bool, memory: int, phantom: str) -> Pool:
+    return make_pool(seeds, device, beating, memory, phantom)

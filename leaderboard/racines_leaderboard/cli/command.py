@@ -25,6 +25,7 @@ from racines_leaderboard.cli.renamed import RenamingGroup
 
 GROUPS = {
     "data": "Build, check and exchange datasets.",
+    "phantom": "Make a phantom of your own: of surfaces or of a label map.",
     "train": "Train a judge, a generator or an agent.",
     "eval": "Score a generator, a grader or an agent.",
     "study": "Questions that a table or a picture answers.",
@@ -35,12 +36,16 @@ GROUPS = {
 COMMANDS = {
     "data build": "racines_data.cli.build:build",
     "data import": "racines_data.cli.build:import_",
+    "data map": "racines_data.cli.table:map_",
+    "data inspect": "racines_data.cli.table:inspect",
     "data validate": "racines_data.cli.dataset:validate",
     "data annotate": "racines_models.cli.evaluate.grader:annotate",
     "data card": "racines_data.cli.dataset:card",
     "data export": "racines_data.cli.dataset:export",
     "data push": "racines_data.cli.dataset:push",
     "data pull": "racines_data.cli.dataset:pull",
+    "phantom from-mesh": "racines_data.cli.phantom:from_mesh",
+    "phantom from-labels": "racines_data.cli.phantom:from_labels",
     "train grader": "racines_models.cli.train.grader:train_grader",
     "train student": "racines_models.cli.train.student:train_student",
     "train pose": "racines_models.cli.train.pose:train_pose",
@@ -77,6 +82,7 @@ COMMANDS = {
     "export weights": "racines_models.cli.export:export_weights",
     "export poses": "racines_models.cli.export:export_poses",
     "export predictions": "racines_models.cli.export:export_predictions",
+    "export envhub": "racines_envs.cli.episodes:export_envhub",
     "export trace": "racines_envs.cli.episodes:export_trace",
     "board pin": "racines_leaderboard.cli.pins:pin",
     "expert sample": "racines_leaderboard.cli.expert:sample",

@@ -26,7 +26,8 @@ from racines_data.randomness import derive
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.agents.contract import check_policy, check_same_actions
 from racines_envs.agents.policy import PolicyAgent
-from racines_envs.agents.protocol import agent_class
+from racines_envs.agents.protocol import acts, agent_class
+from racines_envs.task.motion import VELOCITY
 from racines_envs.worlds.making import WorldLike, make_core
 from racines_leaderboard.submissions.confined.session import (
     ConfinedGenerator,
@@ -221,7 +222,10 @@ def _policy(
     _, seen, seeds = _starts(view, sha256, STARTS, agent.observation, phantom)
     told = getattr(agent, "interface", None) or agent.config
     temperature = getattr(told, "temperature", 0.0)
-    actions = check_policy(agent.act, agent.logits, agent.observation, seen, seeds, temperature)
+    actions = check_policy(
+        agent.act, agent.logits, agent.observation, seen, seeds, temperature,
+        acts(agent) == VELOCITY,
+    )  # fmt: skip
     check_same_actions(actions, again(seen | {"seeds": seeds}), "A3")
     found.held |= {"A1", "A2", "A3", "A4", "A5", "A6"}
 

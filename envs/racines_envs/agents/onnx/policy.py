@@ -1,8 +1,9 @@
 """A policy in an ONNX file: how it is written, checked, and acted by.
 
 Inputs `image` uint8 (B, 128, 128) and/or `params` float32 (B, 9), as the environment shows them;
-one output `logits` float32 (B, 13), the greatest of which is the action. What the file's metadata
-say is in `docs/agents.md`. It is run by onnxruntime: no code of the file's maker in Python.
+one output `logits` float32 (B, 13), the greatest of which is the action, or `twist` float32 (B, 6),
+m/s and rad/s in the probe's frame, cut at the task's limits. What the file's metadata say is in
+`docs/agents.md`. It is run by onnxruntime: no code of the file's maker in Python.
 """
 
 import json
@@ -19,9 +20,11 @@ from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
 from racines_envs.agents.networks import SEEN
 from racines_envs.agents.policy import PolicyAgent, actor_logits, choose
-from racines_envs.agents.protocol import Untrained, agent_class
+from racines_envs.agents.protocol import Untrained, acts, agent_class
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import PARAMS_SIZE
+from racines_envs.task.motion import DISCRETE, VELOCITY, Velocity
+from racines_envs.worlds.making import find_task
 from racines_models.exchange.naming import check_name
 from racines_models.exchange.onnx import file
 from racines_models.exchange.onnx.file import open_session
@@ -30,7 +33,9 @@ from racines_models.provenance import code_version, sha256_bytes
 from racines_models.weights import read_described
 
 SCHEMA = "racines.onnx-policy/1"
-IMAGE, PARAMS, OUTPUT = "image", "params", "logits"
+IMAGE, PARAMS, LOGITS, TWIST = "image", "params", "logits", "twist"
+OUTPUTS = {LOGITS: len(ACTIONS), TWIST: 6}
+"""Numbers a row, by the output's name."""
 MAX_BATCH = 256
 KEYS = ("schema", "name", "view", "temperature", "card")
 INPUTS = {
@@ -55,6 +60,8 @@ class PolicyInterface:
     """`image`, `params` or `multimodal`, by its inputs."""
     temperature: float
     """Actions are drawn from softmax(logits / temperature); 0: the greatest."""
+    output: str
+    """`logits` of the thirteen steps, or `twist`."""
     batch: int | None
     """The only batch size that the graph takes; None: any."""
     opset: int
@@ -72,15 +79,19 @@ def read_policy(path: Path) -> tuple[bytes, PolicyInterface]:
     content, model, opset = file.read_model(path)
     observation, batch = _inputs(model.graph, path)
     names = [value.name for value in model.graph.output]
-    if names != [OUTPUT]:
-        raise RacinesError(f"{path}: outputs {names}: give one, {OUTPUT}")
-    wanted = f"float32 (B, {len(ACTIONS)})"
-    file.check_value(model.graph.output[0], path, wanted, (len(ACTIONS),), (file.FLOAT,))
+    if len(names) != 1 or names[0] not in OUTPUTS:
+        raise RacinesError(f"{path}: outputs {names}: give one, {' or '.join(OUTPUTS)}")
+    output, width = names[0], OUTPUTS[names[0]]
+    wanted = f"float32 (B, {width})"
+    file.check_value(model.graph.output[0], path, wanted, (width,), (file.FLOAT,))
     told = file.read_metadata(model, path, SCHEMA, KEYS)
     name = check_name(told.get("name", path.stem), f"{path}: racines.name")
     card = file.parsed(told, "card", dict, path) or {}
+    temperature = _temperature(told, path)
+    if output == TWIST and temperature:
+        raise RacinesError(f"{path}: racines.temperature is {temperature}: a twist is not drawn")
     interface = PolicyInterface(
-        name, told.get("view"), observation, _temperature(told, path), batch, opset, card
+        name, told.get("view"), observation, temperature, output, batch, opset, card
     )
     return content, interface
 
@@ -139,16 +150,27 @@ class OnnxPolicyAgent(Untrained):
         self.trained = self.interface.card.get("trained") is not False
         if self.interface.view is not None:
             self.view = self.interface.view
+        self.action = VELOCITY if self.interface.output == TWIST else DISCRETE
+        self._limits = Velocity(find_task(self.interface.view or "SC"), "cpu").limits
         self._session = opener(content, str(self.path), str(device))
-        self._batch = self.interface.batch or BATCH
+        twists = self.interface.output == TWIST
+        self._batch = self.interface.batch or (1 if twists else BATCH)
+        # The greatest of logits outlives rounding, which differs from place to place; a twist not.
+        self._stride = 1 if twists else self._batch
 
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
-        """Return the action of each row: of the greatest logit, or drawn at the temperature."""
+        """Return the action of each row: of the greatest logit, or drawn at the temperature.
+
+        Of a file that gives twists these, (N, 6), cut at the limits.
+        """
         logits = self.logits(observation).to(seeds.device)
+        if self.interface.output == TWIST:
+            limits = self._limits.to(logits)
+            return logits.clamp(-limits, limits)
         return choose(logits, seeds, self.interface.temperature)
 
     def logits(self, observation: dict[str, Tensor]) -> Tensor:
-        """Return the (N, 13) float32 scores of the actions, on the CPU; they have to be finite."""
+        """Return what the file gives, finite float32 (N, 13) or (N, 6), on the CPU."""
         keys = SEEN[self.observation]
         missing = [key for key in keys if key not in observation]
         if missing:
@@ -158,26 +180,28 @@ class OnnxPolicyAgent(Untrained):
             )
         seen = {key: observation[key].cpu() for key in keys}
         count = len(seen[keys[0]])
-        parts = [self._run(seen, start, count) for start in range(0, count, self._batch)]
-        return torch.cat([torch.empty(0, len(ACTIONS)), *parts])
+        parts = [self._run(seen, start, count) for start in range(0, count, self._stride)]
+        return torch.cat([torch.empty(0, OUTPUTS[self.interface.output]), *parts])
 
     def _run(self, seen: dict[str, Tensor], start: int, count: int) -> Tensor:
         # The last row again, not zeros: the graph need not bear an image that no probe makes.
-        rows = torch.arange(start, start + self._batch).clamp_max(count - 1)
+        last = min(start + self._stride, count) - 1
+        rows = torch.arange(start, start + self._batch).clamp_max(last)
+        output, width = self.interface.output, OUTPUTS[self.interface.output]
         try:
             (logits,) = self._session.run(
-                [OUTPUT], {key: value[rows].numpy() for key, value in seen.items()}
+                [output], {key: value[rows].numpy() for key, value in seen.items()}
             )
         except RacinesError:
             raise
         except Exception as error:
             raise RacinesError(f"{self.path}: onnxruntime failed: {error}") from error
-        if logits.shape != (self._batch, len(ACTIONS)) or not np.isfinite(logits).all():
+        if logits.shape != (self._batch, width) or not np.isfinite(logits).all():
             raise RacinesError(
-                f"{self.path}: {OUTPUT} came with shape {logits.shape} for {self._batch} rows, or "
-                f"not finite: give finite (B, {len(ACTIONS)})"
+                f"{self.path}: {output} came with shape {logits.shape} for {self._batch} rows, or "
+                f"not finite: give finite (B, {width})"
             )
-        return torch.from_numpy(logits)[: count - start]
+        return torch.from_numpy(logits)[: last + 1 - start]
 
     @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
@@ -187,16 +211,18 @@ class OnnxPolicyAgent(Untrained):
 
 
 class PolicyNetwork(nn.Module):
-    """From what the environment shows to logits: the encoder, if there is one, then the actor."""
+    """From what the environment shows to logits or a twist: encoder, if any, then the actor."""
 
     def __init__(self, agent: PolicyAgent) -> None:
         super().__init__()
         self.actor, self.encoder = agent.actor, agent.encoder
         self.names = SEEN[agent.observation]
+        self.decide = agent.decide
 
     def forward(self, *inputs: Tensor) -> Tensor:
         """Return (B, 13) logits of `image` (B, 128, 128) uint8 and/or `params` (B, 9)."""
-        return actor_logits(self.actor, self.encoder, dict(zip(self.names, inputs, strict=True)))
+        seen = dict(zip(self.names, inputs, strict=True))
+        return self.decide(actor_logits(self.actor, self.encoder, seen))
 
 
 def export_policy(agent: Any, path: Path, about: dict[str, Any] | None = None) -> dict[str, Any]:
@@ -231,7 +257,8 @@ def export_policy(agent: Any, path: Path, about: dict[str, Any] | None = None) -
         "racines.card": json.dumps(card | (about or {})),
     }
     examples = {name: shapes[name] for name in network.names}
-    written = write_onnx(network, examples, OUTPUT, metadata, path)
+    output = TWIST if acts(agent) == VELOCITY else LOGITS
+    written = write_onnx(network, examples, output, metadata, path)
     read_policy(path)
     return written | {"observation": agent.observation}
 

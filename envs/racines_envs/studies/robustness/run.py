@@ -19,7 +19,7 @@ import numpy as np
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
-from racines_data.patients.pool import Pool
+from racines_data.own.pool import make_pool
 from racines_data.patients.population import draw_patient
 from racines_envs.agents.protocol import Agent
 from racines_envs.evaluation.measures import Values, measure_patients, patient_values
@@ -29,6 +29,7 @@ from racines_envs.evaluation.patients import (
     act_on_patients,
     open_agents,
     start_set,
+    world_of,
 )
 from racines_envs.evaluation.run import told_of_agent
 from racines_envs.studies.kept import read_kept
@@ -42,7 +43,6 @@ from racines_envs.studies.robustness.disturbances import (
 )
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import BEATING
-from racines_envs.worlds.making import patients_recipe
 from racines_envs.worlds.ward import Ward
 from racines_models.devices import on_device
 from racines_models.statistics import Evidence
@@ -143,7 +143,7 @@ def evaluate_robustness(
     document: dict[str, Any] = {
         "schema": SCHEMA, **about, "agent": run or about["agent"],
         "task": {"view": config.view, "start_set": starts.told(config)},
-        "phantom": patients_recipe(config.task.tier),
+        "phantom": world_of(config),
         "disturbances": {each: described(each) for each in DISTURBANCES},
         "patients": starts.units.tolist(),
     }  # fmt: skip
@@ -193,7 +193,8 @@ def _under(
 
     def ward_of(chunk: StartSet) -> Ward:
         patients = [disturbed(draw_patient(seed), applied) for seed in chunk.patients]
-        return Ward(Pool(patients, config.device, config.task.tier == BEATING))
+        beating = config.task.tier == BEATING
+        return Ward(make_pool(patients, config.device, beating, phantom=config.phantom))
 
     def around(core: ScanCore) -> ScanCore:
         return DisturbedCore(core, applied)

@@ -1,0 +1,1 @@
+"""Arms that hold the probe: what they are, where their joints stand, what they cannot do."""
