@@ -69,10 +69,14 @@ REFUSING = {
 NEEDED = {
     "data build": "--source tracked --input {}",
     "data import": "{}",
+    "data map": "{} --guess",
+    "data inspect": "folder --mapping {}",
     "data validate": "{}",
     "data annotate": "{}",
     "data card": "{}",
     "data export": "{} --format release --out out",
+    "phantom from-mesh": "{} --tissues {} --out out",
+    "phantom from-labels": "{} --tissues {} --out out",
     "data push": "me/it --root {} --dry-run",
     "train grader": "--data {} --out out",
     "train student": "--data {} --out out",
@@ -160,7 +164,7 @@ def test_every_command_that_takes_a_path_is_tried():
         if any("Path" in str(hint.annotation) for hint in hints):
             taking.add(words)
     left = {"data pull", "study sheet", "study speed", "study determinism", "studio", "drive"}
-    left |= {"export trace", "study processors", "study population"}
+    left |= {"export trace", "export envhub", "study processors", "study population"}
     assert taking - set(NEEDED) <= left, "add it to NEEDED"
 
 
