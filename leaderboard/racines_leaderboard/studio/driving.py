@@ -8,11 +8,13 @@ actions, since an episode follows from its start and actions alone.
 import secrets
 import threading
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from typing import Any
 
 import torch
 
 from racines_envs.apis.rendering import History
+from racines_envs.robots.arm import FREE, ROBOTS
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.task.tasks import TASKS
 from racines_envs.worlds.making import make_core
@@ -35,15 +37,22 @@ class Session:
     task: str
     kind: str
     number: int
+    robot: str = FREE
     actions: tuple[int, ...] = ()
 
 
-def begin(task: Any, kind: Any, number: Any) -> Session:
+def robots() -> tuple[str, ...]:
+    """Return what may carry the probe: nothing, and registered arms where their extra is there."""
+    return (FREE, *(ROBOTS.names() if find_spec("pytorch_kinematics") else ()))
+
+
+def begin(task: Any, kind: Any, number: Any, robot: Any = FREE) -> Session:
     """Return a session at its start; raise a `RacinesError` for what was not offered."""
+    robot = inputs.choice(robot, robots(), "robot")
     task, kind = inputs.choice(task, tuple(TASKS), "task"), inputs.choice(kind, KINDS, "start")
     greatest = FIXED_STARTS - 1 if kind == FIXED else inputs.GREATEST_SEED
     number = inputs.whole(number, 0, greatest, "number of the start")
-    return Session(secrets.token_urlsafe(16), task, kind, number)
+    return Session(secrets.token_urlsafe(16), task, kind, number, robot)
 
 
 def reset_seed(kind: str, number: int) -> Any:
@@ -52,12 +61,12 @@ def reset_seed(kind: str, number: int) -> Any:
 
 
 def core_and_grader(
-    place: Place, task: str, observation: str, encoder: Any = None
+    place: Place, task: str, observation: str, encoder: Any = None, robot: str = FREE
 ) -> tuple[Any, Any]:
     """Return a task's core of one row, rewarded by the truth, and the grader of its images."""
     core = make_core(
         TASKS[task], observation=observation, reward="oracle", device=place.device,
-        phantom=load_phantom(place, TASKS[task].anatomy), encoder=encoder,
+        phantom=load_phantom(place, TASKS[task].anatomy), encoder=encoder, robot=robot,
     )  # fmt: skip
     return core, load_grader(place, core.phantom.labels)
 
@@ -68,7 +77,7 @@ class Live:
     def __init__(self, place: Place, session: Session) -> None:
         """Make it, and take the session's actions."""
         self.lock = threading.Lock()
-        self.core, self._grader = core_and_grader(place, session.task, "image")
+        self.core, self._grader = core_and_grader(place, session.task, "image", robot=session.robot)
         self._history = History(1)
         self._images: list[Any] = []
         self._judged: tuple[list[float], list[float]] = [], []

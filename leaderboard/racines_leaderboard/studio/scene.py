@@ -47,8 +47,8 @@ class Scene:
     peak: float
     wrench: tuple[float, ...]
     """Force, N, and torque, N·m, in the probe's axes."""
-    refused: tuple[int, int]
-    """Steps that were refused at the workspace, and at the force limit."""
+    refused: tuple[int, int, int]
+    """Steps that were refused at the workspace, at the force limit, and by the arm."""
     curves: tuple[Curve, ...]
     needed: tuple[float, float]
     """p and grade of a hit."""
@@ -101,7 +101,11 @@ def take_scene(
         limit=task.force_limit,
         peak=info["peak_force"],
         wrench=tuple(core.state.wrench[0].tolist()),
-        refused=(int(info["workspace_hits"]), int(info["force_hits"])),
+        refused=(
+            int(info["workspace_hits"]),
+            int(info["force_hits"]),
+            int(info.get("arm_hits", 0)),
+        ),
         curves=tuple(curves),
         needed=(core.rewards.probability, core.rewards.grade),
         ended=_why(core, bool(info["success"])),
@@ -155,12 +159,13 @@ def image_panel(scene: Scene, image: np.ndarray | None = None) -> str:
 
 def state_line(scene: Scene) -> str:
     """Return step, refusals, judgement and, where it is shown, the truth."""
-    workspace, force = scene.refused
+    workspace, force, arm = scene.refused
     words = [
         f"<b>{text(scene.task.id)}</b>",
         f"step <b>{scene.step}</b> of {scene.task.max_steps}",
         f"last: <b>{text(scene.action)}</b>",
-        f"refused: <b>{workspace}</b> at the workspace, <b>{force}</b> by force",
+        f"refused: <b>{workspace}</b> at the workspace, <b>{force}</b> by force"
+        + (f", <b>{arm}</b> by the arm" if arm else ""),
     ]
     words += [
         f"{text(curve.name)}: p <b>{curve.probabilities[scene.step]:.2f}</b>, "

@@ -18,9 +18,16 @@ from racines_data.errors import RacinesError
 from racines_envs.agents import agent_names, load_agent
 from racines_envs.apis.rendering import History, Steps
 from racines_envs.explain import maps
+from racines_envs.robots.arm import FREE
 from racines_envs.task.tasks import TASKS
 from racines_leaderboard.studio import inputs
-from racines_leaderboard.studio.driving import FIXED, FIXED_STARTS, core_and_grader, reset_seed
+from racines_leaderboard.studio.driving import (
+    FIXED,
+    FIXED_STARTS,
+    core_and_grader,
+    reset_seed,
+    robots,
+)
 from racines_leaderboard.studio.parts import Place, Shared, trained_runs
 from racines_leaderboard.studio.scene import Curve, Scene, Snapshot, judged, snapshot, take_scene
 
@@ -108,12 +115,13 @@ def tasks_of(place: Place, label: Any) -> list[str]:
     return [name for name, task in TASKS.items() if view in (None, task.view)]
 
 
-def watch(place: Place, label: Any, task: Any, number: Any) -> Episode:
+def watch(place: Place, label: Any, task: Any, number: Any, robot: Any = FREE) -> Episode:
     """Return the episode of an agent from a fixed start, run now or before."""
+    robot = inputs.choice(robot, robots(), "robot")
     chosen = _offered(place, label)
     task = inputs.choice(task, tasks_of(place, label), "task")
     number = inputs.whole(number, 0, FIXED_STARTS - 1, "number of the start")
-    key = chosen, task, number, place.device
+    key = chosen, task, number, robot, place.device
     return _episodes.get(key, lambda: _run(place, chosen, key))
 
 
@@ -151,7 +159,7 @@ def _run(place: Place, chosen: Watchable, key: tuple[Any, ...]) -> Episode:
     """Let the agent act until its episode ends, 200 steps at most."""
     agent: Any = load_agent(chosen.agent, chosen.folder, place.device)
     encoder = getattr(agent, "encoder", None)
-    core, grader = core_and_grader(place, key[1], "multimodal", encoder)
+    core, grader = core_and_grader(place, key[1], "multimodal", encoder, key[3])
     if hasattr(agent, "guide"):
         if grader is None:
             raise RacinesError(f"{chosen.label}: goes by a grader, and none of these views is here")

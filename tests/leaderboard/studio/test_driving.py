@@ -156,3 +156,18 @@ def test_the_drawings_are_whole_and_say_the_force(phantom):
     for tree in trees[1:]:
         lines = tree.findall("polyline")
         assert [len(line.attrib["points"].split()) for line in lines] == [9, 9]
+
+
+def test_an_arm_may_carry_the_probe():
+    pytest.importorskip("pytorch_kinematics")
+    assert driving.robots() == ("free", "ur5e")
+    kept = Lives(Place(data=None))
+    free, carried = begin("SC", FIXED, 0), begin("SC", FIXED, 0, "ur5e")
+    free, _ = kept.step(free, 0, True)
+    carried, scene = kept.step(carried, 0, True)
+    assert carried.robot == "ur5e" and scene.step == 1
+    arm, alone = kept.look(carried, True), kept.look(free, True)
+    np.testing.assert_array_equal(arm.image, alone.image)
+    assert arm.above != alone.above  # the arm is drawn
+    with pytest.raises(RacinesError, match="robot: 'kuka' was not offered"):
+        begin("SC", FIXED, 0, "kuka")

@@ -5,8 +5,9 @@ from typing import Any
 
 import gradio as gr
 
+from racines_envs.robots.arm import FREE
 from racines_leaderboard.studio import watching
-from racines_leaderboard.studio.driving import FIXED_STARTS
+from racines_leaderboard.studio.driving import FIXED_STARTS, robots
 from racines_leaderboard.studio.html import missing, note
 from racines_leaderboard.studio.parts import Place
 from racines_leaderboard.studio.scene import image_panel, panels, side_panel
@@ -37,6 +38,9 @@ def build(place: Place) -> None:
         number = gr.Number(
             0, label=f"Start, 0 to {last}", precision=0, minimum=0, maximum=last, min_width=110
         )  # fmt: skip
+        robot = gr.Dropdown(
+            list(robots()), value=FREE, label="Carried by", elem_id="agent-robot", min_width=110
+        )  # fmt: skip
     watch = gr.Button("Watch", variant="primary", elem_id="agent-watch")
     with gr.Row():
         step = gr.Slider(
@@ -55,7 +59,9 @@ def build(place: Place) -> None:
     wire(agent.input, "tasks", partial(_tasks, place), [agent], [task], **quiet)
     shown = [watched, step, what, image, side]
     started = partial(_watch, place)
-    wire(watch.click, "watch", started, [agent, task, number], shown, show_progress_on=[image])
+    wire(
+        watch.click, "watch", started, [agent, task, number, robot], shown, show_progress_on=[image]
+    )
     wire(
         [step.input, what.input], "show", partial(_show, place), shown[:3], shown[3:],
         trigger_mode="always_last", **quiet,
@@ -68,12 +74,12 @@ def _tasks(place: Place, agent: Any) -> Any:
     return gr.Dropdown(choices=tasks, value="SC" if "SC" in tasks else tasks[0])
 
 
-def _watch(place: Place, agent: Any, task: Any, number: Any) -> tuple[Any, ...]:
+def _watch(place: Place, agent: Any, task: Any, number: Any, robot: Any) -> tuple[Any, ...]:
     """Run the episode; the visitor's state says which it is, and does not hold it."""
-    episode = watching.watch(place, agent, task, number)
+    episode = watching.watch(place, agent, task, number, robot)
     slider = gr.Slider(maximum=episode.steps, value=0, interactive=True)
     what = gr.Radio(choices=list(episode.explainable), value=watching.OFF)
-    return (agent, task, number), slider, what, *panels(watching.moment(episode, 0))
+    return (agent, task, number, robot), slider, what, *panels(watching.moment(episode, 0))
 
 
 def _show(place: Place, watched: Any, step: Any, what: Any) -> tuple[Any, Any]:

@@ -10,6 +10,7 @@ from gradio.context import Context
 
 from racines_data.errors import RacinesError
 from racines_envs.driving.keyboard import KEYS
+from racines_envs.robots.arm import FREE
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.task.tasks import TASKS
 from racines_leaderboard.studio import driving
@@ -67,6 +68,10 @@ def build(place: Place) -> None:
         task = gr.Dropdown(list(TASKS), value="SC", label="Task", min_width=120)
         kind = gr.Dropdown(list(driving.KINDS), value=driving.FIXED, label="Start", min_width=120)
         number = gr.Number(0, label="Number", precision=0, minimum=0, min_width=90)
+        robot = gr.Dropdown(
+            list(driving.robots()), value=FREE, label="Carried by", elem_id="probe-robot",
+            min_width=120,
+        )  # fmt: skip
     with gr.Row():
         start = gr.Button("Start anew", variant="primary", elem_id="probe-start", min_width=120)
         truth = gr.Checkbox(False, label="Show the truth", elem_id="probe-truth", min_width=120)
@@ -77,7 +82,7 @@ def build(place: Place) -> None:
         with gr.Column(scale=4, min_width=320):
             side = gr.HTML(elem_id="probe-side")
     gr.HTML(js_on_load=KEYS_JS.replace("KEYS", json.dumps(_keys())))
-    chosen, shown = [task, kind, number, truth], [session, image, side]
+    chosen, shown = [task, kind, number, robot, truth], [session, image, side]
     # Steps are taken one after the other, in the order in which they came.
     wire, quiet = wiring("probe", in_turn=True), {"show_progress": "hidden"}
     wire(start.click, "start", partial(_begin, lives), chosen, shown, show_progress_on=[image])
@@ -133,8 +138,10 @@ def _open(lives: driving.Lives, session: Any, *chosen: Any) -> tuple[Any, ...]:
     return _begin(lives, *chosen)
 
 
-def _begin(lives: driving.Lives, task: Any, kind: Any, number: Any, truth: Any) -> tuple[Any, ...]:
-    session = driving.begin(task, kind, number)
+def _begin(
+    lives: driving.Lives, task: Any, kind: Any, number: Any, robot: Any, truth: Any
+) -> tuple[Any, ...]:
+    session = driving.begin(task, kind, number, robot)
     return session, *panels(lives.look(session, truth is True))
 
 
