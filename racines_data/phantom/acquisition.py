@@ -9,10 +9,11 @@ the hand on top. Coordinates are x, y, z and the Euler angles with rotation_x me
 down, in which the probe's leaning and turning are nearly independent.
 """
 
+import dataclasses
 import itertools
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -21,6 +22,14 @@ from racines_data.geometry import Pose, euler_to_matrix, matrix_to_euler
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PhantomConfig
 from racines_data.phantom.model import Phantom
+from racines_data.phantom.pacing import (
+    ATTEMPTS,
+    FREE,
+    CannotFollow,
+    check_followed,
+    load_arm,
+    paced,
+)
 from racines_data.phantom.truth import deepest
 from racines_data.randomness import derive, normal, sample_seeds, uniform
 from racines_data.views import RANDOM
@@ -42,6 +51,12 @@ class AcquisitionConfig:
     pose_noise: float = 0.00005  # of the measured position, m; a tenth of it a millimetre in rad
     force_noise: float = 0.15  # of the force sensor, N; a tenth of it in N·m for torque
     phantom: PhantomConfig = field(default_factory=PhantomConfig)
+    robot: str = FREE  # or an arm, within whose limits every sweep stays
+
+    def told(self) -> dict[str, Any]:
+        """Return the settings for a recipe; one that came later is left out where it is unused."""
+        told = dataclasses.asdict(self)
+        return told if self.robot != FREE else {k: v for k, v in told.items() if k != "robot"}
 
 
 class Felt(Protocol):
@@ -68,6 +83,8 @@ class PlannedSweep(NamedTuple):
     times: Tensor  # (T,) float64 seconds
 
 
+_AGAIN = 0xA26
+"""Keeps sweeps that are drawn in place of another apart from all else that its seed draws."""
 DWELL = 0.53  # share of a trajectory's frames in which the view is held
 
 
@@ -101,14 +118,26 @@ def make_sweep(
     length: int,
     seed: Tensor,
 ) -> PlannedSweep:
-    """Draw one sweep of `length` frames from a (1,) seed."""
-    draw = Draw(seed)
-    if target == RANDOM:
-        points, shares = random_points(phantom.wander, phantom.surface_height, draw)
-    else:
-        points, shares = _view_points(phantom, target, draw)
+    """Draw one sweep of `length` frames from a (1,) seed.
+
+    Where an arm cannot follow it, others are drawn.
+
+    Raises:
+        CannotFollow: none of them either.
+    """
     limits = limits_of(phantom.workspace, phantom.surface_height, phantom.config)
-    return follow(points, shares, limits, config, session, length, draw)
+    for attempt in range(ATTEMPTS):
+        draw = Draw(derive(seed, _AGAIN, attempt) if attempt else seed)
+        if target == RANDOM:
+            points, shares = random_points(phantom.wander, phantom.surface_height, draw)
+        else:
+            points, shares = _view_points(phantom, target, draw)
+        try:
+            return follow(points, shares, limits, config, session, length, draw)
+        except CannotFollow:
+            if attempt == ATTEMPTS - 1:
+                raise
+    raise AssertionError("unreachable")
 
 
 def follow(
@@ -120,11 +149,25 @@ def follow(
     length: int,
     draw: "Draw",
 ) -> PlannedSweep:
-    """Move a hand through (P, 6) way-points in `length` frames; (P - 1,) shares of time a move."""
+    """Move a hand through (P, 6) way-points in `length` frames; (P - 1,) shares of time a move.
+
+    Raises:
+        CannotFollow: an arm is to follow, and cannot.
+    """
     points[:, 2] -= 0.0008 * (session % 3 - 1)  # sessions press harder or softer
+    arm = None
+    if config.robot != FREE:
+
+        def poses(shares: Tensor) -> Pose:
+            return _pose(_limit(_minimum_jerk(points, shares, length), limits))
+
+        arm = load_arm(config.robot)
+        shares = paced(shares, arm, config.rate, length, poses)
     smooth = _limit(_minimum_jerk(points, shares, length), limits)
     shaky = smooth + _tremor(length, config, draw) * (0.8 + 0.25 * (session % 3))
     shaky = _limit(shaky, limits)
+    if arm is not None:
+        check_followed(_pose(shaky), arm, config.rate)
     times = torch.arange(length, dtype=torch.float64) / config.rate
     return PlannedSweep(_pose(shaky), _velocity(shaky, config), _velocity(smooth, config), times)
 

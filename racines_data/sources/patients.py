@@ -186,7 +186,7 @@ class PatientsSource:
 
     def recipe(self) -> dict[str, Any]:
         """Return what decides the bytes: versions, hand and sensors, and all settings."""
-        acquisition = dataclasses.asdict(SWEEPS)
+        acquisition = SWEEPS.told()
         del acquisition["phantom"], acquisition["frames"], acquisition["seed"]
         settings = dataclasses.asdict(self.config)
         del settings["phantom"]  # by its content, wherever its folder lies

@@ -26,6 +26,7 @@ from racines_data.phantom.acquisition import (
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig, heart_config
 from racines_data.phantom.model import shared_phantom
+from racines_data.phantom.pacing import FREE, load_arm
 from racines_data.phantom.saved import provenance
 from racines_data.randomness import derive, sample_seeds
 from racines_data.schema import Trajectory
@@ -104,11 +105,13 @@ class PhantomSource:
                 "data.phantom: frames and shortest must be at least 2 and longest no less than "
                 f"shortest; got {settings.frames}, {settings.shortest}, {settings.longest}"
             )
+        if settings.robot != FREE:
+            load_arm(settings.robot)
         return cls(settings)
 
     def recipe(self) -> dict[str, Any]:
         """Return what decides the bytes: the phantom's version and all settings."""
-        told = {"phantom": PHANTOM_VERSION, "acquisition": dataclasses.asdict(self.config)}
+        told = {"phantom": PHANTOM_VERSION, "acquisition": self.config.told()}
         own = provenance(self.config.phantom.anatomy)
         return told | ({"own": own} if own else {})
 
@@ -179,7 +182,7 @@ class MultiPhantomSource:
         return {
             "phantom": PHANTOM_VERSION,
             MULTI_PHANTOM: dataclasses.asdict(self.config),
-            "acquisition": dataclasses.asdict(self.acquisition),
+            "acquisition": self.acquisition.told(),
         }
 
     def plan(self) -> Sequence[SweepUnit]:

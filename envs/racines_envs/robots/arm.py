@@ -7,12 +7,14 @@ are in m, all angles in rad. The base frame is that of the poses: the arm stands
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement, tostring
 
+from torch import Tensor
+
 from racines_data.errors import RacinesError
+from racines_data.geometry import Pose
+from racines_data.phantom.pacing import FREE as FREE
 from racines_data.plugins import Plugins
 
 ROBOTS = Plugins("robot", "racines.robots", ("name", "links", "limits", "speeds", "home", "tool"))
-FREE = "free"
-"""The robot that is none: a probe that goes where it is told."""
 BASE, TIP = "base", "tip"
 """Names of the first and the last link."""
 
@@ -55,6 +57,15 @@ class Arm:
                     f"robot {self.name}: {name} has {len(getattr(self, name))} entries: give one "
                     f"for each of {len(self.links)} links"
                 )
+
+    def hurry(self, pose: Pose, rate: float) -> Tensor:
+        """Return (T - 1,) of T poses, `rate` a second: the share of its speed that a move takes.
+
+        1 is a joint at its full speed; inf from or to where the arm cannot be.
+        """
+        from racines_envs.robots.following import shared_robot
+
+        return shared_robot(self).hurry(pose, rate)
 
     def urdf(self) -> str:
         """Return the arm as URDF, with links of 1 kg: its masses are not told and play no part."""

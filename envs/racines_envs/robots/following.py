@@ -1,5 +1,6 @@
 """Who carries the probe in an environment: nobody, or an arm whose joints have to follow."""
 
+from functools import cache
 from typing import Protocol
 
 import torch
@@ -87,8 +88,31 @@ class ArmRobot:
         away = (reach >= SINGULAR) | (reach >= self.kinematics.reach(joints))
         return later, there & slow & away & self._allows(later)
 
+    def hurry(self, pose: Pose, rate: float) -> Tensor:
+        """Return (T - 1,) of T poses, `rate` a second: the share of its speed that a move takes.
+
+        Joints are those to which the arm comes from home; inf from or to where it cannot be, or is
+        too close to a singularity.
+        """
+        home = self._home.expand(len(pose.position), self.joints)
+        joints, there = self.kinematics.solve(pose, home, FROM_HOME)
+        there &= self._allows(joints) & (self.kinematics.reach(joints) >= SINGULAR)
+        turned = joints.diff(dim=0).abs() * rate * STEP_SECONDS
+        share = (turned / self.step).amax(1)
+        return share.where(there[1:] & there[:-1], torch.inf)
+
     def _allows(self, joints: Tensor) -> Tensor:
         return ((joints >= self._low) & (joints <= self._high)).all(1)
+
+
+@cache
+def shared_robot(arm: Arm) -> ArmRobot:
+    """Return the robot of an arm on the CPU, made once.
+
+    Raises:
+        RacinesError: `pytorch_kinematics` is not installed.
+    """
+    return ArmRobot(arm, "cpu")
 
 
 def make_robot(robot: str | Arm, device: torch.device | str) -> FreeProbe | ArmRobot:

@@ -1,0 +1,103 @@
+"""Sweeps that an arm can follow: moves that its joints cannot make in their time get more of it."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from racines_data.errors import RacinesError
+from racines_data.geometry import Pose
+from racines_data.plugins import Plugins
+
+FREE = "free"
+"""The robot that is none: a probe that goes where it is told."""
+ATTEMPTS = 16
+"""Sweeps that are drawn in search of one that an arm can follow."""
+MARGIN = 0.8
+"""Of the joints' speed that a move may take; the rest is for the hand's tremor."""
+_ROBOTS = Plugins("robot", "racines.robots", ("hurry",))
+
+
+class CannotFollow(RacinesError):
+    """A sweep leads where the arm cannot be, or faster than it can."""
+
+
+class Arm(Protocol):
+    """What can say whether it follows."""
+
+    def hurry(self, pose: Pose, rate: float) -> Tensor:
+        """Return (T - 1,) of (T,) poses, `rate` a second: the share of its speed a move takes.
+
+        1 is a joint at its full speed; inf where the arm cannot be at the pose.
+        """
+        ...
+
+
+def load_arm(name: str) -> Arm:
+    """Return an arm by name, or by `module:ARM`.
+
+    Raises:
+        RacinesError: no such arm.
+    """
+    return _ROBOTS.load(name)
+
+
+def paced(
+    shares: Tensor, arm: Arm, rate: float, length: int, poses: Callable[[Tensor], Pose]
+) -> Tensor:
+    """Return (L,) shares of time of L moves such that no joint has to turn too fast.
+
+    What a move takes in joint angles does not hang on its time, so the least time of each follows
+    from one look; what is left of the sweep's time goes to the other moves in proportion.
+
+    Args:
+        shares: (L,) as the hand would divide the time.
+        arm: whose joints have to follow.
+        rate: frames a second.
+        length: frames of the sweep.
+        poses: gives the (length,) poses of the path by shares.
+
+    Raises:
+        CannotFollow: the arm does not reach the path, or the sweep is too short for it.
+    """
+    shares = shares / shares.sum()
+    hurry = arm.hurry(poses(shares), rate).to(shares) / MARGIN
+    if not bool(torch.isfinite(hurry).all()):
+        raise CannotFollow("data.phantom.robot: a sweep leads where the arm cannot be")
+    ends = torch.cat([shares.new_zeros(1), shares.cumsum(0)])
+    steps = torch.linspace(0.0, 1.0, length)
+    # A step that begins in one move and ends in the next counts for both.
+    before, after = steps[:-1].unsqueeze(0), steps[1:].unsqueeze(0)
+    within = (after > ends[:-1].unsqueeze(1)) & (before < ends[1:].unsqueeze(1))
+    least = shares * torch.where(within, hurry, 0.0).amax(1)
+    needed = float(least.sum())
+    if needed > 1.0:
+        raise CannotFollow(
+            f"data.phantom.robot: a sweep of {length} frames takes the arm "
+            f"{needed * length:.0f}: raise data.phantom.shortest"
+        )
+    return _fill(shares, least)
+
+
+def check_followed(pose: Pose, arm: Arm, rate: float) -> None:
+    """Raise `CannotFollow` where an arm cannot follow (T,) poses, `rate` a second."""
+    fastest = float(arm.hurry(pose, rate).max())
+    if not fastest <= 1.0:
+        raise CannotFollow(
+            f"data.phantom.robot: the hand's tremor takes the arm to {fastest:.2f} of its speed: "
+            "lower data.phantom.tremor"
+        )
+
+
+def _fill(shares: Tensor, least: Tensor) -> Tensor:
+    """Return shares that add up to 1, none below its least, the others scaled alike."""
+    held = torch.zeros_like(shares, dtype=torch.bool)
+    for _ in range(len(shares)):
+        free = 1.0 - float(least[held].sum())
+        scale = free / max(float(shares[~held].sum()), 1e-12)
+        short = ~held & (shares * scale < least)
+        if not bool(short.any()):
+            break
+        held |= short
+    return torch.where(held, least, shares * scale)
