@@ -92,10 +92,9 @@ def check_followed(pose: Pose, arm: Arm, rate: float) -> None:
 
 def _fill(shares: Tensor, least: Tensor) -> Tensor:
     """Return shares that add up to 1, none below its least, the others scaled alike."""
-    held = torch.zeros_like(shares, dtype=torch.bool)
+    held, scale = torch.zeros_like(shares, dtype=torch.bool), 1.0
     for _ in range(len(shares)):
-        free = 1.0 - float(least[held].sum())
-        scale = free / max(float(shares[~held].sum()), 1e-12)
+        scale = (1.0 - float(least[held].sum())) / max(float(shares[~held].sum()), 1e-12)
         short = ~held & (shares * scale < least)
         if not bool(short.any()):
             break
