@@ -27,7 +27,7 @@ from racines_data.phantom.pacing import (
     FREE,
     CannotFollow,
     check_followed,
-    load_arm,
+    hurry_of,
     paced,
 )
 from racines_data.phantom.truth import deepest
@@ -155,19 +155,19 @@ def follow(
         CannotFollow: an arm is to follow, and cannot.
     """
     points[:, 2] -= 0.0008 * (session % 3 - 1)  # sessions press harder or softer
-    arm = None
+    hurry = None
     if config.robot != FREE:
 
         def poses(shares: Tensor) -> Pose:
             return _pose(_limit(_minimum_jerk(points, shares, length), limits))
 
-        arm = load_arm(config.robot)
-        shares = paced(shares, arm, config.rate, length, poses)
+        hurry = hurry_of(config.robot, config.rate)
+        shares = paced(shares, hurry, length, poses)
     smooth = _limit(_minimum_jerk(points, shares, length), limits)
     shaky = smooth + _tremor(length, config, draw) * (0.8 + 0.25 * (session % 3))
     shaky = _limit(shaky, limits)
-    if arm is not None:
-        check_followed(_pose(shaky), arm, config.rate)
+    if hurry is not None:
+        check_followed(_pose(shaky), hurry)
     times = torch.arange(length, dtype=torch.float64) / config.rate
     return PlannedSweep(_pose(shaky), _velocity(shaky, config), _velocity(smooth, config), times)
 

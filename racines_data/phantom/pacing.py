@@ -1,7 +1,10 @@
-"""Sweeps that an arm can follow: moves that its joints cannot make in their time get more of it."""
+"""Sweeps that an arm can follow: moves that its joints cannot make in their time get more of it.
+
+What joints do is known to `racines_envs.robots`, which this package does not import: it is found by
+an entry point of the group `racines.following`.
+"""
 
 from collections.abc import Callable
-from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -16,36 +19,27 @@ ATTEMPTS = 16
 """Sweeps that are drawn in search of one that an arm can follow."""
 MARGIN = 0.8
 """Of the joints' speed that a move may take; the rest is for the hand's tremor."""
-_ROBOTS = Plugins("robot", "racines.robots", ("hurry",))
+_FOLLOWING = Plugins("way to follow", "racines.following", ("__call__",))
 
 
 class CannotFollow(RacinesError):
     """A sweep leads where the arm cannot be, or faster than it can."""
 
 
-class Arm(Protocol):
-    """What can say whether it follows."""
+Hurry = Callable[[Pose], Tensor]
+"""Of T poses, the share of its joints' speed that an arm takes for each of the (T - 1,) moves.
 
-    def hurry(self, pose: Pose, rate: float) -> Tensor:
-        """Return (T - 1,) of (T,) poses, `rate` a second: the share of its speed a move takes.
-
-        1 is a joint at its full speed; inf where the arm cannot be at the pose.
-        """
-        ...
+1 is a joint at its full speed; inf where the arm cannot be.
+"""
 
 
-def load_arm(name: str) -> Arm:
-    """Return an arm by name, or by `module:ARM`.
-
-    Raises:
-        RacinesError: no such arm.
-    """
-    return _ROBOTS.load(name)
+def hurry_of(robot: str, rate: float) -> Hurry:
+    """Return how an arm, by its name or as `module:ARM`, hurries along poses, `rate` a second."""
+    hurry = _FOLLOWING.load("joints")
+    return lambda pose: hurry(robot, pose, rate)
 
 
-def paced(
-    shares: Tensor, arm: Arm, rate: float, length: int, poses: Callable[[Tensor], Pose]
-) -> Tensor:
+def paced(shares: Tensor, hurry: Hurry, length: int, poses: Callable[[Tensor], Pose]) -> Tensor:
     """Return (L,) shares of time of L moves such that no joint has to turn too fast.
 
     What a move takes in joint angles does not hang on its time, so the least time of each follows
@@ -53,8 +47,7 @@ def paced(
 
     Args:
         shares: (L,) as the hand would divide the time.
-        arm: whose joints have to follow.
-        rate: frames a second.
+        hurry: of the arm that has to follow.
         length: frames of the sweep.
         poses: gives the (length,) poses of the path by shares.
 
@@ -62,15 +55,15 @@ def paced(
         CannotFollow: the arm does not reach the path, or the sweep is too short for it.
     """
     shares = shares / shares.sum()
-    hurry = arm.hurry(poses(shares), rate).to(shares) / MARGIN
-    if not bool(torch.isfinite(hurry).all()):
+    taken = hurry(poses(shares)).to(shares) / MARGIN
+    if not bool(torch.isfinite(taken).all()):
         raise CannotFollow("data.phantom.robot: a sweep leads where the arm cannot be")
     ends = torch.cat([shares.new_zeros(1), shares.cumsum(0)])
     steps = torch.linspace(0.0, 1.0, length)
     # A step that begins in one move and ends in the next counts for both.
     before, after = steps[:-1].unsqueeze(0), steps[1:].unsqueeze(0)
     within = (after > ends[:-1].unsqueeze(1)) & (before < ends[1:].unsqueeze(1))
-    least = shares * torch.where(within, hurry, 0.0).amax(1)
+    least = shares * torch.where(within, taken, 0.0).amax(1)
     needed = float(least.sum())
     if needed > 1.0:
         raise CannotFollow(
@@ -80,9 +73,9 @@ def paced(
     return _fill(shares, least)
 
 
-def check_followed(pose: Pose, arm: Arm, rate: float) -> None:
-    """Raise `CannotFollow` where an arm cannot follow (T,) poses, `rate` a second."""
-    fastest = float(arm.hurry(pose, rate).max())
+def check_followed(pose: Pose, hurry: Hurry) -> None:
+    """Raise `CannotFollow` where an arm cannot follow (T,) poses."""
+    fastest = float(hurry(pose).max())
     if not fastest <= 1.0:
         raise CannotFollow(
             f"data.phantom.robot: the hand's tremor takes the arm to {fastest:.2f} of its speed: "

@@ -7,10 +7,7 @@ are in m, all angles in rad. The base frame is that of the poses: the arm stands
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from torch import Tensor
-
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose
 from racines_data.phantom.pacing import FREE as FREE
 from racines_data.plugins import Plugins
 
@@ -57,15 +54,6 @@ class Arm:
                     f"robot {self.name}: {name} has {len(getattr(self, name))} entries: give one "
                     f"for each of {len(self.links)} links"
                 )
-
-    def hurry(self, pose: Pose, rate: float) -> Tensor:
-        """Return (T - 1,) of T poses, `rate` a second: the share of its speed that a move takes.
-
-        1 is a joint at its full speed; inf from or to where the arm cannot be.
-        """
-        from racines_envs.robots.following import shared_robot
-
-        return shared_robot(self).hurry(pose, rate)
 
     def urdf(self) -> str:
         """Return the arm as URDF, with links of 1 kg: its masses are not told and play no part."""

@@ -105,14 +105,20 @@ class ArmRobot:
         return ((joints >= self._low) & (joints <= self._high)).all(1)
 
 
-@cache
-def shared_robot(arm: Arm) -> ArmRobot:
-    """Return the robot of an arm on the CPU, made once.
+def hurry(robot: str, pose: Pose, rate: float) -> Tensor:
+    """Return (T - 1,) of T poses, `rate` a second: the share of an arm's speed that a move takes.
+
+    See `ArmRobot.hurry`; the arm is told by its name, or as `module:ARM`.
 
     Raises:
-        RacinesError: `pytorch_kinematics` is not installed.
+        RacinesError: no such arm, or `pytorch_kinematics` is not installed.
     """
-    return ArmRobot(arm, "cpu")
+    return _shared_robot(robot).hurry(pose, rate)
+
+
+@cache
+def _shared_robot(name: str) -> ArmRobot:
+    return ArmRobot(get_arm(name), "cpu")
 
 
 def make_robot(robot: str | Arm, device: torch.device | str) -> FreeProbe | ArmRobot:

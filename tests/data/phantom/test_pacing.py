@@ -14,13 +14,11 @@ from racines_data.sources.phantom import PhantomSource
 LENGTH = 41
 
 
-class Rail:
-    """An arm whose only joint is x, at most 1 m/s; it does not reach below 0."""
-
-    def hurry(self, pose: Pose, rate: float) -> torch.Tensor:
-        x = pose.position[:, 0]
-        there = x >= 0.0
-        return (x.diff().abs() * rate).where(there[1:] & there[:-1], torch.inf)
+def rail(pose: Pose) -> torch.Tensor:
+    """Ask an arm whose only joint is x, at most 1 m/s, at 10 frames a second; not below 0."""
+    x = pose.position[:, 0]
+    there = x >= 0.0
+    return (x.diff().abs() * 10.0).where(there[1:] & there[:-1], torch.inf)
 
 
 def along(*places: float):
@@ -41,25 +39,25 @@ def along(*places: float):
 
 def test_moves_get_the_time_that_they_need():
     # 4 s: 1 m, then 0.1 m, by a hand that gives both the same time.
-    shares, path, rate = torch.tensor([0.5, 0.5]), along(0.0, 1.0, 1.1), 10.0
-    assert paced(shares, Rail(), rate, LENGTH, path).tolist() == [0.5, 0.5]
+    shares, path = torch.tensor([0.5, 0.5]), along(0.0, 1.0, 1.1)
+    assert paced(shares, rail, LENGTH, path).tolist() == [0.5, 0.5]
     hasty = torch.tensor([0.1, 0.9])
-    assert float(Rail().hurry(path(hasty), rate).max()) > 1.0
-    found = paced(hasty, Rail(), rate, LENGTH, path)
+    assert float(rail(path(hasty)).max()) > 1.0
+    found = paced(hasty, rail, LENGTH, path)
     assert float(found.sum()) == pytest.approx(1.0)
     # 1 m at 0.8 m/s of 4 s, and no more than it needs.
     assert float(found[0]) == pytest.approx(1.0 / MARGIN / 4.0, rel=0.03)
-    check_followed(path(found), Rail(), rate)
+    check_followed(path(found), rail)
 
 
 def test_a_sweep_that_is_too_short_or_out_of_reach_is_refused():
     shares = torch.tensor([0.5, 0.5])
     with pytest.raises(CannotFollow, match=r"a sweep of 41 frames takes the arm \d\d: raise"):
-        paced(shares, Rail(), 10.0, LENGTH, along(0.0, 2.0, 0.0))
+        paced(shares, rail, LENGTH, along(0.0, 2.0, 0.0))
     with pytest.raises(CannotFollow, match="leads where the arm cannot be"):
-        paced(shares, Rail(), 10.0, LENGTH, along(0.0, -0.1, 0.0))
+        paced(shares, rail, LENGTH, along(0.0, -0.1, 0.0))
     with pytest.raises(CannotFollow, match=r"takes the arm to 2.00 of its speed"):
-        check_followed(along(0.0, 8.0)(torch.ones(1)), Rail(), 10.0)
+        check_followed(along(0.0, 8.0)(torch.ones(1)), rail)
 
 
 def test_the_arm_follows_every_sweep_that_is_drawn_for_it():

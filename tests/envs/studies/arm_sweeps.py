@@ -13,6 +13,7 @@ from racines_data.phantom.acquisition import AcquisitionConfig, make_sweep
 from racines_data.phantom.model import shared_phantom
 from racines_data.randomness import derive, sample_seeds
 from racines_data.sources.phantom import PhantomSource
+from racines_envs.robots.following import hurry
 from racines_envs.robots.ur5e import UR5E
 
 RESULT = Path(__file__).parents[3] / "docs/results/arm-sweeps.json"
@@ -26,7 +27,7 @@ def hurries(config: AcquisitionConfig) -> torch.Tensor:
         seed = derive(sample_seeds(config.seed, 1), unit.index, 1)
         session = int(unit.session.rpartition("-")[2]) - 1
         sweep = make_sweep(phantom, config, unit.target_view, session, unit.frames, seed)
-        found.append(UR5E.hurry(sweep.pose, config.rate))
+        found.append(hurry(UR5E.name, sweep.pose, config.rate))
     return torch.cat(found)
 
 
