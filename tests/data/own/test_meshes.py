@@ -190,8 +190,14 @@ REFUSED = {
     "leaning too far": (
         "place",
         {"up": [1.0, 0.0, 0.0], "ahead": [0.0, 1.0, 0.0]},
-        r"views\.CUP: its probe",
+        r"views\.CUP: its probe would lean by \d+° \(at most 57\)",
     ),
+    "turned too far": (
+        "place",
+        {"ahead": [-1.0, 0.0, 0.0]},
+        r"views\.CUP: its probe would be turned by 180° \(at most 143\) about its beam: name",
+    ),
+    "beside the block": ("place", {"x": 425.0}, r"place: \d+ % of the organ lies outside|stand at"),
 }
 
 
