@@ -197,7 +197,7 @@ REFUSED = {
         {"ahead": [-1.0, 0.0, 0.0]},
         r"views\.CUP: its probe would be turned by 180° \(at most 143\) about its beam: name",
     ),
-    "beside the block": ("place", {"x": 425.0}, r"place: \d+ % of the organ lies outside|stand at"),
+    "beside the block": ("place", {"x": 300.0}, r"place: \d+ % of the organ lies outside the block"),
 }
 
 
