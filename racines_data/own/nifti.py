@@ -10,7 +10,6 @@ from racines_data.errors import RacinesError
 from racines_data.own.meshes import needed
 from racines_data.own.sheet import UNITS, Sheet
 
-
 MOST = 200_000_000
 """Voxels of a label map, 585 along each side: what a header claims beyond that is not read."""
 
