@@ -1,5 +1,6 @@
 """From surfaces or a label map and a tissues.yaml to a phantom's folder, whole or not at all."""
 
+import math
 import shutil
 import tempfile
 from dataclasses import asdict
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.files import locked_place, sha256_file, swap_folder, write_atomic, write_json
+from racines_data.geometry import Pose
 from racines_data.own import warp as motion
 from racines_data.own.card import card_of
 from racines_data.own.marks import check_span, heart_turn, marks_of, place_of, places
@@ -26,6 +28,7 @@ from racines_data.phantom.config import PhantomConfig
 from racines_data.phantom.model import workspace_of
 from racines_data.phantom.saved import CARD, SCHEMA, TENSORS, TOLD, digest_of
 from racines_data.views import ANATOMIES, VIEWS
+from racines_data.world import Workspace
 
 MARGIN = 3.0
 """About the meshes in the grid, mm."""
@@ -246,6 +249,21 @@ def _volumes(surface: Surface) -> list[float]:
     return np.abs(np.einsum("pfi,pfi->p", a, np.cross(b, c)) / 6e3).tolist()
 
 
+def _outside(space: Workspace, poses: Pose, row: int) -> str:
+    """Return in words which limit of the workspace a pose breaks, and what to change."""
+    rotation, position = poses.rotation[row], poses.position[row]
+    lean = math.acos(max(-1.0, min(1.0, -float(rotation[2, 2]))))
+    turn = abs(math.atan2(float(rotation[1, 0]), float(rotation[0, 0])))
+    if lean > space.tilt_max:
+        told = f"lean by {math.degrees(lean):.0f}° (at most {math.degrees(space.tilt_max):.0f})"
+        return f"its probe would {told}: turn the organ with place"
+    if turn > space.yaw_max:
+        told = f"be turned by {math.degrees(turn):.0f}° (at most {math.degrees(space.yaw_max):.0f})"
+        return f"its probe would {told} about its beam: name another right, or turn the organ"
+    told = ", ".join(f"{1e3 * x:.0f}" for x in position.tolist())
+    return f"its probe would stand at ({told}) mm, outside the workspace: move the organ with place"
+
+
 def _check_views(sheet: Sheet, folder: Path, told: dict[str, Any]) -> dict[str, float]:
     """Return the grade of each view at its nominal pose in the block.
 
@@ -266,14 +284,8 @@ def _check_views(sheet: Sheet, folder: Path, told: dict[str, Any]) -> dict[str, 
     names = [each[0] for each in told["structures"]]
     for row, (name, view) in enumerate(sheet.views.items()):
         where = f"views.{name}"
-        pose = oracle.targets.position[row]
         if not bool(space.contains(oracle.targets)[row]):
-            told_at = ", ".join(f"{1e3 * x:.0f}" for x in pose.tolist())
-            raise sheet.refuse(
-                where,
-                f"its probe would stand at ({told_at}) mm or lean too far, outside the workspace: "
-                "turn the organ with place",
-            )
+            raise sheet.refuse(where, _outside(space, oracle.targets, row))
         if float(truth.membership[row, row]) <= 0.5:
             seen = {n: float(truth.visibility[row, names.index(n)]) for n in view.shows}
             worst = ", ".join(

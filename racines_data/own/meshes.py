@@ -16,6 +16,7 @@ import numpy as np
 
 from racines_data.errors import RacinesError
 from racines_data.own.sheet import UNITS, Part, Sheet
+from racines_data.sources.table.inputs import open_folder
 
 PHASE = "{phase}"
 BY_TRIMESH, BY_MESHIO = (".obj", ".ply", ".stl"), (".vtk", ".vtu")
@@ -101,10 +102,9 @@ def _files(folder: Path, sheet: Sheet, name: str, pattern: str) -> tuple[Path, .
     where = f"parts.{name}.mesh"
     if Path(pattern).is_absolute() or ".." in Path(pattern).parts:
         raise sheet.refuse(where, f"{pattern}: name a file in the folder")
+    within, told = open_folder(folder), f"{sheet.path}: {where}"
     if PHASE not in pattern:
-        if not (folder / pattern).is_file():
-            raise sheet.refuse(where, f"{folder / pattern}: no such file")
-        return (folder / pattern,)
+        return (within.file(pattern, told),)
     before, _, after = pattern.partition(PHASE)
     form = re.compile(rf"{re.escape(before)}(\d+){re.escape(after)}")
     found = {
@@ -119,7 +119,7 @@ def _files(folder: Path, sheet: Sheet, name: str, pattern: str) -> tuple[Path, .
         raise sheet.refuse(
             where, f"phase {absent[0]} is missing among {min(found)} to {max(found)}"
         )
-    return tuple(found[number] for number in sorted(found))
+    return tuple(within.file(found[number].name, told) for number in sorted(found))
 
 
 def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,6 @@
 """A label map with its affine, from NIfTI through `nibabel` (extra `racines[anatomy]`)."""
 
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,6 +9,9 @@ import numpy as np
 from racines_data.errors import RacinesError
 from racines_data.own.meshes import needed
 from racines_data.own.sheet import UNITS, Sheet
+
+MOST = 200_000_000
+"""Voxels of a label map, 585 along each side: what a header claims beyond that is not read."""
 
 
 class LabelMap(NamedTuple):
@@ -32,9 +36,15 @@ def read_labels(path: Path, sheet: Sheet) -> LabelMap:
     nibabel = needed("nibabel", f"{path}: a label map")
     try:
         image = nibabel.load(path)
-        values = np.asanyarray(image.dataobj)
+        voxels = math.prod(map(int, image.shape))
+        values = None if voxels > MOST else np.asanyarray(image.dataobj)
     except Exception as error:  # of many kinds: damaged files raise what they happen to break
         raise RacinesError(f"{path}: cannot be read as NIfTI ({error}): write it again") from error
+    if values is None:
+        shape = "×".join(map(str, image.shape))
+        raise RacinesError(
+            f"{path}: its header says {shape} voxels, more than {MOST:,}: resample it"
+        )
     _check_affine(path, image, sheet)
     if values.ndim == 4 and values.shape[3] == 1:
         values, image = values[..., 0], image.slicer[..., 0]

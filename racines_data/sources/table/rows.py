@@ -111,6 +111,12 @@ def _separator(text: str) -> str:
     return max(counts, key=lambda mark: counts[mark]) if any(counts.values()) else ","
 
 
+def has_commas(table: pl.DataFrame) -> bool:
+    """Return whether a column holds numbers with decimal commas, which were read as text."""
+    texts_of = (each.drop_nulls() for each in table.iter_columns() if each.dtype == pl.String)
+    return any(len(each) and all(map(_COMMA.fullmatch, each)) for each in texts_of)
+
+
 def column(table: pl.DataFrame, name: str, field: str, path: Path | str) -> pl.Series:
     """Return a column; else raise `RacinesError` with the field of the mapping and the columns."""
     if name not in table.columns:

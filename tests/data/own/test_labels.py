@@ -195,3 +195,17 @@ def test_what_is_no_label_map_of_the_sheet_is_refused(mapped: tuple, tmp_path: P
     _refused(tmp_path, tmp_path / "absent.nii.gz", SHEET, "no such file")
     mesh = SHEET | {"parts": SHEET["parts"] | {"x": {"mesh": "a.obj", "tissue": "bile"}}}
     _refused(tmp_path, fine, mesh, r"parts\.x\.mesh: a label map has no meshes")
+
+
+def test_a_header_that_claims_more_than_memory_holds_is_not_read(tmp_path: Path):
+    header = nibabel.Nifti1Header()
+    header.set_data_dtype(np.uint8)
+    header.set_data_shape((4000, 4000, 2500))  # 40 GB, and 352 bytes of file
+    header.set_sform(np.eye(4), 1)
+    (tmp_path / "large.nii").write_bytes(header.binaryblock + b"\0" * 4)
+    _refused(
+        tmp_path,
+        tmp_path / "large.nii",
+        SHEET,
+        r"large\.nii: its header says 4000×4000×2500 voxels, more than 200,000,000",
+    )

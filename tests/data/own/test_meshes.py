@@ -2,6 +2,7 @@
 
 import copy
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -190,7 +191,17 @@ REFUSED = {
     "leaning too far": (
         "place",
         {"up": [1.0, 0.0, 0.0], "ahead": [0.0, 1.0, 0.0]},
-        r"views\.CUP: its probe",
+        r"views\.CUP: its probe would lean by \d+° \(at most 57\)",
+    ),
+    "turned too far": (
+        "place",
+        {"ahead": [-1.0, 0.0, 0.0]},
+        r"views\.CUP: its probe would be turned by 180° \(at most 143\) about its beam: name",
+    ),
+    "beside the block": (
+        "place",
+        {"x": 300.0},
+        r"place: \d+ % of the organ lies outside the block",
     ),
 }
 
@@ -234,3 +245,20 @@ def test_a_library_that_is_missing_is_named_with_the_remedy(tmp_path: Path, monk
         RacinesError, match=r"outer\.obj: a mesh needs trimesh: pip install 'racines\[an"
     ):
         from_mesh(meshes, organs.write_sheet(tmp_path / "cup.yaml", organs.CUP), tmp_path / "out")
+
+
+@pytest.mark.parametrize("pattern", ["outer.obj", "outer_{phase}.obj"])
+def test_fifos_and_links_out_of_the_folder_are_not_opened(tmp_path: Path, pattern: str):
+    values = _changed("parts.wall.mesh", pattern)
+    sheet = organs.write_sheet(tmp_path / "cup.yaml", values)
+    meshes = organs.write_cup(tmp_path / "meshes")
+    place = meshes / pattern.replace("{phase}", "00")
+    (meshes / "outer.obj").rename(tmp_path / "aside.obj")
+    place.symlink_to(tmp_path / "aside.obj")
+    with pytest.raises(RacinesError, match=r"parts\.wall\.mesh: outer.*: a link out of the folder"):
+        from_mesh(meshes, sheet, tmp_path / "out")
+    place.unlink()
+    os.mkfifo(place)
+    with pytest.raises(RacinesError, match=r"parts\.wall\.mesh: outer.*: a FIFO, a socket"):
+        from_mesh(meshes, sheet, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

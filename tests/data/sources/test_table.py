@@ -392,6 +392,13 @@ def test_both_sources_read_the_same_poses(tmp_path: Path, path: Path):
     assert [len(each) for each in made] == [len(each) for each in wanted]
     for one, other in zip(made, wanted, strict=True):
         check(one, other)
+    # Its matrices have six digits: quaternions made of them are the nearest exact rotations.
+    table = source(tmp_path, QUATERNIONS)
+    for unit, other in zip(table.plan(), wanted, strict=True):
+        one = table.produce(unit)
+        assert np.array_equal(one.parameters[:, 6:9], other.parameters[:, 6:9])
+        turned = (Turn.from_euler("xyz", each.parameters[:, 9:]) for each in (one, other))
+        assert (next(turned).inv() * next(turned)).magnitude().max() < 5e-6
 
 
 def test_without_the_extra_the_remedy_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch):

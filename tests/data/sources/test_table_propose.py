@@ -209,3 +209,23 @@ def test_the_commands_from_a_folder_to_a_mapping(folder: Path, monkeypatch: pyte
     done = run.invoke(app, ["data", "map", str(folder), "--force"], input="\n" * 20)
     assert done.exit_code == 0, done.output
     assert yaml.safe_load((folder / "mapping.yaml").read_text()) == yaml.safe_load(text)
+
+
+def test_decimal_commas_are_proposed_as_such(folder: Path):
+    table = pl.read_csv(folder / "poses.csv")
+    (folder / "poses.csv").write_text(table.write_csv(separator=";", decimal_comma=True))
+    made = guessed(folder)
+    assert made["poses"]["decimal_comma"] is True
+    assert made["poses"]["rotation"]["kind"] == "quaternion"
+    write_mapping(folder, made)
+    assert sum(unit.frames for unit in TableSource.from_config({}, [folder]).plan()) == COUNT
+
+
+def test_a_quaternion_that_is_numbered_has_its_scalar_at_0(tmp_path: Path):
+    poses, times, _ = synthetic()
+    known = columns_of(poses, times)
+    columns = {name: known[name] for name in ("t", "x", "y", "z")}
+    # As some drivers log it: the vector first, the scalar, number 0, last.
+    columns |= {f"q{i}": known[QUATERNION[i]] for i in (1, 2, 3, 0)}
+    rotation = guessed(log(tmp_path / "log", columns))["poses"]["rotation"]
+    assert (rotation["columns"], rotation["order"]) == (["q0", "q1", "q2", "q3"], "wxyz")

@@ -113,9 +113,14 @@ def _quaternion(
 def _unnamed(
     table: pl.DataFrame, numeric: Sequence[str], triples: dict[str, list[str]], made: Guess
 ) -> dict[str, Any] | None:
-    """Return four neighbours of unit length whose names say nothing."""
+    """Return four neighbours of unit length whose names say nothing.
+
+    Where they end in 0 to 3, number 0 is w, as books and most drivers have it.
+    """
     for start in range(len(numeric) - 3):
         columns = list(numeric[start : start + 4])
+        if sorted(name[-1] for name in columns) == ["0", "1", "2", "3"]:
+            columns.sort(key=lambda name: name[-1])
         moving = all(table[name].n_unique() > 1 for name in columns)
         if moving and _is_unit(table, columns) and not any(map(axis_of, columns)):
             made.notes["poses.rotation.order"] = "A GUESS: the names do not tell; compare a picture"

@@ -14,7 +14,7 @@ from racines_data.sources.table.mapping import check_mapping
 from racines_data.sources.table.propose import columns as names
 from racines_data.sources.table.propose.columns import Guess, guess_columns
 from racines_data.sources.table.propose.pictures import guess_images
-from racines_data.sources.table.rows import ENDINGS, read_table
+from racines_data.sources.table.rows import ENDINGS, has_commas, read_table
 from racines_data.sources.table.sweeps import read_drafts
 from racines_data.views import LABELS, VIEWS
 
@@ -33,6 +33,8 @@ def guess_mapping(folder: Folder) -> Guess:
     path, table, guess, others = _best_table(folder, found)
     parts, notes = guess.parts, guess.notes
     poses: dict[str, Any] = {"file": folder.name(path)}
+    if "decimal_comma" in parts:
+        poses["decimal_comma"] = parts["decimal_comma"]
     if others > 1:
         poses["file"] = folder.name(path.with_name(f"*{path.suffix}"))
         notes["poses.file"] = f"{others} tables with the same columns: one a sweep"
@@ -67,6 +69,8 @@ def _best_table(folder: Folder, found: Sequence[Path]) -> tuple[Path, pl.DataFra
             continue
         try:
             table = read_table(path)
+            comma = has_commas(table)
+            table = read_table(path, comma=True) if comma else table
         except RacinesError as error:
             told.append(str(error))
             continue
@@ -75,6 +79,9 @@ def _best_table(folder: Folder, found: Sequence[Path]) -> tuple[Path, pl.DataFra
         if alike[key] > 1:
             continue
         guess = guess_columns(table)
+        if comma:
+            guess.parts["decimal_comma"] = True
+            guess.notes["poses.decimal_comma"] = "numbers are written 1,5"
         rotation = guess.parts.get("rotation", {})
         whole = rotation.get("unit") in ("m", "cm", "mm")
         score = 4 * ("position" in guess.parts or whole) + 2 * bool(rotation)
