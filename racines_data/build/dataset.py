@@ -138,7 +138,7 @@ def build(
     out.parent.mkdir(parents=True, exist_ok=True)
     with staging_folder(out, source, recipe_digest(recipe), config.allow) as folder:
         shares = config.validation, config.test, config.seed
-        splits, held = writer.assign_splits(units, *shares), writer.held_out_session(units)
+        splits, held = writer.split_units(units, *shares), writer.held_out_session(units)
         main = writer.Part("frames", source, units, splits, folder / "frames", held)
         part, parts = None, [(source, units, main.folder, False)]
         if many is not None:

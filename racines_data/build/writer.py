@@ -133,6 +133,7 @@ def write_dataset(
         "poses": has_poses(source),
         **({"card": card} if card else {}),
         **to_manifest(bounds or Bounds()),
+        **getattr(source, "told", {}),
         "held_out_session": main.held_out,
         "counts": _counts(rows),
         "report": {
@@ -345,6 +346,16 @@ def assign_splits(
             held = "test" if index < tested else "validation"
             splits[unit.id] = held if index < tested + validated else "train"
     return splits
+
+
+def split_units(units: Sequence[Unit], validation: float, test: float, seed: int) -> dict[str, str]:
+    """Return the split of each trajectory id: the one that units name, where they have a `split`.
+
+    Raises:
+        RacinesError: nothing is left to train on.
+    """
+    own = {unit.id: getattr(unit, "split", "") for unit in units}
+    return own if all(own.values()) else assign_splits(units, validation, test, seed)
 
 
 def assign_group_splits(
