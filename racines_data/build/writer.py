@@ -171,10 +171,7 @@ def _keep_finished(final: Path) -> None:
 
 
 def write_part(final: Path, part: Part, shards: int, progress: bool) -> Paths:
-    """Write a config's shards, `shards` or more, and its store, where they are not there already.
-
-    Return the paths of the shards.
-    """
+    """Write a config's shards and its store, where they are not there; return the shards' paths."""
     rows = part.rows
     paths: Paths = {}
     counts = divide_shards([group.frames for group in part.groups], shards)
@@ -346,16 +343,6 @@ def assign_splits(
             held = "test" if index < tested else "validation"
             splits[unit.id] = held if index < tested + validated else "train"
     return splits
-
-
-def split_units(units: Sequence[Unit], validation: float, test: float, seed: int) -> dict[str, str]:
-    """Return the split of each trajectory id: the one that units name, where they have a `split`.
-
-    Raises:
-        RacinesError: nothing is left to train on.
-    """
-    own = {unit.id: getattr(unit, "split", "") for unit in units}
-    return own if all(own.values()) else assign_splits(units, validation, test, seed)
 
 
 def assign_group_splits(
