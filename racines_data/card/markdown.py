@@ -193,8 +193,8 @@ def _turned(manifest: Mapping[str, Any]) -> Iterator[str]:
     yield frames.columns_table(frames.TURN_COLUMNS)
     blocks = "one wide block" if turns["split"] == "gap" else "several narrow blocks"
     yield (
-        f"{turns['count']} turns, each a trajectory of {turns['phases']} phases of one beat. Splits "
-        f"hold out {blocks} of turns by their angle, modulo 180°: a test turn lies "
+        f"{turns['count']} turns, each a trajectory of {turns['phases']} phases of one beat. "
+        f"Splits hold out {blocks} of turns by their angle, modulo 180°: a test turn lies "
         f"{turns['median']:.2g}° from the nearest training turn (median), "
         f"{turns['farthest']:.2g}° at most."
     )

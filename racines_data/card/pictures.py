@@ -23,7 +23,7 @@ from racines_data.card.frames import (
 )
 from racines_data.card.plots import parameters_figure, shares_figure, trajectories_figure
 from racines_data.geometry import POSITION
-from racines_data.manifest import ADDED, MULTI_PHANTOM, store_name
+from racines_data.manifest import ADDED, MULTI_PHANTOM, is_turned, store_name
 from racines_data.plotting import MUTED, card_style, encode, evenly
 from racines_data.views import VIEW_TITLES
 
@@ -53,7 +53,7 @@ def write_pictures(final: Path, manifest: dict[str, Any]) -> None:
     if (frames.views >= 0).any():
         cactus = frames.labels == tuple(CACTUS_COUNTS)
         figures["shares"] = partial(shares_figure, frames, statistics, cactus)
-    if np.isfinite(frames.parameters[:, POSITION]).any():
+    if np.isfinite(frames.parameters[:, POSITION]).any() and not is_turned(manifest):
         figures["trajectories"] = partial(trajectories_figure, frames, manifest)
     if MULTI_PHANTOM in manifest["configs"]:
         hearts = read_frames(final / store_name(MULTI_PHANTOM), manifest)

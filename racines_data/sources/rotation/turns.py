@@ -6,7 +6,7 @@ circle of that length is what is divided:
 
     interpolation   several narrow blocks, each in the middle of as many turns as the next
     gap             one wide block, where it holds about the share of the turns that is wanted, with
-                    training turns close to both of its edges
+                    some training turns on both of its sides, the first close to its edge
 
 Turns cluster: neighbours are near-copies, so that a block is held out whole, as all turns in a
 range of angles. Blocks for validation lie apart from those for test.
@@ -28,6 +28,8 @@ _LEANS = 30.0
 """Degrees that a beam may lie from the mean of all."""
 _EDGE = 0.25
 """Share of a gap's width that the nearest training turn may lie from each of its edges, at most."""
+_BESIDE = 0.05
+"""Share of the turns that lie on each side of a gap, no farther away than it is wide, at least."""
 _FEWEST = 6
 """Turns without which there is nothing to split."""
 
@@ -185,8 +187,10 @@ def _gap(at: np.ndarray, gap: float, share: float) -> np.ndarray:
         others = at[~inside]
         if not len(others):
             continue
-        before, after = (np.mod(start - others, HALF), np.mod(others - start - gap, HALF))
-        if max(before.min(), after.min()) > _EDGE * gap:
+        sides = np.mod(start - others, HALF), np.mod(others - start - gap, HALF)
+        if max(side.min() for side in sides) > _EDGE * gap:
+            continue
+        if min((side < gap).mean() for side in sides) * len(others) < _BESIDE * len(at):
             continue
         off = abs(float(inside.mean()) - share)
         if off < best:
