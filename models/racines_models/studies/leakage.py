@@ -122,7 +122,7 @@ def _retrieve(
     store: FrameStore, sample: Sample, train: Tensor, progress: Progress | None
 ) -> Retrieval:
     retrieval = NearestPose()
-    retrieval.held["keys"] = retrieval.embed(store.parameters[train])
+    retrieval.held["keys"] = retrieval.embed(store.conditions(train))
     parts = []
     for queries in sample.frames.parameters.split(CHUNK):
         parts.append(train[retrieval.nearest(queries)[0]])
