@@ -86,7 +86,7 @@ class RotationConfig:
     split: str = INTERPOLATION
     """`interpolation`: several narrow blocks of turns are held out; `gap`: a wide one."""
     blocks: int = 6
-    """Narrow blocks for test; half as many are for validation."""
+    """Narrow blocks for test, of few turns fewer; half as many are for validation."""
     width: float = 3.0
     """Degrees of a narrow block."""
     gap: float = 30.0

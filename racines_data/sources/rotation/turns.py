@@ -27,7 +27,7 @@ _WANDERS = 0.25
 _LEANS = 30.0
 """Degrees that a beam may lie from the mean of all."""
 _EDGE = 0.25
-"""Share of a gap's width that the nearest training turn may lie from each of its edges, at most."""
+"""Share of a gap's width up to which the nearest training turn from an edge costs nothing."""
 _BESIDE = 0.05
 """Share of the turns that lie on each side of a gap, no farther away than it is wide, at least."""
 _FEWEST = 6
@@ -150,23 +150,25 @@ def split_turns(
         blocks: Narrow blocks that are held out for test; half as many are for validation.
         width: Degrees of a narrow block.
         gap: Degrees of the wide one.
-        share: Share of the turns that the wide one should hold.
+        share: Share of the turns that the wide one should hold; there are no more narrow ones than
+            that share of turns.
 
     Raises:
-        RacinesError: too few turns, or settings that leave nothing to train or to test on.
+        RacinesError: too few turns, no place for a gap, or settings that leave nothing to train on.
     """
     if len(at) < _FEWEST:
         raise RacinesError(f"{len(at)} turns: splits by turn need {_FEWEST} or more")
+    blocks = max(1, min(blocks, int(share * len(at))))
     test = _gap(at, gap, share) if mode == GAP else _blocks(at, at, blocks, width)
-    far = ~test & (to_nearest(at, at[test]) > 2 * width) if test.any() else ~test
+    far = ~test & (to_nearest(at, at[test]) > 2 * width)
     validation = np.zeros(len(at), bool)
     if far.any():
         validation = _blocks(at, at[far], max(1, blocks // 2), width) & far
     train = ~test & ~validation
-    if not test.any() or train.sum() < 2:
+    if train.sum() < 2:
         raise RacinesError(
             f"{int(test.sum())} of {len(at)} turns for test leave {int(train.sum())} to train on: "
-            "set blocks, width or gap lower"
+            "set blocks or width lower"
         )
     return np.where(test, "test", np.where(validation, "validation", "train"))
 
@@ -181,18 +183,19 @@ def _blocks(at: np.ndarray, among: np.ndarray, blocks: int, width: float) -> np.
 
 def _gap(at: np.ndarray, gap: float, share: float) -> np.ndarray:
     """Return (N,) whether turns lie in the one wide block; of equally good places, the first."""
-    best, found = np.inf, np.zeros(len(at), bool)
+    best, found = np.inf, None
     for start in np.sort(at):
         inside = np.mod(at - start, HALF) < gap
         others = at[~inside]
-        if not len(others):
-            continue
         sides = np.mod(start - others, HALF), np.mod(others - start - gap, HALF)
-        if max(side.min() for side in sides) > _EDGE * gap:
+        if min(int((side < gap).sum()) for side in sides) < max(1, int(_BESIDE * len(at))):
             continue
-        if min((side < gap).mean() for side in sides) * len(others) < _BESIDE * len(at):
-            continue
-        off = abs(float(inside.mean()) - share)
-        if off < best:
-            best, found = off, inside
+        late = max(float(side.min()) for side in sides) / gap
+        cost = abs(float(inside.mean()) - share) + max(0.0, late - _EDGE)
+        if cost < best:
+            best, found = cost, inside
+    if found is None:
+        raise RacinesError(
+            f"no {gap:g} degrees have turns on both sides to train on: set gap lower"
+        )
     return found
