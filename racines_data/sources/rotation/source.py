@@ -51,6 +51,8 @@ PIXELS = dataclasses.replace(METRES, reach=1e5)
 """Positions in pixels: any."""
 _LOOKED_AT = 96
 """Images, evenly spread, in which the sector is looked for."""
+_COPIES = 0.5
+"""Share of images that are copies of others, at most."""
 _SMALLEST, _LARGEST = 0.01, 5.0
 """mm of a pixel that are plausible."""
 
@@ -300,8 +302,18 @@ def _check_upright(paths: Sequence[Path]) -> None:
 
 
 def _digest(name: str, path: Path, pictures: Sequence[Path]) -> str:
-    """Return the sha256 over the bytes of the file of poses and of the images in its order."""
+    """Return the sha256 over the bytes of the file of poses and of the images in its order.
+
+    Raises:
+        RacinesError: most images are copies of others.
+    """
     digest = hashlib.sha256(f"{name}\0{sha256_file(path)}\0".encode())
-    for picture in pictures:
-        digest.update(sha256_file(picture).encode())
+    each = [sha256_file(picture) for picture in pictures]
+    copies = len(each) - len(set(each))
+    if copies > _COPIES * len(each):
+        raise RacinesError(
+            f"{pictures[0]}: {Kind.FROZEN}: {copies} of {len(each)} images are the bytes of "
+            "another: give each frame its own"
+        )
+    digest.update("".join(each).encode())
     return digest.hexdigest()

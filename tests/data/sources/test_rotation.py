@@ -276,13 +276,17 @@ def test_settings_are_refused(folder: Path, settings: dict, said: str):
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"split": "gap", "gap": 120.0}, "no 120 degrees have turns on both sides to train on"),
         ({"width": 60.0, "blocks": 12}, "leave [01] to train on"),
     ],
 )
 def test_splits_that_leave_nothing_are_refused(folder: Path, settings: dict, said: str):
     with pytest.raises(RacinesError, match=said):
         source(folder, **settings).plan()
+
+
+def test_a_gap_needs_turns_on_both_sides():
+    with pytest.raises(RacinesError, match="no 30 degrees have turns on both sides to train on"):
+        split_turns(np.arange(12.0), "gap", 6, 3.0, 30.0, 0.2)
 
 
 # --- the real recording --------------------------------------------------------------------------
