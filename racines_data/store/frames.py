@@ -29,6 +29,9 @@ from racines_data.records import PIXELS
 from racines_data.schema import CONTROLS, PARAMETERS, PHASES, TURNS
 from racines_data.views import LABELS
 
+SECTOR = 3.0
+"""Degrees within which the turns about the apex of one heart are no independent ones."""
+
 
 class Batch(NamedTuple):
     """Frames of one split."""
@@ -175,7 +178,12 @@ class FrameStore:
         return pq.read_table(self.root / name)
 
     def units(self, rows: Tensor) -> np.ndarray:
-        """Return (N,) of what (N,) rows were drawn independently: their patient, or trajectory."""
+        """Return (N,) of what (N,) rows were drawn independently: their patient, or trajectory.
+
+        Turns about the apex that lie within 3° are one: their frames are nearly the same.
+        """
+        if self.turns is not None:
+            return (self.turns[rows, 0] / SECTOR).long().numpy()
         trajectory = self.trajectory_index[rows].numpy()
         return trajectory if self.patients is None else np.array(self.patients)[trajectory]
 
