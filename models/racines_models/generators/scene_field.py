@@ -107,7 +107,10 @@ class SceneField(NetworkGenerator[SceneFieldConfig]):
         metrics = super().learn(store, run)
         for name in ("fine", "coarse"):
             self.net(name).quantise()
-        return metrics | {"calibration": self.net("probe").calibration()}
+        calibration = self.net("probe").calibration()
+        if self.metres != 1.0:  # nothing is told in metres where the scale is not known
+            del calibration["shift_m"]
+        return metrics | {"calibration": calibration}
 
     def untrained(self) -> dict[str, nn.Module]:
         """Return the fields of the laid voxels, the probe, the decoder, and its view of a pose."""

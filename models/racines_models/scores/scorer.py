@@ -106,7 +106,7 @@ class Scorer:
         truth, drawn = self.features(extractor)
         subsets: dict[str, Any] = {"subset": config.kid_subset, "subsets": config.kid_subsets}
         told = {"fid": (AMOUNT, {}), "kid": (ANY, metrics.KID_SETTINGS | subsets)}
-        pairs = [self.both_distances(truth, each) for each in drawn]
+        pairs = [self.fid_and_kid(truth, each) for each in drawn]
         found = self.of_sets(pairs, self.sample.trajectory)
         if len(truth) > metrics.NEIGHBOURS:
             rows = evenly(len(truth), PRDC_FRAMES)
@@ -121,9 +121,7 @@ class Scorer:
             for ends, settings in [told[key]]
         }
 
-    def both_distances(
-        self, truth: Tensor, drawn: Tensor
-    ) -> Callable[[np.ndarray], dict[str, float]]:
+    def fid_and_kid(self, truth: Tensor, drawn: Tensor) -> Callable[[np.ndarray], dict[str, float]]:
         """Return FID and KID of one drawn set as a function of the samples kept."""
         frechet = metrics.CrossProducts(truth, drawn)
         subset, subsets = self.config.kid_subset, self.config.kid_subsets

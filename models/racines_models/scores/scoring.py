@@ -30,8 +30,8 @@ NOTES = [
 ]
 TURN_NOTES = [
     *NOTES[:1],
-    f"One heart. Intervals are over sectors of {SECTOR:g}° of turns and over trainings; those of one "
-    "training say nothing of another, and none says anything of another heart.",
+    f"One heart. Intervals are over sectors of {SECTOR:g}° of turns and over trainings; those of "
+    "one training say nothing of another, and none says anything of another heart.",
     "Strata are of the angle from the turn to the nearest training turn, modulo 180°.",
 ]
 

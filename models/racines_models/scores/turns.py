@@ -101,7 +101,7 @@ def turn_figures(scorer: Scorer, extractor: Extractor) -> dict[str, Any]:
                 scorer, f"feature_distance_{name}", true, [held], extractor, rule=rule
             ),
         }
-        found = scorer.of_sets([scorer.both_distances(true, held)], scorer.sample.trajectory)
+        found = scorer.of_sets([scorer.fid_and_kid(true, held)], scorer.sample.trajectory)
         for key, ends in (("fid", AMOUNT), ("kid", ANY)):
             told = {"features": extractor.settings["id"], "rule": rule}
             figures[f"{key}_{name}"] = scorer.of_set(f"{key}_{name}", found[key], ends, **told)
