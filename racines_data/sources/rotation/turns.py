@@ -178,7 +178,7 @@ def _blocks(at: np.ndarray, among: np.ndarray, blocks: int, width: float) -> np.
     ordered = np.sort(among)
     parts = np.array_split(ordered, min(blocks, len(ordered)))
     middles = np.array([part[len(part) // 2] for part in parts])
-    return (apart(at[:, None], middles[None]) <= width / 2).any(1)
+    return apart(at[:, None], middles[None]).min(1) <= width / 2
 
 
 def _gap(at: np.ndarray, gap: float, share: float) -> np.ndarray:

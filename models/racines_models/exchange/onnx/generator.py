@@ -58,6 +58,7 @@ EXAMPLES = 2
 """Batch of the example inputs; the exported batch is free."""
 
 
+_SAYS = ("stochastic", "conditional")
 Opener = Callable[[bytes, str, str], Any]
 """Returns what has onnxruntime's `run` and `get_providers`."""
 
@@ -163,8 +164,9 @@ def read_onnx(path: Path) -> tuple[bytes, OnnxInterface]:
     name = check_name(told.get("name", path.stem), f"{path}: racines.name")
     card = parsed(told, "card", dict, path) or {}
     noise = _noise(told, size, path)
-    says = [_declared(told, card, key, path) for key in ("stochastic", "conditional")]
-    return content, OnnxInterface(name, noise, floating, batch, opset, card, *says, phased)
+    stochastic, conditional = (_declared(told, card, key, path) for key in _SAYS)
+    says = stochastic, conditional, phased
+    return content, OnnxInterface(name, noise, floating, batch, opset, card, *says)
 
 
 def _declared(told: dict[str, str], card: dict[str, Any], key: str, path: Path) -> bool | None:
