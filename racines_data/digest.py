@@ -56,10 +56,7 @@ def trajectory_digest(trajectory: Trajectory) -> str:
     digest.update(np.asarray(trajectory.images, dtype=np.uint8).tobytes())
     columns = ("parameters", "<f4"), ("timestamps", "<f8"), ("controls", "<f4")
     for name, dtype in (*columns, ("views", "<i8"), ("grades", "<f4")):
-        column = np.asarray(getattr(trajectory, name), dtype=dtype)
-        if column.dtype.kind == "f":
-            column = np.where(np.isnan(column), np.array(np.nan, dtype), column)
-        digest.update(column.tobytes())
+        digest.update(_plain(np.asarray(getattr(trajectory, name), dtype=dtype)).tobytes())
     _add_patient(digest, trajectory)
     return digest.hexdigest()
 
@@ -68,10 +65,17 @@ def _add_patient(digest: "hashlib._Hash", trajectory: Trajectory) -> None:
     """Add what the frames of a patient have besides; nothing for all others."""
     if trajectory.patient is not None:
         digest.update(canonical_json({"patient": trajectory.patient}).encode())
-    for name, dtype in (("phases", "<f8"), ("masks", "u1")):
+    for name, dtype in (("phases", "<f8"), ("masks", "u1"), ("turns", "<f8")):
         column = getattr(trajectory, name)
         if column is not None:
-            digest.update(name.encode() + np.asarray(column, dtype=dtype).tobytes())
+            digest.update(name.encode() + _plain(np.asarray(column, dtype=dtype)).tobytes())
+
+
+def _plain(column: np.ndarray) -> np.ndarray:
+    """Return a column whose NaN are all the same bits."""
+    if column.dtype.kind != "f":
+        return column
+    return np.where(np.isnan(column), np.array(np.nan, column.dtype), column)
 
 
 def content_digest(

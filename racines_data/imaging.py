@@ -18,7 +18,8 @@ class ImageSource(Protocol):
     def generate(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
         """Return (B, 128, 128) uint8 images of (B, 12) float32 parameters.
 
-        The columns are those of `schema.PARAMETERS`, in SI units. `seed` is one integer for the
+        The columns are those of `schema.PARAMETERS`, in SI units. Where the data that it was fitted
+        on know the phase of the beat, that is a 13th, in [0, 1). `seed` is one integer for the
         batch or (B,) int64, one a sample. A sample's image depends on its own parameters and seed
         alone: not on its place, on its neighbours or on the size of the batch, to the last bit, on
         one machine.
@@ -26,15 +27,21 @@ class ImageSource(Protocol):
         ...
 
 
-def check_parameters(parameters: Tensor, need_force: bool = False) -> Tensor:
+def check_parameters(
+    parameters: Tensor, need_force: bool = False, may_beat: bool = False
+) -> Tensor:
     """Return the parameters if they are (B, 12), floating and finite.
+
+    If they `may_beat`, (B, 13) as well, the phase of the beat last.
 
     Raises:
         RacinesError: wrong shape or type, or NaN or infinity, by column and row.
     """
-    from racines_data.schema import PARAMETERS
+    from racines_data.schema import PARAMETERS, PHASES
 
-    if parameters.ndim != 2 or parameters.shape[1] != len(PARAMETERS):
+    names, width = (*PARAMETERS, PHASES[0]), parameters.shape[-1]
+    known = width == len(PARAMETERS) or (may_beat and width == len(names))
+    if parameters.ndim != 2 or not known:
         raise RacinesError(f"parameters have shape {tuple(parameters.shape)}: give (B, 12)")
     if not parameters.is_floating_point():
         raise RacinesError(f"parameters are {parameters.dtype}: give float32, SI units")
@@ -43,9 +50,29 @@ def check_parameters(parameters: Tensor, need_force: bool = False) -> Tensor:
     if bool(bad.any()):
         row, column = (int(i) for i in bad.nonzero()[0])
         raise RacinesError(
-            f"{PARAMETERS[first + column]} of row {row} is not finite: every pose needs numbers"
+            f"{names[first + column]} of row {row} is not finite: every pose needs numbers"
         )
     return parameters
+
+
+def conditions_for(parameters: Tensor, phased: bool, name: str) -> Tensor:
+    """Return the checked parameters that a generator takes: (B, 12), or (B, 13) if it is `phased`.
+
+    A phase that it does not know is left out.
+
+    Raises:
+        RacinesError: as `check_parameters`, and a phase that is missing.
+    """
+    from racines_data.schema import PARAMETERS
+
+    checked, width = check_parameters(parameters, may_beat=True), len(PARAMETERS)
+    if not phased:
+        return checked[:, :width]
+    if checked.shape[1] == width:
+        raise RacinesError(
+            f"{name} draws a heart at a phase of its beat: give (B, 13) parameters, the phase last"
+        )
+    return checked
 
 
 def check_images(images: Tensor) -> Tensor:

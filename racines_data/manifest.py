@@ -26,6 +26,8 @@ ADDED = ("patients", "beating")
 """Configs of simulated patients: still hearts, and hearts that beat and breathe. A source of the
 same name adds each to a dataset that stands. It has a source, a version, a recipe, digests and
 counts of its own, under its name in the manifest, and more columns than `frames`."""
+UNKNOWN_SCALE = "unknown"
+"""What `scale` of a manifest says where the size of a pixel is not known."""
 STORES = ("frames", MULTI_PHANTOM, *ADDED)
 """Configs with a store; `sessions` are rows of `frames`."""
 
@@ -88,7 +90,23 @@ def added_configs(manifest: Mapping[str, Any]) -> list[str]:
 
 def config_manifest(manifest: Mapping[str, Any], config: str) -> dict[str, Any]:
     """Return the manifest as it is of a config: of an added one, source and recipe are its own."""
-    return {**manifest, **(manifest[config] if config in ADDED and config in manifest else {})}
+    if config not in ADDED or config not in manifest:
+        return dict(manifest)
+    # What is said of a rotation about the apex is of the recorded frames alone.
+    return {**manifest, "turns": None, "scale": None, **manifest[config]}
+
+
+def is_turned(manifest: Mapping[str, Any]) -> bool:
+    """Return whether the frames are of a rotation about the apex, with phases and angles."""
+    return bool(manifest.get("turns"))
+
+
+def scale_known(manifest: Mapping[str, Any]) -> bool:
+    """Return whether positions are in metres; else they are in pixels of the recorded images.
+
+    Where they are not, nothing may be told in millimetres.
+    """
+    return manifest.get("scale") != UNKNOWN_SCALE
 
 
 def manifest_labels(manifest: Mapping[str, Any]) -> tuple[str, ...]:

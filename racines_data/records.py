@@ -17,6 +17,7 @@ from racines_data.schema import (
     PARAMETERS,
     PHASES,
     SOURCES,
+    TURNS,
     Trajectory,
     frame_features,
 )
@@ -31,11 +32,15 @@ RAW_PIXELS, MASK_PIXELS = "pixels", "mask_pixels"
 """Columns of images and masks as they are in memory, while a dataset is made."""
 
 
-def features_of(source: str, labels: Sequence[str] = LABELS) -> "Features":
-    """Return the features of `frames` for one source, a third party's included, and its labels."""
+def features_of(source: str, labels: Sequence[str] = LABELS, turned: bool = False) -> "Features":
+    """Return the features of `frames` for one source, a third party's included, and its labels.
+
+    `turned` frames are those of a rotation about the apex.
+    """
     if source in ADDED:
         return frame_features((*SOURCES, *ADDED), labels, patients=True)
-    return frame_features(SOURCES if source in SOURCES else (*SOURCES, source), labels)
+    sources = SOURCES if source in SOURCES else (*SOURCES, source)
+    return frame_features(sources, labels, turned=turned)
 
 
 def encode_png(image: np.ndarray) -> bytes:
@@ -52,7 +57,7 @@ def trajectory_to_table(
 ) -> pa.Table:
     """Return a trajectory as rows of the `frames` config, with the Hugging Face metadata."""
     count = len(trajectory)
-    features = features_of(source, labels)
+    features = features_of(source, labels, trajectory.turns is not None)
     floats = dict(zip(PARAMETERS, trajectory.parameters.T, strict=True))
     floats |= zip(CONTROLS, trajectory.controls.T, strict=True)
     floats["grade"] = trajectory.grades
@@ -73,6 +78,11 @@ def trajectory_to_table(
     columns["frame"] = pa.array(np.arange(count), pa.int32())
     if "patient" in features:
         columns |= _patient_columns(trajectory)
+    if trajectory.turns is not None:
+        phases = trajectory.phases
+        beat = np.full(count, np.nan) if phases is None else phases[:, 0]
+        named = zip((PHASES[0], *TURNS), (beat, *trajectory.turns.T), strict=True)
+        columns |= {name: pa.array(each, pa.float64(), from_pandas=True) for name, each in named}
     return pa.table([columns[name] for name in features], schema=features.arrow_schema)
 
 
@@ -116,6 +126,7 @@ def table_to_trajectory(table: pa.Table) -> Trajectory:
         grades=float_columns(table, ["grade"])[:, 0],
         phantom=table["phantom"][0].as_py(),
         **(_of_patient(table) if "patient" in table.column_names else {}),
+        **(_of_turns(table) if TURNS[0] in table.column_names else {}),
     )
 
 
@@ -132,6 +143,21 @@ def _of_patient(table: pa.Table) -> dict[str, Any]:
         "phases": None if np.isnan(phases).all() else phases,
         "masks": None if table["mask"].null_count else decode_images(table["mask"]),
     }
+
+
+def _of_turns(table: pa.Table) -> dict[str, Any]:
+    return {"turns": double_columns(table, TURNS), "phases": beats(table)}
+
+
+def beats(table: pa.Table) -> np.ndarray | None:
+    """Return (T, 2) phases of a rotation's rows, the second NaN; None where there are none."""
+    phases = np.stack([double_columns(table, PHASES[:1])[:, 0], np.full(len(table), np.nan)], -1)
+    return None if np.isnan(phases[:, 0]).all() else phases
+
+
+def double_columns(table: pa.Table, names: Sequence[str]) -> np.ndarray:
+    """Return (T, len(names)) float64, NaN for null."""
+    return np.stack([table[name].fill_null(np.nan).to_numpy() for name in names], -1)
 
 
 def float_columns(table: pa.Table, names: Sequence[str]) -> np.ndarray:

@@ -23,16 +23,24 @@ CONTROLS = ("control_x", "control_y", "control_z", "control_rx", "control_ry", "
 PHASES = ("cardiac_phase", "respiratory_phase")
 """Where a patient's heart and chest are in beat and breath, in [0, 1)."""
 
+TURNS = ("turn_angle", "train_angle")
+"""Of a rotation about the apex: the turn's angle, in [0, 180), and that to the nearest turn of the
+train split, degrees. Planes half a turn apart are one plane, mirrored."""
+
 SPLITS = ("train", "validation", "test")
 SOURCES = ("phantom", "release", "cactus", "tracked")
 
 
 def frame_features(
-    sources: Sequence[str] = SOURCES, labels: Sequence[str] = LABELS, patients: bool = False
+    sources: Sequence[str] = SOURCES,
+    labels: Sequence[str] = LABELS,
+    patients: bool = False,
+    turned: bool = False,
 ) -> "Features":
     """Return the features of `frames`; `sources` and `labels` name the classes of source, view.
 
-    With `patients`, those of simulated patients, who have four more.
+    With `patients`, those of simulated patients, who have four more; `turned`, those of a rotation
+    about the apex, which have the phase of the beat and two angles.
     """
     from datasets import ClassLabel, Features, Image, Value
 
@@ -54,6 +62,8 @@ def frame_features(
     if patients:
         columns |= {"patient": Value("int64"), **dict.fromkeys(PHASES, Value("float64"))}
         columns |= {"mask": Image(mode="L")}
+    if turned:
+        columns |= dict.fromkeys((PHASES[0], *TURNS), Value("float64"))
     return Features(columns)
 
 
@@ -79,7 +89,7 @@ class Trajectory:
     parameters: np.ndarray
     """(T, 12) float32; forces may be NaN."""
     timestamps: np.ndarray
-    """(T,) float64 seconds, increasing."""
+    """(T,) float64 seconds, increasing; NaN where there is no clock."""
     controls: np.ndarray
     """(T, 6) float32; NaN where unknown."""
     views: np.ndarray
@@ -91,14 +101,17 @@ class Trajectory:
     patient: int | None = None
     """Seed of the simulated patient; absent where none is scanned."""
     phases: np.ndarray | None = None
-    """(T, 2) float64 cardiac and respiratory phase in [0, 1), of a patient."""
+    """(T, 2) float64 cardiac and respiratory phase in [0, 1), of a patient; of a rotation about the
+    apex the second is NaN."""
     masks: np.ndarray | None = None
     """(T, 128, 128) uint8 labels of what each pixel shows, where there are any."""
+    turns: np.ndarray | None = None
+    """(T, 2) float64 degrees, as `TURNS`, of a rotation about the apex."""
 
     def __post_init__(self) -> None:
         """Check that every column has one entry a frame."""
-        columns = "parameters", "timestamps", "controls", "views", "grades", "phases", "masks"
-        for name in columns:
+        columns = "parameters", "timestamps", "controls", "views", "grades"
+        for name in (*columns, "phases", "masks", "turns"):
             column = getattr(self, name)
             if column is not None and len(column) != len(self.images):
                 raise RacinesError(

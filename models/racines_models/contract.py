@@ -13,6 +13,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
+from racines_data.schema import PARAMETERS
 from racines_models.sample import check_drawn
 
 CLAUSES = {
@@ -167,6 +168,12 @@ def check_pose(first: Tensor, other: Tensor, conditional: bool) -> None:
         raise ContractError("G7", f"{found}: declare conditional = {str(changes).lower()}")
 
 
+def other_poses(parameters: Tensor) -> Tensor:
+    """Return (N, 12) parameters each in the next row; of (N, 13), phases of the beat stay."""
+    width = len(PARAMETERS)
+    return torch.cat([parameters[:, :width].roll(1, 0), parameters[:, width:]], 1)
+
+
 def check_followed(images: Tensor, truth: Tensor) -> None:
     """Check that images are nearer to the frames at their own poses than to those at others.
 
@@ -198,7 +205,7 @@ def check_generator(draw: Draw, poses: Tensor, seeds: Tensor, told: Declared) ->
 
     Args:
         draw: Asked for images some twenty times.
-        poses: (N, 12), more than eight.
+        poses: (N, 12), or (N, 13) with the phase of the beat; more than eight.
         seeds: (N,) int64.
         told: Both have to be declared (see `check_declared`).
 
@@ -211,5 +218,5 @@ def check_generator(draw: Draw, poses: Tensor, seeds: Tensor, told: Declared) ->
     check_same(images, draw(poses, seeds), "G3")
     check_own_rows(draw, poses, seeds)
     check_seed(images, draw(poses, seeds + 1), bool(told.stochastic))
-    check_pose(images, draw(poses.roll(1, 0), seeds), bool(told.conditional))
+    check_pose(images, draw(other_poses(poses), seeds), bool(told.conditional))
     return images

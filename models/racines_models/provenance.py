@@ -10,6 +10,7 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
+from racines_data.manifest import UNKNOWN_SCALE, scale_known
 from racines_data.store.frames import FrameStore
 
 PASSING = ("seconds", "environment", "code")
@@ -30,9 +31,14 @@ def weights_sha256(folder: Path) -> dict[str, str]:
 
 
 def dataset_card(store: FrameStore) -> dict[str, Any]:
-    """Return what names a dataset: source, version and the two digests."""
+    """Return what names a dataset: source, version and the two digests.
+
+    And, where it is so, that the scale of its positions is unknown, and that phases are known.
+    """
     keys = ("source", "version", "digest", "recipe_digest")
-    return {key: store.manifest.get(key) for key in keys}
+    told = {key: store.manifest.get(key) for key in keys}
+    scale = {} if scale_known(store.manifest) else {"scale": UNKNOWN_SCALE}
+    return told | scale | ({"phase": True} if store.phased else {})
 
 
 def code_version() -> dict[str, Any]:

@@ -43,7 +43,7 @@ class Sample:
 
     frames: Batch
     trajectory: np.ndarray
-    """(N,) the trajectory of each, an integer."""
+    """(N,) the trajectory of each, an integer; of turns about the apex, the sector of 3°."""
 
     @property
     def digest(self) -> str:
@@ -75,6 +75,8 @@ def spread_sample(store: FrameStore, rows: Tensor, size: int) -> Sample:
     rows = rows[torch.argsort(store.trajectory_index[rows], stable=True)]
     if len(rows) > size:
         rows = rows[(torch.arange(size) * len(rows) + len(rows) // 2) // size]
+    if store.turns is not None:
+        return Sample(store.take(rows), store.units(rows))
     return Sample(store.take(rows), store.trajectory_index[rows].numpy())
 
 

@@ -23,7 +23,14 @@ from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE, ImageSource
 from racines_data.schema import PARAMETERS
 from racines_data.store.frames import FrameStore
-from racines_models.contract import check_own_rows, check_pose, check_same, check_seed, check_type
+from racines_models.contract import (
+    check_own_rows,
+    check_pose,
+    check_same,
+    check_seed,
+    check_type,
+    other_poses,
+)
 from racines_models.contract import check_rows as check_rows
 from racines_models.protocol import Card, Generator, Run
 
@@ -64,7 +71,7 @@ class GeneratorContract:
         return generator
 
     def parameters(self, store: FrameStore, count: int = 11) -> Tensor:
-        """Return (count, 12) parameters of held-out frames."""
+        """Return (count, 12) parameters of held-out frames; (count, 13) where phases are known."""
         return store.take(store.split_indices("test")[:count]).parameters
 
     def test_images_are_gray_levels(self, store: FrameStore, tmp_path: Path) -> None:
@@ -84,7 +91,7 @@ class GeneratorContract:
     def test_pose_counts_where_the_card_says_so(self, store: FrameStore, tmp_path: Path) -> None:
         """Other poses change the images exactly where the card says so."""
         generator, poses = self.fitted(store, tmp_path), self.parameters(store)
-        first, other = (generator.generate(x, 5) for x in (poses, poses.roll(1, 0)))
+        first, other = (generator.generate(x, 5) for x in (poses, other_poses(poses)))
         check_pose(first, other, generator.card.conditional)
 
     def test_two_fits_agree(self, store: FrameStore, tmp_path: Path) -> None:

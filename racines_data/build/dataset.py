@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.build import beside, writer
-from racines_data.build.planning import FORMAT, DataConfig, check_part, plan_units
+from racines_data.build.planning import FORMAT, DataConfig, check_part, own_splits, plan_units
 from racines_data.build.staging import stage_units, staging_folder
 from racines_data.config import Settings, fill, section
 from racines_data.digest import recipe_digest
@@ -138,7 +138,8 @@ def build(
     out.parent.mkdir(parents=True, exist_ok=True)
     with staging_folder(out, source, recipe_digest(recipe), config.allow) as folder:
         shares = config.validation, config.test, config.seed
-        splits, held = writer.assign_splits(units, *shares), writer.held_out_session(units)
+        splits = own_splits(units) or writer.assign_splits(units, *shares)
+        held = writer.held_out_session(units)
         main = writer.Part("frames", source, units, splits, folder / "frames", held)
         part, parts = None, [(source, units, main.folder, False)]
         if many is not None:

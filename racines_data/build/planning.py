@@ -62,6 +62,12 @@ def plan_units(source: Source, config: DataConfig) -> list[Unit]:
     return units
 
 
+def own_splits(units: Sequence[Unit]) -> dict[str, str]:
+    """Return the split of each trajectory id that units name themselves; empty if they do not."""
+    own = {unit.id: getattr(unit, "split", "") for unit in units}
+    return own if all(own.values()) else {}
+
+
 def check_part(part: "Part", allow: Sequence[str]) -> None:
     """Hold the staged trajectories of a source against one another."""
     if has_poses(part.source):

@@ -133,6 +133,7 @@ def write_dataset(
         "poses": has_poses(source),
         **({"card": card} if card else {}),
         **to_manifest(bounds or Bounds()),
+        **getattr(source, "told", {}),
         "held_out_session": main.held_out,
         "counts": _counts(rows),
         "report": {
@@ -170,10 +171,7 @@ def _keep_finished(final: Path) -> None:
 
 
 def write_part(final: Path, part: Part, shards: int, progress: bool) -> Paths:
-    """Write a config's shards, `shards` or more, and its store, where they are not there already.
-
-    Return the paths of the shards.
-    """
+    """Write a config's shards and its store, where they are not there; return the shards' paths."""
     rows = part.rows
     paths: Paths = {}
     counts = divide_shards([group.frames for group in part.groups], shards)

@@ -27,6 +27,7 @@ from racines_data.manifest import (
     added_configs,
     config_manifest,
     describe,
+    is_turned,
     manifest_labels,
 )
 from racines_data.records import features_of
@@ -63,7 +64,7 @@ _CONTEXT = {
 }
 _COLUMNS = {
     "image": "The frame: 8-bit gray, 128 by 128, beam axis down, probe at the top centre; PNG.",
-    "timestamp": "Time of the frame, s.",
+    "timestamp": "Time of the frame, s; null where there is no clock.",
     "view": "What the frame shows; null where unknown.",
     "grade": "Quality of the view, 0-10; null where unknown.",
     "view_predicted": "The view by a trained grader; null until annotated.",
@@ -77,6 +78,8 @@ _COLUMNS = {
     "patient": "Seed of the simulated patient; a patient lies wholly in one split.",
     "cardiac_phase": "Where the heart is in its beat, in [0, 1) from end diastole.",
     "respiratory_phase": "Where the chest is in its breath, in [0, 1) from breathed out.",
+    "turn_angle": "Angle of the turn about the apex, in [0, 180) degrees.",
+    "train_angle": "Angle from the turn to the nearest turn of the train split, degrees.",
     "mask": "Label of what each pixel of the image shows; PNG; null where there are no masks.",
     "split": "Split of the trajectory.",
     "frames": "Number of frames of the trajectory.",
@@ -227,7 +230,7 @@ def config_features(manifest: Mapping[str, Any], config: str) -> Features:
     if config == "trajectories":
         return trajectory_features()
     own = config_manifest(manifest, config)
-    return features_of(own["source"], manifest_labels(own))
+    return features_of(own["source"], manifest_labels(own), is_turned(own))
 
 
 def _file_objects(manifest: Mapping[str, Any], folder: Path) -> Iterator[dict[str, Any]]:

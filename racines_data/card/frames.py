@@ -13,7 +13,13 @@ import numpy as np
 import pyarrow as pa
 
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.manifest import METADATA, MULTI_PHANTOM, added_configs, manifest_labels
+from racines_data.manifest import (
+    METADATA,
+    MULTI_PHANTOM,
+    added_configs,
+    manifest_labels,
+    scale_known,
+)
 from racines_data.records import PIXELS
 from racines_data.schema import PARAMETERS, SPLITS
 from racines_data.sources.base import manifest_card
@@ -54,6 +60,16 @@ PATIENT_COLUMNS = (
     ("mask", "PNG, 8-bit labels", "", "what each pixel shows; null where none was asked for"),
 )
 """The same of what frames of patients have besides."""
+TURN_COLUMNS = (
+    ("cardiac_phase", "float64", "", "of the beat, in [0, 1); null where the heart is still"),
+    ("turn_angle", "float64", "°", "of the turn about the apex, in [0, 180): then it is mirrored"),
+    ("train_angle", "float64", "°", "from there to the nearest turn of the train split"),
+)
+"""The same of what frames of a rotation about the apex have besides."""
+
+
+PIXELS_UNIT = "pixels"
+"""Unit of positions where the scale is not known."""
 
 
 def has_paper(manifest: Mapping[str, Any]) -> bool:
@@ -61,9 +77,10 @@ def has_paper(manifest: Mapping[str, Any]) -> bool:
     return manifest_card(manifest).like_paper and manifest_labels(manifest) == LABELS
 
 
-def unit_of(parameter: str) -> str:
-    """Return the SI unit of a parameter."""
-    units = {"force": "N", "torque": "N·m", "position": "m", "rotation": "rad"}
+def unit_of(parameter: str, scaled: bool = True) -> str:
+    """Return the SI unit of a parameter; without a known scale positions are in pixels."""
+    length = "m" if scaled else PIXELS_UNIT
+    units = {"force": "N", "torque": "N·m", "position": length, "rotation": "rad"}
     return units[parameter.partition("_")[0]]
 
 
@@ -96,6 +113,8 @@ class Frames:
     """Seed of each trajectory's patient, where patients are scanned."""
     masks: np.ndarray | None = None
     """(N, 128, 128) uint8 labels, where frames have masks."""
+    scaled: bool = True
+    """Whether positions are in metres; else they are in pixels."""
 
     def rows_of(self, trajectory: int) -> slice:
         """Return the rows of one trajectory; they are neighbours."""
@@ -123,6 +142,7 @@ def read_frames(path: Path, manifest: Mapping[str, Any]) -> Frames:
         labels=manifest_labels(manifest),
         patients=named.get("patients"),
         masks=masks,
+        scaled=scale_known(manifest),
     )
 
 
@@ -198,7 +218,7 @@ def statistics_table(manifest: Mapping[str, Any]) -> str:
             cells = [" / ".join(pair) for pair in zip(cells, theirs, strict=True)]
             cells.append(number((ours["mean"] - known.mean) / known.std, 2))
             cells.append(number(ours["std"] / known.std, 2))
-        rows.append((code(name), unit_of(name), *cells))
+        rows.append((code(name), unit_of(name, scale_known(manifest)), *cells))
     head = ("parameter", "unit", "min", "max", "mean", "std")
     beside = ("Δ mean, paper's std", "std ratio") if paper else ()
     return markdown_table((*head, *beside), rows, right=2)

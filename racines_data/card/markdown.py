@@ -10,7 +10,14 @@ from racines_data.card.croissant import config_features, datasheet, rai_fields
 from racines_data.card.patients import patients_section
 from racines_data.card.realism import realism_section
 from racines_data.escape import visible
-from racines_data.manifest import MULTI_PHANTOM, added_configs, describe, manifest_labels
+from racines_data.manifest import (
+    MULTI_PHANTOM,
+    added_configs,
+    describe,
+    is_turned,
+    manifest_labels,
+    scale_known,
+)
 from racines_data.sources.base import manifest_card
 from racines_data.tables import Markdown, code, escape, markdown_table
 from racines_data.views import LABELS
@@ -81,6 +88,7 @@ def write_card(manifest: Mapping[str, Any]) -> str:
         "## What a row is",
         f"One frame. Robot base frame, SI units; views are {views}, and `Random` for none of them.",
         frames.columns_table(),
+        *_turned(manifest),
         "## Configs and splits",
         "\n".join(_configs(manifest)),
         frames.splits_table(manifest),
@@ -155,7 +163,8 @@ def _front_matter(manifest: Mapping[str, Any]) -> dict[str, Any]:
 def _configs(manifest: Mapping[str, Any]) -> Iterator[str]:
     """Yield a line for each config."""
     held, many = manifest["held_out_session"], manifest.get(MULTI_PHANTOM)
-    yield "- `frames` (default): one row a frame; splits by trajectory, stratified by target view."
+    by = "angle of the turn" if is_turned(manifest) else "trajectory, stratified by target view"
+    yield f"- `frames` (default): one row a frame; splits by {by}."
     yield "- `trajectories`: one row a trajectory, in the same splits, with its digest."
     if held is None:
         yield "- No `sessions` config: there is only one session, so none can be held out."
@@ -172,6 +181,27 @@ def _configs(manifest: Mapping[str, Any]) -> Iterator[str]:
         yield (
             f"- `{name}`: frames of {manifest[name]['counts']['patients']} simulated patients, "
             f"{still}; more columns than `frames`; splits by patient."
+        )
+
+
+def _turned(manifest: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what frames of a rotation about the apex have besides, and what splits them."""
+    if not is_turned(manifest):
+        return
+    turns = manifest["turns"]
+    yield "Besides, of a rotation about the apex:"
+    yield frames.columns_table(frames.TURN_COLUMNS)
+    blocks = "one wide block" if turns["split"] == "gap" else "several narrow blocks"
+    yield (
+        f"{turns['count']} turns, each a trajectory of {turns['phases']} phases of one beat. "
+        f"Splits hold out {blocks} of turns by their angle, modulo 180°: a test turn lies "
+        f"{turns['median']:.2g}° from the nearest training turn (median), "
+        f"{turns['farthest']:.2g}° at most."
+    )
+    if not scale_known(manifest):
+        yield (
+            "**The scale is unknown: positions are in pixels of the recorded images, not in "
+            "metres,** and nothing may be told in millimetres."
         )
 
 
@@ -250,7 +280,8 @@ def _picture(manifest: Mapping[str, Any], name: str) -> str:
         return ""
     measured, graded = manifest["statistics"]["parameters"], _graded(manifest)
     values = ["grade"] * graded
-    values += ["position (mm)", "rotation (degrees)"] * ("position_x" in measured)
+    length = "mm" if scale_known(manifest) else frames.PIXELS_UNIT
+    values += [f"position ({length})", "rotation (degrees)"] * ("position_x" in measured)
     values += ["force (N)"] * ("force_x" in measured)
     order = "from the best grade to the worst" if graded else "from bright to dark"
     over = " over the block" if manifest_card(manifest).simulated else ""

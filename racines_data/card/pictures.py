@@ -13,10 +13,17 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from racines_data.card.frames import CACTUS_COUNTS, Frames, card_statistics, has_paper, read_frames
+from racines_data.card.frames import (
+    CACTUS_COUNTS,
+    PIXELS_UNIT,
+    Frames,
+    card_statistics,
+    has_paper,
+    read_frames,
+)
 from racines_data.card.plots import parameters_figure, shares_figure, trajectories_figure
 from racines_data.geometry import POSITION
-from racines_data.manifest import ADDED, MULTI_PHANTOM, store_name
+from racines_data.manifest import ADDED, MULTI_PHANTOM, is_turned, store_name
 from racines_data.plotting import MUTED, card_style, encode, evenly
 from racines_data.views import VIEW_TITLES
 
@@ -46,7 +53,7 @@ def write_pictures(final: Path, manifest: dict[str, Any]) -> None:
     if (frames.views >= 0).any():
         cactus = frames.labels == tuple(CACTUS_COUNTS)
         figures["shares"] = partial(shares_figure, frames, statistics, cactus)
-    if np.isfinite(frames.parameters[:, POSITION]).any():
+    if np.isfinite(frames.parameters[:, POSITION]).any() and not is_turned(manifest):
         figures["trajectories"] = partial(trajectories_figure, frames, manifest)
     if MULTI_PHANTOM in manifest["configs"]:
         hearts = read_frames(final / store_name(MULTI_PHANTOM), manifest)
@@ -138,7 +145,9 @@ def _values(frames: Frames, row: int) -> list[str]:
     p[:3] = p[:3].round(1) + 0.0  # no minus before a zero
     lines = [] if np.isnan(grade) else [f"grade {grade:.1f}"]
     if np.isfinite(p[6:9]).all():
-        lines.append("pos {:.0f}, {:.0f}, {:.0f} mm".format(*((1e3 * p[6:9]).round() + 0.0)))
+        scale, unit = (1e3, "mm") if frames.scaled else (1.0, PIXELS_UNIT)
+        place = (scale * p[6:9]).round() + 0.0
+        lines.append("pos {:.0f}, {:.0f}, {:.0f} {unit}".format(*place, unit=unit))
         lines.append("rot {:.0f}°, {:.0f}°, {:.0f}°".format(*np.degrees(p[9:]).round() + 0.0))
     if np.isfinite(p[:3]).all():
         lines.append("force {:.1f}, {:.1f}, {:.1f} N".format(*p[:3]))

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from racines_data.card.frames import CACTUS_COUNTS, GRADE_EDGES, Frames, unit_of
+from racines_data.card.frames import CACTUS_COUNTS, GRADE_EDGES, PIXELS_UNIT, Frames, unit_of
 from racines_data.plotting import MUTED, OURS, PAPER, SPLIT_COLOURS, evenly, view_colours
 from racines_data.schema import PARAMETERS
 from racines_data.views import PAPER_STATISTICS
@@ -33,6 +33,7 @@ def parameters_figure(frames: Frames, statistics: dict[str, Any], paper: bool) -
     for axis, name in zip(axes, names, strict=False):
         values = frames.parameters[:, PARAMETERS.index(name)]
         _parameter(axis, name, values[np.isfinite(values)], statistics["parameters"][name], paper)
+        axis.set_xlabel(unit_of(name, frames.scaled), labelpad=1)
     handles = [
         Patch(color=OURS, alpha=0.75, label="this dataset, share of frames"),
         Line2D([], [], color=OURS, lw=1.6, label="its mean"),
@@ -69,7 +70,6 @@ def _parameter(
     axis.axvline(ours["mean"], color=OURS, lw=1.6)
     margin = 0.04 * (high - low)
     axis.set(xlim=(low - margin, high + margin), title=name)
-    axis.set_xlabel(unit_of(name), labelpad=1)
     axis.set_ylabel("%", labelpad=1)
     axis.locator_params(axis="x", nbins=5)
     axis.locator_params(axis="y", nbins=4)
@@ -162,9 +162,10 @@ def trajectories_figure(frames: Frames, manifest: dict[str, Any]) -> Figure:
 def _paths(figure: Figure, place: _Rectangle, frames: Frames, manifest: dict[str, Any]) -> None:
     axis = block_axes(figure, place, manifest, 0.35)
     colours, used = view_colours(frames.labels), {}
+    scale, unit = (1e3, "mm") if frames.scaled else (1.0, PIXELS_UNIT)
     for index in evenly(len(frames.target_views), PATHS):
         rows = frames.rows_of(int(index))
-        tip = 1e3 * frames.parameters[rows, 6:9].astype(float)
+        tip = scale * frames.parameters[rows, 6:9].astype(float)
         tip = tip[evenly(len(tip), POINTS)]
         name = frames.target_views[index]
         used[name] = colours.get(name, MUTED)
@@ -176,7 +177,9 @@ def _paths(figure: Figure, place: _Rectangle, frames: Frames, manifest: dict[str
         bbox_to_anchor=(place[0] + place[2] / 2, 0.0), title="target view",
     )  # fmt: skip
     for letter in "xyz":
-        getattr(axis, f"set_{letter}label")(f"{letter}, mm", labelpad=-3 if letter == "z" else 2)
+        getattr(axis, f"set_{letter}label")(
+            f"{letter}, {unit}", labelpad=-3 if letter == "z" else 2
+        )
     axis.tick_params(pad=0, labelsize=7.5)
     axis.zaxis.set_major_locator(MaxNLocator(5))
     axis.set_box_aspect((1.2, 1.0, 0.62), zoom=1.1)  # pyright: ignore[reportArgumentType]

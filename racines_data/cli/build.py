@@ -79,10 +79,11 @@ def build(
 def import_(
     inputs: Annotated[list[Path], typer.Argument(help="Folder or files to import.")],
     source: Annotated[
-        str, typer.Option(help="release, cactus, tracked, table, or another's name.")
+        str, typer.Option(help="release, cactus, tracked, table, rotation, or another's name.")
     ] = "release",
     out: opt.Out = Path("data/imported"),
     mapping: opt.Mapping = None,
+    pixel_mm: opt.PixelMm = None,
     licence: Annotated[
         str, typer.Option(help="Licence of the recordings, e.g. CC-BY-4.0; kept on the card.")
     ] = "",
@@ -115,7 +116,8 @@ def import_(
     )
     values |= given(allow=allow or None, licence=licence or None, consent=consent or None)
     config, sections = dataset.read_data_section(values)
-    own = sections.get(config.source, {}) | overrides(settings) | given(mapping=mapping)
+    own = sections.get(config.source, {}) | overrides(settings)
+    own |= given(mapping=mapping, pixel_mm=pixel_mm)
     made = dataset.make_source(config, own, inputs)
     if asks(made) and not config.licence:
         say(f"racines: {WARNING}", err=True)

@@ -49,6 +49,9 @@ Mapping = Annotated[
     Path | None,
     typer.Option(help="What is what in the folder, YAML.  [default: mapping.yaml in it]"),
 ]
+PixelMm = Annotated[
+    float | None, typer.Option(help="Size of a pixel, mm, where the recording does not say it.")
+]
 Strict = Annotated[bool, typer.Option(help="Stop at the first refused input.")]
 Allow = Annotated[
     list[str] | None,

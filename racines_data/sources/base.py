@@ -65,6 +65,9 @@ class Source(Protocol):
     single images, without poses and times, has `poses = False`; both are then NaN. What there is to
     say of its data is its `card`, a `SourceCard`.
 
+    A source that knows to which split a trajectory belongs gives its units a `split`; one that has
+    more to say of the whole has a dictionary `told`, which the manifest then holds, once planned.
+
     A source whose config stands beside those of a dataset that is there, and does not take its
     place, names that config as `adds`; see `racines_data.build.beside`.
     """

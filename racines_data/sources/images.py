@@ -62,6 +62,10 @@ class Kind(StrEnum):
     GAP = "gap in numbers"
     EMPTY_FOLDER = "empty folder"
     UNKNOWN = "unknown file"
+    ORDER = "order of images"
+    SPLIT = "splits by turn"
+    SCALE = "unknown scale"
+    PHASE = "phases of the beat"
 
 
 class Fault(RacinesError):

@@ -26,8 +26,11 @@ from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import ADDED, MULTI_PHANTOM, STORES
 from racines_data.records import PIXELS
-from racines_data.schema import CONTROLS, PARAMETERS, PHASES
+from racines_data.schema import CONTROLS, PARAMETERS, PHASES, TURNS
 from racines_data.views import LABELS
+
+SECTOR = 3.0
+"""Degrees within which the turns about the apex of one heart are no independent ones."""
 
 
 class Batch(NamedTuple):
@@ -36,7 +39,8 @@ class Batch(NamedTuple):
     images: Tensor
     """(B, 128, 128) uint8."""
     parameters: Tensor
-    """(B, 12) float32, SI; forces NaN where absent."""
+    """(B, 12) float32, SI; forces NaN where absent. (B, 13) of recordings that know the phase of
+    the beat, which is the last."""
     views: Tensor
     """(B,) int64 labels, -1 where unknown."""
     grades: Tensor
@@ -97,7 +101,7 @@ class FrameStore:
     grades: Tensor
     """(N,) float32, 0-10, NaN where unknown."""
     timestamps: Tensor
-    """(N,) float64 seconds."""
+    """(N,) float64 seconds; NaN where there is no clock."""
     controls: Tensor
     """(N, 6) float32, NaN where unknown."""
     trajectory_index: Tensor
@@ -117,7 +121,10 @@ class FrameStore:
     patients: list[int] | None = None
     """Seed of each trajectory's patient; None where no patients are scanned."""
     phases: Tensor | None = None
-    """(N, 2) float64 cardiac and respiratory phase in [0, 1), of patients."""
+    """(N, 2) float64 cardiac and respiratory phase in [0, 1), of patients; the second is NaN of a
+    rotation about the apex."""
+    turns: Tensor | None = None
+    """(N, 2) float64 degrees, as `schema.TURNS`, of a rotation about the apex; else None."""
     masks: Tensor | None = None
     """(N, 128, 128) uint8, a view of the file: numbers of `mask_labels`; None without masks."""
     mask_labels: tuple[str, ...] | None = None
@@ -171,7 +178,12 @@ class FrameStore:
         return pq.read_table(self.root / name)
 
     def units(self, rows: Tensor) -> np.ndarray:
-        """Return (N,) of what (N,) rows were drawn independently: their patient, or trajectory."""
+        """Return (N,) of what (N,) rows were drawn independently: their patient, or trajectory.
+
+        Turns about the apex that lie within 3° are one: their frames are nearly the same.
+        """
+        if self.turns is not None:
+            return (self.turns[rows, 0] / SECTOR).long().numpy()
         trajectory = self.trajectory_index[rows].numpy()
         return trajectory if self.patients is None else np.array(self.patients)[trajectory]
 
@@ -217,6 +229,8 @@ class FrameStore:
         self.frame = column("frame", torch.int64)
         if "phases" in table.column_names:
             self.phases = column("phases", torch.float64, len(PHASES))
+        if "turns" in table.column_names:
+            self.turns = column("turns", torch.float64, len(TURNS))
         if "mask" in table.column_names:
             self.masks = column("mask", torch.uint8, IMAGE_SIZE, IMAGE_SIZE)
             self.mask_labels = tuple(self.manifest["mask_labels"])
@@ -273,12 +287,27 @@ class FrameStore:
 
     def take(self, index: Tensor, out: Tensor | None = None) -> Batch:
         """Return the frames of (B,) int64 rows; `out` is (B, 2048) int64 memory for the images."""
-        columns = self.parameters, self.views, self.grades
         # Rows of int64 words: a row copy moves 8 bytes at a time whatever the element.
         images = torch.index_select(self._words, 0, index, out=out).view(torch.uint8)
         images = images.view(-1, IMAGE_SIZE, IMAGE_SIZE)
-        parameters, views, grades = (column.index_select(0, index) for column in columns)
-        return Batch(images, parameters, views, grades, index)
+        views, grades = (column.index_select(0, index) for column in (self.views, self.grades))
+        return Batch(images, self.conditions(index), views, grades, index)
+
+    @property
+    def phased(self) -> bool:
+        """Whether frames are conditioned on the phase of the beat: recordings that know it are.
+
+        Simulated patients beat as well, and are conditioned on what their probe knows alone.
+        """
+        return self.turns is not None and self.phases is not None
+
+    def conditions(self, rows: Tensor) -> Tensor:
+        """Return (B, 12) parameters of (B,) rows, or (B, 13), the phase of the beat last."""
+        parameters = self.parameters.index_select(0, rows)
+        if not self.phased or self.phases is None:
+            return parameters
+        beat = self.phases[:, :1].index_select(0, rows).to(parameters.dtype)
+        return torch.cat([parameters, beat], 1)
 
     def with_parameters(self, parameters: Tensor) -> Self:
         """Return a store of the same frames with other (N, 12) parameters, for this process."""

@@ -22,11 +22,13 @@ from racines_data.records import (
     MASK_PIXELS,
     PIXELS,
     RAW_PIXELS,
+    beats,
     decode_images,
+    double_columns,
     float_columns,
     pixels_array,
 )
-from racines_data.schema import CONTROLS, PARAMETERS, PHASES, SPLITS
+from racines_data.schema import CONTROLS, PARAMETERS, PHASES, SPLITS, TURNS
 
 _BATCH = 1024
 _IDENTITY = ("trajectory", "session", "target_view")
@@ -186,10 +188,15 @@ def _store_columns(table: pa.Table, index: int) -> pa.Table:
         flat = pa.array(float_columns(table, names).ravel(), pa.float32())
         return pa.FixedSizeListArray.from_arrays(flat, len(names))
 
-    phases = {}
+    phases, doubles = {}, {}
     if "patient" in table.column_names:
-        both = np.stack([table[name].fill_null(np.nan).to_numpy() for name in PHASES], -1)
-        phases["phases"] = pa.FixedSizeListArray.from_arrays(pa.array(both.ravel()), len(PHASES))
+        doubles["phases"] = double_columns(table, PHASES)
+    if TURNS[0] in table.column_names:
+        doubles["turns"] = double_columns(table, TURNS)
+        if (both := beats(table)) is not None:
+            doubles["phases"] = both
+    for name, both in doubles.items():
+        phases[name] = pa.FixedSizeListArray.from_arrays(pa.array(both.ravel()), both.shape[1])
     return pa.table(
         {
             "parameters": stacked(PARAMETERS),

@@ -138,8 +138,10 @@ def _check_paper(result: Validation, parameters: np.ndarray) -> None:
 def _check_meaning(result: Validation, prefix: str, found: Survey) -> None:
     manifest = config_manifest(result.manifest, found.config)
     named, simulated = manifest_labels(manifest), _is_simulated(manifest)
-    repeats = manifest_bounds(manifest).repeats
-    if manifest.get("poses", True):  # single images have neither poses nor times
+    bounds = manifest_bounds(manifest)
+    repeats = bounds.repeats
+    # Single images have neither poses nor times, and not every recording has a clock.
+    if manifest.get("poses", True) and bounds.clock:
         result.add(f"{prefix}times", lambda: identity.check_times(found, repeats))
         result.add(f"{prefix}rate", lambda: identity.check_rate(found), binding=simulated)
     result.add(f"{prefix}labels", lambda: meaning.check_labels(found, named))

@@ -23,7 +23,7 @@ from racines_data.build.staging import in_workers
 from racines_data.digest import trajectory_digest
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
-from racines_data.manifest import config_manifest, manifest_labels
+from racines_data.manifest import config_manifest, is_turned, manifest_labels
 from racines_data.progress import progress_bar
 from racines_data.records import features_of, table_to_trajectory
 from racines_data.schema import Trajectory
@@ -40,7 +40,10 @@ _KEPT = (
     *("id", "session", "target_view", "phantom", "patient"),
     *("parameters", "timestamps", "views", "grades", "phases"),
 )
-_STORED = ("images", "views", "parameters", "controls", "grades", "timestamps", "phases", "masks")
+_STORED = (
+    *("images", "views", "parameters", "controls", "grades"),
+    *("timestamps", "phases", "turns", "masks"),
+)
 
 
 @dataclass(frozen=True)
@@ -120,7 +123,8 @@ class Survey:
 def plan_pieces(root: Path, manifest: dict[str, Any], config: str) -> list[Piece]:
     """Divide the rows of a config, whose columns must be the schema's, into pieces for workers."""
     manifest = config_manifest(manifest, config)
-    schema = features_of(manifest["source"], manifest_labels(manifest)).arrow_schema
+    named = manifest["source"], manifest_labels(manifest), is_turned(manifest)
+    schema = features_of(*named).arrow_schema
     pieces: list[Piece] = []
     known = manifest.get("poses", True), manifest_bounds(manifest)
     start = 0

@@ -60,7 +60,7 @@ class FakeStore(FrameStore):
         self._splits = {name: list(bounds[i : i + 2]) for i, name in enumerate(names)}
 
     def take(self, index: Tensor, out: Tensor | None = None) -> Batch:
-        images, parameters = self.images[index], self.parameters[index]
+        images, parameters = self.images[index], self.conditions(index)
         return Batch(images, parameters, self.views[index], self.grades[index], index)
 
 

@@ -12,7 +12,8 @@ from torch import Tensor
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
-from racines_data.imaging import check_parameters
+from racines_data.imaging import conditions_for
+from racines_data.manifest import UNKNOWN_SCALE
 from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
 from racines_models.networks.painting import OnnxModule
@@ -24,6 +25,9 @@ from racines_models.training.processes import is_main_process
 from racines_models.weights import load_weights, read_described, save_weights
 
 SCHEMA = "racines.generator/1"
+NOMINAL = 1e-3
+"""Metres that a pixel is taken for where the scale is not known: sizes in settings are in metres,
+and only need to be right to a factor of two. Nothing is told in it."""
 C = TypeVar("C")
 
 
@@ -57,13 +61,26 @@ class BaseGenerator(ABC, Generic[C]):
         card = self.card
         return {"name": card.name, "config": card.config, "seed": card.seed, "data": card.data}
 
+    @property
+    def phased(self) -> bool:
+        """Whether it is conditioned on the phase of the beat: its training data know that."""
+        return bool(self.data.get("phase"))
+
+    @property
+    def metres(self) -> float:
+        """Metres of a unit of the positions; of a scale that is not known, a pixel is 1 mm."""
+        return NOMINAL if self.data.get("scale") == UNKNOWN_SCALE else 1.0
+
     @abstractmethod
     def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
         """Learn from the train split and return metrics."""
 
     @abstractmethod
     def draw(self, parameters: Tensor, seed: int | Tensor) -> Tensor:
-        """Return (B, 128, 128) uint8 images of checked (B, 12) parameters on `self.device`."""
+        """Return (B, 128, 128) uint8 images of checked parameters on `self.device`.
+
+        (B, 12); if it is `phased`, (B, 13), the phase last.
+        """
 
     def tensors(self) -> dict[str, Tensor]:
         """Return what the model file holds; empty before the fit."""
@@ -107,7 +124,8 @@ class BaseGenerator(ABC, Generic[C]):
         """Return (B, 128, 128) uint8 images, on the parameters' device (see `ImageSource`)."""
         if not self.tensors():
             raise RacinesError(f"{self.name} is not fitted: call fit, or load a trained folder")
-        checked = check_parameters(parameters).to(self.device, torch.float32)
+        checked = conditions_for(parameters, self.phased, self.name)
+        checked = checked.to(self.device, torch.float32)
         return self.draw(checked, seed).to(parameters.device)
 
     @property

@@ -83,12 +83,13 @@ class Flow(NetworkGenerator[FlowConfig]):
     def untrained(self) -> dict[str, nn.Module]:
         """Return the U-Net, which has the conditioning in it."""
         config = self.config
-        sizes = config.width, config.octaves, config.extent, Conditioning(config.conditioning)
-        return {"unet": PlacedUNet(*sizes, config.preconditioned)}
+        conditioning = Conditioning(config.conditioning, self.phased)
+        sizes = config.width, config.octaves, config.extent, conditioning
+        return {"unet": PlacedUNet(*sizes, config.preconditioned, self.metres)}
 
     def prepare(self, store: FrameStore) -> None:
         """Fit the conditioning."""
-        self.net("unet").fit(store.parameters[store.split_indices("train")])
+        self.net("unet").fit(store.conditions(store.split_indices("train")))
 
     def optimizers(self) -> dict[str, Optimizer]:
         """Return one Adam."""

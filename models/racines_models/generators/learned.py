@@ -112,7 +112,7 @@ class AdversarialGenerator(NetworkGenerator[C]):
     def untrained(self) -> Mapping[str, nn.Module]:
         """Return the networks, the one that draws behind the sector's stencil."""
         config: Any = self.config
-        conditioning = Conditioning(config.conditioning)
+        conditioning = Conditioning(config.conditioning, self.phased)
         nets = {"conditioning": conditioning, **self.networks(conditioning.width)}
         return nets | {self.drawing: Framed(nets[self.drawing])}
 
@@ -126,7 +126,7 @@ class AdversarialGenerator(NetworkGenerator[C]):
     def prepare(self, store: FrameStore) -> None:
         """Fit the conditioning, and the sector if the config says so."""
         config: Any = self.config
-        self.net("conditioning").fit(store.parameters[store.split_indices("train")])
+        self.net("conditioning").fit(store.conditions(store.split_indices("train")))
         if config.sector:
             self.net(self.drawing).fit(store)
 

@@ -1,5 +1,6 @@
 """Retrieval: the training image whose pose is nearest."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -7,10 +8,11 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import parameters_to_pose, pose_keys
+from racines_data.geometry import Pose, parameters_to_pose, pose_keys
 from racines_data.store.frames import FrameStore
 from racines_models.adapting import check_scout
 from racines_models.generators.base import BaseGenerator
+from racines_models.networks.layers import on_circle
 from racines_models.protocol import Run
 from racines_models.sample import evenly
 
@@ -25,12 +27,17 @@ class NearestPoseConfig:
     metres_per_radian: float = 0.07
     """What a turn weighs against a shift: the depth at which a point moves by as much in both.
     The default is half of the usual 14 cm imaging depth."""
+    metres_per_beat: float = 0.5
+    """What a beat weighs against a shift, where the data know its phase: the circumference of the
+    circle on which phases lie. Half of a beat is then 16 cm away, a sixth 8 cm."""
     frames: int = 0
     """Training frames kept, evenly spread over the split; 0 keeps all."""
 
     def __post_init__(self) -> None:
-        if self.metres_per_radian < 0 or self.frames < 0:
-            raise RacinesError("nearest-pose: metres_per_radian and frames are 0 or more")
+        if min(self.metres_per_radian, self.metres_per_beat, self.frames) < 0:
+            raise RacinesError(
+                "nearest-pose: metres_per_radian, metres_per_beat and frames are 0 or more"
+            )
 
 
 class NearestPose(BaseGenerator[NearestPoseConfig]):
@@ -38,7 +45,8 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
 
     The distance is sqrt(|Δp|² + (w · 2 sin(θ/2))²) with Δp in metres, θ the angle between the
     rotations and w metres per radian: Euclidean in position and w/√2 times the rotation matrix,
-    so the search is one exact batched distance.
+    so the search is one exact batched distance. Where the data know the phase of the beat, the
+    chord between two phases on a circle is a further part of it.
     """
 
     name = "nearest-pose"
@@ -71,8 +79,16 @@ class NearestPose(BaseGenerator[NearestPoseConfig]):
         return other
 
     def embed(self, parameters: Tensor) -> Tensor:
-        """Return (B, 12) keys of (B, 12) parameters: Euclidean distance is that of the poses, m."""
-        return pose_keys(parameters_to_pose(parameters), self.config.metres_per_radian)
+        """Return (B, 12) keys of (B, 12) parameters: Euclidean distance is that of the poses, m.
+
+        (B, 14) of (B, 13), the last of which is the phase of the beat.
+        """
+        pose, beat = parameters_to_pose(parameters), parameters[:, 12:]
+        pose = Pose(pose.position * self.metres, pose.rotation)
+        keys = pose_keys(pose, self.config.metres_per_radian)
+        if not beat.shape[1]:
+            return keys
+        return torch.cat([keys, self.config.metres_per_beat / math.tau * on_circle(beat)], 1)
 
     def nearest(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """Return the (B,) index of the nearest training frame and the (B,) distance, m."""

@@ -13,6 +13,7 @@ from racines_data.geometry import Pose, parameters_to_pose
 from racines_data.randomness import derive, uniform
 from racines_data.store.frames import FrameStore
 from racines_models.generators.learned import NetworkGenerator
+from racines_models.networks.layers import on_circle
 from racines_models.networks.painting import OnnxModule
 from racines_models.networks.scene_field.echo import MID, EchoDecoder, Place, image_loss
 from racines_models.networks.scene_field.field import Layout, VoxelField, lay_out
@@ -52,6 +53,9 @@ class SceneFieldConfig:
     """Adam's rate of shift (in mm), turn and scale (ten times less); 0 trusts the start."""
     offset_rate: float = 2e-2
     """Adam's rate of the samples' offsets out of the plane, mm; 0 leaves a flat image plane."""
+    harmonics: int = 2
+    """Waves of the beat that a voxel's numbers follow, where the data know its phase: a constant,
+    and sine and cosine of each; 0 leaves a still scene."""
     pixel_weight: float = 4.0
     """Of the absolute error against 1 - SSIM."""
     training: Training = Training(
@@ -65,6 +69,8 @@ class SceneFieldConfig:
             raise RacinesError("scene-field.coverage: a share in (0, 1]")
         if min(self.field_rate, self.coarse_rate, self.decoder_rate) <= 0:
             raise RacinesError("scene-field: field_rate, coarse_rate and decoder_rate are above 0")
+        if self.harmonics < 0:
+            raise RacinesError("scene-field.harmonics: 0 or more")
         if min(self.calibration_rate, self.offset_rate, self.pixel_weight, self.spread) < 0:
             raise RacinesError("scene-field: rates, pixel_weight and spread are 0 or more")
 
@@ -94,25 +100,40 @@ class SceneField(NetworkGenerator[SceneFieldConfig]):
         some = evenly(len(poses.position), SURVEY)
         with torch.no_grad():
             surveyed = Pose(poses.position[some], poses.rotation[some])
-            looked = Probe(config.probe).points(surveyed, coarse=True)
+            looked = Probe(config.probe, self.metres).points(surveyed, coarse=True)
         points = looked.flatten(1).T.contiguous()
         fine = lay_out(points, 1e3 * config.voxel, config.coverage)
         self._layouts = fine, lay_out(points, 1e3 * config.coarse_voxel, 1.0)
         metrics = super().learn(store, run)
         for name in ("fine", "coarse"):
             self.net(name).quantise()
-        return metrics | {"calibration": self.net("probe").calibration()}
+        calibration = self.net("probe").calibration()
+        if self.metres != 1.0:  # nothing is told in metres where the scale is not known
+            del calibration["shift_m"]
+        return metrics | {"calibration": calibration}
 
     def untrained(self) -> dict[str, nn.Module]:
         """Return the fields of the laid voxels, the probe, the decoder, and its view of a pose."""
-        config, (fine, coarse), place = self.config, self._layouts, Place()
+        config, (fine, coarse), place = self.config, self._layouts, Place(self.phased)
         return {
-            "fine": VoxelField(fine, 1e3 * config.voxel, config.channels, config.spread),
-            "coarse": VoxelField(coarse, 1e3 * config.coarse_voxel, MID, 0.02),
-            "probe": Probe(config.probe),
+            "fine": self._field(fine, config.voxel, config.channels, config.spread),
+            "coarse": self._field(coarse, config.coarse_voxel, MID, 0.02),
+            "probe": Probe(config.probe, self.metres),
             "decoder": EchoDecoder(config.probe.beams, config.probe.samples, place.width),
             "place": place,
         }
+
+    def _field(self, layout: Layout, voxel: float, channels: int, spread: float) -> VoxelField:
+        """Return a field of numbers, each with its waves of the beat, which start at zero."""
+        field = VoxelField(layout, 1e3 * voxel, channels * self._waves, spread)
+        with torch.no_grad():
+            field.values[:, channels:] = 0.0
+        return field
+
+    @property
+    def _waves(self) -> int:
+        """Numbers for each that a still scene has."""
+        return 1 + 2 * self.config.harmonics * self.phased
 
     def prepare(self, store: FrameStore) -> None:
         """Take the scales of the training poses."""
@@ -156,18 +177,34 @@ class SceneField(NetworkGenerator[SceneFieldConfig]):
         picks: Tensor | None = None,
         live: int = 0,
     ) -> Tensor:
-        """Return (B, 128, 128) images of (B, 12) parameters, black 0 and white 1, unclipped."""
+        """Return (B, 128, 128) images of checked parameters, black 0, white 1, unclipped."""
         probe, (beams, samples) = self.net("probe"), self.net("probe").offset.shape
         pose = parameters_to_pose(parameters)
         points, moving = _points(probe, pose, live)
-        fine = nets["fine"](points, picks, moving).view(-1, beams, samples, self.config.channels)
+        fine = nets["fine"](points, picks, moving).view(-1, beams, samples, self._fine_width)
         points, moving = _points(probe, pose, live, coarse=True)
-        coarse = nets["coarse"](points, None, moving).view(-1, beams // 2, samples // 2, MID)
-        inputs = fine, coarse, probe.directions(pose), self.net("place")(pose)
+        coarse = nets["coarse"](points, None, moving)
+        coarse = coarse.view(-1, beams // 2, samples // 2, MID * self._waves)
+        beat = parameters[:, 12:] if self.phased else None
+        fine, coarse = (self._now(each, beat) for each in (fine, coarse))
+        inputs = fine, coarse, probe.directions(pose), self.net("place")(pose, beat)
         if torch.compiler.is_exporting():  # a loop over parts would fix the number of images
             return probe.image(nets["decoder"](*inputs))
         parts = zip(*(each.split(CHUNK) for each in inputs), strict=True)
         return torch.cat([probe.image(nets["decoder"](*part)) for part in parts])
+
+    @property
+    def _fine_width(self) -> int:
+        return self.config.channels * self._waves
+
+    def _now(self, numbers: Tensor, beat: Tensor | None) -> Tensor:
+        """Return the (B, L, S, C) numbers at (B, 1) phases of (B, L, S, W · C) with their waves."""
+        if beat is None or self._waves == 1:
+            return numbers
+        each = torch.arange(1, self.config.harmonics + 1, device=beat.device)
+        waves = torch.cat([torch.ones_like(beat), on_circle(beat * each)], 1)
+        parts = numbers.unflatten(-1, (self._waves, -1))
+        return (parts * waves[:, None, None, :, None]).sum(-2)
 
     def onnx_module(self) -> OnnxModule:
         """Return all of it, as one network of the pose."""

@@ -1,5 +1,6 @@
 """What generators and discriminators are built of: sizes, initial weights, condition, attention."""
 
+import math
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
@@ -64,36 +65,48 @@ def check_injection(injection: str, name: str) -> None:
         raise RacinesError(f"{name}.injection: {injection!r}: use {' or '.join(INJECTIONS)}")
 
 
+def on_circle(phase: Tensor) -> Tensor:
+    """Return (…, 2 K) sines and cosines of (…, K) phases in [0, 1): the end is the start."""
+    turn = 2.0 * math.pi * phase
+    return torch.cat([turn.sin(), turn.cos()], -1)
+
+
 class Conditioning(nn.Module):
     """Normalises (B, 12) parameters to a condition vector.
 
     `continuous`: position (3), 6-D rotation (6), force and torque (6). `euler`: the twelve columns
     as they are, which jump where rotation_x passes ±π (the paper's conditioning, kept as an
     ablation). Each entry is standardised with the mean and deviation of the training frames; an
-    absent force (NaN) becomes 0, the training mean.
+    absent force (NaN) becomes 0, the training mean. A `phased` one takes (B, 13) parameters, and
+    adds sine and cosine of the beat's phase, the last of them.
     """
 
     mean: Tensor
     std: Tensor
 
-    def __init__(self, mode: str = "continuous"):
+    def __init__(self, mode: str = "continuous", phased: bool = False):
         super().__init__()
         if mode not in MODES:
             raise RacinesError(f"conditioning {mode!r} is unknown: choose {' or '.join(MODES)}")
-        self.mode = mode
-        self.width = MODES[mode]
+        self.mode, self.phased = mode, phased
+        self.width = MODES[mode] + 2 * phased
         self.register_buffer("mean", torch.zeros(self.width))
         self.register_buffer("std", torch.ones(self.width))
 
     def encode(self, parameters: Tensor) -> Tensor:
         """Return the (B, width) condition before standardisation, NaN where a force is absent."""
+        beat = [on_circle(parameters[..., 12:])] if self.phased else []
         if self.mode == "euler":
-            return parameters
+            return torch.cat([parameters[..., :12], *beat], -1) if beat else parameters
         pose = parameters_to_pose(parameters)
-        return torch.cat([pose.position, rotation_6d(pose.rotation), parameters[..., :6]], -1)
+        parts = [pose.position, rotation_6d(pose.rotation), parameters[..., :6], *beat]
+        return torch.cat(parts, -1)
 
     def fit(self, parameters: Tensor) -> "Conditioning":
-        """Take mean and deviation from (N, 12) training parameters; without spread, 1."""
+        """Take mean and deviation from (N, 12) training parameters; without spread, 1.
+
+        (N, 13) where it is phased.
+        """
         raw = self.encode(parameters.double())
         known = torch.isfinite(raw)
         count = known.sum(0).clamp_min(1)

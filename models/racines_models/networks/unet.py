@@ -36,19 +36,21 @@ class Place(nn.Module):
 
     The image plane is a square of `extent` metres below the probe, the probe at its top centre.
     Sines and cosines of the places' coordinates (Tancik et al., Fourier Features Let Networks
-    Learn High Frequency Functions, 2020) let a millimetre matter.
+    Learn High Frequency Functions, 2020) let a millimetre matter. Positions come in units of so
+    many `metres`.
     """
 
     cells: Tensor
     waves: Tensor
 
-    def __init__(self, extent: float, octaves: int):
+    def __init__(self, extent: float, octaves: int, metres: float = 1.0):
         super().__init__()
         self.width = 6 * octaves
+        extent = extent / metres
         middle = (torch.arange(GRID) + 0.5) / GRID * extent
         axial, lateral = torch.meshgrid(middle, middle - extent / 2, indexing="ij")
         self.register_buffer("cells", torch.stack([lateral, axial]), persistent=False)
-        waves = 2.0 * math.pi / LONGEST * 2.0 ** torch.arange(octaves)
+        waves = 2.0 * math.pi * metres / LONGEST * 2.0 ** torch.arange(octaves)
         self.register_buffer("waves", waves, persistent=False)
 
     def forward(self, parameters: Tensor, centre: Tensor) -> Tensor:
@@ -102,11 +104,12 @@ class PlacedUNet(nn.Module):
         extent: float,
         conditioning: Conditioning,
         precondition: bool,
+        metres: float = 1.0,
     ):
         super().__init__()
         self.preconditioned = precondition
         self.register_buffer("centre", torch.zeros(3))
-        self.conditioning, self.place = conditioning, Place(extent, octaves)
+        self.conditioning, self.place = conditioning, Place(extent, octaves, metres)
         low, mid, high, embedding = width, 2 * width, 4 * width, 2 * width
         self.time = nn.Linear(8, embedding)
         self.pose = nn.Sequential(

@@ -61,6 +61,24 @@ class GraderFeatures:
         return self._grader.judge(images)[2]
 
 
+class Remembered:
+    """An extractor that looks at no image twice: strata are parts of what was looked at whole."""
+
+    def __init__(self, extractor: Extractor) -> None:
+        """Wrap an extractor."""
+        self._extractor, self.settings = extractor, extractor.settings
+        self._known: dict[bytes, Tensor] = {}
+
+    def __call__(self, images: Tensor, progress: Progress | None = None) -> Tensor:
+        """Return (N, D) features of (N, 128, 128) uint8 images."""
+        keys = [image.numpy().tobytes() for image in images]
+        new = [row for row, key in enumerate(keys) if key not in self._known]
+        if new:
+            found = self._extractor(images[torch.tensor(new)], progress)
+            self._known |= {keys[row]: each for row, each in zip(new, found, strict=True)}
+        return torch.stack([self._known[key] for key in keys])
+
+
 class InceptionFeatures:
     """Extracts (N, 2048) float32 pool3 features of (N, H, W) uint8 gray images."""
 

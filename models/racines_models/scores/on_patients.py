@@ -30,7 +30,7 @@ from racines_models.protocol import Adapting
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.registry import generator_class, is_file, open_runs, run_folder
 from racines_models.sample import DRAW, Progress, Sample, check_drawn
-from racines_models.scores.features import Extractor
+from racines_models.scores.features import Extractor, Remembered
 from racines_models.scores.scorer import Scorer, ScoresConfig, plain
 from racines_models.scores.scoring import SCHEMA, Scores
 
@@ -75,24 +75,6 @@ class Judges:
     pose: PoseRegressor
     segmentation: SegmentationJudge
     features: Extractor
-
-
-class Remembered:
-    """An extractor that looks at no image twice: strata are parts of what was looked at whole."""
-
-    def __init__(self, extractor: Extractor) -> None:
-        """Wrap an extractor."""
-        self._extractor, self.settings = extractor, extractor.settings
-        self._known: dict[bytes, Tensor] = {}
-
-    def __call__(self, images: Tensor, progress: Progress | None = None) -> Tensor:
-        """Return (N, D) features of (N, 128, 128) uint8 images."""
-        keys = [image.numpy().tobytes() for image in images]
-        new = [row for row, key in enumerate(keys) if key not in self._known]
-        if new:
-            found = self._extractor(images[torch.tensor(new)], progress)
-            self._known |= {keys[row]: each for row, each in zip(new, found, strict=True)}
-        return torch.stack([self._known[key] for key in keys])
 
 
 def check_named(spec: str) -> None:

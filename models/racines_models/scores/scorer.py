@@ -11,6 +11,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
+from racines_data.manifest import scale_known
 from racines_data.store.frames import Batch, FrameStore
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.grader.report import MOST, compare
@@ -96,31 +97,31 @@ class Scorer:
             ("psnr", metrics.psnr, metrics.PSNR_SETTINGS, (0.0, metrics.PSNR_CAP), "dB"),
         ):
             values = [metric(images, truth) for images in self.drawn]
-            figures[name] = self._of_frames(name, "mean", values, ends, unit, **settings)
+            figures[name] = self.of_frames(name, "mean", values, ends, unit, **settings)
         return figures
 
     def distances(self, suffix: str, extractor: Extractor) -> dict[str, Any]:
         """Return FID, KID and PRDC between the sets of drawn and true images."""
         name, config = extractor.settings["id"], self.config
-        truth, drawn = self._features(extractor)
+        truth, drawn = self.features(extractor)
         subsets: dict[str, Any] = {"subset": config.kid_subset, "subsets": config.kid_subsets}
         told = {"fid": (AMOUNT, {}), "kid": (ANY, metrics.KID_SETTINGS | subsets)}
-        pairs = [self._distances(truth, each) for each in drawn]
-        found = self._of_sets(pairs, self.sample.trajectory)
+        pairs = [self.fid_and_kid(truth, each) for each in drawn]
+        found = self.of_sets(pairs, self.sample.trajectory)
         if len(truth) > metrics.NEIGHBOURS:
             rows = evenly(len(truth), PRDC_FRAMES)
             near = [metrics.Neighbourhoods(truth[rows], each[rows]).figures for each in drawn]
-            found |= self._of_sets(near, self.sample.trajectory[rows.numpy()])
+            found |= self.of_sets(near, self.sample.trajectory[rows.numpy()])
             shares = ("precision", "recall", "coverage")
             told |= dict.fromkeys(shares, (SHARE, metrics.PRDC_SETTINGS))
             told["density"] = (AMOUNT, metrics.PRDC_SETTINGS)
         return {
-            f"{key}{suffix}": self._of_set(f"{key}{suffix}", each, ends, features=name, **settings)
+            f"{key}{suffix}": self.of_set(f"{key}{suffix}", each, ends, features=name, **settings)
             for key, each in found.items()
             for ends, settings in [told[key]]
         }
 
-    def _distances(self, truth: Tensor, drawn: Tensor) -> Callable[[np.ndarray], dict[str, float]]:
+    def fid_and_kid(self, truth: Tensor, drawn: Tensor) -> Callable[[np.ndarray], dict[str, float]]:
         """Return FID and KID of one drawn set as a function of the samples kept."""
         frechet = metrics.CrossProducts(truth, drawn)
         subset, subsets = self.config.kid_subset, self.config.kid_subsets
@@ -135,7 +136,7 @@ class Scorer:
 
         return both
 
-    def _features(self, extractor: Extractor) -> tuple[Tensor, list[Tensor]]:
+    def features(self, extractor: Extractor) -> tuple[Tensor, list[Tensor]]:
         """Return the (N, D) features of the truth and of each drawn set."""
         images = self.sample.frames.images
         truth = reference_features(extractor, images, self._key, self.cache, self.progress)
@@ -152,7 +153,7 @@ class Scorer:
             for key, first in compared[0].items():
                 values, name = [each[key].values for each in compared], f"{key}{suffix}"
                 ends = (0.0, MOST if first.statistic == "mean" else 1.0)
-                figures[name] = self._of_frames(
+                figures[name] = self.of_frames(
                     name, first.statistic, values, ends, first.unit, rule=first.rule
                 )
         return figures
@@ -160,7 +161,8 @@ class Scorer:
     def poses(self, regressor: PoseRegressor) -> dict[str, Any]:
         """Return the median errors of the poses that a regressor reads from the images.
 
-        `…_view` is over the frames of a view: there is something to be seen.
+        `…_view` is over the frames of a view: there is something to be seen. Where the scale of
+        positions is unknown, nothing is told in millimetres.
         """
         frames, figures = self.sample.frames, {}
         of_view = (frames.views >= 0) & (frames.views != len(self.store.labels) - 1)
@@ -173,10 +175,12 @@ class Scorer:
                 if not bool(chosen.any()):
                     continue
                 for unit, errors in zip(LARGEST, zip(*found, strict=True), strict=True):
+                    if unit == "mm" and not scale_known(self.store.manifest):
+                        continue
                     name, told = f"pose_error_{unit}{group}{suffix}", f"median over {rule}"
                     values = [each.where(chosen, torch.nan) for each in errors]
                     ends = (0.0, LARGEST[unit])
-                    figures[name] = self._of_frames(name, "median", values, ends, unit, rule=told)
+                    figures[name] = self.of_frames(name, "median", values, ends, unit, rule=told)
         return figures
 
     def overlap(
@@ -203,7 +207,7 @@ class Scorer:
                 parts |= {key: [each[:, place] for each in found]}
             for key, values in parts.items():
                 if bool(values[0].isfinite().any()):
-                    figures[f"{key}{suffix}"] = self._of_frames(
+                    figures[f"{key}{suffix}"] = self.of_frames(
                         f"{key}{suffix}", "mean", values, SHARE, rule=rule
                     )
         return figures
@@ -233,14 +237,14 @@ class Scorer:
             told |= {"draws": len(drawn[0][0])}
             values = [self._placed(diversity.spread(sets), places) for sets, places in drawn]
             ends = BLACK_TO_WHITE
-            figures["diversity"] = self._of_frames("diversity", "mean", values, ends, GRAY, **told)
+            figures["diversity"] = self.of_frames("diversity", "mean", values, ends, GRAY, **told)
         places = evenly(len(frames.index), diversity.FRAMES)
         some = Batch(*(column[places] for column in frames))
         scanned = diversity.scanned_again(self.store, some, self.cache)
         if scanned is not None:
             told = {"rule": "root mean square difference of two new scans of one pose"}
             told |= {"source": self.store.manifest["source"]}
-            figures["diversity_truth"] = self._of_frames(
+            figures["diversity_truth"] = self.of_frames(
                 "diversity_truth",
                 "mean",
                 [self._placed(scanned, places)],
@@ -272,7 +276,7 @@ class Scorer:
                 (f"nearest_train{suffix}", "median", nearest, BLACK_TO_WHITE, GRAY, apart),
                 (f"copies{suffix}", "rate", copied, SHARE, None, same),
             ):
-                figures[name] = self._of_frames(name, statistic, values, ends, unit, rule=rule)
+                figures[name] = self.of_frames(name, statistic, values, ends, unit, rule=rule)
         return figures
 
     def plugged(self, extractor: Extractor, taken: Collection[str] = ()) -> dict[str, Any]:
@@ -285,17 +289,17 @@ class Scorer:
             told = ((metric.minimum, metric.maximum), metric.unit or None)
             if metric.features:
                 measured = [_measured(metric, *pair) for pair in self._pairs(extractor)]
-                found = self._of_sets(measured, self.sample.trajectory)[metric.name]
+                found = self.of_sets(measured, self.sample.trajectory)[metric.name]
                 if not np.isfinite([*found.whole, *found.without.ravel()]).all():
                     raise RacinesError(f"metric {metric.name!r}: its value is not finite")
-                figures[metric.name] = self._of_set(metric.name, found, *told, **rule)
+                figures[metric.name] = self.of_set(metric.name, found, *told, **rule)
             else:
                 values = self._of_images(metric)
-                figures[metric.name] = self._of_frames(metric.name, "mean", values, *told, **rule)
+                figures[metric.name] = self.of_frames(metric.name, "mean", values, *told, **rule)
         return figures
 
     def _pairs(self, extractor: Extractor) -> list[tuple[Tensor, Tensor]]:
-        truth, drawn = self._features(extractor)
+        truth, drawn = self.features(extractor)
         return [(each, truth) for each in drawn]
 
     def _of_images(self, metric: Metric) -> list[Tensor]:
@@ -308,7 +312,7 @@ class Scorer:
             raise RacinesError(f"metric {metric.name!r}: it has no value of any image")
         return values
 
-    def _of_frames(
+    def of_frames(
         self,
         name: str,
         statistic: str,
@@ -325,7 +329,7 @@ class Scorer:
         kept = self.evidence.add(name, statistic, by_training, frames, trajectory, *ends)
         return _as_json(kept, unit, settings)
 
-    def _of_sets(
+    def of_sets(
         self, statistics: Sequence[Callable[[np.ndarray], Mapping[str, float]]], units: np.ndarray
     ) -> dict[str, Replicates]:
         """Return the replicates of statistics of each drawn set; of a training, their means."""
@@ -337,7 +341,7 @@ class Scorer:
         trainings = [lambda keep, k=k: of_training(keep, k) for k in range(self.runs)]
         return set_replicates_all(trainings, units)
 
-    def _of_set(
+    def of_set(
         self,
         name: str,
         found: Replicates,

@@ -11,21 +11,28 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
-from racines_data.store.frames import FrameStore
+from racines_data.store.frames import SECTOR, FrameStore
 from racines_models.contract import declared
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.provenance import code_version, dataset_card, environment
 from racines_models.sample import Progress, Sample, draw, speed, take_sample
-from racines_models.scores.features import Extractor, GraderFeatures, InceptionFeatures
+from racines_models.scores.features import Extractor, GraderFeatures, InceptionFeatures, Remembered
 from racines_models.scores.scorer import PRDC_FRAMES as PRDC_FRAMES
 from racines_models.scores.scorer import Scorer, ScoresConfig, plain, runs_of
+from racines_models.scores.turns import by_angle, turn_figures
 from racines_models.statistics import Evidence
 
 SCHEMA = "racines.generator-scores/1"
 NOTES = [
     "FID is biased upwards by small n: compare only figures of equal n, extractor and dataset.",
     "Intervals are over trajectories and trainings; those of one training say nothing of another.",
+]
+TURN_NOTES = [
+    *NOTES[:1],
+    f"One heart. Intervals are over sectors of {SECTOR:g}° of turns and over trainings; those of "
+    "one training say nothing of another, and none says anything of another heart.",
+    "Strata are of the angle from the turn to the nearest training turn, modulo 180°.",
 ]
 
 
@@ -81,13 +88,19 @@ def score(
     seeds = tuple(seed for _, seed in turns)
     drawn = [draw(each, sample.frames, seed, progress) for each, seed in turns]
     scorer = Scorer(config, store, sample, drawn, cache, progress, len(runs))
-    extractors: dict[str, Extractor] = {"inception": InceptionFeatures(device)}
+    inception = InceptionFeatures(device)
+    turned = store.turns is not None  # strata are parts of what was looked at whole
+    extractors: dict[str, Extractor] = {"inception": Remembered(inception) if turned else inception}
     figures = scorer.likeness() | scorer.distances("", extractors["inception"])
     if grader is not None:
         extractors["grader"] = GraderFeatures(grader)
         figures |= scorer.distances("_grader", extractors["grader"]) | scorer.agreement(grader)
     if pose is not None:
         figures |= scorer.poses(pose)
+    strata: dict[str, Any] = {}
+    if turned:
+        figures |= turn_figures(scorer, extractors["inception"])
+        strata["by_stratum"] = by_angle(scorer, extractors["inception"])
     figures |= scorer.variety(runs, seeds) | scorer.memory()
     figures |= scorer.plugged(extractors["inception"], figures)
     if config.speed and hasattr(runs[0], "generate"):
@@ -103,13 +116,14 @@ def score(
         "runs": len(runs),
         "trained": any(declared(run).trained is not False for run in runs),
         "metrics": figures,
+        **strata,
         "extractors": {key: extractor.settings for key, extractor in extractors.items()}
         | ({} if pose is None else {"pose": pose.settings}),
         "weights": None,
         "code": code_version(),
         "environment": environment(device),
         "seconds": round(time.perf_counter() - began, 3),
-        "notes": NOTES,
+        "notes": TURN_NOTES if turned else NOTES,
     }
     return Scores(content, sample, drawn[0], scorer.evidence)
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
+from racines_data.manifest import scale_known
 from racines_data.store.frames import FrameStore
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.judges.pose.training import pose_errors
@@ -95,6 +96,7 @@ def judge(
     }
     if pose is not None:
         millimetres, degrees = pose_errors(pose.predict(drawn), sample.frames.parameters)
-        figures["pose_error_mm"] = float(millimetres.median())
+        if scale_known(generator.card.data):
+            figures["pose_error_mm"] = float(millimetres.median())
         figures["pose_error_deg"] = float(degrees.median())
     return figures

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
+from racines_data.manifest import scale_known
 from racines_data.store.frames import FrameStore
 from racines_data.validate.leaks import find_leaks, leaks_json
 from racines_models.generators.nearest_pose import NearestPose, NearestPoseConfig
@@ -58,6 +59,8 @@ class Retrieval(NamedTuple):
     figures: dict[str, np.ndarray]
     """(N,) each: `ssim`, `psnr` dB, `position` mm, `rotation` degrees, `same_trajectory` 0 or 1,
     `seconds` between the two frames, NaN where they are of two trajectories."""
+    scaled: bool = True
+    """Whether the scale is known; else nothing is told in millimetres."""
 
 
 class Leakage(NamedTuple):
@@ -122,7 +125,7 @@ def _retrieve(
     store: FrameStore, sample: Sample, train: Tensor, progress: Progress | None
 ) -> Retrieval:
     retrieval = NearestPose()
-    retrieval.held["keys"] = retrieval.embed(store.parameters[train])
+    retrieval.held["keys"] = retrieval.embed(store.conditions(train))
     parts = []
     for queries in sample.frames.parameters.split(CHUNK):
         parts.append(train[retrieval.nearest(queries)[0]])
@@ -142,7 +145,7 @@ def _retrieve(
         "seconds": torch.where(same, apart, torch.nan),
     }
     values = {name: each.double().numpy() for name, each in figures.items()}
-    return Retrieval(sample, len(train), found.images, values)
+    return Retrieval(sample, len(train), found.images, values, scale_known(store.manifest))
 
 
 def _summary(retrieval: Retrieval) -> dict[str, Any]:
@@ -155,7 +158,7 @@ def _summary(retrieval: Retrieval) -> dict[str, Any]:
     return {
         "train": retrieval.train,
         **_means(figures, retrieval.sample),
-        "position_mm": median("position"),
+        "position_mm": median("position") if retrieval.scaled else None,
         "rotation_deg": median("rotation"),
         "same_trajectory": float(figures["same_trajectory"].mean()),
         "seconds": median("seconds"),

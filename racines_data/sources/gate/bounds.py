@@ -44,6 +44,8 @@ class Bounds:
     """Longest plausible median time between frames, s."""
     repeats: bool = False
     """Whether a time may stand twice (a coarse clock)."""
+    clock: bool = True
+    """Whether there are times at all; without a clock all are NaN."""
     upright: bool = True
     """Whether z of the frame points up and the probe scans from above. False for a tracker's."""
     sensor: bool = True

@@ -131,6 +131,11 @@ def number_faults(trajectory: Trajectory, bounds: Bounds) -> Iterator[Fault]:
 
 
 def _times(times: np.ndarray, bounds: Bounds) -> Iterator[Fault]:
+    if not bounds.clock:
+        if not np.isnan(times).all():
+            detail = "has times, where its source says that there is no clock: give NaN"
+            yield Fault(Kind.CLOCK, detail, "timestamp")
+        return
     if not np.isfinite(times).all():
         row = int(np.flatnonzero(~np.isfinite(times))[0])
         detail = f"frame {row} has none: timestamps must be finite seconds that increase"

@@ -1,9 +1,10 @@
 """A generator in an ONNX file: written from a trained one, and run by onnxruntime.
 
-Of what is read, no code of the file's maker runs in Python. Inputs `parameters` float32 (B, 12)
-and, if the image has chance in it, `noise` float32 (B, K); one output `images`, (B, 128, 128) or
-(B, 1, 128, 128), uint8 gray levels or float32 in [-1, 1]. What is written has the weights inside,
-interface and card in its metadata; what the file's metadata say is in `docs/outside.md`.
+Of what is read, no code of the file's maker runs in Python. Inputs `parameters` float32 (B, 12),
+or (B, 13) with the phase of the beat last, and, if the image has chance in it, `noise` float32
+(B, K); one output `images`, (B, 128, 128) or (B, 1, 128, 128), uint8 gray levels or float32 in
+[-1, 1]. What is written has the weights inside, interface and card in its metadata; what the file's
+metadata say is in `docs/outside.md`.
 """
 
 import copy
@@ -21,7 +22,7 @@ from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
-from racines_data.imaging import IMAGE_SIZE, check_parameters
+from racines_data.imaging import IMAGE_SIZE, conditions_for
 from racines_data.randomness import sample_seeds
 from racines_data.schema import PARAMETERS
 from racines_models.exchange.naming import check_name
@@ -57,6 +58,7 @@ EXAMPLES = 2
 """Batch of the example inputs; the exported batch is free."""
 
 
+_SAYS = ("stochastic", "conditional")
 Opener = Callable[[bytes, str, str], Any]
 """Returns what has onnxruntime's `run` and `get_providers`."""
 
@@ -89,7 +91,8 @@ class OnnxGenerator:
         Raises:
             RacinesError: parameters that are refused, or an output of wrong shape or range.
         """
-        checked = check_parameters(parameters).to("cpu", torch.float32)
+        checked = conditions_for(parameters, self.interface.phased, self.name)
+        checked = checked.to("cpu", torch.float32)
         inputs = {PARAMS: checked}
         if self.interface.noise is not None:
             seeds = sample_seeds(seed, len(checked), parameters.device).cpu()
@@ -140,6 +143,8 @@ class OnnxInterface:
     """Whether the seed changes the image, by metadata or card; None if neither says so."""
     conditional: bool | None = None
     """Whether the pose does, likewise."""
+    phased: bool = False
+    """Whether a 13th parameter is taken, the phase of the beat."""
 
     @property
     def trained(self) -> bool | None:
@@ -153,13 +158,14 @@ def read_onnx(path: Path) -> tuple[bytes, OnnxInterface]:
     Refused are files as by `read_model`, and wrong inputs, outputs and metadata.
     """
     content, model, opset = read_model(path)
-    batch, size = _inputs(model.graph, path)
+    batch, size, phased = _inputs(model.graph, path)
     told = read_metadata(model, path, SCHEMA, KEYS)
     floating = _output(model.graph, told.get("output"), path)
     name = check_name(told.get("name", path.stem), f"{path}: racines.name")
     card = parsed(told, "card", dict, path) or {}
     noise = _noise(told, size, path)
-    says = [_declared(told, card, key, path) for key in ("stochastic", "conditional")]
+    stochastic, conditional = (_declared(told, card, key, path) for key in _SAYS)
+    says = stochastic, conditional, phased
     return content, OnnxInterface(name, noise, floating, batch, opset, card, *says)
 
 
@@ -169,8 +175,8 @@ def _declared(told: dict[str, str], card: dict[str, Any], key: str, path: Path) 
     return value if isinstance(value, bool) else None
 
 
-def _inputs(graph: Any, path: Path) -> tuple[int | None, int]:
-    """Return the fixed batch size, if any, and the numbers of noise a sample."""
+def _inputs(graph: Any, path: Path) -> tuple[int | None, int, bool]:
+    """Return the fixed batch size, if any, the numbers of noise a sample, and whether it beats."""
     # Old files list their weights among the inputs.
     weights = {tensor.name for tensor in graph.initializer}
     inputs = {value.name: value for value in graph.input if value.name not in weights}
@@ -178,6 +184,8 @@ def _inputs(graph: Any, path: Path) -> tuple[int | None, int]:
         wanted = f"give {PARAMS}, and {NOISE} if it is stochastic"
         raise RacinesError(f"{path}: inputs {sorted(inputs)}: {wanted}")
     count = len(PARAMETERS)
+    phased = declared_shape(inputs[PARAMS])[-1] == count + 1
+    count += phased
     batches = [check_value(inputs[PARAMS], path, f"float32 (B, {count})", (count,), (FLOAT,))]
     size = 0
     if NOISE in inputs:
@@ -188,7 +196,7 @@ def _inputs(graph: Any, path: Path) -> tuple[int | None, int]:
     batch = next((size for size in batches if size is not None), None)
     if batch is not None and not 1 <= batch <= MAX_BATCH:
         raise RacinesError(f"{path}: a fixed batch of {batch}: give 1..{MAX_BATCH}, or a free one")
-    return batch, size
+    return batch, size, phased
 
 
 def _output(graph: Any, declared: str | None, path: Path) -> bool:
@@ -246,7 +254,8 @@ def export_generator(generator: Any, path: Path) -> dict[str, Any]:
     if not getattr(generator, "tensors", lambda: True)():
         raise RacinesError(f"{generator.name} is not fitted: call fit, or load a trained folder")
     module: OnnxModule = hook()
-    examples = {PARAMS: torch.zeros(EXAMPLES, len(PARAMETERS))}
+    width = len(PARAMETERS) + bool(getattr(generator, "phased", False))
+    examples = {PARAMS: torch.zeros(EXAMPLES, width)}
     if module.noise is not None:
         examples[NOISE] = torch.zeros(EXAMPLES, module.noise.size)
     card = asdict(generator.card)

@@ -11,6 +11,7 @@ from torch.optim import AdamW, Optimizer
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.geometry import Pose, geodesic, parameters_to_pose
+from racines_data.manifest import scale_known
 from racines_data.store.frames import FrameStore
 from racines_models.devices import resolve_device
 from racines_models.judges.pose.frames import parameters_in, told_in
@@ -98,7 +99,8 @@ def report(regressor: PoseRegressor, store: FrameStore, split: str = "test") -> 
 
     Returns:
         `split`; `metrics`: `pose_error_mm` and `pose_error_deg`, medians over all frames, and
-        `…_view`, over the frames of a view; each with value, low, high, n.
+        `…_view`, over the frames of a view; each with value, low, high, n. Without a known scale
+        nothing is told in millimetres.
 
     Raises:
         RacinesError: it reads poses about patients' hearts, and no patients are scanned.
@@ -112,7 +114,7 @@ def report(regressor: PoseRegressor, store: FrameStore, split: str = "test") -> 
     metrics = {}
     for suffix, chosen in (("", torch.ones_like(of_view)), ("_view", of_view)):
         for unit, values in zip(("mm", "deg"), errors, strict=True):
-            if bool(chosen.any()):
+            if bool(chosen.any()) and (unit != "mm" or scale_known(store.manifest)):
                 found = values[chosen].numpy(), units[chosen.numpy()]
                 median = median_interval(*found, 0.0, LARGEST[unit])
                 metrics[f"pose_error_{unit}{suffix}"] = median.to_json(unit)

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from racines_data.geometry import Pose
+from racines_models.networks.layers import on_circle
 
 MID = 9
 """Channels of the coarse field: attenuation, incoherent power, coherent gain, two vectors."""
@@ -21,16 +22,19 @@ WINDOW, SIGMA = 11, 1.5
 
 
 class Place(nn.Module):
-    """Describes a pose for the contact: position at three zooms and the rotation, (B, 21)."""
+    """Describes a pose for the contact: position at three zooms and the rotation, (B, 21).
 
-    width = 21
+    A `phased` one describes the phase of the beat besides, (B, 23).
+    """
+
     middle: Tensor
     spread: Tensor
     mean: Tensor
     std: Tensor
 
-    def __init__(self) -> None:
+    def __init__(self, phased: bool = False) -> None:
         super().__init__()
+        self.width = 21 + 2 * phased
         for name, size in (("middle", 3), ("spread", 3), ("mean", 12), ("std", 12)):
             self.register_buffer(name, torch.zeros(size))
 
@@ -46,11 +50,12 @@ class Place(nn.Module):
     def _raw(self, pose: Pose) -> Tensor:
         return torch.cat([pose.position, pose.rotation.flatten(1)], 1)
 
-    def forward(self, pose: Pose) -> Tensor:
-        """Return the (B, 21) description."""
+    def forward(self, pose: Pose, beat: Tensor | None = None) -> Tensor:
+        """Return the (B, 21) description; (B, 23) with (B, 1) phases of the beat."""
         near = ((pose.position - self.middle) / self.spread).clamp(-4.0, 4.0)
         zooms = [near, near.tanh(), (0.3 * near).tanh()]
-        return torch.cat([(self._raw(pose) - self.mean) / self.std, *zooms], 1)
+        phase = [] if beat is None else [on_circle(beat)]
+        return torch.cat([(self._raw(pose) - self.mean) / self.std, *zooms, *phase], 1)
 
 
 class EchoDecoder(nn.Module):

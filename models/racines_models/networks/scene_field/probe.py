@@ -31,6 +31,8 @@ class ProbeGeometry:
     """The face's centre in the frame of the recorded pose, m."""
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Rotation of the image in that frame (rotation vector), rad."""
+    side: float = 0.0
+    """Side of the image, m, where it cuts off a wider sector; 0: as wide as the sector."""
 
     def __post_init__(self) -> None:
         if self.kind not in ("sector", "plane"):
@@ -39,13 +41,16 @@ class ProbeGeometry:
             raise RacinesError("scene-field.probe: beams and samples are even and at least 8")
         if not 0.0 < self.half_angle < math.pi / 2 or self.depth <= 0 or self.face < 0:
             raise RacinesError("scene-field.probe: half_angle, depth and face describe no sector")
+        if self.side < 0:
+            raise RacinesError("scene-field.probe.side: 0 or more, m")
 
 
 class Probe(nn.Module):
     """Lays the grid of beams into space, and the image out of it.
 
     Learned: shift (mm) and turn (rad) of the image in the frame of the pose, the logarithm of its
-    scale, and the offset of each sample out of the image plane, mm.
+    scale, and the offset of each sample out of the image plane, mm. Positions of poses come in
+    units of so many `metres`.
     """
 
     lateral: Tensor
@@ -55,8 +60,9 @@ class Probe(nn.Module):
     pixels: Tensor
     mask: Tensor
 
-    def __init__(self, geometry: ProbeGeometry):
+    def __init__(self, geometry: ProbeGeometry, metres: float = 1.0):
         super().__init__()
+        self._millimetres = 1e3 * metres
         self.shift = nn.Parameter(torch.tensor(geometry.shift) * 1e3)
         self.turn = nn.Parameter(torch.tensor(geometry.turn))
         self.scale = nn.Parameter(torch.zeros(()))
@@ -82,7 +88,7 @@ class Probe(nn.Module):
         local = axis_angle_to_matrix(self.turn) @ (scale.unsqueeze(1) * grids.flatten(1))
         local = (local + self.shift.unsqueeze(1)).view_as(grids)
         placed = (pose.rotation.flatten(0, 1) @ local.flatten(1)).view(-1, *local.shape)
-        return (placed + (pose.position * 1e3).view(-1, 3, 1, 1)).transpose(0, 1)
+        return (placed + (pose.position * self._millimetres).view(-1, 3, 1, 1)).transpose(0, 1)
 
     def directions(self, pose: Pose) -> Tensor:
         """Return (B, beams, 3) unit vectors of the beams."""
@@ -112,7 +118,8 @@ def _sector(geometry: ProbeGeometry) -> dict[str, Tensor]:
     radius = face + (torch.arange(samples) + 0.5) * (depth / samples)
     lateral = angle.sin().unsqueeze(1) * radius
     axial = angle.cos().unsqueeze(1) * radius - face
-    pixel = 2.0 * (face + depth) * math.sin(half) / IMAGE_SIZE
+    wide = 1e3 * geometry.side or 2.0 * (face + depth) * math.sin(half)
+    pixel = wide / IMAGE_SIZE
     right, down = (x * pixel for x in _pixels())
     down = down + face
     reach = (right.square() + down.square()).sqrt()

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, geodesic, parameters_to_pose
+from racines_data.manifest import scale_known
 from racines_data.store.frames import FrameStore
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.protocol import Judge
@@ -143,7 +144,7 @@ def _motion(
     angles = [geodesic(p.rotation[first].double(), p.rotation[second].double()).cpu().numpy()
               for p in (recorded, read)]  # fmt: skip
     told["angle_deg"] = _agreement(*(np.degrees(each) for each in angles))
-    if (store.manifest.get("scale") or "metres") == "metres":
+    if scale_known(store.manifest):
         shifts = [(p.position[first].double() - p.position[second].double()).norm(dim=1)
                   for p in (recorded, read)]  # fmt: skip
         told["shift_mm"] = _agreement(*(1e3 * each.cpu().numpy() for each in shifts))

@@ -1,0 +1,43 @@
+"""Real frames by the usual commands: a rotation imported, trained on and scored."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import command
+from tests.data.sources.rotation_folder import PHASES, write_rotation
+
+PARAMS = """\
+generators:
+  scene-field:
+    probe: {kind: plane, depth: 0.048, beams: 16, samples: 24}
+    voxel: 0.006
+    coarse_voxel: 0.012
+    training: {images: 64, batch_size: 16, warmup_images: 16}
+scores: {samples: 30, speed: false}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["nearest-pose", "scene-field"])
+def test_import_train_and_score(tmp_path: Path, name: str):
+    write_rotation(tmp_path / "heart", turns=36)
+    (tmp_path / "params.yaml").write_text(PARAMS)
+    words = "--source", "rotation", "--set", "split=gap", "--out", "rotation", "--workers", "1"
+    command(tmp_path, "racines", "data", "import", "heart", *words)
+    command(tmp_path, "racines", "train", "generator", name, "--data", "rotation")
+    alone = "--data", "rotation", "--no-grader", "--no-pose"
+    command(tmp_path, "racines", "eval", "generator", name, *alone)
+    scores = json.loads((tmp_path / "models/runs/scores" / f"{name}.json").read_text())
+    figures, dataset = scores["metrics"], scores["dataset"]
+    assert dataset["source"] == "rotation" and dataset["scale"] == "unknown" and dataset["phase"]
+    assert {"ssim", "psnr", "fid", "kid", "feature_distance"} <= set(figures)
+    assert {"ssim_neighbour", "feature_distance_neighbour", "ssim_train"} <= set(figures)
+    assert not any(key.endswith("_mm") for key in figures)
+    assert figures["ssim"]["value"] < figures["ssim_neighbour"]["value"]
+    assert sum(each["ssim"]["n"] for each in scores["by_stratum"].values()) == figures["ssim"]["n"]
+    assert figures["ssim"]["n"] % PHASES == 0
+    assert any("One heart" in note for note in scores["notes"])
+    trained = json.loads((tmp_path / "models/runs" / name / "config.json").read_text())
+    assert trained["data"]["phase"] is True and trained["data"]["scale"] == "unknown"
