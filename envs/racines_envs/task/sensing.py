@@ -63,6 +63,15 @@ class TellsFrames(Protocol):
 
 
 @runtime_checkable
+class KnowsWays(Protocol):
+    """A world in which the straight way to the goal may be closed, and that knows another."""
+
+    def waypoint(self, pose: Pose) -> Pose:
+        """Return (B,) poses to go to next, on the shortest open ways from (B,) poses to a hit."""
+        ...
+
+
+@runtime_checkable
 class MasksSteps(Protocol):
     """A world that may want the steps that it would refuse to be told beforehand."""
 

@@ -29,16 +29,24 @@ class Nearest:
 
     def __call__(self, keys: Tensor) -> tuple[Tensor, Tensor]:
         """Return the (B,) int64 index of the nearest to (B, K) keys, and its (B,) distance."""
+        index, distance = self.several(keys, 1)
+        return index.squeeze(1), distance.squeeze(1)
+
+    def several(self, keys: Tensor, count: int) -> tuple[Tensor, Tensor]:
+        """Return the (B, count) indices of the nearest, near ones first, and their distances.
+
+        `count` is at most M.
+        """
         if self._tree is not None:
-            distance, index = self._tree.query(keys.numpy())
+            distance, index = self._tree.query(keys.numpy(), k=[*range(1, count + 1)])
             return torch.from_numpy(index), torch.from_numpy(distance).to(torch.float32)
         found = []
         for queries in keys.split(QUERIES):
             # The exact form, not the matrix product: equal keys have distance 0, and a row's
             # result ignores its batch.
             away = torch.cdist(queries, self.keys, compute_mode="donot_use_mm_for_euclid_dist")
-            index = away.argmin(1)
-            found.append((index, away.gather(1, index[:, None]).squeeze(1)))
+            distance, index = away.topk(count, largest=False)
+            found.append((index, distance))
         index, distance = (torch.cat(column) for column in zip(*found, strict=True))
         return index, distance
 

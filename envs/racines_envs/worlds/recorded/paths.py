@@ -1,4 +1,4 @@
-"""What can be reached: the recorded frames as a graph, and ways through it to a goal.
+"""What can be reached: the recorded frames as a graph, and ways through it to where they hit.
 
 Frames are thinned along their trajectories to nodes; two nodes are linked where a probe can pass
 from one to the other and stays within reach of what was recorded. Lengths of ways follow Dijkstra
@@ -12,8 +12,12 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from racines_envs.worlds.recorded.index import Nearest
+
 THINNED = 0.25
 """Distance between successive nodes, of that within which nodes are linked."""
+SEEN, AHEAD = 24, 24
+"""Nodes about a pose among which the shortest way begins, and nodes that are looked ahead."""
 GAP = 0.95
 """The share of gaps between successive frames that the usual reach passes over."""
 
@@ -48,32 +52,55 @@ def usual_reach(keys: Tensor, trajectory: Tensor, step: float) -> float:
 
 
 class Ways:
-    """The graph of M frames."""
+    """The graph of M frames, and the shortest way from each to some of them."""
 
-    def __init__(self, keys: Tensor, trajectory: Tensor, link: float) -> None:
-        """Link the frames of (M, K) keys and (M,) trajectories that lie within `link`, m."""
+    def __init__(self, keys: Tensor, trajectory: Tensor, link: float, cost: Tensor) -> None:
+        """Link the frames of (M, K) keys and (M,) trajectories that lie within `link`, m.
+
+        Ways lead to the frames whose (M,) `cost` is finite; it is added to their length.
+        """
         gap = gaps(keys, trajectory).numpy()
         begins = ~(gap <= link)
         along = np.cumsum(np.where(begins, 0.0, gap))
         cell = np.floor(along / (THINNED * link))
-        kept = begins | (np.diff(cell, prepend=-1.0) != 0)
-        self.node = np.cumsum(kept) - 1
-        """(M,) the node that stands for each frame."""
-        self.keys = keys.cpu().numpy()[kept]
-        pairs = KDTree(self.keys).query_pairs(link, output_type="ndarray")
-        later = np.flatnonzero(~begins[kept])  # nodes whose trajectory goes on from the one before
+        ends = np.isfinite(cost.cpu().numpy())
+        kept = begins | (np.diff(cell, prepend=-1.0) != 0) | ends
+        node, frames = np.cumsum(kept) - 1, np.flatnonzero(kept)
+        nodes = keys.cpu().numpy()[frames]
+        pairs = KDTree(nodes).query_pairs(link, output_type="ndarray")
+        later = np.flatnonzero(~begins[frames])  # their trajectory goes on from the node before
         pairs = np.concatenate([pairs, np.stack([later - 1, later], 1)])
         pairs = np.unique(np.sort(pairs, 1), axis=0)
-        away = np.linalg.norm(self.keys[pairs[:, 0]] - self.keys[pairs[:, 1]], axis=1)
-        # A link of length 0, between nodes at one pose, would be taken for none.
-        lengths, count = np.maximum(away, 1e-9), len(self.keys)
-        self._graph = coo_matrix((lengths, pairs.T), (count, count)).tocsr()
+        away = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
+        # All ways end in one more node, to which those that they may lead to are linked.
+        count = len(nodes)
+        last = np.flatnonzero(ends[frames])
+        to_end = np.stack([last, np.full_like(last, count)], 1)
+        pairs = np.concatenate([pairs, to_end])
+        lengths = np.concatenate([away, cost.cpu().numpy()[frames[last]]])
+        # A link of length 0, as between nodes at one pose, would be taken for none.
+        graph = coo_matrix((np.maximum(lengths, 1e-9), pairs.T), (count + 1, count + 1)).tocsr()
+        found, after = dijkstra(graph, directed=False, indices=count, return_predecessors=True)
+        self.joined = torch.from_numpy(np.isfinite(found)[node]).to(keys.device)
+        """(M,) bool: a way leads on from the frame."""
+        on = np.where((after[:-1] < 0) | (after[:-1] == count), np.arange(count), after[:-1])
+        self._near = Nearest(torch.from_numpy(nodes), keys.device)
+        self._frames, self._after, self._lengths = (
+            torch.from_numpy(x).to(keys.device)
+            for x in (frames, on.astype(np.int64), found[:-1].astype(np.float32))
+        )
 
-    def lengths(self, goals: np.ndarray) -> np.ndarray:
-        """Return the (nodes,) length, m, of the way to the nearest of the (G,) frames' nodes.
+    def ahead(self, keys: Tensor, look: float, there: float) -> Tensor:
+        """Return the (B,) frame to go to from (B, K) keys: `look`, m, ahead on the shortest way.
 
-        Infinite where none leads there.
+        The way begins at one of the `SEEN` nearest nodes; within `there`, m, a node is passed.
         """
-        nodes = np.unique(self.node[goals])
-        found = dijkstra(self._graph, directed=False, indices=nodes, min_only=True)
-        return np.asarray(found)
+        index, away = self._near.several(keys, min(SEEN, len(self._frames)))
+        place = (away + self._lengths[index]).argmin(1)
+        node = index.gather(1, place[:, None]).squeeze(1)
+        for _ in range(AHEAD):
+            further = self._after[node]
+            near = (self._near.keys[further] - keys).norm(dim=-1) <= look
+            passed = (self._near.keys[node] - keys).norm(dim=-1) <= there
+            node = torch.where(near | passed, further, node)
+        return self._frames[node]

@@ -28,6 +28,7 @@ from racines_data.geometry import (
 from racines_data.randomness import uniform
 from racines_data.views import RANDOM
 from racines_data.world import Truth, Workspace, World
+from racines_envs.task.rewards import RewardConfig
 from racines_envs.task.tasks import Task
 from racines_envs.worlds.recorded.frames import FULL_GRADE, Frames
 from racines_envs.worlds.recorded.index import Nearest, phase_keys
@@ -42,6 +43,8 @@ ANATOMY = "recorded"
 MILLI = 1e-3
 FORCE_LIMIT = 20.0
 """Greatest normal force, N, where no recorded frame was pressed harder."""
+EDGE, LOOK = 10.0, 2.5
+"""How dear a metre of missing margin about a hit is, and unit steps that a way is looked ahead."""
 _STREAM = 103
 
 
@@ -97,7 +100,7 @@ class Recordings(World):
         keys = pose_keys(frames.pose, self._turn)
         self._near_pose = near = Nearest(keys, keys.device)
         radians = math.radians(config.step_degrees)
-        step = max(config.step * MILLI, 2.0 * self._turn * math.sin(radians / 2.0))
+        self._step = step = max(config.step * MILLI, 2.0 * self._turn * math.sin(radians / 2.0))
         self.reach = config.reach * MILLI or usual_reach(keys, frames.trajectory(), step)
         """Farthest from a recorded pose that the probe may be, m."""
         if self.reach < step:
@@ -130,9 +133,33 @@ class Recordings(World):
 
     @cached_property
     def ways(self) -> Ways:
-        """The recorded frames as a graph."""
+        """The ways along recorded poses to the frames that hit."""
         keys = self._near_pose.keys
-        return Ways(keys, self.frames.trajectory(), self._link)
+        return Ways(keys, self.frames.trajectory(), self._link, self._costs(keys))
+
+    def _costs(self, keys: Tensor) -> Tensor:
+        """Return what it costs to end a way at each frame, (M,) m; infinite where none ends.
+
+        By pose it ends at the goal. By label at frames that hit; at such as lie next to one that
+        does not it ends dearly, for steps miss a pose by half of one along each axis.
+        """
+        cost = torch.full((len(keys),), torch.inf, device=keys.device)
+        if self.aim.by != LABEL:
+            cost[self.aim.frame] = 0.0
+            return cost
+        hits = self.shows & (self.frames.grades >= RewardConfig().grade)
+        hits = hits if bool(hits.any()) else self.shows
+        if bool(hits.all()):
+            return cost.zero_()
+        depth = Nearest(keys[~hits], keys.device)(keys[hits])[1]
+        cost[hits] = EDGE * (self._step - depth).clamp_min(0.0)
+        return cost
+
+    def waypoint(self, pose: Pose) -> Pose:
+        """Return (B,) recorded poses to go to next, on the shortest ways to a hit."""
+        keys = pose_keys(pose, self._turn)
+        look = max(LOOK * self._step, self._link)
+        return self._taken(self.ways.ahead(keys, look, self._step))
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
@@ -318,13 +345,10 @@ class Recordings(World):
         goal = self.target(aim.view)
         shift = (frames.pose.position - goal.position).norm(dim=-1) / MILLI
         turn = geodesic(frames.pose.rotation, goal.rotation).rad2deg()
-        shows = self.shows
         fits = (shift >= config.start[0]) & (shift <= config.start[1])
         fits &= (turn >= config.start_degrees[0]) & (turn <= config.start_degrees[1])
-        fits &= frames.starts & ~shows
-        goals = shows.cpu().numpy().nonzero()[0]
-        joined = torch.from_numpy(self.ways.lengths(goals))[self.ways.node].isfinite()
-        may = (fits & joined.to(fits.device)).nonzero().squeeze(1)
+        fits &= frames.starts & ~self.shows
+        may = (fits & self.ways.joined).nonzero().squeeze(1)
         if not len(may):
             cut = int(fits.sum())
             reason = (
