@@ -108,7 +108,9 @@ class Recordings(World):
                 f"replay.reach is {config.reach:g}: less than a unit step, which weighs "
                 f"{step / MILLI:.2f} {frames.unit}: none could be taken"
             )
-        self._link = 2.0 * (self.reach - step) or step
+        # Between frames so near, steps that miss the straight way by one stay within reach; and a
+        # step leads from a frame to any that is nearer than that.
+        self._link = max(2.0 * (self.reach - step), step)
         self.workspace = RecordedPlaces(frames.pose, near, self._turn, self.reach)
         self._near = near if frames.phase is None else self._with_phase(keys)
         self._phase: Tensor | None = None
