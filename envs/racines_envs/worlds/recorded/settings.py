@@ -1,5 +1,6 @@
 """What can be chosen of a replay, and the words that name one on the command line."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,7 +50,7 @@ class ReplayConfig:
     """Least and greatest turn of a start from the goal, degrees."""
     step: float = 3.0
     """A unit step along an axis of the probe."""
-    step_degrees: float = 3.4377
+    step_degrees: float = math.degrees(0.06)
     """A unit step about an axis of the probe, degrees; 0.06 rad."""
     turn: float = 70.0
     """What a turn by one radian weighs against a shift: the nearest pose, and `reach`, are in the
