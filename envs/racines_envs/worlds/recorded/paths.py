@@ -93,10 +93,13 @@ class Ways:
     def ahead(self, keys: Tensor, look: float, there: float) -> Tensor:
         """Return the (B,) frame to go to from (B, K) keys: `look`, m, ahead on the shortest way.
 
-        The way begins at one of the `SEEN` nearest nodes; within `there`, m, a node is passed.
+        The way begins at one of the `SEEN` nearest nodes that lie no farther than `look`, or at the
+        nearest; within `there`, m, a node is passed.
         """
         index, away = self._near.several(keys, min(SEEN, len(self._frames)))
-        place = (away + self._lengths[index]).argmin(1)
+        seen = (away <= look) & self._lengths[index].isfinite()
+        seen[:, 0] |= ~seen.any(1)
+        place = torch.where(seen, away + self._lengths[index], torch.inf).argmin(1)
         node = index.gather(1, place[:, None]).squeeze(1)
         for _ in range(AHEAD):
             further = self._after[node]
