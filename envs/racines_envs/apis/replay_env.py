@@ -7,6 +7,7 @@ from typing import Any
 import torch
 
 from racines_data.config import fill
+from racines_data.errors import RacinesError
 from racines_envs.apis.gym_env import GymScanEnv, VectorScanEnv
 from racines_envs.worlds.recorded.opening import open_recordings
 from racines_envs.worlds.recorded.settings import ReplayConfig
@@ -52,6 +53,9 @@ def _opened(
     own = {name: value for name, value in settings.items() if name in known}
     rest = {name: value for name, value in settings.items() if name not in known}
     if isinstance(data, Recordings):
-        return data, rest | own
+        if own:
+            named = ", ".join(own)
+            raise RacinesError(f"recordings that are open have their settings: {named} comes late")
+        return data, rest
     device: torch.device | str = rest.get("device", "cpu")
     return open_recordings(data, view, fill(ReplayConfig, own, "replay"), device), rest

@@ -288,9 +288,14 @@ class ScanCore:
         return Score(self._sensed[f"{source}_p"], self._sensed[f"{source}_g"], self._distance())
 
     def _distance(self) -> Tensor:
-        """Return (N,) unit steps to the nominal pose, or zeros where the reward has no use."""
+        """Return (N,) unit steps to the nominal pose, or zeros where the reward has no use.
+
+        Where the straight way may be closed, those of the shortest open one to a hit.
+        """
         if not self.reward.needs_distance:
             return torch.zeros_like(self.state.total)
+        if isinstance(self.phantom, sensing.KnowsWays):
+            return self.phantom.steps_left(self.state.pose)
         metres, radians = self.pose_error()
         return metres / self.task.step_translation + radians / self.task.step_rotation
 

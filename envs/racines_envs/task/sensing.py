@@ -70,6 +70,10 @@ class KnowsWays(Protocol):
         """Return (B,) poses to go to next, on the shortest open ways from (B,) poses to a hit."""
         ...
 
+    def steps_left(self, pose: Pose) -> Tensor:
+        """Return the (B,) lengths of these ways, in unit steps."""
+        ...
+
 
 @runtime_checkable
 class MasksSteps(Protocol):

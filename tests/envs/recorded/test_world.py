@@ -340,3 +340,18 @@ def test_a_world_is_for_its_own_view_and_starts_lie_within_reach():
     twists = core_of(world, 2, action="velocity")
     twists.reset(seed=0)
     twists.step(torch.zeros(2, 6))
+
+
+def test_the_shaped_reward_pays_for_the_way_along_recorded_poses_not_for_the_straight_one():
+    store = HeldFrames(corner(20), splits=(5, 5))
+    world = open_recordings(store, "", ReplayConfig(goal=f"sweep-0:{len(store) - 1}"))
+    pose = parameters_to_pose(store.parameters)
+    left = world.steps_left(pose)
+    step = 0.07 * 2 * math.sin(0.03)
+    along = 0.002 * torch.arange(len(store) - 1, -1, -1.0) / step
+    assert (along - left).min() > -0.1 and (along - left).max() < 3.0  # corners are cut a little
+    straight = (pose.position - pose.position[-1]).norm(dim=-1) / step
+    assert left[0] > 2 * straight[0]
+    core = core_of(world, reward="shaped")
+    core.reset(seed=0)
+    assert torch.allclose(core.score.distance, world.steps_left(core.state.pose))

@@ -96,14 +96,26 @@ class Ways:
         The way begins at one of the `SEEN` nearest nodes that lie no farther than `look`, or at the
         nearest; within `there`, m, a node is passed.
         """
-        index, away = self._near.several(keys, min(SEEN, len(self._frames)))
-        seen = (away <= look) & self._lengths[index].isfinite()
-        seen[:, 0] |= ~seen.any(1)
-        place = torch.where(seen, away + self._lengths[index], torch.inf).argmin(1)
-        node = index.gather(1, place[:, None]).squeeze(1)
+        node, _ = self._first(keys, look)
         for _ in range(AHEAD):
             further = self._after[node]
             near = (self._near.keys[further] - keys).norm(dim=-1) <= look
             passed = (self._near.keys[node] - keys).norm(dim=-1) <= there
             node = torch.where(near | passed, further, node)
         return self._frames[node]
+
+    def lengths(self, keys: Tensor, look: float) -> Tensor:
+        """Return the (B,) length, m, of the shortest ways from (B, K) keys; see `ahead`.
+
+        Infinite where none is known.
+        """
+        return self._first(keys, look)[1]
+
+    def _first(self, keys: Tensor, look: float) -> tuple[Tensor, Tensor]:
+        """Return the (B,) nodes at which the shortest ways begin, and the ways' lengths."""
+        index, away = self._near.several(keys, min(SEEN, len(self._frames)))
+        seen = (away <= look) & self._lengths[index].isfinite()
+        seen[:, 0] |= ~seen.any(1)
+        length = torch.where(seen, away + self._lengths[index], torch.inf)
+        place = length.argmin(1, keepdim=True)
+        return index.gather(1, place).squeeze(1), length.gather(1, place).squeeze(1)

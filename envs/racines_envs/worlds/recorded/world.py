@@ -160,8 +160,19 @@ class Recordings(World):
     def waypoint(self, pose: Pose) -> Pose:
         """Return (B,) recorded poses to go to next, on the shortest ways to a hit."""
         keys = pose_keys(pose, self._turn)
-        look = max(LOOK * self._step, self._link)
-        return self._taken(self.ways.ahead(keys, look, self._step))
+        return self._taken(self.ways.ahead(keys, self._look, self._step))
+
+    def steps_left(self, pose: Pose) -> Tensor:
+        """Return the (B,) lengths of the shortest ways to a hit, in longest unit steps.
+
+        Where none is known, those that the episode may have.
+        """
+        left = self.ways.lengths(pose_keys(pose, self._turn), self._look) / self._step
+        return left.clamp_max(self.settings.max_steps)
+
+    @property
+    def _look(self) -> float:
+        return max(LOOK * self._step, self._link)
 
     @cached_property
     def recipe(self) -> dict[str, Any]:
