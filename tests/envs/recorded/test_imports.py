@@ -28,9 +28,13 @@ class Bright(Judge):
     """Calls bright frames PL, and dark ones Random."""
 
     settings: ClassVar[dict[str, Any]] = {"id": "bright", "sha256": "cd" * 32}
+    sha256 = "cd" * 32
+
+    def __init__(self, least: float) -> None:
+        self.least = least
 
     def probabilities_and_grade(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        bright = images.float().mean((1, 2)) > 40.0
+        bright = images.float().mean((1, 2)) > self.least
         label = torch.where(bright, 2, 5)
         grade = torch.where(bright, 8.0, 0.0)
         return torch.nn.functional.one_hot(label, 6).float(), grade
@@ -69,12 +73,13 @@ def test_a_release_without_labels_is_replayed_by_a_goal_or_by_what_a_grader_says
         open_recordings(tmp_path / "set", "SC")
     name = str(error.value).split("replay.goal, as ")[1].split(",")[0]
     assert reached(open_recordings(tmp_path / "set", "", ReplayConfig(goal=name))) >= 0.9
-    annotate(tmp_path / "set", Bright(), tmp_path / "annotated")
+    bright = Bright(float(open_store(tmp_path / "set").images.float().mean((1, 2)).median()))
+    annotate(tmp_path / "set", bright, tmp_path / "annotated")
     store = open_store(tmp_path / "annotated")
     world = open_recordings(store, "PL")
     assert world.frames.labelled_by == "grader" and world.frames.graded
-    bright = Bright().probabilities_and_grade(store.images)[0].argmax(1)
-    assert torch.equal(world.frames.views, bright) and len(bright.unique()) == 2
+    labels = bright.probabilities_and_grade(store.images)[0].argmax(1)
+    assert torch.equal(world.frames.views, labels) and len(labels.unique()) == 2
 
 
 @needs_real

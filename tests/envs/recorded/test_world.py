@@ -300,6 +300,7 @@ def bare(store: HeldFrames) -> HeldFrames:
         (lambda: HeldFrames(line()), "SC", {}, "bear no view, and no goal"),
         (labelled, "PSAX", {}, "unknown view 'PSAX': choose one of A4C"),
         (labelled, "PL", {}, "none of the frames replayed shows PL: choose one of SC"),
+        (lambda: HeldFrames(line(), views=[RANDOM] * 41), "SC", {}, "shows a view: give replay.goal"),
         (labelled, "", {"goal": "sweep-0:99"}, "no frame 'sweep-0:99' .* as sweep-0:20"),
         (labelled, "", {"goal": "sweep-7:1"}, "no frame 'sweep-7:1'"),
         (labelled, "", {"goal": "nothing"}, "no frame 'nothing'"),

@@ -65,6 +65,8 @@ def _aim(frames: Frames, view: str, config: ReplayConfig) -> Aim:
             f"{frames.name(len(frames) // 2)}, or labels: racines data annotate {root}"
         )
     shown = [labels[i] for i in frames.views.unique().tolist() if i < len(labels) - 1]
+    if not shown:
+        raise RacinesError(f"{root}: none of the frames replayed shows a view: give replay.goal")
     if not view:
         if len(shown) != 1:
             raise RacinesError(f"{root}: name the view: its frames show {', '.join(shown)}")
