@@ -1,8 +1,9 @@
 """Environments and agents: the scanning tasks in Gymnasium and TorchRL, and their baselines.
 
 Importing registers `racines/<VIEW>-v0` for the one heart, `racines/<organ>-<VIEW>-v0` for the other
-installed organs, `racines/<VIEW>-patients-v0` and `-beating-v0`, and `racines/Replay-v0` for recorded
-frames alone, with Gymnasium and does nothing else; torch is loaded when an environment is made.
+installed organs, `racines/<VIEW>-patients-v0` and `-beating-v0`, and `racines/Replay-v0` for
+recorded frames alone, with Gymnasium and does nothing else; torch is loaded when an environment is
+made.
 """
 
 from collections.abc import Sequence

@@ -16,7 +16,7 @@ class RandomAgent(Untrained):
     sees: ClassVar[str] = "nothing"
 
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
-        """Draw (N,) actions from the seeds; of those that a mask lets through, where one is seen."""
+        """Draw (N,) actions from the seeds; where a mask is seen, of those that it lets through."""
         drawn = uniform(seeds, 1)[:, 0]
         if "action_mask" not in observation:
             return (drawn * len(ACTIONS)).long()

@@ -14,9 +14,7 @@ Name = Annotated[str | None, typer.Option(help="What to call the run; as the age
 Env = Annotated[
     str | None, typer.Option(help="replay:FOLDER, a dataset's frames in place of a phantom.")
 ]
-Goal = Annotated[
-    str | None, typer.Option(help="With --env, the frame to find, TRAJECTORY:FRAME.")
-]
+Goal = Annotated[str | None, typer.Option(help="With --env, the frame to find, TRAJECTORY:FRAME.")]
 
 Tier = opt.Tier
 

@@ -143,7 +143,7 @@ def _check_alone(
     if forces == "fitted":
         raise RacinesError("forces='fitted' are for phantoms: a replay has recorded ones")
     if world.masks and action != DISCRETE:
-        raise RacinesError("replay.beyond='mask' tells of the thirteen steps: use action='discrete'")
+        raise RacinesError("replay.beyond='mask' is of the thirteen steps: use action='discrete'")
     own = "phantom" if backend == "replay" else backend
     return own, "auto" if forces == "recorded" else forces
 

@@ -133,7 +133,9 @@ def test_views_may_be_judged_by_pose_and_goals_by_their_label():
     assert by_label.aim == ("SC", SC, 40, "label")
     with pytest.raises(RacinesError, match="bears no view: leave replay.judged_by out"):
         open_recordings(labelled(), "", ReplayConfig(goal="sweep-0:3", judged_by="label"))
-    with pytest.raises(RacinesError, match="goal sweep-0:3: the frame bears Random, not SC|no view"):
+    with pytest.raises(
+        RacinesError, match="goal sweep-0:3: the frame bears Random, not SC|no view"
+    ):
         open_recordings(labelled(), "SC", ReplayConfig(goal="sweep-0:3"))
 
 
@@ -279,7 +281,10 @@ def test_a_row_is_as_if_it_were_alone_and_a_seed_walks_the_same():
 def test_the_recipe_names_dataset_settings_and_goal_and_differs_by_each():
     world = open_recordings(labelled(), "SC")
     told = json.loads(json.dumps(phantom_recipe(world)))
-    assert told["dataset"]["digest"] == "ab" * 32 and told["aim"]["frame"] in ("sweep-0:38", "sweep-0:39")
+    assert told["dataset"]["digest"] == "ab" * 32 and told["aim"]["frame"] in (
+        "sweep-0:38",
+        "sweep-0:39",
+    )
     assert told["settings"]["reach"] == pytest.approx(1e3 * world.reach)
     assert json.loads(json.dumps(world.task().definition))["views"] == list(world.views)
     others = [ReplayConfig(turn=50.0), ReplayConfig(goal="sweep-0:40", judged_by="label")]

@@ -1,4 +1,4 @@
-"""What a replay holds of a dataset: poses, images, labels and phases of the frames that it shows."""
+"""What a replay holds of a dataset: poses, images, labels and phases of the frames it shows."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -182,9 +182,7 @@ def _predicted(store: FrameStore, rows: Tensor) -> tuple[Tensor, Tensor]:
     if sum(map(len, columns)) != len(store):
         return torch.full_like(rows, -1), torch.full((len(rows),), torch.nan)
     views = torch.cat([torch.tensor(c[names[0]].fill_null(-1).to_numpy()) for c in columns])
-    grades = torch.cat(
-        [torch.tensor(c[names[1]].fill_null(torch.nan).to_numpy()) for c in columns]
-    )
+    grades = torch.cat([torch.tensor(c[names[1]].fill_null(torch.nan).to_numpy()) for c in columns])
     return views.long()[rows], grades.float()[rows]
 
 

@@ -81,9 +81,7 @@ def _aim(frames: Frames, view: str, config: ReplayConfig) -> Aim:
     return Aim(view, labels.index(view), frame, config.judged_by or LABEL)
 
 
-def _aim_of_frame(
-    frames: Frames, frame: int, label: int, view: str, config: ReplayConfig
-) -> Aim:
+def _aim_of_frame(frames: Frames, frame: int, label: int, view: str, config: ReplayConfig) -> Aim:
     """Return the aim of a goal frame: its pose, or its label where that is asked for."""
     labels, named = frames.store.labels, label < len(frames.store.labels) - 1
     if view and (not named or labels[label] != view):
