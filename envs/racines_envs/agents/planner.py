@@ -49,8 +49,9 @@ class PlannerAgent(Untrained):
             raise RacinesError("the planner needs the environment: call attach(core) first")
         count, options = core.num_envs, len(ACTIONS)
         moved, allowed = core.options()
-        knows = isinstance(core.phantom, KnowsWays)
-        target = core.phantom.waypoint(core.state.pose) if knows else core.target
+        world: object = core.phantom
+        knows = isinstance(world, KnowsWays)
+        target = world.waypoint(core.state.pose) if knows else core.target
         # One goal for all rows, or one for each of them.
         rows = torch.arange(count, device=core.device).repeat_interleave(options)
         goal = Pose(*(x.expand(count, *x.shape[1:])[rows] for x in target))

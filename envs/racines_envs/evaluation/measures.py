@@ -197,12 +197,12 @@ def measure_by_seed(
 ) -> dict[str, Metrics]:
     """Return the metrics of each start set; the episodes stand in the order of the sets."""
     count = next(iter(values.values())).shape[1]
-    units = np.split(np.arange(count) if units is None else units, len(seeds))
+    own = np.split(np.arange(count) if units is None else units, len(seeds))
     parts = {name: np.split(each, len(seeds), axis=1) for name, each in values.items()}
     rows = range(len(seeds))
     each_set = [{name: part[row] for name, part in parts.items()} for row in rows]
-    each_set = zip(seeds, each_set, units, strict=True)
-    return {str(seed): measure(own, unit, length)[0] for seed, own, unit in each_set}
+    sets = zip(seeds, each_set, own, strict=True)
+    return {str(seed): measure(each, unit, length)[0] for seed, each, unit in sets}
 
 
 def by_seed_of(evidence: Evidence, seeds: Sequence[int]) -> dict[str, Metrics]:

@@ -38,16 +38,17 @@ class Nearest:
         `count` is at most M.
         """
         if self._tree is not None:
-            distance, index = self._tree.query(keys.numpy(), k=[*range(1, count + 1)])
-            return torch.from_numpy(index), torch.from_numpy(distance).to(torch.float32)
-        found = []
+            found = self._tree.query(keys.numpy(), k=count)
+            distance, index = (torch.from_numpy(x).view(-1, count) for x in found)
+            return index, distance.to(torch.float32)
+        parts = []
         for queries in keys.split(QUERIES):
             # The exact form, not the matrix product: equal keys have distance 0, and a row's
             # result ignores its batch.
             away = torch.cdist(queries, self.keys, compute_mode="donot_use_mm_for_euclid_dist")
             distance, index = away.topk(count, largest=False)
-            found.append((index, distance))
-        index, distance = (torch.cat(column) for column in zip(*found, strict=True))
+            parts.append((index, distance))
+        index, distance = (torch.cat(column) for column in zip(*parts, strict=True))
         return index, distance
 
 

@@ -312,9 +312,8 @@ class Recordings(World):
 
     def _into_bounds(self, pose: Pose) -> Pose:
         """Return poses moved towards the goal, straight, until they are within the bounds."""
-        goal = Pose(
-            *(x.expand_as(y) for x, y in zip(self.target(self.aim.view), pose, strict=True))
-        )
+        target = self.target(self.aim.view)
+        goal = Pose(*(x.expand_as(y) for x, y in zip(target, pose, strict=True)))
         shift, turn = ((1.0 - 1.0 / x).clamp_min(0.0)[:, None] for x in self._off(pose))
         vector = rotation_vector(matmul3(pose.rotation.transpose(-1, -2), goal.rotation))
         turned = matmul3(pose.rotation, axis_angle_to_matrix(vector * turn))
@@ -334,7 +333,7 @@ class Recordings(World):
         return may[place]
 
     def start_units(self, seeds: Tensor) -> Tensor:
-        """Return the (N,) trajectories that episodes of (N,) seeds start in: what is independent."""
+        """Return the (N,) trajectories that episodes of (N,) seeds start in: the units."""
         return self.frames.trajectory()[self.drawn_starts(seeds).cpu()]
 
     @cached_property
