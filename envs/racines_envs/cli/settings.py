@@ -51,7 +51,7 @@ def open_env(
     config = fill(ReplayConfig, section(values, "replay") | own, "replay")
     world = open_recordings(folder, view or "", config, device or "cpu")
     rest = {name: value for name, value in chosen.items() if name not in known}
-    return world, rest, plain_name(f"replay-{folder.resolve().name}-{world.aim.view}")
+    return world, rest, plain_name(f"replay-{folder.absolute().name}-{world.aim.view}")
 
 
 def phantom_config(settings: dict[str, Any]) -> Any:

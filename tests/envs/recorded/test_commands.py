@@ -30,7 +30,7 @@ def test_floors_and_bounds_are_scored_from_starts_of_the_test_split(tmp_path):
     for agent in ("random", "planner"):
         run("eval", "agent", agent, *few, "--set", "max_steps=80")
     found = {
-        agent: json.loads((tmp_path / SCORES / f"{agent}-replay-racines-sc-test.json").read_text())
+        agent: json.loads((tmp_path / SCORES / f"{agent}-replay-mine-sc-test.json").read_text())
         for agent in ("random", "planner")
     }
     success = {agent: each["metrics"]["success_true"] for agent, each in found.items()}
@@ -41,7 +41,7 @@ def test_floors_and_bounds_are_scored_from_starts_of_the_test_split(tmp_path):
     assert told["task"]["backend"] == "replay" and told["task"]["definition"]["view"] == "SC"
     assert success["random"]["settings"]["units"] < 24  # trajectories, not starts
     assert told["metrics"]["position_error"]["unit"] == "mm"
-    assert (tmp_path / SCORES / "random-replay-racines-sc-test.png").stat().st_size > 5000
+    assert (tmp_path / SCORES / "random-replay-mine-sc-test.png").stat().st_size > 5000
 
 
 @pytest.mark.parametrize("beyond", ["refuse", "mask"])
@@ -50,7 +50,7 @@ def test_a_policy_is_trained_and_scored(tmp_path, beyond):
     small = ["--set", "envs=16", "--set", "update_every=256", "--set", "validate_every=512"]
     small += ["--set", "validation_starts=4", "--set", "max_steps=30", "--set", "minibatch=128"]
     run("train", "agent", "ppo", *settings, *small, "--frames", "512")
-    folder = tmp_path / "envs/runs/ppo-replay-racines-sc"
+    folder = tmp_path / "envs/runs/ppo-replay-mine-sc"
     told = json.loads((folder / "metrics.json").read_text())
     assert told["phantom"]["settings"]["split"] == "train"
     assert told["phantom"]["settings"]["beyond"] == beyond
