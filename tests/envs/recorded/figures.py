@@ -11,12 +11,14 @@ from typing import Any
 from racines_data.files import write_json
 
 RESULTS = Path(__file__).parents[3] / "docs/results"
-COLUMNS = ["recordings", "starts from", "agent", "success", "steps", "refused steps"]
+COLUMNS = ["recordings", "starts", "agent", "success", "steps", "refused steps"]
 COMMAND = (
     "racines data build --source phantom --profile abdomen --frames 8000 --out abdomen; "
     "racines train agent ppo --env replay:abdomen --view KLX --profile abdomen --frames 300000; "
     "racines eval agent AGENT --env replay:abdomen --view KLX --split SPLIT --profile abdomen "
-    "--starts 100 --set seeds=[0] --set latency=0; likewise with rotation --goal turn-0100:0 "
+    "--starts 100 --set seeds=[0] --set latency=0; racines data import neuralcmf --source rotation "
+    "--out rotation; racines data import *.igs.mha --source tracked --out tracked; likewise with "
+    "rotation --goal turn-0100:0 "
     "--set reach=20 --frames 100000, and with tracked --goal SESSION-02:3 --set session=SESSION "
     "--set within=3 without a training; python -m tests.envs.recorded.figures SCORES.json"
 )
@@ -46,7 +48,7 @@ def document(paths: list[Path]) -> dict[str, Any]:
         metrics, told = scores["metrics"], scores["phantom"]
         steps, refused = metrics["episode_steps"]["value"], metrics["violations"]["value"]
         success = metrics["success_true"]
-        where = f"{split}, {told['starts']} frames of {success['settings']['units']} trajectories"
+        where = f"{split}: {told['starts']} frames; in {success['settings']['units']} trajectories"
         rows.append([title, where, agent, percent(success), f"{steps:.0f}", f"{refused:.0f}"])
         key = f"{told['dataset']['source']}_{split}_{agent}"
         if split == "test" and agent == "ppo":
