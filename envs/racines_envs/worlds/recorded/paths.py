@@ -2,7 +2,7 @@
 
 Frames are thinned along their trajectories to nodes; two nodes are linked where a probe can pass
 from one to the other and stays within reach of what was recorded. Lengths of ways follow Dijkstra
-(A Note on Two Problems in Connexion with Graphs, 1959).
+(Numerische Mathematik 1, 1959).
 """
 
 import numpy as np
