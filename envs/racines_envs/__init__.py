@@ -1,8 +1,9 @@
 """Environments and agents: the scanning tasks in Gymnasium and TorchRL, and their baselines.
 
 Importing registers `racines/<VIEW>-v0` for the one heart, `racines/<organ>-<VIEW>-v0` for the other
-installed organs, and `racines/<VIEW>-patients-v0` and `-beating-v0` with Gymnasium and does nothing
-else; torch is loaded when an environment is made.
+installed organs, `racines/<VIEW>-patients-v0` and `-beating-v0`, and `racines/Replay-v0` for
+recorded frames alone, with Gymnasium and does nothing else; torch is loaded when an environment is
+made.
 """
 
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 
 from racines_data.views import HEART, organs
-from racines_envs.task.names import GOALS, HEART_TIER, TIERS, task_id, task_name
+from racines_envs.task.names import GOALS, HEART_TIER, REPLAY_ID, TIERS, task_id, task_name
 
 if TYPE_CHECKING:
     from racines_envs.apis.torchrl_env import ScanEnv as ScanEnv
@@ -47,6 +48,11 @@ def _register(name: str, settings: dict[str, Any]) -> None:
     )
 
 
+gymnasium.register(
+    id=REPLAY_ID,
+    entry_point="racines_envs.apis.replay_env:GymReplayEnv",
+    vector_entry_point="racines_envs.apis.replay_env:VectorReplayEnv",
+)
 for _tier in TIERS:
     for _view in GOALS if _tier != HEART_TIER else ():
         _register(task_id(_view, tier=_tier), {"view": task_name(_view, tier=_tier)})

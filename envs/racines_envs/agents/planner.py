@@ -11,6 +11,7 @@ from racines_envs.agents.protocol import Untrained
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import is_hit
+from racines_envs.task.sensing import KnowsWays
 from racines_envs.task.tasks import Task
 
 
@@ -27,7 +28,8 @@ def cost_to_go(pose: Pose, goal: Pose, task: Task) -> Tensor:
 class PlannerAgent(Untrained):
     """Takes the step that most reduces the cost to go to the nominal pose; idles on a hit.
 
-    Steps that the limits would refuse are left out.
+    Steps that the limits would refuse are left out. In recordings alone it goes the shortest way
+    along recorded poses to one that hits.
     """
 
     name: ClassVar[str] = "planner"
@@ -46,14 +48,14 @@ class PlannerAgent(Untrained):
         if core is None:
             raise RacinesError("the planner needs the environment: call attach(core) first")
         count, options = core.num_envs, len(ACTIONS)
-        each = Pose(*(x.repeat_interleave(options, 0) for x in core.state.pose))
-        moved = core.table.move(each, torch.arange(options, device=core.device).repeat(count))
-        force = core.state.force.repeat_interleave(options)
-        inside, soft = core.limits(moved, core.wrench(moved), force)
+        moved, allowed = core.options()
+        world: object = core.phantom
+        knows = isinstance(world, KnowsWays)
+        target = world.waypoint(core.state.pose) if knows else core.target
         # One goal for all rows, or one for each of them.
         rows = torch.arange(count, device=core.device).repeat_interleave(options)
-        goal = Pose(*(x.expand(count, *x.shape[1:])[rows] for x in core.target))
-        cost = torch.where(inside & soft, cost_to_go(moved, goal, core.task), torch.inf)
-        best = cost.view(count, options).argmin(1)
+        goal = Pose(*(x.expand(count, *x.shape[1:])[rows] for x in target))
+        cost = cost_to_go(moved, goal, core.task).view(count, options)
+        best = torch.where(allowed, cost, torch.inf).argmin(1)
         arrived = is_hit(core.score, core.rewards) & is_hit(core.scored_by("oracle"), core.rewards)
         return torch.where(arrived, IDLE, best)

@@ -94,11 +94,15 @@ class PolicyAgent:
         """Return the most probable action of each row, or drawn ones at a `temperature`."""
         was_training = self.actor.training
         self.actor.eval()
-        keys, columns = zip(*observation.items(), strict=True)
+        allowed = observation.get("action_mask")
+        seen = {key: value for key, value in observation.items() if key != "action_mask"}
+        keys, columns = zip(*seen.items(), strict=True)
         logits = in_fixed_batches(
             lambda *seen: self.logits(dict(zip(keys, seen, strict=True))), *columns
         )
         self.actor.train(was_training)
+        if allowed is not None:
+            logits = logits.masked_fill(~allowed.to(logits.device), -torch.inf)
         return choose(logits, seeds, getattr(self.config, "temperature", 0.0))
 
     def logits(self, observation: dict[str, Tensor]) -> Tensor:

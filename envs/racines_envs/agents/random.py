@@ -16,5 +16,10 @@ class RandomAgent(Untrained):
     sees: ClassVar[str] = "nothing"
 
     def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
-        """Draw (N,) actions from the seeds."""
-        return (uniform(seeds, 1)[:, 0] * len(ACTIONS)).long()
+        """Draw (N,) actions from the seeds; where a mask is seen, of those that it lets through."""
+        drawn = uniform(seeds, 1)[:, 0]
+        if "action_mask" not in observation:
+            return (drawn * len(ACTIONS)).long()
+        allowed = observation["action_mask"]
+        place = (drawn.to(allowed.device) * allowed.sum(1)).long()
+        return (allowed.cumsum(1) > place[:, None]).int().argmax(1)

@@ -31,6 +31,8 @@ from racines_envs.task.rewards import RewardConfig, get_reward
 from racines_envs.task.starts import validation_seeds
 from racines_envs.worlds.backends import JudgeLike, make_grader, source_weights, usual_grader
 from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
+from racines_envs.worlds.recorded.opening import of_split
+from racines_envs.worlds.recorded.world import Recordings
 from racines_envs.worlds.ward import make_ward
 from racines_models.devices import on_device
 from racines_models.protocol import Run
@@ -282,7 +284,13 @@ class LearningAgent(PolicyAgent):
 
 
 def worlds(config: TrainingConfig, phantom: WorldLike) -> tuple[World, World]:
-    """Return where a run learns and where it is validated: one heart, or patients of two splits."""
+    """Return where a run learns and where it is validated: one heart, or patients of two splits.
+
+    In recordings that stand alone it is validated from starts of the validation split, and from its
+    own where that split has none.
+    """
+    if isinstance(phantom, Recordings):
+        return phantom, validated_in(phantom)
     task = find_task(config.view, phantom)
     if task.tier == HEART_TIER:
         world = make_phantom(phantom, config.device, task.anatomy)
@@ -294,6 +302,15 @@ def worlds(config: TrainingConfig, phantom: WorldLike) -> tuple[World, World]:
         make_ward(task.tier, split, count, config.device, memory) for split, count in counts.items()
     )
     return train, validation
+
+
+def validated_in(world: Recordings) -> Recordings:
+    """Return the recordings with starts of the validation split; themselves where it has none."""
+    try:
+        return of_split(world, "validation")
+    except RacinesError as error:
+        say(f"racines: validated from starts of split {world.settings.split!r}: {error}", err=True)
+        return world
 
 
 def settings_identity(
@@ -319,7 +336,7 @@ def environment_identity(
         made["grader"] = make_grader(judge, "cpu").sha256
     if config.backend == "generator" and config.generator:
         made["generator"] = source_weights(config.generator)
-    if config.backend == "replay":
+    if config.backend == "replay" and not isinstance(phantom, Recordings):
         made["data"] = open_store(data).digest
     return made | {"phantom": phantom_recipe(phantom)}
 

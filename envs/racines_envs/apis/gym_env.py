@@ -124,6 +124,8 @@ class Scan:
             seen["joints"] = spaces.Box(-turn, turn, (self.core.robot.joints,), np.float32)
         if self.core.task.any_view:
             seen["goal"] = spaces.Box(0.0, 1.0, (len(self.core.phantom.views),), np.float32)
+        if self.core.masks:
+            seen["action_mask"] = spaces.MultiBinary(len(ACTIONS))
         return spaces.Dict(seen) if len(seen) > 1 else seen[self.core.observation]
 
     def reset(self, env: Any, seed: Any, options: dict[str, Any] | None) -> Any:
@@ -169,6 +171,8 @@ class Scan:
     def _arrays(self, seen: dict[str, torch.Tensor]) -> Any:
         """Turn observations into (copied) arrays as the space wants them."""
         arrays = {name: value.cpu().numpy().copy() for name, value in seen.items()}
+        if "action_mask" in arrays:
+            arrays["action_mask"] = arrays["action_mask"].astype(np.int8)
         if "image" in arrays:
             arrays["image"] = arrays["image"][..., None]
         if self._alone:

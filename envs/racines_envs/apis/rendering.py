@@ -133,6 +133,7 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
     goal = core.phantom.views[int(core.state.goal[row])]
     force, refused = info["force"], info["workspace_hits"] + info["force_hits"]
     refused += info.get("arm_hits", 0)
+    unit = getattr(core.phantom, "unit", "mm")
     away, turned = info["position_error"] * 1e3, math.degrees(info["rotation_error"])
     found = _GOAL if info["success"] else _TEXT
     pressed = _WARN if force > 0.9 * task.force_limit else _TEXT
@@ -144,7 +145,7 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
             f"force {force:.1f} N of {task.force_limit:.0f} N    refused steps {refused:.0f}",
             pressed,
         ),
-        (f"to nominal {away:.0f} mm, {turned:.0f} deg    return {info['return']:.1f}", _TEXT),
+        (f"to nominal {away:.0f} {unit}, {turned:.0f} deg    return {info['return']:.1f}", _TEXT),
     ]
     if info.get("out_of_support"):
         rows.append(("nothing was recorded near this pose", _WARN))

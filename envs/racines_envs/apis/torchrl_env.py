@@ -20,10 +20,10 @@ class ScanEnv(EnvBase):
     """N probes on one phantom, or on the patients of a ward; batch size (N,).
 
     Keys: `image` (N, 1, 128, 128) uint8, channels first (with an encoder, its `features` instead),
-    and/or `params` (N, 9) float32, and `goal` (N, V) where it is drawn for each episode; `action`
-    (N,) int64, or (N, 6) float32 twists with `action="velocity"`; `reward`, `done`, `terminated`,
-    `truncated` (N, 1); and under `info`, for curves and not for policies, `success` by the oracle,
-    `steps` and `return` so far.
+    and/or `params` (N, 9) float32, `goal` (N, V) where it is drawn for each episode, and
+    `action_mask` (N, 13) bool where recordings mask steps; `action` (N,) int64, or (N, 6) float32
+    twists with `action="velocity"`; `reward`, `done`, `terminated`, `truncated` (N, 1); and under
+    `info`, for curves and not for policies, `success` by the oracle, `steps` and `return` so far.
     """
 
     def __init__(
@@ -54,6 +54,9 @@ class ScanEnv(EnvBase):
         if core.task.any_view:
             goals = torch.Size([n, len(core.phantom.views)])
             seen["goal"] = Bounded(0.0, 1.0, goals, dtype=float32)
+        if core.masks:
+            steps = len(ACTIONS)
+            seen["action_mask"] = Binary(steps, torch.Size([n, steps]), dtype=torch.bool)
         info = {
             "success": Binary(1, column, dtype=torch.bool),
             "steps": Unbounded(column, dtype=torch.int64),

@@ -1,6 +1,6 @@
 """The commands `racines train agent` and `racines eval agent`. Heavy imports stand inside."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,7 +10,16 @@ from racines_data.cli import options as opt
 from racines_data.cli.options import given, overrides, read_settings, seed_of
 from racines_data.errors import RacinesError
 from racines_data.terminal import say, say_json, say_page
-from racines_envs.cli.settings import Agent, Name, Tier, on_tier, phantom_config
+from racines_envs.cli.settings import (
+    Agent,
+    Env,
+    Goal,
+    Name,
+    Tier,
+    on_tier,
+    open_env,
+    phantom_config,
+)
 from racines_envs.task.names import HEART_TIER, tier_of
 from racines_models.cli.device import OneDevice
 
@@ -19,6 +28,8 @@ def train_agent(
     agent: Agent = "ppo",
     view: opt.View = None,
     tier: Tier = None,
+    env: Env = None,
+    goal: Goal = None,
     observation: opt.Observation = None,
     reward: opt.Reward = None,
     backend: opt.Backend = None,
@@ -34,12 +45,15 @@ def train_agent(
     name: Name = None,
     out: opt.OwnOut = None,
     resume: opt.Resume = None,
+    settings: opt.Set = None,
     params: opt.Params = None,
     profile: opt.Profile = None,
     as_json: opt.AsJson = False,
 ) -> None:
     """Train an agent into envs/runs/<run>, or --out; options override the settings.
 
+    With --env replay:FOLDER in the recorded frames of a dataset, from starts of its train split,
+    into envs/runs/<run>-replay-<folder>-<view>; --set then also takes the settings of the replay.
     With `repeats: N` in its entry, N seeds: the first in that folder, seed n in its seed-<n>.
     """
     from racines_data.config import fill
@@ -48,25 +62,36 @@ def train_agent(
     from racines_models.protocol import Run
     from racines_models.training.checkpoint import train_seeds
 
-    settings = read_settings(params, profile)
-    entry = find_entry(settings, agent, name)
+    values = read_settings(params, profile)
+    entry = find_entry(values, agent, name)
     cls = agent_class(entry.agent)
+    phantom, more = phantom_config(values), overrides(settings)
+    if goal and not env:
+        raise RacinesError("--goal needs --env replay:FOLDER")
+    if env:
+        where_to = view or (None if goal or "goal" in more else entry.view)
+        phantom, more, label = open_env(env, values, where_to, given(goal=goal) | more, device)
+        entry = entry if name else replace(entry, name=f"{entry.name}-{label}")
+        view, backend = phantom.aim.view, "replay"
     # What learns no view of its own, as a floor, may still learn on a tier.
     known = {each.name for each in fields(cls.Config)}
     wanted = {"tier": tier} if "tier" in known else {"view": on_tier(view, tier)}
+    if env:
+        wanted = {"view": view} if "view" in known else {}
+        backend = backend if "backend" in known else None
     chosen = given(
         **wanted, observation=observation, reward=reward, backend=backend, generator=generator,
         grader=grader, encoder=encoder, frames=frames, device=device,
-    )  # fmt: skip
+    ) | more  # fmt: skip
     config: Any = fill(cls.Config, entry.settings | chosen, entry.where)
     folder = out or entry.folder
-    where = {"phantom": phantom_config(settings), "data": data, "progress": not as_json}
+    where = {"phantom": phantom, "data": data, "progress": not as_json}
 
     def fit(one: Run) -> dict[str, Any]:
         cls.train(config, one.folder, seed=one.seed, resume=one.resume, **where)
         return read_json(one.folder / "metrics.json")
 
-    train_seeds(fit, Run(folder, seed_of(settings, seed), resume=resume), entry.repeats)
+    train_seeds(fit, Run(folder, seed_of(values, seed), resume=resume), entry.repeats)
     metrics = (folder / "metrics.json").read_text()
     say_page(metrics if as_json else f"settings, metrics and policy, if any, are in {folder}")
 
@@ -75,6 +100,8 @@ def evaluate_agent(
     agent: Agent,
     view: opt.View = None,
     tier: Tier = None,
+    env: Env = None,
+    goal: Goal = None,
     split: opt.OneSplit = None,
     patients: Annotated[int | None, typer.Option(min=1, help="Patients of the split.")] = None,
     starts: opt.Starts = None,
@@ -106,7 +133,24 @@ def evaluate_agent(
     <run>-pl.json; so in --out, if that is a folder. Another result that is there stays, unless
     --force is given.
     With --tier patients or beating it acts on patients of --split, --starts times on each.
+    With --env replay:FOLDER it acts in the recorded frames of a dataset, from starts of --split,
+    the test split by default; --set then also takes the settings of the replay.
     """
+    if goal and not env:
+        raise RacinesError("--goal needs --env replay:FOLDER")
+    if env:
+        if tier or patients or backend or generator or data:
+            raise RacinesError(
+                "--env replay has frames of its own: leave --tier, --patients, --backend, "
+                "--generator and --data out"
+            )
+        chosen = given(
+            split=split, goal=goal, starts=starts, reward=reward, grader=grader, seed=seed,
+            device=device,
+        )  # fmt: skip
+        where = {"name": name, "run": run, "out": out, "force": force, "as_json": as_json}
+        given_ = chosen | overrides(settings)
+        return _on_recordings(agent, env, view, given_, params, profile, picture, **where)
     task = on_tier(view, tier)
     if task is not None and tier_of(task) != HEART_TIER:
         chosen = given(
@@ -155,6 +199,40 @@ def evaluate_agent(
         show_metrics(title, result.scores["metrics"])
         if several := result.scores.get("trainings"):
             say("trainings: " + ", ".join(map(_told, several)))
+        say(f"written: {out}")
+
+
+def _on_recordings(
+    agent: str, env: str, view: str | None, chosen: dict[str, Any], params: Path | None,
+    profile: str | None, picture: Path | None, *, name: str | None, run: Path | None,
+    out: Path | None, force: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Score an agent in recorded frames alone; settings are those of `evaluation` and `replay`."""
+    from racines_data.config import fill, section
+    from racines_envs.evaluation.agent_specs import find_entry, plain_name
+    from racines_envs.evaluation.run import EvaluationConfig, evaluate, write_evaluation
+    from racines_models.cli.output import show_metrics
+
+    values = read_settings(params, profile)
+    entry = find_entry(values, agent, name)
+    chosen = {"split": "test"} | section(values, "replay").of("split") | chosen
+    where_to = view or (None if "goal" in chosen else entry.view)
+    world, rest, label = open_env(env, values, where_to, chosen, chosen.get("device"))
+    entry = entry if name else replace(entry, name=f"{entry.name}-{label}")
+    # What the settings say of a phantom, its view and its grader is not of these frames.
+    stated = section(values, "evaluation").of("starts", "seeds", "resamples", "latency", "pictured")
+    own = {"view": world.aim.view, "backend": "replay"}
+    config = fill(EvaluationConfig, stated | rest | own, "evaluation")
+    label = entry.name if name else plain_name(f"{entry.name}-{world.settings.split}")
+    out = _result_file(out, entry.scores.with_name(f"{label}.json"))
+    result = evaluate(entry.agent, run or entry.folder, config, world, run=label)
+    write_evaluation(result, out, picture or out.with_suffix(".png"), force)
+    if as_json:
+        say_json(result.scores, indent=2)
+    else:
+        task, count = result.scores["task"], len(world.start_frames)
+        title = f"{label}: {task['view']} from {count} frames of {world.settings.split}"
+        show_metrics(title, result.scores["metrics"])
         say(f"written: {out}")
 
 

@@ -11,6 +11,11 @@ Agent = Annotated[
 ]
 Name = Annotated[str | None, typer.Option(help="What to call the run; as the agent, or its entry.")]
 
+Env = Annotated[
+    str | None, typer.Option(help="replay:FOLDER, a dataset's frames in place of a phantom.")
+]
+Goal = Annotated[str | None, typer.Option(help="With --env, the frame to find, TRAJECTORY:FRAME.")]
+
 Tier = opt.Tier
 
 
@@ -24,6 +29,29 @@ def on_tier(view: str | None, tier: str | None) -> str | None:
     if tier not in TIERS:
         raise RacinesError(f"unknown tier {tier!r}: choose one of {', '.join(TIERS)}")
     return view if tier == HEART_TIER else f"{view or 'A4C'}-{tier}"
+
+
+def open_env(
+    env: str, values: dict[str, Any], view: str | None, chosen: dict[str, Any], device: str | None
+) -> tuple[Any, dict[str, Any], str]:
+    """Return the world of `replay:FOLDER`, the settings that are not its own, and what to call it.
+
+    `values` are all sections' settings, of which `replay` is the world's; `chosen` go before them.
+    """
+    from dataclasses import fields
+
+    from racines_data.config import fill, section
+    from racines_envs.evaluation.agent_specs import plain_name
+    from racines_envs.worlds.recorded.opening import open_recordings
+    from racines_envs.worlds.recorded.settings import ReplayConfig, read_env
+
+    folder = read_env(env)
+    known = {field.name for field in fields(ReplayConfig)}
+    own = {name: value for name, value in chosen.items() if name in known}
+    config = fill(ReplayConfig, section(values, "replay") | own, "replay")
+    world = open_recordings(folder, view or "", config, device or "cpu")
+    rest = {name: value for name, value in chosen.items() if name not in known}
+    return world, rest, plain_name(f"replay-{folder.absolute().name}-{world.aim.view}")
 
 
 def phantom_config(settings: dict[str, Any]) -> Any:

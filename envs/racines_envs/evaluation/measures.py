@@ -108,31 +108,38 @@ def episode_values(trainings: Sequence[Episodes], reference_steps: np.ndarray) -
     return values
 
 
-def measure(values: Values) -> tuple[Metrics, Evidence]:
+def measure(
+    values: Values, units: np.ndarray | None = None, length: str = "mm"
+) -> tuple[Metrics, Evidence]:
     """Return the metrics of episodes, and the evidence that they follow from.
 
-    Items are the episodes' places, and the start of each is a unit of its own. What a training has
-    no measurement of, such as the steps of successes where there is none, has no value.
+    Items are the episodes' places, and the start of each is a unit of its own unless (N,) `units`
+    say otherwise. `length` is what lengths are told in. What a training has no measurement of, such
+    as the steps of successes where there is none, has no value.
     """
     evidence, metrics = Evidence(), {}
     places = np.arange(next(iter(values.values())).shape[1])
+    units = places if units is None else units
+
+    def told(what: Measured) -> str | None:
+        return length if what.unit == "mm" else what.unit
 
     def tell(name: str, figures: Figures, what: Measured) -> None:
         found = figures.interval(what.least, what.most)
-        metrics[name] = found.to_json(what.unit)
+        metrics[name] = found.to_json(told(what))
 
     for name, each in values.items():
         what = METRICS[name]
         if np.isfinite(each).any(1).all():
-            figures = evidence.add(name, what.statistic, each[:, None], places, places)
+            figures = evidence.add(name, what.statistic, each[:, None], places, units)
             tell(name, figures, what)
         else:
-            metrics[name] = figure_of(what.statistic, [], what.unit)
+            metrics[name] = figure_of(what.statistic, [], told(what))
     for name in MIDDLES:
         middles = [
             lambda keep, row=row: float(stats.trim_mean(row[keep], 0.25)) for row in values[name]
         ]
-        kept = evidence.add_set(f"{name}_iqm", set_replicates(middles, places))
+        kept = evidence.add_set(f"{name}_iqm", set_replicates(middles, units))
         tell(f"{name}_iqm", kept, METRICS[name]._replace(unit=None))
     return metrics, evidence
 
@@ -185,12 +192,17 @@ def measure_patients(values: Values, units: np.ndarray) -> tuple[Metrics, Eviden
     return metrics, evidence
 
 
-def measure_by_seed(values: Values, seeds: Sequence[int]) -> dict[str, Metrics]:
+def measure_by_seed(
+    values: Values, seeds: Sequence[int], units: np.ndarray | None = None, length: str = "mm"
+) -> dict[str, Metrics]:
     """Return the metrics of each start set; the episodes stand in the order of the sets."""
+    count = next(iter(values.values())).shape[1]
+    own = np.split(np.arange(count) if units is None else units, len(seeds))
     parts = {name: np.split(each, len(seeds), axis=1) for name, each in values.items()}
     rows = range(len(seeds))
     each_set = [{name: part[row] for name, part in parts.items()} for row in rows]
-    return {str(seed): measure(own)[0] for seed, own in zip(seeds, each_set, strict=True)}
+    sets = zip(seeds, each_set, own, strict=True)
+    return {str(seed): measure(each, unit, length)[0] for seed, each, unit in sets}
 
 
 def by_seed_of(evidence: Evidence, seeds: Sequence[int]) -> dict[str, Metrics]:

@@ -13,6 +13,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from racines_data.files import write_atomic
 from racines_envs.task.core import ScanCore
+from racines_envs.worlds.recorded.world import Recordings
 
 MARGIN = 6.0  # mm, shown around the paths
 
@@ -20,6 +21,7 @@ MARGIN = 6.0  # mm, shown around the paths
 def draw_trajectories(evaluation: Any, path: Path) -> None:
     """Draw the probe's path from several starts, in 3-D, as PNG; mm in the robot base frame.
 
+    In recordings that stand alone the recorded positions are drawn in the place of the block.
     The colour is the confidence p by the reward's own source; steps, p and, where one decision was
     timed, the time are written below. A floor plan shows where on the block's top that is.
     """
@@ -77,12 +79,18 @@ def _draw_path(axes: Any, path: np.ndarray, probability: np.ndarray, number: int
 def _frame(axes: Any, points: np.ndarray, core: ScanCore) -> None:
     """Show the space around the paths, and the part of the block's top that lies in it."""
     low, high = points.min(0) - MARGIN, points.max(0) + MARGIN
-    top = _corners(core)[1][2]
-    low[2], high[2] = points[:, 2].min() - 1.0, max(points[:, 2].max(), top) + 1.0
-    x, y = np.meshgrid([low[0], high[0]], [low[1], high[1]])
-    axes.plot_surface(x, y, np.full((2, 2), top), color="0.6", alpha=0.22)
-    axes.text(high[0], low[1], top, "block's top", fontsize=8, color="0.35", ha="right")
-    axes.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm")
+    unit, recorded = _recorded(core)
+    if recorded is None:
+        top = _corners(core)[1][2]
+        low[2], high[2] = points[:, 2].min() - 1.0, max(points[:, 2].max(), top) + 1.0
+        x, y = np.meshgrid([low[0], high[0]], [low[1], high[1]])
+        axes.plot_surface(x, y, np.full((2, 2), top), color="0.6", alpha=0.22)
+        axes.text(high[0], low[1], top, "block's top", fontsize=8, color="0.35", ha="right")
+    else:
+        near = recorded[((recorded >= low) & (recorded <= high)).all(1)]
+        axes.scatter(*near.T, s=3, color="0.6", alpha=0.4, label="recorded")
+        axes.set(zlim=(low[2], high[2]))
+    axes.set(xlabel=f"x, {unit}", ylabel=f"y, {unit}", zlabel=f"z, {unit}")
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect((1.0, 1.0, 0.6))  # the height, in which the probe moves least, is stretched
     axes.view_init(elev=28.0, azim=-60.0)
@@ -92,14 +100,26 @@ def _draw_plan(axes: Any, core: ScanCore, paths: list[np.ndarray], target: np.nd
     """Draw the paths from above on the block's outline (a stand-in's workspace)."""
     low, high = _corners(core)
     size = (high - low)[:2]
-    axes.add_patch(Rectangle((low[0], low[1]), *size, facecolor="0.92", edgecolor="0.4"))
+    unit, recorded = _recorded(core)
+    if recorded is None:
+        axes.add_patch(Rectangle((low[0], low[1]), *size, facecolor="0.92", edgecolor="0.4"))
+    else:
+        axes.scatter(*recorded[:, :2].T, s=1, color="0.75")
     for number, path in enumerate(paths):
         axes.plot(path[:, 0], path[:, 1], color="0.3", linewidth=0.9)
         axes.text(path[0, 0], path[0, 1], str(number + 1), fontsize=7)
     axes.plot(*target[:2], "*", color="black", markersize=8)
     axes.set(xlim=(low[0] - 5, high[0] + 5), ylim=(low[1] - 5, high[1] + 5), aspect="equal")
-    axes.set_title("block from above, mm", fontsize=8)
+    what = "block" if recorded is None else "recorded"
+    axes.set_title(f"{what} from above, {unit}", fontsize=8)
     axes.tick_params(labelsize=7)
+
+
+def _recorded(core: ScanCore) -> tuple[str, np.ndarray | None]:
+    """Return the unit of lengths, and the (M, 3) recorded positions; of a phantom none."""
+    if not isinstance(core.phantom, Recordings):
+        return "mm", None
+    return core.phantom.unit, core.phantom.frames.pose.position.cpu().numpy() * 1e3
 
 
 def _corners(core: ScanCore) -> tuple[np.ndarray, np.ndarray]:

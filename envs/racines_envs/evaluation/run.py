@@ -27,6 +27,7 @@ from racines_envs.task.starts import evaluation_seeds
 from racines_envs.task.tasks import Task
 from racines_envs.worlds.backends import check_grader, make_grader
 from racines_envs.worlds.making import WorldLike, find_task, make_core, make_phantom, phantom_recipe
+from racines_envs.worlds.recorded.world import Recordings
 from racines_models.devices import on_device
 from racines_models.protocol import Judge
 from racines_models.provenance import (
@@ -156,12 +157,13 @@ def evaluate(
     values = episode_values([episodes for episodes, _ in acted], steps)
     if grader is not None:
         values = {**values, "success_grader": np.stack([hits for _, hits in acted])}
-    metrics, evidence = measure(values)
+    told = units_of(core, acted[0][0])
+    metrics, evidence = measure(values, *told)
     if config.latency and not isinstance(agent, TraceAgent):
         alone = _alike(core, agent, config, 1)
         timed = latency(alone, agent, seeds.to(core.device), config.latency, config.resamples)
         metrics["latency"] = timed
-    by_seed = measure_by_seed(values, config.sets)
+    by_seed = measure_by_seed(values, config.sets, *told)
     scores = _document(trainings, config, core, agent, {"metrics": metrics, "by_seed": by_seed})
     scores |= {"extractors": extractors_of(agent, grader), "agent": run or agent.name}
     scores |= {"board": board} if board else {}
@@ -254,6 +256,16 @@ def reference_steps(view: str, seeds: Tensor, phantom: World, device: str) -> np
         view, len(seeds), observation="params", reward="oracle", phantom=phantom, device=device
     )
     return rollout(core, PlannerAgent(), seeds.to(core.device)).final["steps"]
+
+
+def units_of(core: ScanCore, episodes: Episodes) -> tuple[np.ndarray | None, str]:
+    """Return what n episodes are independent in, (n,), and in what their lengths are told.
+
+    In recordings that stand alone it is the trajectory that an episode starts in; else its start.
+    """
+    if not isinstance(core.phantom, Recordings):
+        return None, "mm"
+    return core.phantom.start_units(episodes.seeds).numpy(), core.phantom.unit
 
 
 def extractors_of(agent: Agent, grader: Judge | None = None) -> dict[str, dict[str, Any]]:

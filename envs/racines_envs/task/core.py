@@ -26,6 +26,7 @@ from racines_data.world import World
 from racines_envs.robots.arm import FREE, Arm
 from racines_envs.robots.following import make_robot
 from racines_envs.task import sensing
+from racines_envs.task.actions import ACTIONS
 from racines_envs.task.motion import DISCRETE, make_motion
 from racines_envs.task.names import HEART_TIER
 from racines_envs.task.rewards import Reward, RewardConfig, Score, get_reward, is_hit
@@ -78,6 +79,7 @@ class ScanCore:
         self.encoder = encoder if observation != "params" else None
         own = images if isinstance(images, sensing.ForceSource) else phantom
         self.forces: sensing.ForceSource = own if forces is None else forces
+        self.masks = isinstance(phantom, sensing.MasksSteps) and phantom.masks
         self.motion = make_motion(action, task, self.device)
         self.table = self.motion.table
         self.robot = make_robot(robot, self.device)
@@ -224,6 +226,19 @@ class ScanCore:
         soft = (pressing <= self.task.force_limit) | (pressing <= force)
         return self.phantom.workspace.contains(pose), soft
 
+    def options(self, rows: Tensor | None = None) -> tuple[Pose, Tensor]:
+        """Return where each of the thirteen steps leads (K,) rows or all, and whether they may go.
+
+        Poses are (K × 13), row after row; the rest is (K, 13) bool, of workspace and force.
+        """
+        state, count = self.state.taken(rows), len(ACTIONS)
+        each = Pose(*(x.repeat_interleave(count, 0) for x in state.pose))
+        step = torch.arange(count, device=self.device).repeat(len(state.steps))
+        moved = self.table.move(each, step)
+        force = state.force.repeat_interleave(count)
+        inside, soft = self.limits(moved, self.wrench(moved), force)
+        return moved, (inside & soft).view(-1, count)
+
     def _judge(self, before: Score, live: Tensor) -> Transition:
         """Reward the live rows and end those that are through."""
         state, needed = self.state, self.task.hits_to_end
@@ -255,6 +270,8 @@ class ScanCore:
         }
         if self.observation != "params" or self.reward.needs_judge:
             sensed["image"] = self._draw(parameters, seeds, scene)
+        if self.masks:
+            sensed["action_mask"] = self.options(rows)[1]
         if self.encoder is not None:
             sensed["features"] = in_fixed_batches(self.encoder, sensed["image"])
         if self.reward.needs_judge and self.grader is not None:
@@ -271,9 +288,14 @@ class ScanCore:
         return Score(self._sensed[f"{source}_p"], self._sensed[f"{source}_g"], self._distance())
 
     def _distance(self) -> Tensor:
-        """Return (N,) unit steps to the nominal pose, or zeros where the reward has no use."""
+        """Return (N,) unit steps to the nominal pose, or zeros where the reward has no use.
+
+        Where the straight way may be closed, those of the shortest open one to a hit.
+        """
         if not self.reward.needs_distance:
             return torch.zeros_like(self.state.total)
+        if isinstance(self.phantom, sensing.KnowsWays):
+            return self.phantom.steps_left(self.state.pose)
         metres, radians = self.pose_error()
         return metres / self.task.step_translation + radians / self.task.step_rotation
 
@@ -343,7 +365,8 @@ class ScanCore:
 
         With an encoder also `features`, what it says of the images; where the goal is drawn for
         each episode also `goal`, (N, V) float32, 1 for the goal's label and else 0. Where an arm
-        carries the probe and its pose is seen, also `joints` (N, J) float32, rad.
+        carries the probe and its pose is seen, also `joints` (N, J) float32, rad. Where recordings
+        mask steps, also `action_mask` (N, 13) bool: what will not be refused.
         """
         names = [] if self.observation == "params" else ["image"]
         names += [] if self.encoder is None else ["features"]
@@ -356,6 +379,8 @@ class ScanCore:
                 seen["joints"] = self.state.joints.float()
         if self.task.any_view:
             seen["goal"] = one_hot(self.state.goal, len(self.phantom.views)).float()
+        if self.masks:
+            seen["action_mask"] = self._sensed["action_mask"]
         return seen
 
     def info(self, view_error: bool = True) -> dict[str, Tensor]:

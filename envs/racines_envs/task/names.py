@@ -11,6 +11,8 @@ TIERS = (HEART_TIER, PATIENTS, BEATING)
 """
 ANY_VIEW = "AnyView"
 """In place of a view: the goal is drawn for each episode, and observed."""
+REPLAY_ID = "racines/Replay-v0"
+"""The Gymnasium id of recordings alone, whatever they show."""
 GOALS = (*VIEWS, ANY_VIEW)
 """What a task on patients may look for."""
 

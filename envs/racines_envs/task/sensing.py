@@ -53,6 +53,36 @@ class KnowsSupport(Protocol):
         ...
 
 
+@runtime_checkable
+class TellsFrames(Protocol):
+    """A scene of recorded frames, which says what is shown."""
+
+    def told(self, pose: Pose) -> dict[str, Tensor]:
+        """Return the store's row of each of (B,) poses' frame, and its distance, m."""
+        ...
+
+
+@runtime_checkable
+class KnowsWays(Protocol):
+    """A world in which the straight way to the goal may be closed, and that knows another."""
+
+    def waypoint(self, pose: Pose) -> Pose:
+        """Return (B,) poses to go to next, on the shortest open ways from (B,) poses to a hit."""
+        ...
+
+    def steps_left(self, pose: Pose) -> Tensor:
+        """Return the (B,) lengths of these ways, in unit steps."""
+        ...
+
+
+@runtime_checkable
+class MasksSteps(Protocol):
+    """A world that may want the steps that it would refuse to be told beforehand."""
+
+    masks: bool
+    """Whether it does."""
+
+
 def check_drawn(images: object, count: int, source: object) -> Tensor:
     """Return the images if they are (count, 128, 128) uint8; else refuse what `source` drew."""
     who = f"backend {type(source).__name__}"

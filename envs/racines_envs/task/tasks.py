@@ -5,11 +5,12 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.phantom.anatomy import anatomy_views
-from racines_data.views import HEART, organs
+from racines_data.views import HEART, labels_of, organs
 from racines_envs.task.names import (
     ANY_VIEW,
     GOALS,
     HEART_TIER,
+    REPLAY_ID,
     TIERS,
     task_id,
     task_name,
@@ -53,10 +54,13 @@ class Task:
     """Whose view it is: a registered anatomy, or `module:function`."""
     tier: str = HEART_TIER
     """In which world: `heart`, `patients` (still) or `beating`."""
+    views: tuple[str, ...] = ()
+    """The views that recordings tell apart, which stand alone (`worlds.recorded`); else empty: the
+    anatomy has them."""
 
     def __post_init__(self) -> None:
         _check_known("tier", self.tier, TIERS)
-        views = anatomy_views(self.anatomy) if self.tier == HEART_TIER else GOALS
+        views = self.known_views if self.tier == HEART_TIER else GOALS
         _check_known("view", self.view, views)
         _check_known("termination", self.termination, (*TERMINATIONS, DECLARED))
         if self.tier != HEART_TIER and self.anatomy != HEART:
@@ -68,8 +72,8 @@ class Task:
 
     @property
     def id(self) -> str:
-        """The Gymnasium id."""
-        return task_id(self.view, self.anatomy, self.tier)
+        """The Gymnasium id; that of all replays where there are no more than recordings."""
+        return REPLAY_ID if self.views else task_id(self.view, self.anatomy, self.tier)
 
     @property
     def name(self) -> str:
@@ -80,6 +84,7 @@ class Task:
     def definition(self) -> dict[str, Any]:
         """What documents say of it; of the one heart's tasks what they said before patients."""
         later = () if self.tier != HEART_TIER else ("idles", "tier")
+        later = later if self.views else (*later, "views")
         return {name: value for name, value in asdict(self).items() if name not in later}
 
     @property
@@ -88,11 +93,21 @@ class Task:
         return self.view == ANY_VIEW
 
     @property
+    def known_views(self) -> tuple[str, ...]:
+        """The views that can be looked for: those of the recordings or of the anatomy."""
+        return self.views or anatomy_views(self.anatomy)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """These views, then `Random`."""
+        return labels_of(self.known_views)
+
+    @property
     def target(self) -> int:
         """The label of the target view; `RacinesError` where episodes differ in it."""
         if self.any_view:
             raise RacinesError(f"{self.id} has no one target view: it is drawn for each episode")
-        return anatomy_views(self.anatomy).index(self.view)
+        return self.known_views.index(self.view)
 
     @property
     def hits_to_end(self) -> int:

@@ -23,7 +23,8 @@ def told_of(core: "ScanCore", sensed: Mapping[str, Tensor], view_error: bool) ->
     errors in m and rad: to the nominal pose, and those of the view (left out without
     `view_error`: they cost as much as some steps) to the nearest pose that truly shows it.
     `out_of_support` is there if the source of images tells it, and `arm_hits`, steps that the arm
-    could not follow, if one carries the probe.
+    could not follow, if one carries the probe; recordings that stand alone tell the `frame` shown,
+    its row in the store, and its `frame_distance`.
 
     Args:
         core: whose rows.
@@ -40,6 +41,8 @@ def told_of(core: "ScanCore", sensed: Mapping[str, Tensor], view_error: bool) ->
         further["out_of_support"] = core.images.out_of_support(core.parameters)
     if core.task.tier != HEART_TIER:
         further |= _of_patients(core)
+    if isinstance(scene := core.scene(), sensing.TellsFrames):
+        further |= scene.told(state.pose)
     if core.robot.joints:
         further["arm_hits"] = state.arm_hits
     return further | {

@@ -13,9 +13,8 @@ from torch import Tensor
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
 from racines_data.imaging import ImageSource
-from racines_data.phantom.anatomy import anatomy_views
 from racines_data.randomness import sample_seeds
-from racines_data.views import HEART, labels_of
+from racines_data.views import HEART
 from racines_data.world import World
 from racines_envs.task.names import HEART_TIER, PATIENTS
 from racines_envs.task.tasks import Task
@@ -155,4 +154,4 @@ def make_grader(
 def check_grader(grader: Judge | None, task: Task) -> None:
     """Check that a grader, if there is one, knows the views of a task's anatomy."""
     if grader is not None:
-        grader.check_labels(labels_of(anatomy_views(task.anatomy)), f"the {task.anatomy}")
+        grader.check_labels(task.labels, f"the {task.anatomy}")

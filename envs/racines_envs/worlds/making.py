@@ -12,11 +12,10 @@ from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
 from racines_data.patients.patient import PATIENTS_VERSION
-from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
 from racines_data.phantom.model import shared_phantom
 from racines_data.phantom.saved import provenance
-from racines_data.views import HEART, labels_of
+from racines_data.views import HEART
 from racines_data.world import World
 from racines_envs.robots.arm import FREE, Arm
 from racines_envs.task.core import ScanCore
@@ -27,6 +26,7 @@ from racines_envs.task.sensing import Encoder, ForceSource
 from racines_envs.task.tasks import Task, get_task
 from racines_envs.worlds.backends import JudgeLike, make_backend, make_grader, usual_grader
 from racines_envs.worlds.forces import make_forces
+from racines_envs.worlds.recorded.world import Recordings
 from racines_envs.worlds.ward import Ward, make_ward
 from racines_models.devices import resolve_device
 
@@ -77,7 +77,8 @@ def make_core(
         phantom: A phantom or its configuration; the shared one of the anatomy by default, and for
             `replay` that of the dataset. `recorded` for the recordings in its place, which stand
             there anyway where they are no phantom's. The folder or name of a phantom of one's own:
-            the organ in the block, or the heart that all patients have.
+            the organ in the block, or the heart that all patients have. `Recordings` stand for
+            themselves, images and forces included (`open_recordings`); their reward is `shaped`.
         anatomy: Whose view it is; the phantom's anatomy by default, or else the heart.
         generator: For the backend `generator`: a name, run folder, `module:Class`, `FILE.onnx` or
             object; see `racines_envs.worlds.backends.open_source`.
@@ -105,7 +106,10 @@ def make_core(
     if isinstance(phantom, Path | str) and phantom != RECORDED and _tier(view) == HEART_TIER:
         phantom = PhantomConfig(anatomy=str(phantom))
     task = find_task(view, None if phantom == RECORDED else phantom, anatomy)
-    reward = reward or ("paper" if task.tier == HEART_TIER else "shaped")
+    alone = isinstance(phantom, Recordings)
+    reward = reward or ("paper" if task.tier == HEART_TIER and not alone else "shaped")
+    if isinstance(phantom, Recordings):
+        backend, forces = _check_alone(phantom, backend, forces, action)
     phantom = _world_of(task, phantom, backend, device, split, patients)
     if termination is not None:
         task = dataclasses.replace(task, termination=termination)
@@ -130,6 +134,18 @@ def make_core(
         task, phantom, images, judge, observation, reward, rewards, num_envs, device, encoder,
         make_forces(forces, images, phantom, store, device), action, robot,
     )  # fmt: skip
+
+
+def _check_alone(
+    world: Recordings, backend: str | ImageSource, forces: ForceSource | str, action: str
+) -> tuple[str | ImageSource, ForceSource | str]:
+    """Return backend and forces as recordings that stand alone have them: by their own frames."""
+    if forces == "fitted":
+        raise RacinesError("forces='fitted' are for phantoms: a replay has recorded ones")
+    if world.masks and action != DISCRETE:
+        raise RacinesError("replay.beyond='mask' is of the thirteen steps: use action='discrete'")
+    own = "phantom" if backend == "replay" else backend
+    return own, "auto" if forces == "recorded" else forces
 
 
 def _tier(view: str | Task) -> str:
@@ -188,7 +204,7 @@ def _open_data(
         from racines_data.store.frames import open_store
 
         store = open_store(data)
-    labels = labels_of(anatomy_views(task.anatomy))
+    labels = task.labels
     if store.labels != labels:
         raise RacinesError(
             f"{store.root}: its labels are {', '.join(store.labels)}, the {task.anatomy} has "
@@ -223,7 +239,12 @@ def _recordings(
 
 
 def find_task(view: str | Task, phantom: WorldLike = None, anatomy: str | None = None) -> Task:
-    """Return the task of a view: of an anatomy, or else of a phantom's; both have to agree."""
+    """Return the task of a view: of an anatomy, or else of a phantom's; both have to agree.
+
+    Recordings that stand alone have a task of their own.
+    """
+    if isinstance(phantom, Recordings):
+        return view if isinstance(view, Task) else phantom.task(view)
     config = config_of(phantom)
     held = config and config.anatomy
     task = view if isinstance(view, Task) else get_task(view, anatomy or held or HEART)
@@ -259,12 +280,15 @@ def config_of(phantom: WorldLike) -> PhantomConfig | None:
 def phantom_recipe(phantom: WorldLike) -> dict[str, Any] | None:
     """Return the version and configuration digest of a phantom; None for a stand-in.
 
-    Of a ward, the version of its patients: who they are is the start set's to say.
+    Of a ward, the version of its patients: who they are is the start set's to say. Of recordings
+    that stand alone, their dataset and settings.
     """
     if isinstance(phantom, Ward):
         return patients_recipe(
             BEATING if phantom.pool.beating else PATIENTS, phantom.pool.provenance
         )
+    if isinstance(phantom, Recordings):
+        return phantom.recipe
     config = config_of(phantom)
     if config is None:
         return None

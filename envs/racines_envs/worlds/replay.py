@@ -8,7 +8,6 @@ import math
 
 import pyarrow.parquet as pq
 import torch
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from racines_data.config import fill
@@ -18,6 +17,8 @@ from racines_data.phantom.config import PhantomConfig, phantom_settings
 from racines_data.randomness import uniform
 from racines_data.store.frames import FrameStore
 from racines_data.world import Truth, Workspace, World
+from racines_envs.worlds.recorded.frames import best_shown
+from racines_envs.worlds.recorded.index import Nearest
 from racines_models.generators.nearest_pose import NearestPose
 
 QUANTILE = 0.99
@@ -33,24 +34,17 @@ class PoseIndex:
     """M recorded poses that can be searched.
 
     The distance is that of `racines_models.generators.nearest_pose`, in metres: a shift, and a turn
-    at 0.07 m a radian. On the CPU a k-d tree over its keys is searched (25 times quicker over
-    101,314 frames), on an accelerator all keys at once, as that generator does. A pose's answer
-    ignores its batch.
+    at 0.07 m a radian. A pose's answer ignores its batch.
     """
 
     def __init__(self, parameters: Tensor, device: torch.device | str = "cpu") -> None:
         """Remember the poses of (M, 12) parameters."""
-        self._search = NearestPose()
-        keys = self._search.embed(parameters)
-        self._tree = KDTree(keys.numpy()) if torch.device(device).type == "cpu" else None
-        self._search.held["keys"] = keys.to(device)
+        self._embed = NearestPose().embed
+        self._search = Nearest(self._embed(parameters), device)
 
     def nearest(self, parameters: Tensor) -> tuple[Tensor, Tensor]:
         """Return the (B,) int64 index of the nearest of them and its (B,) distance, m."""
-        if self._tree is None:
-            return self._search.nearest(parameters)
-        distance, index = self._tree.query(self._search.embed(parameters).numpy())
-        return torch.from_numpy(index), torch.from_numpy(distance).to(torch.float32)
+        return self._search(self._embed(parameters))
 
     def nearest_to(self, pose: Pose) -> tuple[Tensor, Tensor]:
         """Return the same of (B,) poses."""
@@ -146,18 +140,12 @@ class RecordedWorld(World):
         """Return the pose of a view's best-graded frame, of equals the most central; one row."""
         if view not in self.views:
             raise RacinesError(f"unknown view {view!r}: choose one of {', '.join(self.views)}")
-        shows = self._views == self.views.index(view)
-        if not bool(shows.any()):
+        row = best_shown(self._views, self._grades, self._pose, self.views.index(view))
+        if row is None:
             raise RacinesError(
                 f"{self.replay.store.root}: no frame of split {self.replay.split!r} shows {view}: "
                 "choose another view, or more data"
             )
-        grade = torch.where(shows, self._grades, -1.0)
-        best = (grade >= grade.max() - 1e-6).nonzero().squeeze(1)
-        position, rotation = (x[best] for x in self._pose)
-        away = (position - position.mean(0)).norm(dim=-1)
-        turned = (rotation - rotation.mean(0)).flatten(1).norm(dim=-1)
-        row = best[(away / 0.003 + turned / 0.06).argmin()]
         return Pose(*(x[row][None] for x in self._pose))
 
     def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
