@@ -100,11 +100,13 @@ class MeanMotion:
     def __init__(self, config: MeanMotionConfig | None = None) -> None:
         """Take the mean step."""
         self.config = config or MeanMotionConfig()
+        self.learned_from: dict[str, Any] = {}
 
     def fit(self, sweeps: SweepSet, run: Run) -> dict[str, Any]:
         """Average the six numbers of all steps of the train split; chance plays no part."""
         _, motions = sweeps.steps("train")
         self.config = MeanMotionConfig(tuple(motions.mean(0).tolist()))
+        self.learned_from = dict(sweeps.card)
         metrics = {"steps": len(motions), "step": list(self.config.step)}
         made = {"schema": SCHEMA, "name": self.name, "config": asdict(self.config)}
         made |= {"data": sweeps.card, "code": code_version(), "training": metrics}
@@ -119,8 +121,10 @@ class MeanMotion:
             RacinesError: nothing was saved there, or not six numbers.
         """
         absent = "no mean motion there; run: racines train motion mean-motion"
-        config = read_described(folder, absent, SCHEMA).get("config", {})
+        described = read_described(folder, absent, SCHEMA)
+        config = described.get("config", {})
         found = cls(fill(MeanMotionConfig, config, f"{folder / CONFIG}: config"))
+        found.learned_from = described.get("data") or {}
         if len(found.config.step) != 6:
             raise RacinesError(f"{folder / CONFIG}: config.step: give six numbers: {SIX}")
         return found

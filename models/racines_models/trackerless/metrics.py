@@ -63,9 +63,12 @@ def pixel_errors(off: Tensor, plane: Plane) -> Tensor:
     """Return the (F, 128, 128) errors, mm, of all pixels; `off` is (F, 3, 4), m, of transforms."""
     at, across, down = _moved(off, plane)
     place = torch.arange(IMAGE_SIZE, dtype=torch.float64)
-    row, column = place.view(1, -1, 1, 1), place.view(1, 1, -1, 1)
-    shift = at.view(-1, 1, 1, 3) + row * down.view(-1, 1, 1, 3)
-    return (shift + column * across.view(-1, 1, 1, 3)).square().sum(-1).sqrt()
+    total = at.new_zeros(len(off), IMAGE_SIZE, IMAGE_SIZE)
+    for axis in range(3):  # one at a time: a last axis of three numbers is slow to sum over
+        rows = at[:, axis, None] + place * down[:, axis, None]
+        columns = place * across[:, axis, None]
+        total += (rows.unsqueeze(2) + columns.unsqueeze(1)).square_()
+    return total.sqrt_()
 
 
 def landmark_errors(off: Tensor, plane: Plane, marks: Landmarks) -> Tensor:

@@ -1,12 +1,16 @@
 """What estimates motion, and where it is found: by name, `module:Class`, or a submission's file."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
+from racines_data.config import fill
+from racines_data.errors import RacinesError
 from racines_data.plugins import Plugins
 from racines_models.protocol import Run
+from racines_models.provenance import weights_sha256
 from racines_models.trackerless.motion import Motion
-from racines_models.trackerless.sweeps import Shown, SweepSet
+from racines_models.trackerless.sweeps import EVERY, Shown, SweepSet
 from racines_models.training.checkpoint import repeat_folders
 
 MOTIONS = Plugins(
@@ -41,6 +45,9 @@ class MotionEstimator(Protocol):
 @runtime_checkable
 class Learned(MotionEstimator, Protocol):
     """An estimator that learns from the train split."""
+
+    learned_from: dict[str, Any]
+    """What names the data, as `SweepSet.card`."""
 
     def __init__(self, config: Any = None) -> None:
         """Take a `Config`, or its defaults."""
@@ -88,10 +95,35 @@ def open_estimators(
     Raises:
         RacinesError: unknown, absent or refused, by name.
     """
-    from racines_data.config import fill
-
     cls = estimator_class(spec)
     if not cls.trained:
         return [cls(fill(cls.Config, settings, f"motions.{cls.name}"))]
     first = run_folder(cls.name, folder)
     return [cls.load(each, device) for each in (first, *repeat_folders(first))]
+
+
+def check_unseen(estimators: Sequence[Any], sweeps: SweepSet, split: str) -> None:
+    """Refuse `all` splits of the data that an estimator learned from.
+
+    Raises:
+        RacinesError: with what to do.
+    """
+    digest = sweeps.card["digest"]
+    if split == EVERY and any(
+        (getattr(each, "learned_from", None) or {}).get("digest") == digest for each in estimators
+    ):
+        told = f"{estimators[0].name} learned from the train split of these data"
+        raise RacinesError(f"{told}: give --split test")
+
+
+def told_of(estimators: Sequence[Any], folder: Path | None) -> dict[str, Any]:
+    """Return what a record says of an estimator and its trainings, whose run is in a folder."""
+    first = estimators[0]
+    told: dict[str, Any] = {key: bool(getattr(first, key)) for key in ("trained", "told_first")}
+    if first.trained:
+        run = run_folder(first.name, folder)
+        hashes = weights_sha256(run)
+        for each in repeat_folders(run):
+            hashes |= {f"{each.name}/{file}": sha for file, sha in weights_sha256(each).items()}
+        told |= {"weights": hashes or None, "learned_from": first.learned_from}
+    return told

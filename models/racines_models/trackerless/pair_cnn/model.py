@@ -149,6 +149,7 @@ class PairCnn:
         self.config = config or PairConfig()
         self.network: PairNetwork | None = None
         self.device = torch.device("cpu")
+        self.learned_from: dict[str, Any] = {}
         self.sha256: str | None = None
         """Hash of the weights' file; None until saved or loaded."""
 
@@ -194,6 +195,7 @@ class PairCnn:
         network = PairNetwork(config)
         load_network(folder / WEIGHTS, network, f"run: racines train motion pair-cnn ({folder})")
         found = cls(config).take(network, device)
+        found.learned_from = described.get("data") or {}
         found.sha256 = sha256_file(folder / WEIGHTS)
         return found
 

@@ -198,7 +198,7 @@ def train_pairs(estimator: "PairCnn", sweeps: SweepSet, run: Run) -> dict[str, A
     config = estimator.config
     learner = PairLearner(sweeps, config, run)
     figures = train(learner, sweeps.store, config.training, run, learner)
-    estimator.take(learner.network, run.device)
+    estimator.take(learner.network, run.device).learned_from = dict(sweeps.card)
     made = {"data": dict(sweeps.card), "seed": run.seed, "code": code_version()}
     estimator.save(run.folder, **made)
     metrics: dict[str, Any] = {"schema": "racines.pair-cnn-metrics/1"} | made
