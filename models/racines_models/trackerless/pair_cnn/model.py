@@ -34,14 +34,14 @@ NUMBERS = 6
 class PairTraining(Training):
     """The trainer's settings (see `Training`) with the defaults of this task."""
 
-    images: int = 400_000
+    images: int = 160_000
     batch_size: int = 64
     precision: str = "fp32"
     schedule: str = "cosine"
     warmup_images: int = 6_400
     gradient_clip: float = 1.0
     log_every: int = 6_400
-    sample_every: int = 64_000
+    sample_every: int = 32_000
     checkpoint_every: int = 32_000
 
 
@@ -60,7 +60,7 @@ class PairConfig:
     learning_rate: float = 2e-3
     """Peak of AdamW's rate."""
     weight_decay: float = 0.05
-    reverse: float = 0.0
+    reverse: float = 0.25
     """Share of the training pairs that are shown last frame first, with the motion undone."""
     reach: float = 0.15
     """Side, m, of the square under the probe on whose nine points the loss is measured."""
