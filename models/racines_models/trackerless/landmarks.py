@@ -5,6 +5,7 @@ eigenvalue of the structure tensor is greatest (Shi and Tomasi, Good Features to
 hang on no estimate, and on no anatomy that only a simulator knows.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -44,7 +45,7 @@ def landmarks(images: Tensor, count: int = COUNT) -> Landmarks:
     chosen, asked = frames.unique_consecutive(return_counts=True)
     most = int(asked.max())
     strength = corners(images[chosen])
-    peak = strength * (strength == max_pool2d(strength, APART, 1, APART // 2))
+    peak = strength * (strength == _pooled(max_pool2d, strength, APART))
     values, places = peak.flatten(1).topk(most)
     middle = IMAGE_SIZE // 2 * (IMAGE_SIZE + 1)
     places = torch.where(values > 0, places, middle)
@@ -63,9 +64,14 @@ def corners(images: Tensor) -> Tensor:
     dx[:, :, 1:-1] = (light[:, :, 2:] - light[:, :, :-2]) / 2
     dy[:, 1:-1] = (light[:, 2:] - light[:, :-2]) / 2
     products = torch.stack([dx * dx, dy * dy, dx * dy], 1)
-    xx, yy, xy = avg_pool2d(products, WINDOW, 1, WINDOW // 2).unbind(1)
+    xx, yy, xy = _pooled(avg_pool2d, products, WINDOW).unbind(1)
     least = (xx + yy) / 2 - (((xx - yy) / 2).square() + xy.square()).sqrt()
     inside = torch.zeros(IMAGE_SIZE, IMAGE_SIZE, dtype=torch.float64)
     inside[RIM:-RIM, RIM:-RIM] = 1.0
     # What rounding leaves of a flat or an edge is no corner.
     return torch.where(least > 1e-6, least, 0.0) * inside
+
+
+def _pooled(pool: Callable[..., Tensor], x: Tensor, side: int) -> Tensor:
+    """Pool over squares of a side, first down and then across, which costs a fraction."""
+    return pool(pool(x, (side, 1), 1, (side // 2, 0)), (1, side), 1, (0, side // 2))

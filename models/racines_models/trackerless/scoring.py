@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import torch
 
 from racines_data.errors import RacinesError
 from racines_models.provenance import code_version, environment
@@ -20,13 +21,15 @@ from racines_models.statistics import Evidence
 from racines_models.trackerless import landmarks as places
 from racines_models.trackerless.floors import NoMotion
 from racines_models.trackerless.metrics import ENDS, METRICS, PIXELS, PROBE, TURNS, errors
-from racines_models.trackerless.motion import Motion
+from racines_models.trackerless.motion import Motion, to_vectors
 from racines_models.trackerless.planes import LARGEST, Plane, sector_plane, stated_plane
 from racines_models.trackerless.sweeps import EVERY, Shown, Sweep, SweepSet, digest_of
 
 SCHEMA = "racines.motion-scores/1"
 SHARES = ("score",)
 """TUS-REC's final score: 1 - error / that of no motion, a mean of the four errors."""
+AXES = ("shift_x", "shift_y", "shift_z", "turn_x", "turn_y", "turn_z")
+"""Of the probe: x to the right of the image, y out of its plane, z along the middle beam."""
 NOTES = [
     "Errors are means over sweeps of means over pixels, or landmarks, of all frames but the first.",
     "Landmarks are corners found in the images, where TUS-REC has anatomical ones.",
@@ -178,6 +181,7 @@ def score_motion(
         },
         "runs": len(motions),
         "metrics": metrics,
+        "explained": _explained(motions, found),
         "withheld": _withheld(sweeps, found),
         "settings": {
             "landmarks": config.landmarks,
@@ -220,6 +224,24 @@ def _errors(
             for name, value in told.items():
                 values[name][training, place] = value
     return values
+
+
+def _explained(
+    motions: Sequence[dict[str, Motion]], found: Sequence[Sweep]
+) -> dict[str, float | None]:
+    """Return of each of the six numbers of a step the share of its power that is estimated.
+
+    It is 1 - sum of squared errors / sum of squares: 0 for a probe that rests, 1 for the truth.
+    Shifts x and z and turns about y keep to the image plane; the others leave it.
+    """
+    true = torch.cat([to_vectors(each.motion.to_previous[1:]) for each in found])
+    power = true.square().sum(0)
+    missed = torch.zeros_like(power)
+    for each in motions:
+        told = torch.cat([to_vectors(each[sweep.id].to_previous[1:]) for sweep in found])
+        missed += (told.double() - true).square().sum(0) / len(motions)
+    share = zip(AXES, (1.0 - missed / power).tolist(), power.tolist(), strict=True)
+    return {name: value if whole > 0 else None for name, value, whole in share}
 
 
 def _withheld(sweeps: SweepSet, found: Sequence[Sweep]) -> dict[str, str]:

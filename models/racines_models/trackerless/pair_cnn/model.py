@@ -34,15 +34,15 @@ NUMBERS = 6
 class PairTraining(Training):
     """The trainer's settings (see `Training`) with the defaults of this task."""
 
-    images: int = 160_000
+    images: int = 80_000
     batch_size: int = 64
     precision: str = "fp32"
     schedule: str = "cosine"
     warmup_images: int = 6_400
     gradient_clip: float = 1.0
     log_every: int = 6_400
-    sample_every: int = 32_000
-    checkpoint_every: int = 32_000
+    sample_every: int = 16_000
+    checkpoint_every: int = 16_000
 
 
 @dataclass(frozen=True)
