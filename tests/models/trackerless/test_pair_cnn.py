@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -11,8 +12,8 @@ from racines_data.errors import RacinesError
 from racines_models.protocol import Run
 from racines_models.trackerless.floors import MeanMotion, NoMotion
 from racines_models.trackerless.motion import from_vectors, steps
-from racines_models.trackerless.pair_cnn.model import (
-    PairCnn,
+from racines_models.trackerless.pair_cnn.estimator import PairCnn
+from racines_models.trackerless.pair_cnn.network import (
     PairConfig,
     PairNetwork,
     PairTraining,
@@ -36,8 +37,9 @@ TINY = PairTraining(
 )
 
 
-def config(**given) -> PairConfig:
-    return PairConfig(**({"widths": (4, 6, 8), "hidden": 16, "training": TINY} | given))
+def config(**given: Any) -> PairConfig:
+    small: dict[str, Any] = {"widths": (4, 6, 8), "hidden": 16, "training": TINY}
+    return PairConfig(**(small | given))
 
 
 @pytest.fixture(scope="module")
@@ -175,12 +177,13 @@ def test_it_starts_at_the_training_sweeps_mean_and_ends_slowly(sweeps):
 
 
 def test_what_cannot_be_used_is_refused(sweeps, tmp_path: Path):
-    for wrong, told in (
+    wrongs: tuple[tuple[dict[str, Any], str], ...] = (
         ({"input_size": 96}, "input_size 96"),
         ({"window": 1}, "window 1: give 2 or more"),
         ({"widths": ()}, "widths"),
         ({"reverse": 2.0}, "reverse 2"),
-    ):
+    )
+    for wrong, told in wrongs:
         with pytest.raises(RacinesError, match=told):
             PairConfig(**wrong)
     with pytest.raises(RacinesError, match="no network yet"):
@@ -195,7 +198,9 @@ def test_what_cannot_be_used_is_refused(sweeps, tmp_path: Path):
 
 
 def test_every_size_can_be_built():
-    for given in ({}, {"input_size": 128}, {"window": 4}, {"widths": (8,)}):
+    several: tuple[dict[str, Any], ...]
+    several = ({}, {"input_size": 128}, {"window": 4}, {"widths": (8,)})
+    for given in several:
         settings = PairConfig(**given)
         network = PairNetwork(settings).eval()
         images = torch.zeros(2, settings.window, 128, 128, dtype=torch.uint8)

@@ -1,9 +1,9 @@
 """Training of `pair-cnn` by the trainer of the generators; its figures on validation sweeps."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -11,25 +11,18 @@ from torch import Tensor, nn
 from torch.optim import AdamW, Optimizer
 
 from racines_data.errors import RacinesError
-from racines_data.files import write_json
 from racines_data.geometry import axis_angle_to_matrix, rotate
 from racines_data.randomness import uniform
 from racines_data.schema import SPLITS
-from racines_models.devices import resolve_device
 from racines_models.protocol import Run
-from racines_models.provenance import code_version, environment
 from racines_models.sample import evenly
 from racines_models.statistics import figure
 from racines_models.trackerless.motion import from_vectors, to_vectors
-from racines_models.trackerless.pair_cnn.model import PairConfig, PairNetwork, windows
+from racines_models.trackerless.pair_cnn.network import PairConfig, PairNetwork, windows
 from racines_models.trackerless.sweeps import SweepSet
 from racines_models.training.augmentation import augment
-from racines_models.training.checkpoint import discard_checkpoint
 from racines_models.training.objective import Course, Feed, Update, rate_factor
 from racines_models.training.trainer import train
-
-if TYPE_CHECKING:
-    from racines_models.trackerless.pair_cnn.model import PairCnn
 
 LOOKED_AT = 1_024
 """Validation steps that are looked at while it trains."""
@@ -188,27 +181,22 @@ def turned_round(batch: PairBatch, share: float) -> PairBatch:
     return PairBatch(images, motions, batch.seeds)
 
 
-def train_pairs(estimator: "PairCnn", sweeps: SweepSet, run: Run) -> dict[str, Any]:
-    """Train, save into `run.folder`, and return the metrics on the validation sweeps.
+def train_network(
+    sweeps: SweepSet, config: PairConfig, run: Run
+) -> tuple[PairNetwork, dict[str, Any]]:
+    """Train; return the network, the trainer's figures, and the error on validation sweeps.
 
     Raises:
         RacinesError: no training sweeps, or `run.resume` is True and nothing can be resumed.
     """
-    run = replace(run, device=resolve_device(run.device))
-    config = estimator.config
     learner = PairLearner(sweeps, config, run)
-    figures = train(learner, sweeps.store, config.training, run, learner)
-    estimator.take(learner.network, run.device).learned_from = dict(sweeps.card)
-    made = {"data": dict(sweeps.card), "seed": run.seed, "code": code_version()}
-    estimator.save(run.folder, **made)
-    metrics: dict[str, Any] = {"schema": "racines.pair-cnn-metrics/1"} | made
+    metrics: dict[str, Any] = {
+        "training": train(learner, sweeps.store, config.training, run, learner)
+    }
+    learner.network.eval()
     errors = learner.errors("validation")
     if errors is not None:
-        rows = learner.pairs.split_indices("validation")
-        units = sweeps.units(rows)
+        units = sweeps.units(learner.pairs.split_indices("validation"))
         told = figure("mean", errors.numpy(), "mm", 0.0, np.inf, units)
         metrics |= {"split": "validation", "metrics": {"points_mm": told}}
-    metrics |= {"training": figures, "environment": environment(run.device)}
-    write_json(run.folder / "metrics.json", metrics)
-    discard_checkpoint(run.folder)
-    return metrics
+    return learner.network, metrics

@@ -1,31 +1,19 @@
-"""The learned baseline `pair-cnn`: frames of a short window as channels, six numbers out.
+"""The network of `pair-cnn`: frames of a short window as channels, six numbers out.
 
 Of the kind of Prevost et al., 3D freehand ultrasound without external tracking using deep learning
 (Medical Image Analysis, 2018), and of the baseline of TUS-REC, at a size for one CPU core.
 """
 
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
-from typing import Any, ClassVar
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor, nn
 
-from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_data.files import sha256_file, write_json
-from racines_data.imaging import IMAGE_SIZE, check_images
-from racines_models.devices import resolve_device
-from racines_models.networks.batching import in_fixed_batches
-from racines_models.protocol import Run
-from racines_models.trackerless.motion import Motion, steps
-from racines_models.trackerless.sweeps import Shown, SweepSet
+from racines_data.imaging import IMAGE_SIZE
 from racines_models.training.augmentation import Augmentation
 from racines_models.training.objective import Training
-from racines_models.weights import load_network, read_described, save_weights
 
-WEIGHTS, CONFIG = "model.safetensors", "config.json"
-SCHEMA = "racines.pair-cnn/1"
 NUMBERS = 6
 """Shift, m, and rotation vector, rad."""
 
@@ -36,7 +24,7 @@ class PairTraining(Training):
 
     images: int = 80_000
     batch_size: int = 64
-    precision: str = "fp32"
+    precision: str = "bf16"
     schedule: str = "cosine"
     warmup_images: int = 6_400
     gradient_clip: float = 1.0
@@ -53,7 +41,7 @@ class PairConfig:
     """Images are averaged down to this height and width: 64 or 128."""
     window: int = 2
     """Frames that are looked at, the last of which is the one that moved; 2 or more."""
-    widths: tuple[int, ...] = (24, 40, 64, 96, 128)
+    widths: tuple[int, ...] = (16, 24, 48, 80, 128)
     """Channels, each at half the side of those before."""
     hidden: int = 192
     """Width of the dense layer behind the flattened last map."""
@@ -131,73 +119,6 @@ class _Block(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         inner = torch.relu(self.first_norm(self.first(x)))
         return torch.relu(self.second_norm(self.second(inner)) + self.shortcut(x))
-
-
-class PairCnn:
-    """Estimates each step from the frames about it, and chains the steps.
-
-    A step depends on its own window alone, to the last bit, on one machine.
-    """
-
-    name: ClassVar[str] = "pair-cnn"
-    Config: ClassVar[type] = PairConfig
-    trained: ClassVar[bool] = True
-    told_first: ClassVar[bool] = False
-
-    def __init__(self, config: PairConfig | None = None) -> None:
-        """Take the settings; `fit` or `load` brings the network."""
-        self.config = config or PairConfig()
-        self.network: PairNetwork | None = None
-        self.device = torch.device("cpu")
-        self.learned_from: dict[str, Any] = {}
-        self.sha256: str | None = None
-        """Hash of the weights' file; None until saved or loaded."""
-
-    def fit(self, sweeps: SweepSet, run: Run) -> dict[str, Any]:
-        """Train on the train split, save, and return the metrics on validation sweeps."""
-        from racines_models.trackerless.pair_cnn.training import train_pairs
-
-        return train_pairs(self, sweeps, run)
-
-    def take(self, network: PairNetwork, device: str) -> "PairCnn":
-        """Use a network from now on."""
-        self.device = torch.device(resolve_device(device))
-        self.network = network.to(self.device).eval().requires_grad_(False)
-        return self
-
-    @torch.inference_mode()
-    def estimate(self, shown: Shown) -> Motion:
-        """Return the motion of a sweep of T frames."""
-        images, network = check_images(shown.images), self.network
-        if network is None:
-            raise RacinesError("pair-cnn: no network yet; run: racines train motion pair-cnn")
-        places = windows(torch.arange(1, len(images)), self.config.window, 0)
-        found = in_fixed_batches(
-            lambda batch: network(network.normalise(batch)), images[places].to(self.device)
-        )
-        return steps(found.cpu().double())
-
-    def save(self, folder: Path, **provenance: Any) -> None:
-        """Write `model.safetensors`, then `config.json` with what `provenance` adds."""
-        assert self.network is not None
-        self.sha256 = save_weights(folder / WEIGHTS, self.network.state_dict())
-        files = {WEIGHTS: {"bytes": (folder / WEIGHTS).stat().st_size, "sha256": self.sha256}}
-        described = {"schema": SCHEMA, "name": self.name, "config": asdict(self.config)}
-        described |= {"weights_files": {"dtype": "float32", "files": files}}
-        write_json(folder / CONFIG, described | provenance)
-
-    @classmethod
-    def load(cls, folder: Path, device: str = "cpu") -> "PairCnn":
-        """Read what `save` wrote; refused if absent or damaged."""
-        absent = "no pair-cnn there; run: racines train motion pair-cnn"
-        described = read_described(Path(folder), absent, SCHEMA)
-        config = fill(PairConfig, described["config"], f"{folder / CONFIG}: config")
-        network = PairNetwork(config)
-        load_network(folder / WEIGHTS, network, f"run: racines train motion pair-cnn ({folder})")
-        found = cls(config).take(network, device)
-        found.learned_from = described.get("data") or {}
-        found.sha256 = sha256_file(folder / WEIGHTS)
-        return found
 
 
 def windows(rows: Tensor, window: int, first: Tensor | int) -> Tensor:
