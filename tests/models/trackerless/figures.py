@@ -13,7 +13,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
+from torch.nn.functional import avg_pool2d, max_pool2d
 
 from racines_data.files import write_json
 from racines_data.geometry import Pose, rotate
@@ -34,12 +34,14 @@ TITLES = {
     "drift_mm": "drift, mm", "step_mm": "step, mm", "drift_deg": "drift, °",
     "step_deg": "step, °",
 }  # fmt: skip
-SHIFTS = (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
-"""How far the probe is moved, mm."""
+SHIFTS = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
+"""How far the probe is moved, mm; of 0, noise and blood alone are new."""
 PATIENTS = 10
 """Validation patients whose nominal views are looked at."""
-FINE = 9
+FINE = 5
 """Pixels a side of the mean that is taken off an image: what is left is speckle and edges."""
+RIM, NEAR = 15, 32
+"""Pixels that are left out along the sector's edges, which stand still, and rows near the face."""
 
 
 def cell(metric: dict[str, Any] | None, digits: int) -> str:
@@ -102,10 +104,12 @@ def likeness(pool: Pool, axis: int) -> Tensor:
 
 
 def fine(images: Tensor) -> Tensor:
-    """Return (B, 16384) of images: what a local mean leaves, where there is tissue."""
-    light = images.float()
-    detail = light - avg_pool2d(light.unsqueeze(1), FINE, 1, FINE // 2).squeeze(1)
-    return (detail * (light > 0)).flatten(1)
+    """Return (B, 16384) of images: what a local mean leaves of the inside of the sector."""
+    light = images.float().unsqueeze(1)
+    inside = -max_pool2d(-(light > 0).float(), RIM, 1, RIM // 2)
+    inside[:, :, :NEAR] = 0.0
+    detail = light - avg_pool2d(light, FINE, 1, FINE // 2)
+    return (detail * inside).flatten(1)
 
 
 def forgetting() -> dict[str, Any]:
