@@ -179,6 +179,7 @@ def score_motion(
                 if config.split in (split, EVERY)
             ),
         },
+        "sweeps": {str(each.number): each.id for each in found},
         "runs": len(motions),
         "metrics": metrics,
         "explained": _explained(motions, found),

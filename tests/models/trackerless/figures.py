@@ -1,9 +1,9 @@
 """What docs/trackerless.md says: scores of estimators, and how fast frames forget one another.
 
-    racines eval motion NAME --data DATA --out FOLDER
-    racines eval motion NAME --data TRACKED --config frames --split all --out FOLDER/tracked
-    racines eval motion NAME --data TRACKED --config frames --set pixel_mm=0.5125 --out FOLDER/nwire
-    python -m tests.models.trackerless.figures FOLDER
+racines eval motion NAME --data DATA --out FOLDER
+racines eval motion NAME --data TRACKED --config frames --split all --out FOLDER/tracked
+racines eval motion NAME --data TRACKED --config frames --set pixel_mm=0.5125 --out FOLDER/nwire
+python -m tests.models.trackerless.figures FOLDER
 """
 
 import json
@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, max_pool2d
@@ -19,16 +20,20 @@ from racines_data.files import write_json
 from racines_data.geometry import Pose, rotate
 from racines_data.patients import Pool
 from racines_data.patients.splits import seeds_of
+from racines_models.statistics import Evidence
+from racines_models.statistics.intervals import difference
 
 RESULT = Path(__file__).parents[3] / "docs/results/trackerless.json"
 PLACES = {"": "simulated", "tracked": "tracked", "nwire": "nwire"}
 """Folders of scores within the one given, and the tables that they fill."""
 SHOWN = {
     "simulated": ("gpe", "gle", "lpe", "lle", "score"),
-    "tracked": ("drift_mm", "step_mm", "drift_deg", "step_deg"),
-    "nwire": ("gpe", "gle", "lpe", "lle", "drift_mm"),
+    "nwire": ("gpe", "gle", "lpe", "lle"),
 }
-RANKED = {"simulated": "gpe", "tracked": "drift_mm", "nwire": "gpe"}
+RANKED = {"simulated": "gpe", "nwire": "gpe"}
+RECORDINGS = {"NwirePhantomFreehand": "N-wire", "SpinePhantomFreehand": "spine"}
+OF_EACH = ("drift_mm", "drift_deg", "step_mm")
+LEARNED, FLOORS = "pair-cnn", ("no-motion", "mean-motion")
 TITLES = {
     "gpe": "GPE, mm", "gle": "GLE, mm", "lpe": "LPE, mm", "lle": "LLE, mm", "score": "score",
     "drift_mm": "drift, mm", "step_mm": "step, mm", "drift_deg": "drift, °",
@@ -70,6 +75,41 @@ def table(name: str, found: dict[str, Any]) -> dict[str, Any]:
         rows.append([str(place), title, str(scores["runs"]), *told])
     columns = ["", "estimator", "trainings", *(TITLES[each] for each in SHOWN[name])]
     return {"columns": columns, "rows": rows}
+
+
+def by_recording(folder: Path, found: dict[str, Any]) -> dict[str, Any]:
+    """Return the table of errors of each recording, means over trainings, the least drift first."""
+    rows = []
+    for name, scores in found.items():
+        figures = Evidence.read(folder / f"{name}.parquet").figures
+        own = {each.partition("-")[0]: item for item, each in scores["sweeps"].items()}
+        values = []
+        for recording in RECORDINGS:
+            for key in OF_EACH:
+                told = figures[key]
+                assert told.values is not None and told.items is not None
+                place = int(np.flatnonzero(told.items == int(own[recording]))[0])
+                values.append(float(told.values[..., place].mean()))
+        rows.append([name, str(scores["runs"]), *values])
+    rows.sort(key=lambda row: row[2])
+    columns = [f"{title}: {TITLES[key]}" for title in RECORDINGS.values() for key in OF_EACH]
+    shown = [[*row[:2], *(f"{value:.1f}" for value in row[2:])] for row in rows]
+    return {"columns": ["estimator", "trainings", *columns], "rows": shown}
+
+
+def better(folder: Path) -> dict[str, Any]:
+    """Return by how much the learned estimator is below each floor, on the same sweeps."""
+    kept = {name: Evidence.read(folder / f"{name}.parquet").figures for name in (LEARNED, *FLOORS)}
+    found: dict[str, Any] = {}
+    for floor in FLOORS:
+        for key in ("gpe", "lpe", "drift_mm"):
+            pair = (kept[name][key].replicates() for name in (floor, LEARNED))
+            told = difference(*pair)
+            ends = {"value": told.value, "low": told.low, "high": told.high}
+            found.setdefault(floor, {})[key] = {
+                name: None if value is None else round(value, 2) for name, value in ends.items()
+            }
+    return found
 
 
 def explained(found: dict[str, Any]) -> dict[str, Any]:
@@ -137,7 +177,9 @@ def fill(folder: Path) -> None:
         name: {key: round(each["value"], 2) for key, each in scores["metrics"].items()}
         for name, scores in simulated.items()
     }
-    tables = {name: table(name, scores) for name, scores in found.items()}
+    figures["better"] = better(folder)
+    tables = {name: table(name, found[name]) for name in RANKED}
+    tables |= {"tracked": by_recording(folder / "tracked", found["tracked"])}
     tables |= {"explained": explained(simulated), "forgetting": forgetting()}
     content = json.loads(RESULT.read_text()) if RESULT.is_file() else {}
     write_json(RESULT, content | {"figures": figures, "tables": tables})

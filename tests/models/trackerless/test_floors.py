@@ -108,6 +108,11 @@ def test_scores_follow_from_the_figures_kept_beside_them(sweeps, tmp_path: Path)
     content = write_scores(tmp_path / "a.json", made.content, made.evidence)
     assert json.loads((tmp_path / "a.json").read_text()) == json.loads(json.dumps(content))
     kept = Evidence.read(tmp_path / "a.parquet")
+    names = {str(each.number): each.id for each in sweeps.sweeps("test")}
+    items = kept.figures["gpe"].items
+    assert items is not None and content["sweeps"] == names == {
+        str(item): names[str(item)] for item in items
+    }
     for name, metric in content["metrics"].items():
         again = kept.figures[name].interval()
         assert (again.value, again.low, again.high) == (
