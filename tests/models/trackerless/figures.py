@@ -115,7 +115,7 @@ def better(folder: Path) -> dict[str, Any]:
 def explained(found: dict[str, Any]) -> dict[str, Any]:
     """Return the table of the share of each of a step's six numbers that is estimated."""
     axes = list(next(iter(found.values()))["explained"])
-    rows = [[name, *(f"{100 * scores['explained'][axis]:.0f} %" for axis in axes)]
+    rows = [[name, *(f"{round(100 * scores['explained'][axis])} %" for axis in axes)]
             for name, scores in found.items()]  # fmt: skip
     return {"columns": ["estimator", *(axis.replace("_", " ") for axis in axes)], "rows": rows}
 
@@ -172,10 +172,6 @@ def fill(folder: Path) -> None:
         "patients": first["metrics"]["gpe"]["settings"]["units"],
         "step": round(simulated["no-motion"]["metrics"]["step_mm"]["value"], 1),
         "turn": round(simulated["no-motion"]["metrics"]["step_deg"]["value"], 1),
-    }
-    figures |= {
-        name: {key: round(each["value"], 2) for key, each in scores["metrics"].items()}
-        for name, scores in simulated.items()
     }
     figures["better"] = better(folder)
     tables = {name: table(name, found[name]) for name in RANKED}
