@@ -103,8 +103,7 @@ def better(folder: Path) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for floor in FLOORS:
         for key in ("gpe", "lpe", "drift_mm"):
-            pair = (kept[name][key].replicates() for name in (floor, LEARNED))
-            told = difference(*pair)
+            told = difference(kept[floor][key].replicates(), kept[LEARNED][key].replicates())
             ends = {"value": told.value, "low": told.low, "high": told.high}
             found.setdefault(floor, {})[key] = {
                 name: None if value is None else round(value, 2) for name, value in ends.items()
