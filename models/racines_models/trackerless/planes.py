@@ -1,8 +1,8 @@
 """Where the pixels of an image lie about the probe, in millimetres, if it is known.
 
 A simulated image has its apex at the probe's face, in the middle of the first row, and its pixels
-are square. How large they are is the scanner's setting, a patient's own. A recording says it where
-whoever imported it did; where nobody did, no error in millimetres of a pixel can be told.
+are square. How large they are is the scanner's setting, a patient's own. Of recordings it is known
+where somebody states it; where nobody does, no error in millimetres of a pixel can be told.
 """
 
 import math
@@ -73,10 +73,7 @@ def stated_plane(numbers: Sequence[float], where: str) -> Plane:
 
 def planes_of(store: FrameStore, rows: Tensor) -> list[Plane] | None:
     """Return the planes of (N,) rows' images, or None where the data do not tell them."""
-    told: Any = store.manifest.get("pixel_mm")
-    if isinstance(told, int | float):
-        return [sector_plane(float(told))] * len(rows)
-    recipe = store.manifest.get("recipe") or {}
+    recipe: dict[str, Any] = store.manifest.get("recipe") or {}
     settings = recipe.get("settings") or {}
     if store.patients is not None and recipe and "own" not in settings:
         return [sector_plane(pixel_of(int(seed))) for seed in store.units(rows).tolist()]

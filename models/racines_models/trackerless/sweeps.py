@@ -1,7 +1,8 @@
 """Sweeps with poses, of any dataset: the images that an estimator is shown, and what is true.
 
 Simulated patients, tracked sweeps and the phantom alike: a trajectory is a sweep. Poses that were
-not recorded cannot be judged; a sweep that lacks one is left out and counted.
+not recorded cannot be judged, and a probe that rests has no motion to estimate (turns about an apex
+are recorded so, one pose a trajectory): such sweeps are left out and counted.
 """
 
 from dataclasses import dataclass
@@ -22,8 +23,6 @@ from racines_models.trackerless.planes import Plane, planes_of
 
 EVERY = "all"
 """Stands for the three splits together: of recordings that nothing was learned from."""
-SHORTEST = 2
-"""Frames of a sweep that has a motion."""
 
 
 @dataclass(frozen=True)
@@ -70,26 +69,31 @@ class SweepSet:
         """Take the sweeps of a store.
 
         Raises:
-            RacinesError: no sweep of two frames or more has all its poses.
+            RacinesError: no sweep has all its poses and a probe that moves.
         """
         self.store, self.card = store, dataset_card(store) | {"config": store.config}
         self.metric = (store.manifest.get("scale") or "metres") == "metres"
         """Whether positions are metres."""
         self._units = _units(store)
         pose = parameters_to_pose(store.parameters.double())
-        known = pose.position.isfinite().all(1) & pose.rotation.isfinite().flatten(1).all(1)
         self._pose = pose
+        numbers = torch.cat([pose.position, pose.rotation.flatten(1)], 1)
+
+        def moves(rows: Tensor) -> bool:
+            own = numbers[rows]
+            return bool(own.isfinite().all()) and bool((own[1:] != own[:1]).any())
+
         self.left_out: dict[str, int] = {}
-        """Sweeps of each split that lack a pose or have one frame."""
+        """Sweeps of each split that lack a pose, or whose probe rests."""
         self._rows: dict[str, list[Tensor]] = {}
         for split in SPLITS:
             every = _by_trajectory(store, split)
-            kept = [each for each in every if len(each) >= SHORTEST and bool(known[each].all())]
+            kept = [each for each in every if moves(each)]
             self._rows[split], self.left_out[split] = kept, len(every) - len(kept)
         if not any(self._rows.values()):
             raise RacinesError(
-                f"{store.root}: config {store.config} has no sweep whose frames all have poses: "
-                "choose data with poses, such as patients or tracked sweeps"
+                f"{store.root}: config {store.config} has no sweep whose frames all have poses and "
+                "whose probe moves: choose data such as patients or tracked sweeps"
             )
 
     def count(self, split: str) -> int:

@@ -178,10 +178,15 @@ def test_what_cannot_be_asked_is_refused(sweeps):
     store.parameters[:, 6:] = np.nan
     with pytest.raises(RacinesError, match="no sweep whose frames all have poses"):
         SweepSet(store)
+    resting = SweptStore()
+    resting.parameters[:] = resting.parameters[::LENGTH].repeat_interleave(LENGTH, 0)
+    with pytest.raises(RacinesError, match="and whose probe moves"):
+        SweepSet(resting)
     some = SweptStore()
+    some.parameters[LENGTH : 2 * LENGTH] = some.parameters[LENGTH]
     some.parameters[3, 7] = np.nan
     some._splits["test"] = some._splits["test"][:1] * 2
-    assert SweepSet(some).left_out == {"train": 1, "validation": 0, "test": 0}
+    assert SweepSet(some).left_out == {"train": 2, "validation": 0, "test": 0}
     with pytest.raises(RacinesError, match="split test has no sweep"):
         SweepSet(some).sweeps("test")
     with pytest.raises(RacinesError, match="no-motoin"):
