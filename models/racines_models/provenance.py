@@ -96,7 +96,8 @@ def check_replaces(path: Path, scores: dict[str, Any], force: bool) -> None:
 def _of_what(scores: dict[str, Any]) -> str:
     """Return in a few words what scores were made of."""
     task, data = scores.get("task") or {}, scores.get("dataset") or {}
-    words = [str(scores.get("generator") or scores.get("agent"))]
+    made = (scores.get(key) for key in ("generator", "agent", "motion"))
+    words = [str(next((each for each in made if each), None))]
     words += [str(task[key]) for key in ("view", "backend") if key in task]
     starts = task.get("start_set")
     if isinstance(starts, dict):

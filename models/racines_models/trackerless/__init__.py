@@ -1,0 +1,1 @@
+"""The probe's motion from images alone: sweeps, metrics, submissions, floors, and a baseline."""

@@ -1,0 +1,1 @@
+"""A small convolutional network that reads the motion between two frames from both images."""
