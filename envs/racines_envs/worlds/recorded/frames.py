@@ -9,11 +9,10 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, parameters_to_pose
+from racines_data.manifest import scale_known
 from racines_data.store.frames import FrameStore
 from racines_envs.worlds.recorded.settings import OWN_SPLIT, ReplayConfig
 
-UNKNOWN_SCALE = "unknown"
-"""What a manifest says under `scale` where positions are in pixels, not in metres."""
 FULL_GRADE = 10.0
 """Grade of a frame that bears a label and no grade: where none are given the label alone decides.
 """
@@ -133,7 +132,7 @@ def read_frames(
 
 def length_unit(manifest: dict[str, Any]) -> tuple[str, float]:
     """Return `mm` or `px`, and what makes a dataset's positions into thousands of them."""
-    return ("px", 1e-3) if manifest.get("scale") == UNKNOWN_SCALE else ("mm", 1.0)
+    return ("mm", 1.0) if scale_known(manifest) else ("px", 1e-3)
 
 
 def _of_session(store: FrameStore, session: str) -> Tensor:
