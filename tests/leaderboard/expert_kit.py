@@ -19,7 +19,7 @@ RECIPE = DIGEST
 class Frames:
     """What a study asks of a store: frames of known view and grade, in trajectories."""
 
-    labels = LABELS
+    labels, phased = LABELS, False
 
     def __init__(self, count: int = 600, trajectories: int = 60, source: str = "phantom") -> None:
         rng = np.random.default_rng(5)

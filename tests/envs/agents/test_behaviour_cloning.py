@@ -36,6 +36,7 @@ class FakeStore:
     """Frames of a few sweeps in memory, with what is used of a `FrameStore`."""
 
     root, digest, manifest, labels = Path("data/racines"), "0" * 8, {}, LABELS
+    phased = False
 
     def __init__(self, phantom, pose, trajectory, splits):
         truth = phantom.judge(pose)
