@@ -258,7 +258,7 @@ MOTION = Track(
     details=(
         Column("step_mm", "Step", "lower", 2, unit="mm"),
         Column("step_deg", "Step", "lower", 2, unit="°"),
-        Column("score", "Share of the errors, a sweep at a time", "higher"),
+        Column("score", "Score, a sweep at a time", "higher"),
     ),
     exact=0.0,
 )
