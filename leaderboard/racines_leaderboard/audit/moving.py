@@ -104,9 +104,11 @@ def score_run(record: Record, bench: Bench, folder: Path, first: bool = False) -
 
 
 def score_trained(record: Record, bench: Bench, folder: Path) -> MotionScores:
-    """Train an estimator by the board's settings in a folder, and return its scores."""
+    """Train an estimator by the board's settings in a folder, if it trains; return its scores."""
     name, (sweeps, _) = record["name"], _ground(record, bench)
     cls, settings = protocol.estimator_class(name), bench.settings or {}
+    if not cls.trained:
+        return score_run(record, bench, folder)
     config: Any = fill(cls.Config, section(settings, ("motions", name)), f"motions.{name}")
     repeats = getattr(getattr(config, "training", None), "repeats", 1)
     run = Run(folder, settings.get("seed", 0), "cpu", progress=False)

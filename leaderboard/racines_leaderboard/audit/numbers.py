@@ -4,8 +4,8 @@ By themselves: n, intervals and means that cannot be what they say. Recomputed, 
 within what its tier allows:
 
 bitwise     the same libraries, processor, threads, data and weights: every bit
-tolerance   elsewhere: the metrics that rank within 0.0004, errors in mm within 0.01; the others within 0.001 of their
-            size, or two items of n
+tolerance   elsewhere: the metrics that rank within 0.0004, or 0.01 where they are errors in mm of
+            estimated motion; the others within 0.001 of their size, or two items of n
 half        from half-precision weights: the same, or a quarter of the interval's half-width;
             of a metric that does not rank, what is off by more but by less than the half-width
             cannot be told: other weights draw other images

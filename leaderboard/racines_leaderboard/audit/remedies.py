@@ -54,7 +54,9 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
 def _settings(bench: Bench) -> str:
     """Return the option that names a board's settings."""
     packaged = bench.profile is not None
-    return f"--profile {bench.profile}" if packaged else f"--params {shlex.quote(str(bench.params))}"
+    return (
+        f"--profile {bench.profile}" if packaged else f"--params {shlex.quote(str(bench.params))}"
+    )
 
 
 def _unmade(record: Record, subjects: set[str], report: Report) -> bool:

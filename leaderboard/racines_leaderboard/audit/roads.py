@@ -186,7 +186,7 @@ def _moving(record: Record, bench: Bench) -> Road | str:
         ("run", claimed, None),
         (FIRST, files.first_training(claimed), 1),
     ):
-        if files.holds_weights(folder, wanted):
+        if files.has_weights(folder, wanted):
             source = f"the weights in {folder}"
             return Road(called, source, partial(again, first=trainings is not None), trainings)
     return f"no weights of it in {folder}; --retrain trains anew"

@@ -67,7 +67,7 @@ def run_of(record: Record, bench: Bench) -> Path:
         folders = [places.agents / name, kept / bench.board / name, kept / name]
     claimed = named(record)
     for wanted in (claimed, first_training(claimed)):
-        if found := next((each for each in folders if wanted and holds_weights(each, wanted)), None):
+        if found := next((each for each in folders if wanted and has_weights(each, wanted)), None):
             return found
     return folders[0]
 
@@ -95,7 +95,7 @@ def _read(path: Path) -> dict[str, Any]:
     return told if isinstance(told, dict) else {}
 
 
-def holds_weights(folder: Path, claimed: dict[str, str]) -> bool:
+def has_weights(folder: Path, claimed: dict[str, str]) -> bool:
     """Return whether a folder has all files of some names, each of its sha256."""
     files = [(folder / name, sha256) for name, sha256 in claimed.items()]
     return all(path.is_file() and sha256_file(path) == sha256 for path, sha256 in files)

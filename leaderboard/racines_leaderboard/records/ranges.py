@@ -25,7 +25,10 @@ AMOUNTS = (
     r"|(episode_)?steps(_iqm|_median)?|(peak|mean)_force|violations|latency|images_per_second_\d+"
     r"|seconds_to_adapt|[gl][pl]e|(drift|step)_mm"
 )
-ANGLES = r"pose_error_deg(_view)?(_truth)?|(view_)?rotation_error(_median|_(upper_)?quartile)?|(drift|step)_deg"
+ANGLES = (
+    r"pose_error_deg(_view)?(_truth)?|(view_)?rotation_error(_median|_(upper_)?quartile)?"
+    r"|(drift|step)_deg"
+)
 GRADES = r"grade_error(_all)?(_truth)?|final_grade(_iqm)?"
 RANGES = {
     RATES: (0.0, 1.0),
