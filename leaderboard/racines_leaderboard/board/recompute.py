@@ -125,7 +125,8 @@ def recompute_scores(
     if probing:
         _try_contract(folder, document, ground)
     paths = [folder / artefact["path"] for artefact in artefacts]
-    make = SCORERS.get(document["track"], agent_scores)
+    makers = {GENERATORS.name: _generator_scores, MOTION.name: _motion_scores}
+    make = makers.get(document["track"], agent_scores)
     scores = make(document, artefacts[0]["kind"], paths, ground)
     return document, scores | {"weights": {each["path"]: each["sha256"] for each in artefacts}}
 
@@ -228,10 +229,6 @@ def _named_config(document: dict[str, Any], data: Path) -> FrameStore:
         f"{document['name']}: dataset.digest: {document['dataset']['digest']}; no config of {data} "
         "has it: score it on the data that it names"
     )
-
-
-SCORERS = {GENERATORS.name: _generator_scores, MOTION.name: _motion_scores}
-"""Who scores the artefacts of a track; agents act."""
 
 
 def open_sources(
