@@ -80,7 +80,7 @@ def add_config(
         raise RacinesError(f"source {source.name} adds {name!r}: name one of {', '.join(ADDED)}")
     read_manifest(root)  # before the work, and once more after it
     units = cast(Sequence[Any], plan_units(source, config))
-    recipe = _recipe(source)
+    recipe = added_recipe(source)
     with staging_folder(root, source, recipe_digest(recipe), config.allow) as folder:
         part = Part(name, source, units, {each.id: each.split for each in units}, folder / name)
         stage_units([(source, units, part.folder, True)], config.workers, progress, config.allow)
@@ -101,7 +101,8 @@ def add_config(
     return config_manifest(manifest, name)
 
 
-def _recipe(source: Any) -> dict[str, Any]:
+def added_recipe(source: Any) -> dict[str, Any]:
+    """Return what decides the config that a source adds; its digest is the recipe digest."""
     named = {"source": source.name, "version": source.version}
     return {"format": FORMAT, **named, "settings": source.recipe()}
 

@@ -159,12 +159,22 @@ def build(
     return manifest
 
 
-def recipe_of(values: Mapping[str, Any]) -> str:
+def recipe_of(values: Mapping[str, Any], added: str | None = None) -> str:
     """Return the recipe digest of the dataset that a `data` section builds; nothing is built.
 
-    That of recordings is known once they are read: here they are refused.
+    Args:
+        values: The section. The recipe of recordings is known once they are read: they are refused.
+        added: A config that one of the sources of `also` adds, whose own recipe is asked for.
+
+    Raises:
+        RacinesError: settings at fault, recordings, or no source that adds such a config.
     """
     config, sections = read_data_section(values)
+    if added is not None:
+        others = {getattr(each, "adds", ""): each for each in make_also(config, sections)}
+        if added not in others:
+            raise RacinesError(f"data.also: no source there adds config {added!r}")
+        return recipe_digest(beside.added_recipe(others[added]))
     source = make_source(config, sections.get(config.source))
     many = make_multi_phantom(source, config, sections.get(MULTI_PHANTOM))
     return recipe_digest(_recipe(source, config, many))

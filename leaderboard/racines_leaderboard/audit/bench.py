@@ -19,11 +19,14 @@ from racines_envs.task.names import PATIENTS
 from racines_envs.worlds.backends import GRADERS
 from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.records.schema import read_json
+from racines_leaderboard.records.tracks import MOTION
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_models.sample import Sample, take_sample
 from racines_models.scores import scoring
 from racines_models.scores.on_patients import PatientScoresConfig
 from racines_models.scores.scoring import ScoresConfig
+from racines_models.trackerless.scoring import MotionScoresConfig
+from racines_models.trackerless.sweeps import SweepSet
 
 JUDGES = {
     "grader": "grader.safetensors",
@@ -33,6 +36,10 @@ JUDGES = {
 """File of a judge's weights in its folder."""
 PINS = "board.json"
 """What a board is pinned to, in its folder."""
+SETTINGS = "params.yaml"
+"""Settings of a board that no profile is for, in its folder."""
+RECORDED = "frames"
+"""The config of a dataset that is no added one."""
 KINDS = {key: key for key in JUDGES} | {"guide": "grader"}
 """What judge an extractor of a record is; a guide is the grader that an agent goes by."""
 
@@ -68,14 +75,24 @@ class Bench:
         self.board, self.places = board, places
         self.no_settings = f"no settings of board {board} here: give --params"
         self.no_data = f"no dataset of its recipe in {places.data}, nor beside it"
+        self._sweeps: dict[tuple[str, str], SweepSet | None] = {}
 
     @functools.cached_property
     def settings(self) -> dict[str, Any] | None:
         """The settings of the board; None where neither params file nor profile is for it."""
-        own = self.places.params
-        found = [read_params(own)] if own.is_file() else []
+        found = [read_params(own) for own in self._files if own.is_file()]
         found += [read_params(profile=name) for name in PROFILES]
         return next((values for values in found if self._is_for(values)), None)
+
+    @property
+    def _files(self) -> tuple[Path, Path]:
+        return self.places.params, self.places.results / self.board / SETTINGS
+
+    @property
+    def params(self) -> Path:
+        """The params file that is for the board, or else the one that was given."""
+        files = (each for each in self._files if each.is_file())
+        return next((each for each in files if self._is_for(read_params(each))), self.places.params)
 
     def _is_for(self, values: dict[str, Any]) -> bool:
         return self.board in (values.get("board"), *values.get("patient_boards", ()))
@@ -102,10 +119,24 @@ class Bench:
         return fill(PatientScoresConfig, stated, "patient_scores")
 
     @functools.cached_property
+    def motion_scores(self) -> MotionScoresConfig:
+        """How the board scores estimated motion, likewise."""
+        stated = section(self.settings or {}, "motion_scores")
+        return fill(MotionScoresConfig, stated, "motion_scores")
+
+    @functools.cached_property
     def recipe(self) -> str | None:
         """Recipe digest of the dataset that the settings build; None for imported data."""
         with contextlib.suppress(RacinesError):
             return None if self.settings is None else recipe_of(section(self.settings, "data"))
+        return None
+
+    def recipe_with(self, config: str) -> str | None:
+        """Return the recipe digest of a config of the dataset that the settings build, likewise."""
+        if config == RECORDED or self.settings is None:
+            return self.recipe
+        with contextlib.suppress(RacinesError):
+            return recipe_of(section(self.settings, "data"), config)
         return None
 
     @functools.cached_property
@@ -117,10 +148,14 @@ class Bench:
     @functools.cached_property
     def data(self) -> Path:
         """The folder of the board's dataset: the one of its recipe, or else the first."""
+        found = (each for each in self._folders if self._is_of_recipe(each))
+        return next(found, self.places.data)
+
+    @property
+    def _folders(self) -> list[Path]:
         places = self.places
         beside = sorted(path.parent for path in places.data.parent.glob(f"*/{MANIFEST}"))
-        folders = [places.data, *places.further, *beside]
-        return next((each for each in folders if self._is_of_recipe(each)), places.data)
+        return [places.data, *places.further, *beside]
 
     def _is_of_recipe(self, folder: Path) -> bool:
         try:
@@ -153,10 +188,28 @@ class Bench:
         store, recipe = self.store, basis_of(record)
         return store if store is not None and store.manifest["recipe_digest"] == recipe else None
 
+    def sweeps_for(self, record: Record) -> SweepSet | None:
+        """Return the sweeps here if they are of the recipe that estimated motion rests on."""
+        data = record["scores"]["dataset"]
+        key = data["config"], data["recipe_digest"]
+        if key not in self._sweeps:
+            self._sweeps[key] = self._sweeps_of(*key)
+        return self._sweeps[key]
+
+    def _sweeps_of(self, config: str, recipe: str) -> SweepSet | None:
+        for folder in self._folders:
+            with contextlib.suppress(RacinesError):
+                store = open_store(folder, config)
+                if store.manifest.get("recipe_digest") == recipe:
+                    return SweepSet(store)
+        return None
+
     def lacks_for(self, record: Record) -> str | None:
         """Say what is not here of what a record's scores are made on; None if nothing."""
         if self.settings is None:
             return self.no_settings
+        if record["track"] == MOTION.name:
+            return self.no_data if self.sweeps_for(record) is None else None
         generator = record["track"] == "generators"
         return self.no_data if generator and self.data_for(record) is None else None
 

@@ -32,11 +32,12 @@ from racines_leaderboard.audit.verdicts import (
 from racines_leaderboard.audit.weights import data_of, submitted
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.schema import KEY, seal_of
-from racines_leaderboard.records.tracks import PATIENT_AGENTS, TRACK
+from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, TRACK
 from racines_leaderboard.submissions.document import find_submission
 from racines_models.provenance import environment
 from racines_models.registry import generator_class
 from racines_models.scores.scoring import take_turns
+from racines_models.trackerless.protocol import estimator_class
 
 MACHINE = ("torch", "cpu", "threads", "device")
 """What floating point depends on, of an environment."""
@@ -71,7 +72,8 @@ def check_claims(record: Record, bench: Bench) -> Iterator[Verdict]:
     else:
         yield holds("environment", f"as here: {', '.join(MACHINE)}")
     folder = bench.places.agents if TRACK[record["track"]].steers else bench.places.runs
-    path = folder / "scores" / f"{record['name']}.json"
+    kept = "motion-scores" if record["track"] == MOTION.name else "scores"
+    path = folder / kept / f"{record['name']}.json"
     if record["tier"] == "self-reported" and path.is_file():
         yield from _scores_file(record, path, bench)
 
@@ -81,7 +83,9 @@ def _names(record: Record) -> Iterator[Verdict]:
     scores, subject = record["scores"], TRACK[record["track"]].subject
     yield equal(f"scores.{subject}", scores[subject], record["name"], "the record's name")
     data, generator = scores.get("dataset") or {}, not TRACK[record["track"]].steers
-    merged = not generator and not submitted(record)
+    # Motion is scored by the recipe of the sweeps, whatever board they are of.
+    generator = generator and record["track"] != MOTION.name
+    merged = TRACK[record["track"]].steers and not submitted(record)
     merged = merged or record["track"] == PATIENT_AGENTS.name
     for place, part, must in (("board", scores, merged), ("dataset.board", data, generator)):
         if must or "board" in part:
@@ -101,8 +105,9 @@ def _adapter(record: Record, adapter: str) -> Verdict:
     """Check that the class which a submission names is the one that is scored here."""
     agents = TRACK[record["track"]].steers
     name = record["scores"].get("submission", record["name"])
+    find = estimator_class if record["track"] == MOTION.name else generator_class
     try:
-        one, other = (agent_class if agents else generator_class)(name), _loaded(adapter)
+        one, other = (agent_class if agents else find)(name), _loaded(adapter)
     except RacinesError as error:
         return unknown("submission.adapter", f"not here: {error}", adapter)
     except (ImportError, AttributeError) as error:
@@ -246,6 +251,8 @@ def beyond_truth(record: Record, peers: list[Record]) -> Iterator[Verdict]:
     if TRACK[record["track"]].steers or name == CEILING:
         return
     for key, most in LIKENESS.items():
+        if key not in metrics:
+            continue
         value, low = metrics[key]["value"], metrics[key]["low"]
         ceiling = drawn_again["scores"]["metrics"][key]["high"] if drawn_again else None
         above = None not in (ceiling, value) and (value if low is None else low) > ceiling

@@ -18,6 +18,7 @@ from racines_data.files import sha256_file
 from racines_envs.evaluation.agent_specs import SECTIONS
 from racines_envs.evaluation.measures import by_seed_of
 from racines_envs.evaluation.patients import by_pathology_of
+from racines_leaderboard.audit import moving
 from racines_leaderboard.audit.adapting import asked_items
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.leaves import MISSING, leaves, same
@@ -35,7 +36,7 @@ from racines_leaderboard.audit.verdicts import (
 from racines_leaderboard.audit.weights import first_training, hours_of, named, run_called
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.ranges import CLOSE, ENDS, range_of
-from racines_leaderboard.records.tracks import PATIENT_AGENTS, PATIENT_GENERATORS, TRACK
+from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, PATIENT_GENERATORS, TRACK
 from racines_models.statistics import Evidence, Figures
 from racines_models.training.checkpoint import PREFIX
 
@@ -143,6 +144,9 @@ def _of_items(key: str, figures: Figures, record: Record, bench: Bench) -> Itera
     if record["track"] == PATIENT_GENERATORS.name:
         yield asked_items(subject, figures, bench)
         return
+    if record["track"] == MOTION.name:
+        yield moving.items(subject, figures, record, bench)
+        return
     if bench.data_for(record) is None:
         yield unknown(subject, bench.no_data)
         return
@@ -217,7 +221,7 @@ def further_trainings(record: Record, evidence: Evidence | None, bench: Bench) -
     further = {f"{PREFIX}{seed}" for seed in range(first + 1, first + runs)}
     folders = {name.split("/")[0] for name in set(weights) - set(first_training(weights))}
     hours = hours_of(record, bench)
-    sections = ("generators", "patient_generators", *SECTIONS)
+    sections = ("generators", "patient_generators", "motions", *SECTIONS)
     recipe = any(run_called(record) in settings.get(each, {}) for each in sections)
     needed = {
         "its recipe in the board's settings": recipe,

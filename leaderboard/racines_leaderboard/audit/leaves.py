@@ -28,11 +28,11 @@ those of its `submission.yaml`."""
 NUMBERS = r"(metrics|by_(seed|pathology|stratum)\.[^.]+)\.[^.]+\.(value|low|high|n)"
 ELSEWHERE = (
     r"extractors\..+|(weights|evidence)(\..+)?",
-    r"dataset\.(digest|board)|board|code\.version|agent|generator",
+    r"(dataset|learned_from)\.digest|dataset\.board|board|code\.version|agent|generator|motion",
 )
 """Leaves of scores that have a check of their own."""
 OF_TRAININGS = (
-    r"runs|(seeds|trainings)(\..+)?|(metrics|by_(seed|pathology|stratum)\.[^.]+)\.[^.]+\.settings\.(interval|units|trainings|trajectories|by_set)"
+    r"runs|(seeds|trainings|explained)(\..+)?|(metrics|by_(seed|pathology|stratum)\.[^.]+)\.[^.]+\.settings\.(interval|units|trainings|trajectories|by_set)"
     r"(\..+)?"
 )
 """Those that differ where some of the trainings were made again; the evidence tells them."""
@@ -62,7 +62,8 @@ def compare_leaves(
     Args:
         record: The record.
         made: The scores.
-        bounds: How far a number in the settings of a metric may be off, by metric.
+        bounds: How far a number in the settings of a metric may be off, by metric; or one in
+            another part, by the part.
         partly: Only some of the record's trainings were made again.
     """
     from racines_models.scores.plugin import installed_metrics
@@ -79,7 +80,7 @@ def compare_leaves(
         stated, found = claimed.get(place, MISSING), here.get(place, MISSING)
         if _elsewhere(place, partly, stated) or (metric in unmade) or (metric in added):
             continue
-        if same(stated, found, bounds.get(metric or "", 0.0)):
+        if same(stated, found, bounds.get(metric or place.partition(".")[0], 0.0)):
             equal += 1
         else:
             apart.append((place, stated, found))

@@ -4,8 +4,8 @@ By themselves: n, intervals and means that cannot be what they say. Recomputed, 
 within what its tier allows:
 
 bitwise     the same libraries, processor, threads, data and weights: every bit
-tolerance   elsewhere: the metrics that rank within 0.0004; the others within 0.001 of their
-            size, or two items of n
+tolerance   elsewhere: the metrics that rank within 0.0004, or 0.01 where they are errors in mm of
+            estimated motion; the others within 0.001 of their size, or two items of n
 half        from half-precision weights: the same, or a quarter of the interval's half-width;
             of a metric that does not rank, what is off by more but by less than the half-width
             cannot be told: other weights draw other images
@@ -18,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from racines_leaderboard.audit import moving
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.claims import differing, judge_of
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.ranges import CLOSE, ENDS, RANGES, faults
-from racines_leaderboard.records.tracks import PATIENT_GENERATORS, TRACK
+from racines_leaderboard.records.tracks import MOTION, PATIENT_GENERATORS, TRACK
 from racines_models.scores import diversity
 from racines_models.scores.scoring import PRDC_FRAMES
 from racines_models.statistics import wilson
@@ -36,11 +37,14 @@ TIMED = re.compile(r"images_per_second_(?P<batch>\d+)|latency|seconds_to_adapt")
 BITWISE, TOLERANCE, HALF = "bitwise", "tolerance", "half precision"
 PRIMARY = 4e-4
 """Of the metrics that rank, in their own unit: below half of 0.001."""
+MILLIMETRES = 1e-2
+"""Likewise where those are errors in mm, of which a tenth is shown."""
 OTHERS, ITEMS = 1e-3, 2.0
 SHARE = 0.25
 """Of the half-width of an interval, for half-precision weights."""
 NUMBERS = (*ENDS, "n")
-CONTINUOUS = ("ssim", "psnr", "fid", "kid", "final_grade", "spl", "position_error", "return")
+CONTINUOUS = ("ssim", "psnr", "fid", "kid", "final_grade", "spl", "position_error", "return",
+              "gpe", "gle", "lpe", "lle")  # fmt: skip
 """Figures that are equal to the last bit by no accident."""
 
 
@@ -98,6 +102,8 @@ def _counts(
         return _episodes(record, place, metrics)
     if record["track"] == PATIENT_GENERATORS.name:
         return {}  # of which frames each is, its evidence tells
+    if record["track"] == MOTION.name:
+        return moving.counts(record, bench)
     store = bench.data_for(record)
     if store is None:
         most = bench.scores.samples
@@ -228,7 +234,8 @@ def bounds_of(key: str, here: dict[str, Any], tier: str, track: str) -> tuple[fl
     """
     ranks, doubtful = key in TRACK[track].ranked_by, 0.0
     size = max(1.0, abs(here["value"] or 0.0))
-    bound = PRIMARY if ranks else size * max(OTHERS, ITEMS / max(here["n"], 1))
+    primary = MILLIMETRES if track == MOTION.name else PRIMARY
+    bound = primary if ranks else size * max(OTHERS, ITEMS / max(here["n"], 1))
     if tier == HALF and None not in (here["low"], here["high"]):
         width = here["high"] - here["low"]
         bound = max(bound, SHARE * width / 2)
@@ -238,5 +245,8 @@ def bounds_of(key: str, here: dict[str, Any], tier: str, track: str) -> tuple[fl
 
 def bounds_by_metric(made: dict[str, Any], tier: str, track: str) -> dict[str, float]:
     """Return the difference that passes of each metric; none where all is to be equal."""
+    if tier == BITWISE:
+        return {}
     metrics = made["metrics"].items()
-    return {key: bounds_of(key, here, tier, track)[0] for key, here in metrics if tier != BITWISE}
+    bounds = {key: bounds_of(key, here, tier, track)[0] for key, here in metrics}
+    return bounds | ({"explained": OTHERS} if track == MOTION.name else {})

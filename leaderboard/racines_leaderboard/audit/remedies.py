@@ -7,7 +7,7 @@ from racines_leaderboard.audit import weights
 from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.verdicts import RETRAINABLE, Report
 from racines_leaderboard.board.collect import Record
-from racines_leaderboard.records.tracks import PATIENT_AGENTS, PATIENT_GENERATORS, TRACK
+from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, PATIENT_GENERATORS, TRACK
 from racines_leaderboard.records.verdicts import NOT_VERIFIED
 from racines_models.registry import PATIENTS
 
@@ -24,9 +24,10 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
         return
     settings = _settings(bench)
     subjects = {each.subject for each in report.open}
-    generator, lacking = record["track"] == "generators", bench.lacks_for(record)
+    stored = record["track"] in ("generators", MOTION.name)
+    lacking = bench.lacks_for(record)
     data = shlex.quote(str(bench.data))
-    if generator and lacking:
+    if stored and lacking:
         data = shlex.quote(str(bench.places.data.parent / record["board"]))
         yield f"racines data build {settings} --out {data}"
     for extractor in KINDS:
@@ -37,6 +38,7 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
         yield f"racines submit {shlex.quote(str(folder))} --fetch"
     if not quick and not lacking and _unmade(record, subjects, report):
         kind = "agent" if TRACK[record["track"]].steers else "generator"
+        kind = "motion" if record["track"] == MOTION.name else kind
         name = weights.run_called(record)
         on = f" --data {data}"
         if record["track"] in (PATIENT_AGENTS.name, PATIENT_GENERATORS.name):
@@ -51,9 +53,10 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
 
 def _settings(bench: Bench) -> str:
     """Return the option that names a board's settings."""
-    own = bench.places.params
     packaged = bench.profile is not None
-    return f"--profile {bench.profile}" if packaged else f"--params {shlex.quote(str(own))}"
+    return (
+        f"--profile {bench.profile}" if packaged else f"--params {shlex.quote(str(bench.params))}"
+    )
 
 
 def _unmade(record: Record, subjects: set[str], report: Report) -> bool:

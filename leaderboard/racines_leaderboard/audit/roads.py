@@ -18,18 +18,19 @@ from racines_envs.evaluation.patients import evaluate_patients
 from racines_envs.evaluation.run import evaluate
 from racines_envs.evaluation.trainings import find_trainings, published_run
 from racines_envs.worlds.backends import make_grader
-from racines_leaderboard.audit import adapting
+from racines_leaderboard.audit import adapting, moving
 from racines_leaderboard.audit import weights as files
 from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.numbers import HALF
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.board.recompute import Ground, recompute_scores, scored_on
-from racines_leaderboard.records.tracks import PATIENT_AGENTS, PATIENT_GENERATORS
+from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, PATIENT_GENERATORS
 from racines_models.protocol import Run
 from racines_models.provenance import weights_sha256
 from racines_models.registry import generator_class, open_generator, open_runs, weights_of
 from racines_models.scores.scoring import ScoresConfig
 from racines_models.statistics import Evidence
+from racines_models.trackerless.protocol import estimator_class
 from racines_models.training.checkpoint import PREFIX, train_seeds
 from racines_models.training.published import published_seeds
 
@@ -89,6 +90,8 @@ def find_road(record: Record, bench: Bench) -> Road | str:
         return Road("artefacts", source, partial(_of_artefacts, folder, on))
     if record["track"] == PATIENT_GENERATORS.name:
         return _adapting(record, bench)
+    if record["track"] == MOTION.name:
+        return _moving(record, bench)
     return (_generator if record["track"] == "generators" else _agent)(record, bench)
 
 
@@ -163,6 +166,35 @@ def _adapting(record: Record, bench: Bench) -> Road | str:
         source = " and ".join(f"the weights in {each}" for each in (folder, *further))
         return Road("run", source, again)
     return f"no weights of it in {folder}; --retrain trains anew"
+
+
+def _moving(record: Record, bench: Bench) -> Road | str:
+    """Return how who estimates motion is scored again: from weights, if it has any."""
+    name, folder = record["name"], files.run_of(record, bench)
+    try:
+        trained = estimator_class(name).trained
+    except RacinesError:
+        return f"{name} is no registered motion estimator, and handed in no file of its motions"
+    claimed = files.named(record)
+    again = partial(moving.score_run, record, bench, folder)
+    if not trained:
+        return Road("no weights", "it learns nothing", again)
+    if not claimed:
+        source = "it does not train: fitted again on the data"
+        return Road("fitted", source, lambda: _fitted_motion(record, bench))
+    for called, wanted, trainings in (
+        ("run", claimed, None),
+        (FIRST, files.first_training(claimed), 1),
+    ):
+        if files.has_weights(folder, wanted):
+            source = f"the weights in {folder}"
+            return Road(called, source, partial(again, first=trainings is not None), trainings)
+    return f"no weights of it in {folder}; --retrain trains anew"
+
+
+def _fitted_motion(record: Record, bench: Bench) -> Made:
+    with tempfile.TemporaryDirectory() as aside:
+        return Made.of(moving.score_trained(record, bench, Path(aside) / record["name"]))
 
 
 def score_fitted(record: Record, bench: Bench, folder: Path | None = None) -> Made:

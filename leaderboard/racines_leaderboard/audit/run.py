@@ -12,7 +12,7 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import locked
-from racines_leaderboard.audit import adapting, claims, weights
+from racines_leaderboard.audit import adapting, claims, moving, weights
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.evidence import (
     check_evidence,
@@ -45,7 +45,7 @@ from racines_leaderboard.audit.verdicts import (
 )
 from racines_leaderboard.board.collect import Record, read_record
 from racines_leaderboard.records.schema import sealed, write_record
-from racines_leaderboard.records.tracks import PATIENT_GENERATORS, TRACK
+from racines_leaderboard.records.tracks import MOTION, PATIENT_GENERATORS, TRACK
 from racines_models.statistics import Evidence
 
 Finder = Callable[[Record, Bench], Road | str]
@@ -106,6 +106,8 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
         again = score_fitted(record, bench, folder)
     elif record["track"] == PATIENT_GENERATORS.name:
         again = Made.of(adapting.score_trained(record, bench, folder))
+    elif record["track"] == MOTION.name:
+        again = Made.of(moving.score_trained(record, bench, folder))
     else:
         again = score_agent(record, bench, folder, train=True)
     made = again.scores
@@ -113,7 +115,10 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
     report = _report(record, bench, [*verdicts, *_within(record, made)], how)
     if report.holds:
         keys = ("seeds", "metrics", "weights", "code", "environment")
-        earned = {"tier": "reproduced", "reproduced": {key: made[key] for key in keys}}
+        # Who estimates motion draws nothing: the seeds are those of the trainings.
+        first = (bench.settings or {}).get("seed", 0)
+        told_of = {"seeds": list(range(first, first + made.get("runs", 1)))} | made
+        earned = {"tier": "reproduced", "reproduced": {key: told_of[key] for key in keys}}
         with locked(path.parents[2]):
             write_record(path, sealed(record | earned))
         return replace(report, tier="reproduced")
@@ -146,6 +151,8 @@ def _check(path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
         yield from claims.drawing_seeds(record, bench)
     elif record["track"] == PATIENT_GENERATORS.name:
         yield from adapting.asked(record, bench)
+    elif record["track"] == MOTION.name:
+        yield from moving.scored_on(record, bench)
     else:
         yield from claims.task(record, bench)
     others = [_read(other, bench) for other in sorted(path.parent.glob("*.json")) if other != path]

@@ -12,7 +12,7 @@ from racines_envs.evaluation.patients import run_name
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
 from racines_leaderboard.board.collect import Record, basis_of
-from racines_leaderboard.records.tracks import PATIENT_AGENTS, PATIENT_GENERATORS
+from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, PATIENT_GENERATORS
 from racines_leaderboard.submissions.document import files_of, rescored
 from racines_models.exchange.predictions.file import Predictions
 from racines_models.provenance import weights_sha256
@@ -57,6 +57,8 @@ def run_of(record: Record, bench: Bench) -> Path:
     places, name = bench.places, run_called(record)
     if record["track"] == PATIENT_GENERATORS.name:
         folders = [each / PATIENTS / name for each in (places.runs, places.weights)]
+    elif record["track"] == MOTION.name:
+        folders = [each / MOTION.name / name for each in (places.runs, places.weights)]
     elif record["track"] == "generators":
         kept = places.weights
         folders = [places.runs / name, kept / bench.board / name, kept / name]
@@ -65,7 +67,7 @@ def run_of(record: Record, bench: Bench) -> Path:
         folders = [places.agents / name, kept / bench.board / name, kept / name]
     claimed = named(record)
     for wanted in (claimed, first_training(claimed)):
-        if found := next((each for each in folders if wanted and _holds(each, wanted)), None):
+        if found := next((each for each in folders if wanted and has_weights(each, wanted)), None):
             return found
     return folders[0]
 
@@ -93,7 +95,8 @@ def _read(path: Path) -> dict[str, Any]:
     return told if isinstance(told, dict) else {}
 
 
-def _holds(folder: Path, claimed: dict[str, str]) -> bool:
+def has_weights(folder: Path, claimed: dict[str, str]) -> bool:
+    """Return whether a folder has all files of some names, each of its sha256."""
     files = [(folder / name, sha256) for name, sha256 in claimed.items()]
     return all(path.is_file() and sha256_file(path) == sha256 for path, sha256 in files)
 

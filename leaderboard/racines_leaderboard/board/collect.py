@@ -235,8 +235,9 @@ def read_record(path: Path, board: str, track: Track) -> Record:
             raise RacinesError(f"{path}: {key}: {record[key]!r}, expected {value!r} by its place")
     check(record["scores"], track.schema, f"{path}: scores")
     if (own := track_of(record["scores"])) is None or own.name != track.name:
-        view = record["scores"]["task"]["view"]
-        raise RacinesError(f"{path}: scores.task.view: {view!r} is none of track {track.name}")
+        place, about = ("task.view", "task") if track.steers else ("dataset.source", "dataset")
+        said = record["scores"][about].get(place.partition(".")[2])
+        raise RacinesError(f"{path}: scores.{place}: {said!r} is none of track {track.name}")
     check_possible(record["scores"], f"{path}: scores")
     evidence_path(path, record["scores"])
     return record

@@ -1,7 +1,10 @@
-"""Pinning a board: making its file of two records a track, those of the two anchors."""
+"""Pinning a board: making its file of two records a track, those of the two anchors.
+
+Where the truth's figures are known it stands at 1 itself, and one record is enough.
+"""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -88,10 +91,7 @@ def make_pin(board: str, found: dict[str, Found]) -> Pin:
     Raises:
         RacinesError: as `pin_board`.
     """
-    parts = {
-        each.name: (_pin_agents if each.steers else _pin_generators)(found[each.name], each)
-        for each in TRACKS
-    }
+    parts = {each.name: _how(each)(found[each.name], each) for each in TRACKS}
     kept = {name: part for name, part in parts.items() if part is not None}
     if not kept:
         pairs = " or ".join(" and ".join(track.anchors) for track in TRACKS)
@@ -99,6 +99,24 @@ def make_pin(board: str, found: dict[str, Found]) -> Pin:
     pin = json.loads(json.dumps({"schema": SCHEMA, "board": board} | kept))
     check(pin, "board", f"board {board}")
     return pin
+
+
+def _how(track: Track) -> Callable[[Found, Track], Pin | None]:
+    if track.steers:
+        return _pin_agents
+    return _pin_generators if track.exact is None else _pin_motion
+
+
+def _pin_motion(found: Found, track: Track) -> Pin | None:
+    """Return what holds who estimates motion: one anchor, since the truth's errors are known."""
+    floors = _named(found, track, track.anchors[0])
+    if not floors:
+        return None
+    (path,) = only = {floors[0]: found[floors[0]]}
+    data = found[path]["dataset"]
+    part: Pin = {key: data[key] for key in ("recipe_digest", "config", "split", "sweeps")}
+    part |= {"settings": found[path]["settings"], "metrics": _metrics([found[path]])}
+    return part | _anchors(track, only)
 
 
 def _pin_generators(found: Found, track: Track) -> Pin | None:
@@ -177,26 +195,26 @@ def _metrics(documents: list[dict[str, Any]]) -> list[str]:
 
 
 def _anchors(track: Track, both: Found) -> Pin:
-    """Return the anchors of two scores, and the items that they rest on."""
-    ((zero, first), (one, second)), values = both.items(), {}
+    """Return the anchors of two scores, or of one beside the truth, and the items of both."""
+    paths, values = list(both), {}
+    zero, one = paths[0], paths[-1]
     for column in track.ranked_columns():
         ends = [_value(path, scores, column.key) for path, scores in both.items()]
+        ends += [] if track.exact is None else [track.exact]
         if not column.improves(ends[1], ends[0]):
             raise RacinesError(
                 f"{one}: metrics.{column.key}.value: {ends[1]:g} is no better than the "
                 f"{ends[0]:g} of {zero}: no anchors for a score"
             )
         values[column.key] = ends
-    entries = [
-        {"name": each[track.subject], "scores": result_sha256(each)} for each in (first, second)
-    ]
+    told = ({"name": each[track.subject], "scores": result_sha256(each)} for each in both.values())
+    entries = dict(zip(("zero", "one"), told, strict=False))
     items = {
         items_of(read_evidence(path, scores, track, None), track) for path, scores in both.items()
     } - {None}
     if len(items) > 1:
         raise RacinesError(f"{one}: its evidence is of other items than {zero}: score both alike")
-    told = {"items": items.pop()} if items else {}
-    return told | {"anchors": {"zero": entries[0], "one": entries[1], "values": values}}
+    return ({"items": items.pop()} if items else {}) | {"anchors": entries | {"values": values}}
 
 
 def _value(path: Path, scores: dict[str, Any], key: str) -> float:

@@ -10,6 +10,7 @@ from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
+from racines_data.manifest import added_configs, config_manifest, read_manifest
 from racines_data.patients.splits import split_of
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.agents.trace import TraceAgent
@@ -24,7 +25,7 @@ from racines_envs.worlds.making import (
 )
 from racines_leaderboard.board.collect import Record, record_of, write_records
 from racines_leaderboard.records.schema import check
-from racines_leaderboard.records.tracks import GENERATORS, PATIENT_AGENTS, TRACK, TRACKS
+from racines_leaderboard.records.tracks import GENERATORS, MOTION, PATIENT_AGENTS, TRACK, TRACKS
 from racines_leaderboard.submissions.confined import session as confined
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_leaderboard.submissions.document import YAML, files_of, find_submission, rescored
@@ -35,6 +36,9 @@ from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.scores.scoring import Scores, ScoresConfig, score
 from racines_models.statistics import Evidence
+from racines_models.trackerless.scoring import MotionScoresConfig, asked, score_motion
+from racines_models.trackerless.submission import read_submission as read_motions
+from racines_models.trackerless.sweeps import SweepSet
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,8 @@ def recompute_scores(
     if probing:
         _try_contract(folder, document, ground)
     paths = [folder / artefact["path"] for artefact in artefacts]
-    make = _generator_scores if document["track"] == GENERATORS.name else agent_scores
+    makers = {GENERATORS.name: _generator_scores, MOTION.name: _motion_scores}
+    make = makers.get(document["track"], agent_scores)
     scores = make(document, artefacts[0]["kind"], paths, ground)
     return document, scores | {"weights": {each["path"]: each["sha256"] for each in artefacts}}
 
@@ -154,6 +159,8 @@ def _try_contract(folder: Path, document: dict[str, Any], ground: Ground) -> Non
         _check_data(document, store.manifest, str(ground.data))
         probe(folder, document, store, ground.limits)
         return
+    if document["track"] == MOTION.name:
+        return  # its file was looked into
     if document["track"] == PATIENT_AGENTS.name:
         probe(folder, document, limits=ground.limits, view=on_patients(ground).view)
         return
@@ -190,6 +197,38 @@ def _generator_scores(
     scores = score_on(ground, store, config, opened, document["name"])
     scores["dataset"]["board"] = ground.board
     return scores
+
+
+def _motion_scores(
+    document: dict[str, Any], kind: str, paths: Sequence[Path], ground: Ground
+) -> dict[str, Any]:
+    """Return the scores of motions in files, one a training, on a ground's sweeps."""
+    sweeps = SweepSet(_named_config(document, ground.data))
+    config = fill(MotionScoresConfig, section(ground.settings, "motion_scores"), "motion_scores")
+    found, motions = asked(sweeps, config), []
+    # Another machine may have drawn a few pixels otherwise; the sweeps and their poses are these.
+    by_recipe = document["dataset"]["digest"] == sweeps.card["recipe_digest"]
+    for path in paths:
+        given = read_motions(path)
+        given.check(path, found, given.dataset if by_recipe else sweeps.store.digest, config.split)
+        motions.append(dict(given.motions))
+    # A file does not say that nothing was learned, so a place takes the trainings of any method.
+    made = score_motion(document["name"], motions, sweeps, config, {"trained": True})
+    ground.keep(made)
+    return made.content
+
+
+def _named_config(document: dict[str, Any], data: Path) -> FrameStore:
+    """Return the config of a dataset whose content or recipe digest a submission names."""
+    manifest = read_manifest(data)
+    for config in ("frames", *added_configs(manifest)):
+        own = config_manifest(manifest, config)
+        if document["dataset"]["digest"] in (own["digest"], own["recipe_digest"]):
+            return open_store(data, config)
+    raise RacinesError(
+        f"{document['name']}: dataset.digest: {document['dataset']['digest']}; no config of {data} "
+        "has it: score it on the data that it names"
+    )
 
 
 def open_sources(

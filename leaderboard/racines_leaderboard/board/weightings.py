@@ -60,6 +60,12 @@ WEIGHINGS: dict[str, dict[str, Weighing]] = {
         "grade": _of("final_grade"),
         **COMMON,
     },
+    "motion": {
+        "score": _of("gpe", "gle", "lpe", "lle"),
+        "global": _of("gpe", "gle"),
+        "local": _of("lpe", "lle"),
+        **COMMON,
+    },
 }
 
 
@@ -87,7 +93,7 @@ def orders(results: Path, board: str) -> dict[str, dict[str, dict[str, Any]]]:
 def _ordered(
     track: Track, records: list[Record], anchors: dict[str, Any]
 ) -> dict[str, dict[str, Any]]:
-    ends = {anchors["zero"]["name"], anchors["one"]["name"]}
+    ends = {anchors[end]["name"] for end in ("zero", "one") if end in anchors}
     records = [record for record in records if record["name"] not in ends]
     if not records:
         return {}

@@ -33,7 +33,7 @@ def submit(
     unconfined: opt.Unconfined = False,
     track: Annotated[
         str,
-        typer.Option(help="With --new: generators or agents; patient-… of either."),
+        typer.Option(help="With --new: generators, agents or motion; patient-…."),
     ] = "generators",
     as_json: opt.AsJson = False,
 ) -> None:

@@ -74,7 +74,8 @@ def draw_in_secret(
     kind, paths = artefacts[0]["kind"], [folder / each["path"] for each in artefacts]
     weights = {each["path"]: each["sha256"] for each in artefacts}
     record = _record_of(document, weights, results, ground.board)
-    draws = DRAWS[document["track"]]
+    if (draws := DRAWS.get(document["track"])) is None:
+        raise RacinesError(f"{folder}: nothing of track {document['track']} is drawn in secret")
     content: dict[str, Any] = {
         "schema": SCHEMA, "board": ground.board, "track": document["track"],
         "name": document["name"], "round": secret.round, "commitment": secret.commitment,

@@ -87,12 +87,15 @@ def _held(scores: dict[str, Any], track: Track, part: Pin) -> Iterator[tuple[str
     named = "dataset" if scores.get("dataset") else "phantom"
     recipe = f"score it on the board's {named}"
     yield f"{named}.recipe_digest", recipe_of(scores), part["recipe_digest"], recipe
-    for key in ("split", "sample"):
+    for key in ("config", "split", "sample", "sweeps"):
         if key in part:
             frames = "score it on the board's frames, by the settings of its profile"
             yield f"dataset.{key}", data.get(key), part[key], frames
+    for key, wanted in part.get("settings", {}).items():
+        alike = "score it with the settings of the board's params.yaml"
+        yield f"settings.{key}", scores["settings"].get(key), wanted, alike
     hashes = {extractors: hashes_of(scores, extractors) for extractors in (False, True)}
-    for kind, wanted in part["judges"].items():
+    for kind, wanted in part.get("judges", {}).items():
         yield f"extractors.{kind}.sha256", hashes[False].get(kind), wanted, JUDGED
     for kind, wanted in part.get("extractors", {}).items():
         again = "score it again with the board's feature extractor"

@@ -23,9 +23,12 @@ AMOUNTS = (
     r"fid(_grader)?|density(_grader)?|pose_error_mm(_view)?(_truth)?|(view_)?position_error|seconds"
     r"|(position_error|seconds)_(median|(upper_)?quartile)"
     r"|(episode_)?steps(_iqm|_median)?|(peak|mean)_force|violations|latency|images_per_second_\d+"
-    r"|seconds_to_adapt"
+    r"|seconds_to_adapt|[gl][pl]e|(drift|step)_mm"
 )
-ANGLES = r"pose_error_deg(_view)?(_truth)?|(view_)?rotation_error(_median|_(upper_)?quartile)?"
+ANGLES = (
+    r"pose_error_deg(_view)?(_truth)?|(view_)?rotation_error(_median|_(upper_)?quartile)?"
+    r"|(drift|step)_deg"
+)
 GRADES = r"grade_error(_all)?(_truth)?|final_grade(_iqm)?"
 RANGES = {
     RATES: (0.0, 1.0),
@@ -35,6 +38,7 @@ RANGES = {
     r"diversity(_truth)?|nearest_train(_truth)?": (0.0, 255.0),
     r"(ms_)?ssim": (-1.0, 1.0),
     r"psnr": (0.0, 100.0),
+    r"score": (-math.inf, 1.0),
     # Unbiased, so below 0 by chance: by about 2 k / n, with k the kernel of an image with itself.
     r"kid": (-0.1, math.inf),
     r"kid_grader": (-1.0, math.inf),

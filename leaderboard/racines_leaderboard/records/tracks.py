@@ -53,8 +53,8 @@ class Track:
     columns: tuple[Column, ...]
     ranked_by: tuple[str, ...]
     """Keys of the columns that the score is the mean of, each between the board's anchors."""
-    anchors: tuple[str, str]
-    """Names of the methods whose metrics are 0 and 1."""
+    anchors: tuple[str, ...]
+    """Names of the methods whose metrics are 0 and 1; the latter is left out where `exact` is."""
     bounds: tuple[str, ...]
     """Methods that stand on the board without a place."""
     rule: str
@@ -64,6 +64,8 @@ class Track:
     """What was drawn independently, which intervals resample."""
     details: tuple[Column, ...] = ()
     """Further metrics, for a second table."""
+    exact: float | None = None
+    """What each ranked metric is of the truth, where that is known and so stands at 1."""
     own_starts: bool = False
     """Whether each task has a start set of its own; else a board has one."""
 
@@ -231,7 +233,38 @@ PATIENT_GENERATORS = Track(
 )
 """Generators that meet hearts which nobody trained on; scored as those of `generators`."""
 
-TRACKS = (GENERATORS, AGENTS, PATIENT_AGENTS, PATIENT_GENERATORS)
+MOTION = Track(
+    name="motion",
+    schema="motion-scores",
+    subject="motion",
+    columns=(
+        Column("gpe", "GPE", "lower", 1, unit="mm"),
+        Column("gle", "GLE", "lower", 1, unit="mm"),
+        Column("lpe", "LPE", "lower", 1, unit="mm"),
+        Column("lle", "LLE", "lower", 1, unit="mm"),
+        Column("drift_mm", "Drift", "lower", 1, unit="mm"),
+        Column("drift_deg", "Drift", "lower", 1, unit="°"),
+    ),
+    ranked_by=("gpe", "gle", "lpe", "lle"),
+    anchors=("no-motion",),
+    bounds=("no-motion", "constant-motion", "mean-motion"),
+    rule=(
+        "Score: the mean of GPE, GLE, LPE and LLE, each from 0 at no-motion, whose figures are "
+        "fixed for the board, to 1 at the true motion, whose errors are 0. constant-motion is told "
+        f"how the sweep begins. {_PLACES}"
+    ),
+    counted="sweeps of the test split",
+    unit="patients",
+    details=(
+        Column("step_mm", "Step", "lower", 2, unit="mm"),
+        Column("step_deg", "Step", "lower", 2, unit="°"),
+        Column("score", "Score, a sweep at a time", "higher"),
+    ),
+    exact=0.0,
+)
+"""Who estimates the probe's motion from images alone; see `racines_models.trackerless`."""
+
+TRACKS = (GENERATORS, AGENTS, PATIENT_AGENTS, PATIENT_GENERATORS, MOTION)
 SCOUTS = "scouts"
 """Source of the frames that generators on patients are scored on."""
 TRACK = {track.name: track for track in TRACKS}
@@ -249,6 +282,8 @@ def track_of(scores: dict[str, Any]) -> Track | None:
         data = scores.get("dataset")
         scouted = isinstance(data, dict) and data.get("source") == SCOUTS
         return PATIENT_GENERATORS if scouted else GENERATORS
+    if declared == f"racines.{MOTION.schema}/1":
+        return MOTION
     if declared != f"racines.{AGENTS.schema}/1":
         return None
     task = scores.get("task")

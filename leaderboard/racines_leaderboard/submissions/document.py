@@ -66,8 +66,10 @@ REMEDY = (
 )
 
 GENERATORS, AGENTS, ON_PATIENTS = "generators", "agents", "patient-agents"
-ADAPTING = "patient-generators"
-ALL = (GENERATORS, AGENTS, ON_PATIENTS, ADAPTING)
+ADAPTING, MOTION = "patient-generators", "motion"
+ALL = (GENERATORS, AGENTS, ON_PATIENTS, ADAPTING, MOTION)
+SEVERAL = "generator", "motion"
+"""Kinds of which there may be several, the trainings of one method."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,7 @@ KINDS = {
     "generator": Kind(".onnx", (GENERATORS,), "a network that draws", True),
     "policy": Kind(".onnx", (AGENTS, ON_PATIENTS), "a network that steers", True),
     "trace": Kind(".json", (AGENTS,), "the actions of every episode", True),
+    "motion": Kind(".parquet", (MOTION,), "the motion of every test sweep", True),
     "weights": Kind(".safetensors", ALL, "weights of merged code"),
     "scores": Kind(".json", ALL, "the submitter's own scores"),
     "robustness": Kind(".json", (ON_PATIENTS,), "the submitter's own robustness report"),
@@ -101,7 +104,7 @@ BLANKS = (
 )
 """What stands in a template to be filled in."""
 PACKAGES = ("racines_data", "racines_models", "racines_envs", "racines_leaderboard")
-GROUPS = ("racines.generators", "racines.agents")
+GROUPS = ("racines.generators", "racines.agents", "racines.motions")
 
 
 def files_of(document: dict[str, Any]) -> list[dict[str, Any]]:
@@ -150,14 +153,14 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
             f"{where}: dataset.digest: missing: the content or recipe digest of the data"
         )
     kinds = [each["kind"] for each in rescored(document)]
-    if len(set(kinds)) > 1 or (len(kinds) > 1 and kinds[0] != "generator"):
+    if len(set(kinds)) > 1 or (len(kinds) > 1 and kinds[0] not in SEVERAL):
         raise RacinesError(
             f"{where}: artefacts: {', '.join(kinds)}: give one that is scored again; only "
-            "generators may be several, the seeds of one method"
+            "generators and motions may be several, the seeds of one method"
         )
     merged, tier = any("adapter" in each for each in document["artefacts"]), document["tier"]
     if tier == "recomputed" and not kinds:
-        needs = "predictions, a generator, a policy or a trace"
+        needs = "predictions, a generator, a policy, a trace or motions"
         raise RacinesError(f"{where}: tier: {tier} needs {needs}")
     if tier == "reproduced" and not merged:
         raise RacinesError(f"{where}: tier: {tier} needs merged code, an adapter")

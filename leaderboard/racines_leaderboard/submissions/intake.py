@@ -44,6 +44,7 @@ from racines_leaderboard.submissions.document import (
 )
 from racines_leaderboard.submissions.probe import Probed, matching_store, probe
 from racines_models.exchange.onnx.generator import read_onnx
+from racines_models.trackerless.submission import read_submission as read_motions
 
 SECONDS = 60
 """The longest that a server may be silent."""
@@ -249,9 +250,11 @@ def check_content(path: Path, kind: str, track: str, limits: Limits | None = Non
     """
     limit = MAX_JSON if path.suffix == ".json" else MAX_BYTES
     content = read_bounded(path.parent, path.name, str(path.parent), limit)
-    if kind == "predictions":
+    if kind in ("predictions", "motion"):
         check_parquet(content, str(path))
         rehearse("parquet", content, str(path), limits)
+        if kind == "motion":
+            read_motions(path)
     elif kind in ("generator", "policy"):
         rehearse("onnx", content, str(path), limits)
         read = read_onnx if kind == "generator" else read_policy

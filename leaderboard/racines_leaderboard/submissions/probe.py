@@ -34,6 +34,7 @@ from racines_leaderboard.submissions.confined.session import (
     ConfinedPolicyAgent,
     Limits,
 )
+from racines_leaderboard.submissions.document import MOTION
 from racines_models.contract import (
     FEWEST,
     ContractError,
@@ -102,14 +103,14 @@ def probe(
 
     Without the `store` that it was made for, predictions are not probed, and generators at the
     starts of a task, where no frame tells whether they follow the pose. Agents act on a `phantom`,
-    at the starts of their view or else of `view`.
+    at the starts of their view or else of `view`. Of motions there is no contract but their file's.
 
     Raises:
         ContractError: a clause that is broken, after the names of submission and artefact.
         RacinesError: what an artefact's reader refuses.
     """
     found = Probed()
-    for artefact in document["artefacts"]:
+    for artefact in document["artefacts"] if document["track"] != MOTION else ():
         kind, name = artefact["kind"], artefact.get("path") or artefact.get("adapter")
         path = folder / artefact.get("path", "")
         with _named(f"{document['name']}: {name}"):

@@ -184,11 +184,7 @@ def score_motion(
         "metrics": metrics,
         "explained": _explained(motions, found),
         "withheld": _withheld(sweeps, found),
-        "settings": {
-            "landmarks": config.landmarks,
-            "pixel_mm": config.pixel_mm or None,
-            "plane": list(config.plane) or None,
-        },
+        "settings": described(config),
         "trained": False,
         "told_first": False,
         "weights": None,
@@ -197,6 +193,15 @@ def score_motion(
     content |= {"code": code_version(), "environment": environment(device)}
     content |= {"seconds": round(time.perf_counter() - began, 3), "notes": NOTES}
     return MotionScores(content, evidence)
+
+
+def described(config: MotionScoresConfig) -> dict[str, Any]:
+    """Return the settings on which the numbers rest, beside the split."""
+    return {
+        "landmarks": config.landmarks,
+        "pixel_mm": config.pixel_mm or None,
+        "plane": list(config.plane) or None,
+    }
 
 
 def _unit(metric: str) -> str | None:

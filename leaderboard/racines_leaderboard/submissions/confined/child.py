@@ -169,14 +169,17 @@ def _parse_onnx() -> Callable[[bytes], Run]:
 
 
 def _parse_parquet() -> Callable[[bytes], Run]:
-    """Unpack every page of a predictions file, as its reader does."""
+    """Unpack every page of a file of predictions or motions, as its reader does."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     pa.set_memory_pool(pa.system_memory_pool())
 
     def opened(content: bytes) -> Run:
-        file = pq.ParquetFile(pa.BufferReader(content), read_dictionary=["image"], pre_buffer=False)
+        images = {"image"} & set(pq.read_schema(pa.BufferReader(content)).names)
+        file = pq.ParquetFile(
+            pa.BufferReader(content), read_dictionary=sorted(images), pre_buffer=False
+        )
         for _ in file.iter_batches(64, use_threads=False):
             pass
         return bytes

@@ -55,7 +55,11 @@ def evaluate_motion(
         found = asked(sweeps, chosen)
         submission.check(name, found, sweeps.store.digest, chosen.split)
         title, motions = submission.name, [dict(submission.motions)]
-        about: dict[str, Any] = {"weights": {Path(name).name: submission.sha256}}
+        # A file does not say that nothing was learned: a place takes trainings, as of any method.
+        about: dict[str, Any] = {
+            "trained": True,
+            "weights": {Path(name).name: submission.sha256},
+        }
     else:
         estimators = _estimators(name, run, values, device)
         sweeps, chosen = _asked(values, data, config, split, settings)
