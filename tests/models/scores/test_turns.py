@@ -109,6 +109,17 @@ def test_figures_of_the_truth_and_of_its_neighbours(store: FrameStore):
             assert told["n"] == len(rows) and "real frame" in told["settings"]["rule"]
 
 
+def test_of_three_trainings_the_real_frames_are_looked_at_once(store: FrameStore):
+    sample = take_sample(store, "test", 1000)
+    drawn = [sample.frames.images, sample.frames.images.flip(-1), sample.frames.images.flip(0)]
+    thrice = Scorer(ScoresConfig(), store, sample, drawn, runs=3)
+    figures, one = turn_figures(thrice, Blocks()), turn_figures(scorer_of(store), Blocks())
+    assert len(figures["feature_distance"]["settings"]["by_set"]) == 3
+    for name in ("ssim_neighbour", "fid_neighbour", "kid_train", "feature_distance_train"):
+        assert figures[name]["value"] == pytest.approx(one[name]["value"])
+        assert "by_set" not in figures[name]["settings"]
+
+
 def test_strata_are_parts_of_the_whole(store: FrameStore):
     scorer = scorer_of(store)
     strata = by_angle(scorer, Blocks())
