@@ -56,8 +56,9 @@ def export(
 ) -> dict[str, Any]:
     """Write a dataset in the published layout; an export that was killed goes on where it stopped.
 
-    Arguments and errors as of `registry.Exporter`, and an error where there are no poses in metres or
-    no times. Returns `out`, counts of frames and trajectories, and which session became which folder.
+    Arguments and errors as of `registry.Exporter`, and an error where there are no poses in metres
+    or no times. Returns `out`, counts of frames and trajectories, and which session became which
+    folder.
     """
     if out.exists():
         raise RacinesError(f"{out}: exists; name a new folder or remove it")

@@ -19,6 +19,7 @@ from racines_envs.task.names import PATIENTS
 from racines_envs.worlds.backends import GRADERS
 from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.records.schema import read_json
+from racines_leaderboard.records.tracks import HELD_OUT
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_models.sample import Sample, take_sample
 from racines_models.scores import scoring
@@ -157,7 +158,7 @@ class Bench:
         """Say what is not here of what a record's scores are made on; None if nothing."""
         if self.settings is None:
             return self.no_settings
-        generator = record["track"] == "generators"
+        generator = record["track"] in HELD_OUT
         return self.no_data if generator and self.data_for(record) is None else None
 
     @functools.cached_property

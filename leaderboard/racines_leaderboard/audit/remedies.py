@@ -7,7 +7,13 @@ from racines_leaderboard.audit import weights
 from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.verdicts import RETRAINABLE, Report
 from racines_leaderboard.board.collect import Record
-from racines_leaderboard.records.tracks import PATIENT_AGENTS, PATIENT_GENERATORS, TRACK
+from racines_leaderboard.records.tracks import (
+    HELD_OUT,
+    PATIENT_AGENTS,
+    PATIENT_GENERATORS,
+    TRACK,
+    TURN_GENERATORS,
+)
 from racines_leaderboard.records.verdicts import NOT_VERIFIED
 from racines_models.registry import PATIENTS
 
@@ -24,11 +30,14 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
         return
     settings = _settings(bench)
     subjects = {each.subject for each in report.open}
-    generator, lacking = record["track"] == "generators", bench.lacks_for(record)
+    generator, lacking = record["track"] in HELD_OUT, bench.lacks_for(record)
     data = shlex.quote(str(bench.data))
     if generator and lacking:
         data = shlex.quote(str(bench.places.data.parent / record["board"]))
-        yield f"racines data build {settings} --out {data}"
+        make = f"racines data build {settings}"
+        if record["track"] == TURN_GENERATORS.name:  # of nobody's recipe: recorded
+            make = "racines data import FOLDER --source rotation --set split=gap"
+        yield f"{make} --out {data}"
     for extractor in KINDS:
         if f"extractors.{extractor}" in subjects:
             yield f"{TRAIN} {KINDS[extractor]} {settings} --data {data}"

@@ -276,6 +276,8 @@ SCOUTS, TURNS = "scouts", "rotation"
 BY_SOURCE = {SCOUTS: PATIENT_GENERATORS, TURNS: TURN_GENERATORS}
 """Tracks of generators by the source of the frames that they are scored on; else `generators`."""
 TRACK = {track.name: track for track in TRACKS}
+HELD_OUT = (GENERATORS.name, TURN_GENERATORS.name)
+"""Tracks of generators that are scored on the held-out frames of one dataset."""
 TIERS = ("self-reported", "recomputed", "reproduced")
 COLUMNS = Plugins("board column", "racines.columns", ("key", "title", "track"), "module:COLUMN")
 

@@ -31,7 +31,7 @@ class NeighbouringFrameConfig:
 
 
 class Generator(BaseGenerator[NeighbouringFrameConfig]):
-    """Returns the recorded frame of the nearest other turn in rotation; of equal ones, the first."""
+    """Returns the recorded frame of the nearest other turn; of equally near ones, the first."""
 
     name = "neighbouring-frame"
     Config = NeighbouringFrameConfig

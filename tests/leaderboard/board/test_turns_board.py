@@ -119,3 +119,19 @@ def test_turns_stand_in_no_other_track_and_possible_figures_only(board):
         wrong = scores["metrics"] | {key: scores["metrics"][key] | {"value": value}}
         with pytest.raises(RacinesError, match=f"metrics.{key}"):
             check_possible(scores | {"metrics": wrong}, "vae-gan.json")
+
+
+def test_an_audit_makes_every_number_again(board, monkeypatch):
+    coarse(monkeypatch)
+    words = "--board", "turned", "--data", "turns", "--json"
+    said = json.loads(racines("audit", "nearest-pose", "vae-gan", *words, code=3))
+    for report in said["reports"]:
+        open_ = {each["subject"] for each in report["verdicts"] if each["verdict"] != "holds"}
+        # Imported data have no recipe that settings name: the digest of the record is all there is.
+        assert open_ == {"submission", "dataset.recipe_digest"}, (report["name"], open_)
+
+
+def test_an_audit_without_the_recording_names_the_import(board):
+    shutil.rmtree("turns")
+    said = racines("audit", "vae-gan", "--board", "turned", "--json", code=3)
+    assert "racines data import FOLDER --source rotation" in said

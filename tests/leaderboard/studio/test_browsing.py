@@ -109,7 +109,11 @@ def test_data_without_poses_have_no_path(store: FrameStore):
 
 def test_turns_tell_the_beat_and_the_angle_but_no_breath(tmp_path: Path):
     folder = write_rotation(tmp_path / "heart", turns=24)
-    build(RotationSource.from_config({}, [folder]), tmp_path / "turns", DataConfig(workers=1, shards=1))
+    build(
+        RotationSource.from_config({}, [folder]),
+        tmp_path / "turns",
+        DataConfig(workers=1, shards=1),
+    )
     store = browsing.opened(tmp_path / "turns", "frames")
     shown = image_html(browsing.trajectory(store, store.trajectories[0]), 0)
     assert "beat 0.00" in shown and "° from the nearest training turn" in shown

@@ -99,7 +99,8 @@ class VoxelField(nn.Module):
 
     def roughness(self, near: Tensor) -> Tensor:
         """Return the mean squared difference to the (rows, 3) `neighbours`, over numbers."""
-        return sum((self.values - self.values[rows]).square().mean() for rows in near.unbind(1)) / 3
+        steps = [(self.values - self.values[rows]).square().mean() for rows in near.unbind(1)]
+        return torch.stack(steps).mean()
 
     @torch.no_grad()
     def quantise(self) -> None:
