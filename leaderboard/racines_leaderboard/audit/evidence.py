@@ -40,7 +40,6 @@ from racines_leaderboard.records.tracks import PATIENT_AGENTS, PATIENT_GENERATOR
 from racines_models.statistics import Evidence, Figures
 from racines_models.training.checkpoint import PREFIX
 
-
 OF_TRUE_FRAMES = re.compile(r".+_truth|(ssim|psnr|feature_distance|fid|kid)_(neighbour|train)")
 """Figures that rest on no training: what judges say of true frames, and true frames of others."""
 

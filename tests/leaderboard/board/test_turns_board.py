@@ -131,7 +131,8 @@ def test_an_audit_makes_every_number_again(board, monkeypatch):
         assert open_ == {"submission", "dataset.recipe_digest"}, (report["name"], open_)
 
 
-def test_an_audit_without_the_recording_names_the_import(board):
+def test_an_audit_without_the_recording_names_the_import(board, monkeypatch):
+    coarse(monkeypatch)
     shutil.rmtree("turns")
     said = racines("audit", "vae-gan", "--board", "turned", "--json", code=3)
     assert "racines data import FOLDER --source rotation" in said
