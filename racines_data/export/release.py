@@ -25,7 +25,7 @@ import torch
 from racines_data.digest import checked_shards
 from racines_data.errors import RacinesError
 from racines_data.geometry import parameters_to_pose
-from racines_data.manifest import read_manifest
+from racines_data.manifest import UNKNOWN_SCALE, read_manifest
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS
@@ -56,12 +56,18 @@ def export(
 ) -> dict[str, Any]:
     """Write a dataset in the published layout; an export that was killed goes on where it stopped.
 
-    Arguments and errors as of `registry.Exporter`, and an error where there are no poses. Returns
-    `out`, counts of frames and trajectories, and which session became which folder.
+    Arguments and errors as of `registry.Exporter`, and an error where there are no poses in metres
+    or no times. Returns `out`, counts of frames and trajectories, and which session became which
+    folder.
     """
     if out.exists():
         raise RacinesError(f"{out}: exists; name a new folder or remove it")
     manifest = read_manifest(root)
+    if manifest.get("scale") == UNKNOWN_SCALE:
+        raise RacinesError(
+            f"{root}: positions are in pixels, and the published layout has metres: import it "
+            "again with --pixel-mm"
+        )
     shards = chain.from_iterable(checked_shards(root, manifest, "frames", split).values())
     places, sessions = _plan([root / name for name in shards], limit)
     key = hashlib.sha256(f"{manifest['digest']}/{split}/{limit}".encode()).hexdigest()[:16]
@@ -133,6 +139,9 @@ def _log_rows(table: pa.Table) -> np.ndarray:
     if not np.isfinite(parameters[:, 6:]).all():
         name = table["trajectory"][0].as_py()
         raise RacinesError(f"trajectory {name}: has no poses, which the published layout needs")
+    if not np.isfinite(table["timestamp"].to_numpy()).all():
+        name = table["trajectory"][0].as_py()
+        raise RacinesError(f"trajectory {name}: has no times, which the published layout needs")
     pose = parameters_to_pose(torch.from_numpy(parameters))
     matrices = np.tile(np.eye(4), (len(table), 1, 1))
     matrices[:, :3, :3], matrices[:, :3, 3] = pose.rotation.numpy(), pose.position.numpy()

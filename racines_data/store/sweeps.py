@@ -116,14 +116,19 @@ def run_edges(values: np.ndarray) -> list[int]:
 def new_folder(out: Path) -> Iterator[Path]:
     """Give a folder beside `out` to write in; it becomes `out` when the block ends without error.
 
-    What a killed run has left there is written again; an `out` that exists is refused.
+    What a killed run has left there is written again, what an error left is removed; an `out` that
+    exists is refused.
     """
     if out.exists():
         raise RacinesError(f"{out}: exists; name a new folder or remove it")
     aside = out.parent / f".{out.name}.part"
     shutil.rmtree(aside, ignore_errors=True)
     aside.mkdir(parents=True)
-    yield aside
+    try:
+        yield aside
+    except Exception:
+        shutil.rmtree(aside, ignore_errors=True)
+        raise
     os.replace(aside, out)
 
 

@@ -95,7 +95,7 @@ def export(
             frames += len(sweep)
             bar.advance(task, len(sweep))
         steps = sum(counts["steps"] for counts in written.values())
-        if steps and missing == steps:
+        if missing == steps:
             raise RacinesError(
                 f"{root}: {manifest['source']} data have no commanded velocity, hence no actions"
             )

@@ -19,7 +19,7 @@ from racines_envs.task.names import PATIENTS
 from racines_envs.worlds.backends import GRADERS
 from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.records.schema import read_json
-from racines_leaderboard.records.tracks import MOTION
+from racines_leaderboard.records.tracks import HELD_OUT, MOTION
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_models.sample import Sample, take_sample
 from racines_models.scores import scoring
@@ -210,7 +210,7 @@ class Bench:
             return self.no_settings
         if record["track"] == MOTION.name:
             return self.no_data if self.sweeps_for(record) is None else None
-        generator = record["track"] == "generators"
+        generator = record["track"] in HELD_OUT
         return self.no_data if generator and self.data_for(record) is None else None
 
     @functools.cached_property

@@ -7,6 +7,7 @@ pairs the items of two methods can rest on made-up ones.
 
 import json
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,9 @@ from racines_leaderboard.records.ranges import CLOSE, ENDS, range_of
 from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, PATIENT_GENERATORS, TRACK
 from racines_models.statistics import Evidence, Figures
 from racines_models.training.checkpoint import PREFIX
+
+OF_TRUE_FRAMES = re.compile(r".+_truth|(ssim|psnr|feature_distance|fid|kid)_(neighbour|train)")
+"""Figures that rest on no training: what judges say of true frames, and true frames of others."""
 
 
 def read_evidence(record: Record, path: Path) -> tuple[Evidence | None, Verdict | None]:
@@ -99,8 +103,7 @@ def _follows(key: str, metric: dict[str, Any], figures: Figures, runs: int) -> I
     for part, wanted in (("units", found.units), ("trainings", found.trainings)):
         yield equal(f"{subject}.{part}", said.get(part), wanted, "its own count")
     yield equal(f"{subject}.interval", said.get("interval"), found.method, "how it was made")
-    # What a judge says of the true frames rests on no training.
-    trained = 1 if key.endswith("_truth") else runs
+    trained = 1 if OF_TRUE_FRAMES.fullmatch(key) else runs
     yield equal(f"{subject}.runs", found.trainings, trained, "the trainings that were scored")
 
 

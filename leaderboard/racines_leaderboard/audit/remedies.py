@@ -7,7 +7,14 @@ from racines_leaderboard.audit import weights
 from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.verdicts import RETRAINABLE, Report
 from racines_leaderboard.board.collect import Record
-from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, PATIENT_GENERATORS, TRACK
+from racines_leaderboard.records.tracks import (
+    HELD_OUT,
+    MOTION,
+    PATIENT_AGENTS,
+    PATIENT_GENERATORS,
+    TRACK,
+    TURN_GENERATORS,
+)
 from racines_leaderboard.records.verdicts import NOT_VERIFIED
 from racines_models.registry import PATIENTS
 
@@ -24,12 +31,15 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
         return
     settings = _settings(bench)
     subjects = {each.subject for each in report.open}
-    stored = record["track"] in ("generators", MOTION.name)
+    stored = record["track"] in (*HELD_OUT, MOTION.name)
     lacking = bench.lacks_for(record)
     data = shlex.quote(str(bench.data))
     if stored and lacking:
         data = shlex.quote(str(bench.places.data.parent / record["board"]))
-        yield f"racines data build {settings} --out {data}"
+        make = f"racines data build {settings}"
+        if record["track"] == TURN_GENERATORS.name:  # of nobody's recipe: recorded
+            make = "racines data import FOLDER --source rotation --set split=gap"
+        yield f"{make} --out {data}"
     for extractor in KINDS:
         if f"extractors.{extractor}" in subjects:
             yield f"{TRAIN} {KINDS[extractor]} {settings} --data {data}"

@@ -24,7 +24,12 @@ from racines_leaderboard.audit.bench import KINDS, Bench
 from racines_leaderboard.audit.numbers import HALF
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.board.recompute import Ground, recompute_scores, scored_on
-from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, PATIENT_GENERATORS
+from racines_leaderboard.records.tracks import (
+    HELD_OUT,
+    MOTION,
+    PATIENT_AGENTS,
+    PATIENT_GENERATORS,
+)
 from racines_models.protocol import Run
 from racines_models.provenance import weights_sha256
 from racines_models.registry import generator_class, open_generator, open_runs, weights_of
@@ -92,7 +97,7 @@ def find_road(record: Record, bench: Bench) -> Road | str:
         return _adapting(record, bench)
     if record["track"] == MOTION.name:
         return _moving(record, bench)
-    return (_generator if record["track"] == "generators" else _agent)(record, bench)
+    return (_generator if record["track"] in HELD_OUT else _agent)(record, bench)
 
 
 def _of_artefacts(folder: Path, ground: Ground) -> Made:

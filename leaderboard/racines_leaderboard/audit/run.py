@@ -45,7 +45,7 @@ from racines_leaderboard.audit.verdicts import (
 )
 from racines_leaderboard.board.collect import Record, read_record
 from racines_leaderboard.records.schema import sealed, write_record
-from racines_leaderboard.records.tracks import MOTION, PATIENT_GENERATORS, TRACK
+from racines_leaderboard.records.tracks import HELD_OUT, MOTION, PATIENT_GENERATORS, TRACK
 from racines_models.statistics import Evidence
 
 Finder = Callable[[Record, Bench], Road | str]
@@ -102,7 +102,7 @@ def retrain(path: Path, bench: Bench, into: Path) -> Report:
     if reason := not_merged if weights.submitted(record) else bench.lacks_for(record):
         return _report(record, bench, [*verdicts, unknown("reproduced", reason)], {})
     folder = into / bench.board / record["track"] / record["name"]
-    if record["track"] == "generators":
+    if record["track"] in HELD_OUT:
         again = score_fitted(record, bench, folder)
     elif record["track"] == PATIENT_GENERATORS.name:
         again = Made.of(adapting.score_trained(record, bench, folder))
@@ -146,7 +146,7 @@ def _check(path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
     """Give the verdicts that need no scoring; the other records of the track have a say."""
     yield from claims.check_claims(record, bench)
     yield from check_tier(record)
-    if record["track"] == "generators":
+    if record["track"] in HELD_OUT:
         yield from claims.dataset(record, bench)
         yield from claims.drawing_seeds(record, bench)
     elif record["track"] == PATIENT_GENERATORS.name:
@@ -199,7 +199,7 @@ def _recomputed(
 
 def _digest(record: Record, made: dict[str, Any], tier: str) -> Iterator[Verdict]:
     """Say of another content digest what equal numbers on a machine of the same name tell."""
-    if tier != BITWISE or record["track"] != "generators":
+    if tier != BITWISE or record["track"] not in HELD_OUT:
         return
     claimed, here = (each["dataset"]["digest"] for each in (record["scores"], made))
     reason = "its numbers are those of the data here to the last bit, on such a machine"

@@ -12,7 +12,12 @@ from racines_envs.evaluation.patients import run_name
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
 from racines_leaderboard.board.collect import Record, basis_of
-from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, PATIENT_GENERATORS
+from racines_leaderboard.records.tracks import (
+    HELD_OUT,
+    MOTION,
+    PATIENT_AGENTS,
+    PATIENT_GENERATORS,
+)
 from racines_leaderboard.submissions.document import files_of, rescored
 from racines_models.exchange.predictions.file import Predictions
 from racines_models.provenance import weights_sha256
@@ -59,7 +64,7 @@ def run_of(record: Record, bench: Bench) -> Path:
         folders = [each / PATIENTS / name for each in (places.runs, places.weights)]
     elif record["track"] == MOTION.name:
         folders = [each / MOTION.name / name for each in (places.runs, places.weights)]
-    elif record["track"] == "generators":
+    elif record["track"] in HELD_OUT:
         kept = places.weights
         folders = [places.runs / name, kept / bench.board / name, kept / name]
     else:
@@ -171,7 +176,7 @@ def _file(record: Record, name: str, sha256: str, bench: Bench) -> Iterator[Verd
 def published(record: Record, bench: Bench) -> dict[str, Any] | None:
     """Return what is said of the half-precision files of a record's weights, if they lie here."""
     described = bench.places.weights / record["name"] / "config.json"
-    there = described.is_file() and record["track"] == "generators"
+    there = described.is_file() and record["track"] in HELD_OUT
     if not there or data_of(described.parent) != basis_of(record):
         return None
     return json.loads(described.read_text()).get("weights_files", {}).get("files")

@@ -54,6 +54,12 @@ WEIGHINGS: dict[str, dict[str, Weighing]] = {
         "what is seen": _of("pose_error_mm", "dice"),
         **COMMON,
     },
+    "turn-generators": {
+        "score": _of("ssim", "psnr", "feature_distance"),
+        "likeness": _of("ssim", "psnr"),
+        "features": _of("feature_distance"),
+        **COMMON,
+    },
     "agents": {
         "score": _of("success_true", "spl", "final_grade"),
         "success": _of("success_true"),

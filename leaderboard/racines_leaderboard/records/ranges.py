@@ -24,6 +24,7 @@ AMOUNTS = (
     r"|(position_error|seconds)_(median|(upper_)?quartile)"
     r"|(episode_)?steps(_iqm|_median)?|(peak|mean)_force|violations|latency|images_per_second_\d+"
     r"|seconds_to_adapt|[gl][pl]e|(drift|step)_mm"
+    r"|(feature_distance|fid)_(neighbour|train)|feature_distance"
 )
 ANGLES = (
     r"pose_error_deg(_view)?(_truth)?|(view_)?rotation_error(_median|_(upper_)?quartile)?"
@@ -36,15 +37,15 @@ RANGES = {
     ANGLES: (0.0, 180.0),
     GRADES: (0.0, 10.0),
     r"diversity(_truth)?|nearest_train(_truth)?": (0.0, 255.0),
-    r"(ms_)?ssim": (-1.0, 1.0),
-    r"psnr": (0.0, 100.0),
+    r"(ms_)?ssim|ssim_(neighbour|train)": (-1.0, 1.0),
+    r"psnr(_neighbour|_train)?": (0.0, 100.0),
     r"score": (-math.inf, 1.0),
     # Unbiased, so below 0 by chance: by about 2 k / n, with k the kernel of an image with itself.
-    r"kid": (-0.1, math.inf),
+    r"kid(_neighbour|_train)?": (-0.1, math.inf),
     r"kid_grader": (-1.0, math.inf),
 }
 """Least and most by name. Of a metric with a symmetric interval only the value is held to it."""
-SYMMETRIC = re.compile(r"kid(_grader)?")
+SYMMETRIC = re.compile(r"kid(_grader|_neighbour|_train)?")
 
 
 def range_of(name: str) -> tuple[float, float]:

@@ -264,10 +264,52 @@ MOTION = Track(
 )
 """Who estimates the probe's motion from images alone; see `racines_models.trackerless`."""
 
-TRACKS = (GENERATORS, AGENTS, PATIENT_AGENTS, PATIENT_GENERATORS, MOTION)
-SCOUTS = "scouts"
-"""Source of the frames that generators on patients are scored on."""
+TURN_GENERATORS = Track(
+    name="turn-generators",
+    schema="generator-scores",
+    subject="generator",
+    columns=(
+        Column("ssim", "SSIM", "higher"),
+        Column("psnr", "PSNR", "higher", 2, unit="dB"),
+        Column("feature_distance", "Distance in features", "lower", 2),
+        Column("fid", "FID", "lower", 1),
+        Column("kid", "KID", "lower"),
+    ),
+    ranked_by=("ssim", "psnr", "feature_distance"),
+    anchors=("mean-image", "neighbouring-frame"),
+    bounds=("mean-image", "neighbouring-frame", "nearest-pose"),
+    rule=(
+        "One heart, one recording: n = 1 patient, and no interval says anything of another. Score: "
+        "the mean of SSIM, PSNR and distance in features, each from 0 at mean-image to 1 at "
+        "neighbouring-frame, the real frame of the next turn at the same phase, whose figures are "
+        "fixed for the board. There are no forces, views, grades or poses read back, and no "
+        f"millimetres where the size of a pixel is not known. {_PLACES}"
+    ),
+    counted="frames of held-out turns of one heart",
+    unit="sectors of turns",
+    details=(
+        Column("ssim_train", "SSIM of the nearest training turn", "none"),
+        Column("ms_ssim", "MS-SSIM", "higher"),
+        Column("precision", "Precision", "higher", 2),
+        Column("recall", "Recall", "higher", 2),
+        Column("density", "Density", "higher", 2),
+        Column("coverage", "Coverage", "higher", 2),
+        Column("diversity", "Diversity", "none", 1, unit="gray"),
+        Column("copies", "Copies", "lower", 1, 100.0, "%"),
+        Column("images_per_second_1", "Images/s, one", "none", 0),
+        Column("images_per_second_64", "Images/s, 64", "none", 0),
+    ),
+)
+"""Generators of recorded turns about the apex; scored as those of `generators`."""
+
+TRACKS = (GENERATORS, AGENTS, PATIENT_AGENTS, PATIENT_GENERATORS, TURN_GENERATORS, MOTION)
+SCOUTS, TURNS = "scouts", "rotation"
+"""Sources of the frames that generators on patients, and on recorded turns, are scored on."""
+BY_SOURCE = {SCOUTS: PATIENT_GENERATORS, TURNS: TURN_GENERATORS}
+"""Tracks of generators by the source of the frames that they are scored on; else `generators`."""
 TRACK = {track.name: track for track in TRACKS}
+HELD_OUT = (GENERATORS.name, TURN_GENERATORS.name)
+"""Tracks of generators that are scored on the held-out frames of one dataset."""
 TIERS = ("self-reported", "recomputed", "reproduced")
 COLUMNS = Plugins("board column", "racines.columns", ("key", "title", "track"), "module:COLUMN")
 
@@ -280,8 +322,8 @@ def track_of(scores: dict[str, Any]) -> Track | None:
     declared = scores.get("schema")
     if declared == f"racines.{GENERATORS.schema}/1":
         data = scores.get("dataset")
-        scouted = isinstance(data, dict) and data.get("source") == SCOUTS
-        return PATIENT_GENERATORS if scouted else GENERATORS
+        source = data.get("source") if isinstance(data, dict) else None
+        return BY_SOURCE.get(str(source), GENERATORS)
     if declared == f"racines.{MOTION.schema}/1":
         return MOTION
     if declared != f"racines.{AGENTS.schema}/1":

@@ -209,7 +209,12 @@ def image_html(trajectory: Trajectory, frame: int) -> str:
         shown += ultrasound(image_bytes(Image.fromarray(over)), f"{caption}, with its mask")
     if store.phases is not None:
         beat, breath = store.phases[row].tolist()
-        caption += f" · beat {beat:.2f}, breath {breath:.2f}"
+        told = (("beat", beat), ("breath", breath))
+        known = [f"{name} {phase:.2f}" for name, phase in told if math.isfinite(phase)]
+        caption += f" · {', '.join(known)}" if known else ""
+    if store.turns is not None:
+        angle, away = store.turns[row].tolist()
+        caption += f" · turn {angle:.1f}°, {away:.1f}° from the nearest training turn"
     return shown + note(f"{caption} · {simulated}")
 
 

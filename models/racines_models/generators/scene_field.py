@@ -1,6 +1,6 @@
 """View synthesis: a learned voxel field of the scene, sampled along the probe's beams."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from racines_models.generators.learned import NetworkGenerator
 from racines_models.networks.layers import on_circle
 from racines_models.networks.painting import OnnxModule
 from racines_models.networks.scene_field.echo import MID, EchoDecoder, Place, image_loss
-from racines_models.networks.scene_field.field import Layout, VoxelField, lay_out
+from racines_models.networks.scene_field.field import Layout, VoxelField, lay_out, neighbours
 from racines_models.networks.scene_field.probe import Probe, ProbeGeometry
 from racines_models.protocol import Run
 from racines_models.sample import evenly
@@ -56,6 +56,10 @@ class SceneFieldConfig:
     harmonics: int = 2
     """Waves of the beat that a voxel's numbers follow, where the data know its phase: a constant,
     and sine and cosine of each; 0 leaves a still scene."""
+    smoothness: float = 0.0
+    """Weight of the squared difference between neighbouring voxels (after the total variation of
+    Plenoxels): what lies between frames that were looked at is filled from them; 0 leaves places
+    that no training frame has looked at as they start."""
     pixel_weight: float = 4.0
     """Of the absolute error against 1 - SSIM."""
     training: Training = Training(
@@ -71,8 +75,11 @@ class SceneFieldConfig:
             raise RacinesError("scene-field: field_rate, coarse_rate and decoder_rate are above 0")
         if self.harmonics < 0:
             raise RacinesError("scene-field.harmonics: 0 or more")
-        if min(self.calibration_rate, self.offset_rate, self.pixel_weight, self.spread) < 0:
-            raise RacinesError("scene-field: rates, pixel_weight and spread are 0 or more")
+        rates = self.calibration_rate, self.offset_rate
+        if min(*rates, self.pixel_weight, self.spread, self.smoothness) < 0:
+            raise RacinesError(
+                "scene-field: rates, pixel_weight, spread and smoothness are 0 or more"
+            )
 
 
 class SceneField(NetworkGenerator[SceneFieldConfig]):
@@ -93,6 +100,8 @@ class SceneField(NetworkGenerator[SceneFieldConfig]):
     memory_format = torch.contiguous_format
 
     _layouts: tuple[Layout, Layout]
+    _near: Sequence[Tensor] = ()
+    """Neighbours of the rows of both fields, while it learns to be smooth."""
 
     def learn(self, store: FrameStore, run: Run) -> dict[str, Any]:
         """Lay the voxels where the training frames look, train, and round to eight bits."""
@@ -102,8 +111,11 @@ class SceneField(NetworkGenerator[SceneFieldConfig]):
             surveyed = Pose(poses.position[some], poses.rotation[some])
             looked = Probe(config.probe, self.metres).points(surveyed, coarse=True)
         points = looked.flatten(1).T.contiguous()
-        fine = lay_out(points, 1e3 * config.voxel, config.coverage)
-        self._layouts = fine, lay_out(points, 1e3 * config.coarse_voxel, 1.0)
+        filled = config.smoothness > 0
+        fine = lay_out(points, 1e3 * config.voxel, config.coverage, filled)
+        coarse = lay_out(points, 1e3 * config.coarse_voxel, 1.0, filled)
+        self._layouts = fine, coarse
+        self._near = [neighbours(each).to(self.device) for each in self._layouts if filled]
         metrics = super().learn(store, run)
         for name in ("fine", "coarse"):
             self.net(name).quantise()
@@ -168,6 +180,8 @@ class SceneField(NetworkGenerator[SceneFieldConfig]):
         drawn = self._draw(nets, batch.parameters, picks, live)
         similarity, error = image_loss(drawn, batch.images.to(torch.float32) / 255.0)
         loss = 1.0 - similarity + config.pixel_weight * error
+        for name, near in zip(("fine", "coarse"), self._near, strict=False):
+            loss = loss + config.smoothness * self.net(name).roughness(near)
         yield Update("scene", loss, {"ssim": similarity, "error": error})
 
     def _draw(

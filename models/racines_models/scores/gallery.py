@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
@@ -12,19 +13,41 @@ from racines_data.files import write_atomic
 from racines_data.imaging import ImageSource
 from racines_data.store.frames import FrameStore
 from racines_models.pictures import pick_columns
-from racines_models.sample import Sample, draw, take_sample
+from racines_models.sample import Sample, draw, evenly, take_sample
+from racines_models.scores.turns import HALF
 
 CELL = 1.28
 """Edge of an image on the page, inches: at 100 dots an inch a pixel is a pixel."""
 DPI = 100
+TURNS = 6
+"""Held-out turns that are shown where frames are of turns."""
 
 
 def gallery_sample(store: FrameStore, split: str = "test", samples: int = 256) -> Sample:
-    """Return up to 8 held-out frames: the best of each view, then others at even distances."""
+    """Return up to 8 held-out frames: the best of each view, then others at even distances.
+
+    Of turns about the apex: 6, evenly spread over those held out in order of their angles, modulo
+    half a turn, each at the next phase.
+    """
     sample = take_sample(store, split, samples)
     frames = sample.frames
-    rows = pick_columns(frames.views, frames.grades, len(store.labels) - 1)
+    if store.turns is None:
+        rows = pick_columns(frames.views, frames.grades, len(store.labels) - 1)
+    else:
+        rows = _pick_turns(store, frames.index)
     return Sample(type(frames)(*(column[rows] for column in frames)), sample.trajectory[rows])
+
+
+def _pick_turns(store: FrameStore, index: Tensor) -> Tensor:
+    """Return which of (N,) rows of a store to show."""
+    assert store.turns is not None
+    at = torch.remainder(store.turns[index, 0], HALF)
+    order = torch.unique(at)
+    picked = []
+    for k, place in enumerate(evenly(len(order), TURNS).tolist()):
+        own = (at == order[place]).nonzero().squeeze(1)
+        picked.append(own[k % len(own)])
+    return torch.stack(picked)
 
 
 def write_gallery(
@@ -43,6 +66,8 @@ def write_gallery(
     for view, grade in zip(frames.views.tolist(), frames.grades.tolist(), strict=True):
         name = store.labels[view] if view >= 0 else ""
         labels.append(f"{name}\n{grade:.1f}" if name and math.isfinite(grade) else name)
+    if store.turns is not None:
+        labels = [f"{at:.0f}°\n{away:.0f}° off" for at, away in store.turns[frames.index].tolist()]
     write_atomic(path, _page(columns, labels))
 
 

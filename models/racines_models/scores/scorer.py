@@ -332,13 +332,17 @@ class Scorer:
     def of_sets(
         self, statistics: Sequence[Callable[[np.ndarray], Mapping[str, float]]], units: np.ndarray
     ) -> dict[str, Replicates]:
-        """Return the replicates of statistics of each drawn set; of a training, their means."""
+        """Return the replicates of statistics of each drawn set; of a training, their means.
+
+        Of fewer sets than trainings, such as one of true frames, each counts as a training.
+        """
+        runs = min(self.runs, len(statistics))
 
         def of_training(keep: np.ndarray, k: int) -> dict[str, float]:
-            found = [each(keep) for each in statistics[k :: self.runs]]
+            found = [each(keep) for each in statistics[k::runs]]
             return {name: float(np.mean([each[name] for each in found])) for name in found[0]}
 
-        trainings = [lambda keep, k=k: of_training(keep, k) for k in range(self.runs)]
+        trainings = [lambda keep, k=k: of_training(keep, k) for k in range(runs)]
         return set_replicates_all(trainings, units)
 
     def of_set(

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from racines_data.build.dataset import DataConfig, build
 from racines_data.errors import RacinesError
 from racines_data.schema import SPLITS
+from racines_data.sources.rotation.source import RotationSource
 from racines_data.store.frames import FrameStore
 from racines_leaderboard.studio import browsing
 from racines_leaderboard.studio.browsing import (
@@ -20,6 +22,7 @@ from racines_leaderboard.studio.browsing import (
     parameters_html,
     path_figure,
 )
+from tests.data.sources.rotation_folder import write_rotation
 
 
 @pytest.fixture(scope="module")
@@ -102,3 +105,18 @@ def test_data_without_poses_have_no_path(store: FrameStore):
     assert path_figure(blind) is None
     assert figures_html(blind, 0).count("<img") == 1
     assert "–" in parameters_html(blind, 0)
+
+
+def test_turns_tell_the_beat_and_the_angle_but_no_breath(tmp_path: Path):
+    folder = write_rotation(tmp_path / "heart", turns=24)
+    build(
+        RotationSource.from_config({}, [folder]),
+        tmp_path / "turns",
+        DataConfig(workers=1, shards=1),
+    )
+    store = browsing.opened(tmp_path / "turns", "frames")
+    shown = image_html(browsing.trajectory(store, store.trajectories[0]), 0)
+    assert "beat 0.00" in shown and "° from the nearest training turn" in shown
+    assert "breath" not in shown and "nan" not in shown
+    facts = browsing.facts_html(browsing.trajectory(store, store.trajectories[0]))
+    assert "nan" not in facts

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from racines_data.build.dataset import DataConfig, build
 from racines_data.manifest import read_manifest
@@ -15,6 +16,7 @@ from racines_models.judges.pose.regressor import PoseConfig, PoseNetwork, PoseRe
 from racines_models.protocol import Run
 from racines_models.sample import take_sample
 from racines_models.scores import metrics
+from racines_models.scores.gallery import gallery_sample, write_gallery
 from racines_models.scores.scorer import Scorer, ScoresConfig
 from racines_models.scores.turns import apart, by_angle, next_turns, training_frames, turn_figures
 from racines_models.studies.leakage import LeakageConfig, measure_leakage
@@ -109,6 +111,17 @@ def test_figures_of_the_truth_and_of_its_neighbours(store: FrameStore):
             assert told["n"] == len(rows) and "real frame" in told["settings"]["rule"]
 
 
+def test_of_three_trainings_the_real_frames_are_looked_at_once(store: FrameStore):
+    sample = take_sample(store, "test", 1000)
+    drawn = [sample.frames.images, sample.frames.images.flip(-1), sample.frames.images.flip(0)]
+    thrice = Scorer(ScoresConfig(), store, sample, drawn, runs=3)
+    figures, one = turn_figures(thrice, Blocks()), turn_figures(scorer_of(store), Blocks())
+    assert len(figures["feature_distance"]["settings"]["by_set"]) == 3
+    for name in ("ssim_neighbour", "fid_neighbour", "kid_train", "feature_distance_train"):
+        assert figures[name]["value"] == pytest.approx(one[name]["value"])
+        assert "by_set" not in figures[name]["settings"]
+
+
 def test_strata_are_parts_of_the_whole(store: FrameStore):
     scorer = scorer_of(store)
     strata = by_angle(scorer, Blocks())
@@ -152,3 +165,17 @@ def test_retrieval_finds_the_phase_and_is_bounded_by_neighbours(store: FrameStor
     bound = turn_figures(scorer, Blocks())["ssim_neighbour"]["value"]
     assert own < bound
     assert len(read_manifest(store.root)["turns"]["test"]) * PHASES == len(drawn)
+
+
+def test_a_gallery_shows_six_held_out_turns_in_order(store: FrameStore, tmp_path: Path):
+    sample = gallery_sample(store)
+    rows = sample.frames.index
+    assert store.turns is not None and store.phases is not None
+    at = torch.remainder(store.turns[rows, 0], 180.0)
+    assert len(rows) == 6 and bool((at.diff() > 0).all())
+    assert set(rows.tolist()) <= set(store.split_indices("test").tolist())
+    assert len(store.phases[rows, 0].unique()) == PHASES
+    generator = NearestPose()
+    generator.fit(store, Run(tmp_path, device="cpu", progress=False))
+    write_gallery(tmp_path / "six.png", store, sample, {"nearest-pose": generator}, 0)
+    assert Image.open(tmp_path / "six.png").size[1] > 6 * 128

@@ -27,10 +27,11 @@ class Layout(NamedTuple):
     rows: int
 
 
-def lay_out(points: Tensor, voxel: float, coverage: float) -> Layout:
+def lay_out(points: Tensor, voxel: float, coverage: float, between: bool = False) -> Layout:
     """Allocate bricks where (N, 3) points, mm, lie: the most visited, until they hold a share.
 
-    `voxel` is the edge of a voxel, mm; `coverage` the share of the points, in (0, 1].
+    `voxel` is the edge of a voxel, mm; `coverage` the share of the points, in (0, 1]. With
+    `between`, bricks that lie between two such along an axis are allocated too.
     """
     edge = SIDE * voxel
     origin = points.min(0).values - edge
@@ -41,9 +42,43 @@ def lay_out(points: Tensor, voxel: float, coverage: float) -> Layout:
     order = torch.sort(hits, descending=True, stable=True)
     before = order.values.cumsum(0) - order.values
     kept = order.indices[(before < coverage * len(points)) & (order.values > 0)].sort().values
+    if between:
+        kept = _with_between(kept, shape)
     table = torch.zeros(len(hits), dtype=torch.int32)
     table[kept] = torch.arange(1, len(kept) + 1, dtype=torch.int32) * ROWS
     return Layout(origin, table.view(*shape.tolist()), (len(kept) + 1) * ROWS)
+
+
+def _with_between(kept: Tensor, shape: Tensor) -> Tensor:
+    """Return the flat places of bricks of a grid, and of those between two along an axis."""
+    hit = torch.zeros(int(shape.prod()), dtype=torch.int32)
+    hit[kept] = 1
+    hit = hit.view(*shape.tolist())
+    inside = hit.bool()
+    for axis in range(3):
+        before, after = hit.cummax(axis).values, hit.flip(axis).cummax(axis).values.flip(axis)
+        inside = inside | (before & after).bool()
+    return inside.flatten().nonzero().squeeze(1)
+
+
+def neighbours(layout: Layout) -> Tensor:
+    """Return the (rows, 3) int64 rows of the next voxel along each axis; its own where none is."""
+    table = layout.table
+    near = torch.arange(layout.rows).unsqueeze(1).repeat(1, 3)
+    place = torch.arange(ROWS)
+    inner = torch.stack([place // SIDE**2, place // SIDE % SIDE, place % SIDE], -1)
+    for axis in range(3):
+        step = SIDE ** (2 - axis)
+        ends = inner[:, axis] == SIDE - 1
+        ahead = torch.zeros_like(table)
+        count = table.shape[axis] - 1
+        ahead.narrow(axis, 0, count).copy_(table.narrow(axis, 1, count))
+        first, beyond = table[table > 0].long(), ahead[table > 0].long()
+        own = first.unsqueeze(1) + place
+        across = beyond.unsqueeze(1) + place - (SIDE - 1) * step
+        across = torch.where(beyond.unsqueeze(1) > 0, across, own)
+        near[own.flatten(), axis] = torch.where(ends, across, own + step).flatten()
+    return near
 
 
 class VoxelField(nn.Module):
@@ -61,6 +96,11 @@ class VoxelField(nn.Module):
         self.register_buffer("origin", layout.origin)
         self.register_buffer("table", layout.table)
         self.values = nn.Parameter(torch.randn(layout.rows, channels) * spread)
+
+    def roughness(self, near: Tensor) -> Tensor:
+        """Return the mean squared difference to the (rows, 3) `neighbours`, over numbers."""
+        steps = [(self.values - self.values[rows]).square().mean() for rows in near.unbind(1)]
+        return torch.stack(steps).mean()
 
     @torch.no_grad()
     def quantise(self) -> None:

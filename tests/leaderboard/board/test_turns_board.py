@@ -1,0 +1,138 @@
+"""Generators on recorded turns on a board: pinned between floor and bound, ranked, never mixed."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+
+from racines_data.errors import RacinesError
+from racines_leaderboard.board.collect import read_board, read_scores
+from racines_leaderboard.board.rank import rankings
+from racines_leaderboard.board.standing import is_bound
+from racines_leaderboard.records.ranges import check_possible, range_of
+from racines_leaderboard.records.tracks import GENERATORS, TURN_GENERATORS, track_of
+from racines_models.scores import features, scoring
+from tests.data.sources.rotation_folder import write_rotation
+from tests.leaderboard.called import racines
+from tests.models.scores.test_scores import Coarse
+
+BOUND = "racines_models.generators.neighbouring_frame:Generator"
+NAMES = ("mean-image", "nearest-pose", "vae-gan", BOUND)
+SETTINGS = {
+    "board": "turned",
+    "seed": 0,
+    "generators": {
+        "vae-gan": {
+            "width": 8,
+            "encoder_width": 4,
+            "discriminator_width": 4,
+            "training": {"images": 320, "batch_size": 8, "ema": 0.0, "repeats": 3},
+        }
+    },
+    "scores": {"speed": False},
+}
+RESULTS, SCORES = Path("leaderboard/results"), Path("models/runs/scores")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """A workplace whose board has floors, the bound, and one that learned thrice."""
+    folder = tmp_path_factory.mktemp("turned-board")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        coarse(patch)
+        write_rotation(folder / "heart", turns=36)
+        Path("params.yaml").write_text(yaml.safe_dump(SETTINGS))
+        words = "--source", "rotation", "--set", "split=gap", "--out", "turns", "--workers", "1"
+        racines("data", "import", "heart", *words)
+        for name in NAMES:
+            racines("train", "generator", name, "--data", "turns", "--json")
+            alone = "--no-grader", "--no-pose", "--json"
+            racines("eval", "generator", name, "--data", "turns", *alone)
+        racines("leaderboard", "--board", "turned", "--collect", str(SCORES))
+        racines("board", "pin", "turned")
+    return folder
+
+
+def coarse(patch: pytest.MonkeyPatch) -> None:
+    """Put block means in the place of Inception."""
+    for module in (features, scoring):
+        patch.setattr(module, "InceptionFeatures", Coarse)
+
+
+@pytest.fixture
+def board(made, tmp_path, monkeypatch) -> Path:
+    shutil.copytree(made, tmp_path / "work")
+    monkeypatch.chdir(tmp_path / "work")
+    return tmp_path / "work"
+
+
+def test_floor_and_bound_are_the_ends_and_have_no_place(board):
+    records = read_board(RESULTS, "turned")[TURN_GENERATORS.name]
+    by_name = {each["name"]: each for each in records}
+    assert set(by_name) == {"mean-image", "nearest-pose", "vae-gan", "neighbouring-frame"}
+    score = {name: each["standing"].score.value for name, each in by_name.items()}
+    assert score["mean-image"] == 0.0 and score["neighbouring-frame"] == pytest.approx(1.0)
+    assert {name for name, each in by_name.items() if is_bound(each)} == set(TURN_GENERATORS.bounds)
+    why = {each.record["name"]: each.standing.why for each in rankings(TURN_GENERATORS, records)}
+    assert why == dict.fromkeys(TURN_GENERATORS.bounds, "bound") | {"vae-gan": ""}
+    pinned = json.loads((RESULTS / "turned/board.json").read_text())
+    assert set(pinned) == {"schema", "board", TURN_GENERATORS.name}
+
+
+def test_the_bound_scores_what_every_record_says_of_it(board):
+    told = {path.stem: read_scores(path)[0]["metrics"] for path in SCORES.glob("*.json")}
+    bound = told["neighbouring-frame"]
+    for metrics in told.values():
+        for key in ("ssim", "psnr", "feature_distance"):
+            assert metrics[f"{key}_neighbour"]["value"] == pytest.approx(bound[key]["value"])
+
+
+def test_the_table_says_one_heart_and_has_no_millimetres(board):
+    shown = racines("leaderboard", "--board", "turned", "--details")
+    told = " ".join(shown.split())
+    assert "n = 1 patient" in told and "pose error" not in told.lower()
+    racines("leaderboard", "--board", "turned", "--markdown", "page.md")
+    page = Path("page.md").read_text()
+    assert "turn-generators" in page and " mm" not in page.replace("millimetres", "")
+    listed = json.loads(racines("leaderboard", "--board", "turned", "--json"))
+    rows = listed["boards"]["turned"][TURN_GENERATORS.name]
+    assert len(rows) == 4 and all(row["verdict"] is None for row in rows)
+    orders = json.loads(racines("study", "weightings", "turned", "--json"))
+    assert "vae-gan" in str(orders)
+
+
+def test_turns_stand_in_no_other_track_and_possible_figures_only(board):
+    path = SCORES / "vae-gan.json"
+    scores, track = read_scores(path)
+    assert track is TURN_GENERATORS
+    other = scores | {"dataset": scores["dataset"] | {"source": "phantom"}}
+    assert track_of(other) is GENERATORS
+    for key in ("feature_distance", "fid_train", "feature_distance_neighbour"):
+        assert range_of(key)[0] == 0.0
+        wrong = scores["metrics"] | {key: scores["metrics"][key] | {"value": -0.5, "low": -1.0}}
+        with pytest.raises(RacinesError, match=f"metrics.{key}"):
+            check_possible(scores | {"metrics": wrong}, "vae-gan.json")
+    for key, value in (("ssim_train", 1.2), ("psnr_neighbour", -3.0)):
+        wrong = scores["metrics"] | {key: scores["metrics"][key] | {"value": value}}
+        with pytest.raises(RacinesError, match=f"metrics.{key}"):
+            check_possible(scores | {"metrics": wrong}, "vae-gan.json")
+
+
+def test_an_audit_makes_every_number_again(board, monkeypatch):
+    coarse(monkeypatch)
+    words = "--board", "turned", "--data", "turns", "--json"
+    said = json.loads(racines("audit", "nearest-pose", "vae-gan", *words, code=3))
+    for report in said["reports"]:
+        open_ = {each["subject"] for each in report["verdicts"] if each["verdict"] != "holds"}
+        # Imported data have no recipe that settings name: the digest of the record is all there is.
+        assert open_ == {"submission", "dataset.recipe_digest"}, (report["name"], open_)
+
+
+def test_an_audit_without_the_recording_names_the_import(board, monkeypatch):
+    coarse(monkeypatch)
+    shutil.rmtree("turns")
+    said = racines("audit", "vae-gan", "--board", "turned", "--json", code=3)
+    assert "racines data import FOLDER --source rotation" in said
