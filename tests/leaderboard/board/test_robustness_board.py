@@ -21,7 +21,7 @@ from racines_leaderboard.board.rank import metric_of, rankings
 from racines_leaderboard.board.table import board_tables
 from racines_leaderboard.cli.command import app
 from racines_leaderboard.records.schema import sealed
-from racines_leaderboard.records.tracks import PATIENT_AGENTS
+from racines_leaderboard.records.tracks import PATIENT_AGENTS, TRACK
 from racines_leaderboard.submissions.document import find_submission, read_document
 from racines_leaderboard.submissions.intake import take_in
 from tests.conftest import ROOT
@@ -121,7 +121,7 @@ def test_a_report_that_is_withdrawn_or_of_another_record_is_shown_no_more(work):
     assert row["robustness_stale"] and "robustness" not in row
     table = board_tables(
         "patients",
-        {"generators": [], "agents": [], "patient-generators": [], "patient-agents": [row]},
+        {track: [] for track in TRACK} | {"patient-agents": [row]},
     )[0]
     assert "or data, or no longer handed in (planner-a4c)." in " ".join(table.notes)
     (SUBMISSIONS / "patient-agents/planner/submission.yaml").write_text(plain)
