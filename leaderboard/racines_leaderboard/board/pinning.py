@@ -36,7 +36,8 @@ def pin_board(
 ) -> list[str]:
     """Write a board's file from its anchors' records; return what changed, a line a field.
 
-    With `folders`, from the scores there, which need not be on the board yet.
+    With `folders`, from the scores there, which need not be on the board yet; a track of which
+    there are none keeps its pin.
 
     Raises:
         RacinesError: no pair of anchors; two that differ in what a board has one of; an anchor at 1
@@ -46,6 +47,9 @@ def pin_board(
     path = results / board / FILE
     with locked(results):
         before = read_pin(results, board)
+        if folders:
+            kept = {track.name: (before or {}).get(track.name) for track in TRACKS}
+            pin |= {name: held for name, held in kept.items() if held and name not in pin}
         changes = list(_changes(before or {}, pin))
         if before is not None and changes and not force:
             raise RacinesError(

@@ -150,6 +150,13 @@ def test_an_existing_pin_needs_force_and_says_what_changes(results: Path, tmp_pa
     assert (results / "b/board.json").read_bytes() != before
 
 
+def test_a_track_of_which_no_scores_are_given_keeps_its_pin(results: Path, tmp_path: Path):
+    before = json.loads((results / "b/board.json").read_text())
+    assert {"generators", "agents"} <= set(before)
+    assert pin_board(results, "b", [tmp_path / "anchors/g"], force=True) == []
+    assert json.loads((results / "b/board.json").read_text()) == before
+
+
 def test_new_judges_reach_a_board_by_a_new_pin_and_new_records(results: Path, tmp_path: Path):
     generator(tmp_path / "old", "mine", 0.5)
     take(results, tmp_path / "old")
