@@ -1,6 +1,6 @@
 """What the documentation says of generators that adapt, from the scores of the command.
 
-racines eval generator NAME --tier patients --out FOLDER     # each of the methods
+racines eval generator NAME --tier patients --profile reference --out FOLDER
 python -m tests.models.studies.adapted FOLDER MACHINE
 """
 
@@ -37,7 +37,8 @@ def main(folder: Path, machine: str) -> None:
     told = {
         "schema": "racines.figures/1",
         "what": f"generators on {units} {split} patients, {n} poses; trainings: {trainings}",
-        "command": "racines eval generator NAME --tier patients --out FOLDER; "
+        "command": "racines eval generator NAME --tier patients --profile reference --out FOLDER, "
+        "of what learned with --run models/weights/patients/NAME; "
         "python -m tests.models.studies.adapted FOLDER MACHINE",
         "machine": machine,
         "source": "measured once",
