@@ -32,7 +32,7 @@ from racines_leaderboard.audit.verdicts import (
 from racines_leaderboard.audit.weights import data_of, submitted
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.schema import KEY, seal_of
-from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, TRACK
+from racines_leaderboard.records.tracks import MOTION, PATIENT_AGENTS, SCOUTS, TRACK
 from racines_leaderboard.submissions.document import find_submission
 from racines_models.provenance import environment
 from racines_models.registry import generator_class
@@ -94,6 +94,8 @@ def _names(record: Record) -> Iterator[Verdict]:
     for name, made_for in ((document := record["submission"]) or {}).get("dataset", {}).items():
         data = scores.get("dataset") or {"source": "phantom"} | (scores.get("phantom") or {})
         ours = [data.get(name)] + [data.get("recipe_digest")] * (name == "digest")
+        # Scouts are drawn of the phantom's patients: a submission may name either.
+        ours += ["phantom"] * (name == "source" and data.get("source") == SCOUTS)
         place = f"submission.dataset.{name}"
         yield tell(made_for in ours, place, "what it was scored on", made_for, data.get(name))
     for artefact in (document or {}).get("artefacts", []):

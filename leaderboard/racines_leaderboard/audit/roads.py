@@ -170,7 +170,16 @@ def _adapting(record: Record, bench: Bench) -> Road | str:
     if folder.is_dir() and weights_of(record["name"], folder, further) == claimed:
         source = " and ".join(f"the weights in {each}" for each in (folder, *further))
         return Road("run", source, again)
+    config = generator_class(record["name"]).Config
+    if "training" not in {each.name for each in dataclasses.fields(config)}:
+        source = "it does not train: fitted again on the scouts of train patients"
+        return Road("fitted", source, lambda: _fitted_adapting(record, bench))
     return f"no weights of it in {folder}; --retrain trains anew"
+
+
+def _fitted_adapting(record: Record, bench: Bench) -> Made:
+    with tempfile.TemporaryDirectory() as aside:
+        return Made.of(adapting.score_trained(record, bench, Path(aside) / record["name"]))
 
 
 def _moving(record: Record, bench: Bench) -> Road | str:

@@ -121,6 +121,23 @@ def test_an_audit_draws_what_is_asked_itself(board):
     assert said["reports"][0]["verdict"] == "holds"
 
 
+def test_a_clone_without_runs_fits_again_what_does_not_train(board):
+    """Handed in for the phantom, whose patients the scouts are of."""
+    (run,) = (board / "models/runs").rglob("mean-image")
+    shutil.rmtree(run)
+    path = RESULTS / "patients/patient-generators/mean-image.json"
+    record = json.loads(path.read_text())
+    folder = Path("leaderboard/submissions/patient-generators/mean-image")
+    shutil.copytree(ROOT / folder, board / folder)
+    document = yaml.safe_load((folder / "submission.yaml").read_text())
+    assert document["dataset"]["source"] == "phantom"
+    path.write_text(json.dumps(sealed(record | {"submission": document})))
+    (board / "leaderboard/results/patients/board.json").unlink()
+    said = json.loads(racines("audit", "mean-image", "--board", "patients", "--json"))
+    (report,) = said["reports"]
+    assert report["verdict"] == "holds", report
+
+
 def test_poses_of_another_patient_are_not_drawn(board):
     asked = AskedStore("validation", 2, 0, Path("models/runs/scores/reference"))
     asked.parameters = asked.parameters.roll(POSES, 0)
