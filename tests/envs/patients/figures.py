@@ -2,6 +2,8 @@
 
 racines eval agent AGENT --view VIEW --tier TIER --split SPLIT --out FILE
 python -m tests.envs.patients.figures FOLDER    # of such files: AGENT-VIEW-TIER-SPLIT.json
+
+Of an agent that neither the boards nor the folder know, what was written before stays.
 """
 
 import json
@@ -112,12 +114,19 @@ def by_pathology(found: Found, agent: str, split: str) -> dict[str, Any]:
 
 def floors(found: Found, split: str) -> dict[str, float]:
     """Return the highest share of each floor over views and tiers, per cent."""
-    return {
-        agent: round(max(100 * scores["metrics"]["success_declared"]["value"]
-                         for (name, *_, its), scores in found.items()
-                         if (name, its) == (agent, split)), 1)
+    shares = {
+        agent: [100 * scores["metrics"]["success_declared"]["value"]
+                for (name, *_, its), scores in found.items() if (name, its) == (agent, split)]
         for agent in AGENTS[:3]
     }  # fmt: skip
+    return {agent: round(max(each), 1) for agent, each in shares.items() if each}
+
+
+def with_former(rows: list[list[str]], former: list[list[str]]) -> list[list[str]]:
+    """Return rows, agent first, and those of agents that they lack, in the agents' order."""
+    told = {row[0] for row in rows}
+    rows = rows + [row for row in former if row[0] not in told]
+    return sorted(rows, key=lambda row: AGENTS.index(row[0]))
 
 
 def fill(found: Found) -> None:
@@ -126,6 +135,8 @@ def fill(found: Found) -> None:
     assert len(versions) == 1, versions
     content = json.loads(RESULT.read_text())
     tables = {"success_test": success(found, "test"), "ends": ends(found, "test")}
+    for name, table in tables.items():
+        table["rows"] = with_former(table["rows"], content["tables"][name]["rows"])
     tables |= {"pathology": by_pathology(found, "servo", "test")}
     shown = {
         agent: {
@@ -137,7 +148,7 @@ def fill(found: Found) -> None:
     }  # fmt: skip
     told = found["servo", "A4C", "patients", "test"]["metrics"]["success_declared"]["settings"]
     figures = {
-        "floors": floors(found, "test"),
+        "floors": content["figures"]["floors"] | floors(found, "test"),
         "level": round(100 * told["level"]),
         "world": versions.pop(),
         "planner_least": round(
