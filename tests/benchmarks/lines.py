@@ -66,7 +66,9 @@ def keep(lines: Iterable[Line], path: Path = FILE) -> dict[str, Any]:
     here["versions"] = {name: version(name) for name in PACKAGES}
     kept = {}
     if path.is_file():
-        kept = {(each["work"], each["peer"]): each for each in json.loads(path.read_text())["lines"]}
+        kept = {
+            (each["work"], each["peer"]): each for each in json.loads(path.read_text())["lines"]
+        }
     for line in lines:
         kept[line.work, line.peer] = asdict(line) | {"measured": here}
     document = {"schema": SCHEMA, "command": "make bench", "lines": [kept[key] for key in kept]}
@@ -81,11 +83,14 @@ def read(path: Path = FILE) -> list[dict[str, Any]]:
 
 def table(lines: Iterable[dict[str, Any]]) -> dict[str, Any]:
     """Return lines as a table of columns and rows, as the documentation takes it."""
-    columns = ["work", "ours", "peer", "its", "times as quick", "aim", "equal"]
+    columns = ["work", "ours", "peer", "its", "times as quick: least – median – most", "aim",
+               "equal"]  # fmt: skip
     rows = [
-        [each["work"], f"{number(each['ours'])} {each['unit']}", each["peer"],
-         number(each["theirs"]), f"{times(each['ratio'])} ({times(each['low'])} – {times(each['high'])})",
-         "–" if each["aim"] is None else f"{each['aim']:g}", each["equal"]]
+        [
+            each["work"], f"{number(each['ours'])} {each['unit']}", each["peer"],
+            number(each["theirs"]), " – ".join(times(each[key]) for key in ("low", "ratio", "high")),
+            "–" if each["aim"] is None else f"{each['aim']:g}", each["equal"],
+        ]
         for each in lines
     ]  # fmt: skip
     return {"columns": columns, "rows": rows}

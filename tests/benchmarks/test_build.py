@@ -1,8 +1,8 @@
 """Speed and memory of the data build, beside writing the same frames with plain `datasets`.
 
 The peer draws the same sweeps by the same renderer and hands them, a row a frame, to
-`Dataset.from_generator`, then writes Parquet; as many processes as ours. Ours does more in its time:
-splits, checks, digests, and a store for training. Rows are compared, value for value.
+`Dataset.from_generator`, then writes Parquet; as many processes as ours. Ours does more in its
+time: splits, checks, digests, and a store for training. Rows are compared, value for value.
 """
 
 import os
@@ -86,7 +86,9 @@ def assert_equal(ours: Path, peers: Path) -> None:
     mine = concatenate_datasets([loaded[split] for split in loaded])
     theirs = Dataset.from_parquet(str(peers))
     assert len(mine) == len(theirs)  # type: ignore[arg-type]
-    where = {key: i for i, key in enumerate(zip(theirs["trajectory"], theirs["frame"], strict=True))}
+    where = {
+        key: i for i, key in enumerate(zip(theirs["trajectory"], theirs["frame"], strict=True))
+    }
     assert set(mine.column_names) == set(theirs.column_names)  # type: ignore[union-attr]
     for i in np.random.default_rng(0).choice(len(mine), ROWS, replace=False).tolist():
         one = mine[i]

@@ -41,7 +41,9 @@ def usual(reference: Tensor, candidate: Tensor) -> float:
     covariances = [np.cov(each, rowvar=False) for each in (one, other)]
     root = scipy.linalg.sqrtm(covariances[0] @ covariances[1])
     shift = np.square(means[0] - means[1]).sum()
-    return float(shift + np.trace(covariances[0]) + np.trace(covariances[1]) - 2 * np.trace(root).real)
+    return float(
+        shift + np.trace(covariances[0]) + np.trace(covariances[1]) - 2 * np.trace(root).real
+    )
 
 
 def metrics(reference: Tensor, candidate: Tensor) -> float:

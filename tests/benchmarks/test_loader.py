@@ -69,8 +69,12 @@ def test_shuffled_batches_of_256(benchmark, line, store: FrameStore, tmp_path: P
     assert_equal(store, rows)
     assert_files_equal(store, files)
     work = f"shuffled batches of {BATCH}"
-    for peer, aim, equal in ((ITEMWISE, 100.0, "values of a batch"), (PNG, None, "values of a batch"),
-                             (MEMCPY, 0.5, "bytes moved")):  # fmt: skip
+    values = "values of a batch"
+    for peer, aim, equal in (
+        (ITEMWISE, 100.0, values),
+        (PNG, None, values),
+        (MEMCPY, 0.5, "bytes moved"),
+    ):
         one = line_of(work, "frames/s", 1, seconds, peer, equal, aim)
         line(one)
         assert aim is None or one.ratio >= aim, one

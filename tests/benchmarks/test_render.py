@@ -77,5 +77,7 @@ def assert_shows_the_block(images: Tensor, volume: LabelVolume, pose: Pose) -> N
     labels = volume.flat[volume.index(pose, volume.pixels)] - 1
     labels[:, ~sector_mask(volume.config.probe)] = -1
     assert images.dtype == torch.uint8 and images.shape == labels.shape
-    blood, muscle = (images[labels == names.index(n)].float().mean() for n in ("blood", "myocardium"))
+    blood, muscle = (
+        images[labels == names.index(n)].float().mean() for n in ("blood", "myocardium")
+    )
     assert muscle > 1.5 * blood

@@ -6,7 +6,8 @@ same actions from the same seeds in turns, a round each, and every observation, 
 to be equal. Only the steps are timed; a ratio is the median of the rounds, the first left out.
 
 With a grader in the loop observations and flags are equal, rewards to a grade's rounding: a
-convolution may round differently in other batches. The student is untrained, of the default configuration, since weights do not change its speed.
+convolution may round differently in other batches. The student is untrained, of the default
+configuration, since weights do not change its speed.
 """
 
 import statistics
@@ -90,7 +91,9 @@ def test_patients_beside_one_heart(benchmark, line, observation: str) -> None:
             env.close()
     work = f"steps of 64 environments, {observation}, {{}}"
     for name in ("patients", "beating hearts"):
-        told = line_of(work.format(name), "steps/s", steps * ENVS, times, HEART, "actions", ours=name)
+        told = line_of(
+            work.format(name), "steps/s", steps * ENVS, times, HEART, "actions", ours=name
+        )
         line(told)
 
 

@@ -6,6 +6,7 @@ of comparisons either. A place is 1 and how many of those with a place are ahead
 can change when others come and go. Rows stand in the order of scores.
 """
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
@@ -131,4 +132,4 @@ def unpinned(ranking: list[Ranked]) -> bool:
 def tied(ranking: list[Ranked]) -> set[int]:
     """Return the places that several results share."""
     places = [each.place for each in ranking if each.place is not None]
-    return {place for place in places if places.count(place) > 1}
+    return {place for place, count in Counter(places).items() if count > 1}

@@ -81,7 +81,9 @@ class Loop:
             self.actor(flat[0][: config.minibatch]), self.critic(flat[0][: config.minibatch])
         self.actor.eval(), self.critic.eval()
 
-    def step(self, seen: Tensor, action: Tensor, old: Tensor, advantage: Tensor, target: Tensor) -> None:
+    def step(
+        self, seen: Tensor, action: Tensor, old: Tensor, advantage: Tensor, target: Tensor
+    ) -> None:
         """Take one gradient step on a minibatch."""
         config = self.config
         choice = Categorical(logits=self.actor(seen))
