@@ -3,9 +3,9 @@
 OMP_NUM_THREADS=1 python -m tests.benchmarks.growth docs/results/growth.json [PART...]
 
 CPU seconds of one thread, so that other work on the machine counts little. To the times t of sizes
-n is fitted t = a + b nᵏ: a is what a run costs at any size, k the exponent. The largest memory of the
-process is told beside; it never falls, so a part that holds more and more shows. Some ten minutes;
-the parts that are named are measured, the others kept.
+n is fitted t = a + b nᵏ: a is what a run costs at any size, k the exponent. The largest memory of
+the process is told beside; it never falls, so a part that holds more and more shows. Some ten
+minutes; the parts that are named are measured, the others kept.
 """
 
 import copy

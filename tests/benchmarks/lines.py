@@ -88,7 +88,8 @@ def table(lines: Iterable[dict[str, Any]]) -> dict[str, Any]:
     rows = [
         [
             each["work"], f"{number(each['ours'])} {each['unit']}", each["peer"],
-            number(each["theirs"]), " – ".join(times(each[key]) for key in ("low", "ratio", "high")),
+            number(each["theirs"]),
+            " – ".join(times(each[key]) for key in ("low", "ratio", "high")),
             "–" if each["aim"] is None else f"{each['aim']:g}", each["equal"],
         ]
         for each in lines
