@@ -5,6 +5,7 @@ geometry alone, so it cannot be fooled by a generator or a grader.
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -30,18 +31,24 @@ def coupling(pose: Pose, surface: float, probe: ProbeConfig) -> Tensor:
     A beam steered to one side draws mostly on the elements of that side, so a probe that lifts at
     one edge loses that side of the sector first.
     """
-    device = pose.position.device
-    elements = torch.linspace(-0.5, 0.5, 9, device=device) * probe.aperture
-    rows = torch.linspace(-0.5, 0.5, 3, device=device) * probe.thickness * 0.8
+    elements, rows, weight = _face(probe, pose.position.device)
     depth = (surface - pose.position[:, 2]).view(-1, 1, 1) - (
         pose.rotation[:, 2, 0].view(-1, 1, 1) * elements.view(1, -1, 1)
         + pose.rotation[:, 2, 1].view(-1, 1, 1) * rows.view(1, 1, -1)
     )
     touching = torch.sigmoid((depth + 0.0005) / 0.0007).mean(-1)
-    steer = torch.linspace(-1.0, 1.0, probe.beams, device=device).unsqueeze(1)
-    weight = torch.exp(-0.5 * ((elements / probe.aperture - 0.22 * steer) / 0.28) ** 2)
-    weight = weight / weight.sum(1, keepdim=True)
     return (touching.unsqueeze(1) * weight).sum(-1)
+
+
+@lru_cache(maxsize=32)
+def _face(probe: ProbeConfig, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """Return a face's elements and rows, m, and the (beams, elements) share each beam hears."""
+    with torch.inference_mode(False):  # kept, it may be used where gradients are taken
+        elements = torch.linspace(-0.5, 0.5, 9, device=device) * probe.aperture
+        rows = torch.linspace(-0.5, 0.5, 3, device=device) * probe.thickness * 0.8
+        steer = torch.linspace(-1.0, 1.0, probe.beams, device=device).unsqueeze(1)
+        weight = torch.exp(-0.5 * ((elements / probe.aperture - 0.22 * steer) / 0.28) ** 2)
+        return elements, rows, weight / weight.sum(1, keepdim=True)
 
 
 def deepest(force: float, surface: float, config: ContactConfig) -> float:
