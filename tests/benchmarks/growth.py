@@ -234,6 +234,8 @@ def document_of(parts: dict[str, Any]) -> dict[str, Any]:
         "schema": "racines.figures/1",
         "what": "how cost grows with size, one thread",
         "command": "OMP_NUM_THREADS=1 python -m tests.benchmarks.growth docs/results/growth.json",
+        "machine": "one core of an AMD EPYC (Zen 4), beside other work",
+        "source": "measured once",
         "figures": {"parts": parts},
         "tables": {"growth": {"columns": columns, "right": 1, "rows": rows}},
     }

@@ -26,6 +26,7 @@ from tests.benchmarks.test_render import BATCH, poses
 from tests.benchmarks.turns import in_turns, ratios
 
 SENSORS = "source/spinal_surgery/spinal_surgery/lab/sensors"
+MACHINE = "one core of an AMD EPYC (Zen 4), beside other work"
 TISSUES = {0: 12, 1: 11, 2: 4, 3: 4, 4: 13, 5: 3, 6: 3}
 """Our labels in LOTUS's numbers, by what they resemble."""
 
@@ -108,6 +109,8 @@ def main(one: Path, other: Path, out: Path) -> None:
         "schema": "racines.figures/1",
         "what": "published simulators against the same written again, 64 slices",
         "command": "python -m tests.benchmarks.published SONOGYM LOTUS docs/results/peers.json",
+        "machine": MACHINE,
+        "source": "measured once",
         "figures": figures,
     })  # fmt: skip
     print(figures)

@@ -44,6 +44,7 @@ PLACES = {
         board="phantom-default", track="generators", name="{name}"
     ),
     "patients": RECORDS.format(board="patients", track="patient-agents", name="{name}"),
+    "adapting": RECORDS.format(board="patients", track="patient-generators", name="{name}"),
     "motion": RECORDS.format(board="trackerless", track="motion", name="{name}"),
     "beating": RECORDS.format(board="beating", track="patient-agents", name="{name}"),
     "weights": "models/weights/{name}/config.json",
