@@ -77,6 +77,8 @@ class PolicyAgent:
     Config: ClassVar[type]
     outputs: ClassVar[int] = len(ACTIONS)
     """Numbers that its network gives."""
+    remembers: ClassVar[bool] = False
+    """Whether what it does in a step depends on the steps before; see `rollout`."""
 
     def __init__(
         self, config: Any, actor: ObservationNetwork, encoder: PoseEncoder | None = None

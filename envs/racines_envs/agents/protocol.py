@@ -40,6 +40,7 @@ class Agent(Protocol):
     """A dataclass whose defaults are usable, filled from the params section of this name."""
     observation: str
     """What the environment shows it: `image`, `params` or `multimodal`."""
+    # `remembers` may be False where a step's actions depend on that step alone: see `rollout`.
 
     def attach(self, core: ScanCore) -> None:
         """Meet the environment before a rollout. Only an upper bound may keep hold of it."""

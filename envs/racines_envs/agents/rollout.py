@@ -35,7 +35,8 @@ def rollout(core: ScanCore, agent: Agent, seeds: Tensor, case: Tensor | None = N
     They may be of given (n,) cases of the world, not of those that the seeds name.
 
     What has ended is looked at no more, so that episodes cost what their own steps cost. The agent
-    still sees all rows, and may keep a memory of each.
+    still sees all rows, and may keep a memory of each; one that has none (`remembers` is False) is
+    asked of the live rows alone.
     """
     agent.attach(core)
     observation = core.reset(seeds, case=case)
@@ -44,8 +45,8 @@ def rollout(core: ScanCore, agent: Agent, seeds: Tensor, case: Tensor | None = N
         live = (~core.state.done).nonzero().squeeze(1)
         if len(live) == 0:
             break
-        action = agent.act(observation, core.decision_seeds())
         rows = live if len(live) < core.num_envs else None
+        action = _act(agent, observation, core.decision_seeds(), rows, actions)
         observation = core.step(action, rows=rows).observation
         positions.append(core.state.position)
         probabilities.append(core.score.probability)
@@ -58,3 +59,14 @@ def rollout(core: ScanCore, agent: Agent, seeds: Tensor, case: Tensor | None = N
         seeds=core.state.seed,
         actions=tuple(actions),
     )
+
+
+def _act(
+    agent: Agent, observation: dict[str, Tensor], seeds: Tensor, rows: Tensor | None,
+    before: list[Tensor],
+) -> Tensor:  # fmt: skip
+    """Return the (n,) actions of all rows; what has ended may repeat its last one."""
+    if rows is None or getattr(agent, "remembers", True):
+        return agent.act(observation, seeds)
+    chosen = agent.act({name: value[rows] for name, value in observation.items()}, seeds[rows])
+    return before[-1].index_copy(0, rows.to(chosen.device), chosen)

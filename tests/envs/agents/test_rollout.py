@@ -4,8 +4,10 @@ import numpy as np
 import torch
 
 from racines_envs.agents import load_agent
+from racines_envs.agents.ppo import PPOAgent
 from racines_envs.agents.rollout import rollout
 from racines_envs.worlds.making import make_core
+from tests.conftest import ROOT
 
 
 def test_rows_that_have_ended_are_not_drawn_again_and_nothing_else_changes(phantom, tmp_path):
@@ -28,3 +30,29 @@ def test_rows_that_have_ended_are_not_drawn_again_and_nothing_else_changes(phant
         np.testing.assert_array_equal(final[name], value.numpy(), err_msg=name)
     for name, value in rolled.observe().items():
         assert torch.equal(value, observation[name]), name
+
+
+def test_who_keeps_no_memory_is_asked_of_live_rows_alone_and_acts_alike(monkeypatch):
+    """A policy's episodes are the same whether or not it is shown what has ended."""
+    agent = PPOAgent.load(ROOT / "envs/weights/phantom-default/ppo")
+    seeds, asked = torch.arange(24) + 100, []
+    act = PPOAgent.act
+
+    def counted(self, observation, seeds):
+        asked.append(len(seeds))
+        return act(self, observation, seeds)
+
+    monkeypatch.setattr(PPOAgent, "act", counted)
+
+    def episodes(remembers: bool):
+        asked.clear()
+        monkeypatch.setattr(PPOAgent, "remembers", remembers)
+        core = make_core("SC", 24, observation="params", reward="oracle")
+        return rollout(core, agent, seeds), sum(asked)
+
+    (every, many), (live, few) = episodes(True), episodes(False)
+    assert many > few == live.final["steps"].sum()
+    for name, value in every.final.items():
+        np.testing.assert_array_equal(live.final[name], value, err_msg=name)
+    np.testing.assert_array_equal(live.positions, every.positions)
+    assert torch.equal(live.parameters, every.parameters)
