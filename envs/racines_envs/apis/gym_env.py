@@ -196,13 +196,16 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
         seen = self._scan.reset(self, seeds, rest, mask)
         return seen, self._infos(None if mask is None else mask.numpy())
 
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Take (N,) actions, integers 0-12, or (N, 6) twists."""
+    def step(
+        self, actions: Any, rows: torch.Tensor | None = None
+    ) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Take (N,) actions, integers 0-12, or (N, 6) twists; only (K,) `rows` move, or all."""
         taken, mode = read_actions(actions, self.core), self.autoreset_mode
         seen, reward, *ends = self._scan.step(
             taken,
             autoreset=mode is AutoresetMode.NEXT_STEP,
             strict=mode is AutoresetMode.DISABLED,
+            rows=rows,
         )
         ended, cut = (value.cpu().numpy() for value in ends)
         last: dict[str, Any] = {}

@@ -173,19 +173,20 @@ class ScanCore:
         """
         if not self._sensed:
             raise RacinesError("step before reset: call reset first")
-        if strict and bool(self.state.done.any()):
-            row = int(self.state.done.nonzero()[0])
+        chosen = torch.ones_like(self.state.done)
+        if rows is not None:
+            chosen = torch.zeros_like(chosen).index_fill(0, rows, True)
+        if strict and bool((self.state.done & chosen).any()):
+            row = int((self.state.done & chosen).nonzero()[0])
             raise RacinesError(
                 f"the episode of row {row} has ended after {int(self.state.steps[row])} steps: "
                 "call reset before the next step"
             )
         state, before = self.state, self.score
-        live = ~state.done
-        if rows is not None:
-            live = live & torch.zeros_like(live).index_fill(0, rows, True)
+        live = chosen & ~state.done
         self.state = self._move(state, self.motion.check(action, self.num_envs), live)
         if autoreset:
-            ended = state.done.nonzero().squeeze(1)
+            ended = (chosen & state.done).nonzero().squeeze(1)
             if len(ended):
                 self.state = self.state.replaced(ended, self._begin(ended))
         self._sense(rows)
