@@ -26,7 +26,7 @@ TESTS := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal
 # The files that have tests of a mark: to read all others takes each process longer than some of those.
 marked = $$(grep -rlw --include="test_*.py" "mark.$(1)" tests)
 
-.PHONY: help repro studio test test-docs test-docs-quick test-thorough test-fast test-instruction-sets test-exports test-clients mutants lint types bench docs docs-numbers clean
+.PHONY: help repro studio test test-docs test-docs-quick test-thorough test-fast test-instruction-sets test-exports test-clients mutants lint types bench gpu docs docs-numbers clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -99,6 +99,11 @@ types: $(READY) ## check types
 
 bench: $(READY) ## measure speed; run alone, on a quiet machine
 	OMP_NUM_THREADS=$$(nproc) pytest tests/benchmarks -n 0 --benchmark-only
+
+# It sets nothing up: a machine with a GPU has its own PyTorch, and often no network.
+gpu: ## measure one GPU and train the paper's agent and generators on it; goes on where it stopped. BUDGET=25m DEVICE=cuda OUT= PARTS=
+	PYTHONPATH=.:models:envs:leaderboard$${PYTHONPATH:+:$$PYTHONPATH} $(PYTHON) -m tests.benchmarks.gpu --budget $(or $(BUDGET),25m) \
+	--device $(or $(DEVICE),cuda) $(if $(OUT),--out $(OUT)) $(if $(PARTS),--parts $(PARTS))
 
 studio: $(READY) ## show boards, study and data in a browser, at http://127.0.0.1:7860
 	racines studio

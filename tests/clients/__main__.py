@@ -38,9 +38,9 @@ def content(told: dict[str, dict[str, Any]]) -> dict[str, Any]:
     return {
         "schema": "racines.figures/1",
         "what": "steps a second through other libraries' interfaces, 64 rows, one thread",
-        "command": "make test-clients",
+        "command": "make test-clients; python -m tests.clients",
         "machine": "one CPU core at 2.6 GHz, shared with other work",
-        "source": "one run of tests/clients/timing.py a client",
+        "source": "measured once",
         "figures": {
             "rllib_version": told["rllib"]["version"],
             "rllib_gymnasium": told["rllib"]["gymnasium"],

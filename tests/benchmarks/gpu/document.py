@@ -88,7 +88,7 @@ class Document:
         self.path, self.tiny = path, tiny
         here = machine(device)
         content = read(path) if path.is_file() else {}
-        known = content.get("machine")
+        known = content.get("hardware")
         if known is not None and (known["device"], known["cpu"]) != (here["device"], here["cpu"]):
             raise RacinesError(
                 f"{path}: holds figures of {known['device']} ({known['cpu']}); this is "
@@ -96,7 +96,7 @@ class Document:
             )
         if known is not None and content["tiny"] != tiny:
             raise RacinesError(f"{path}: is of another size: write elsewhere by --out")
-        self.machine: dict[str, Any] = here
+        self.hardware: dict[str, Any] = here
         self.parts: dict[str, dict[str, Any]] = content.get("parts", {})
 
     def state(self, part: str) -> str | None:
@@ -116,7 +116,7 @@ class Document:
 
     def write(self) -> None:
         """Write the file, which its schema has to pass."""
-        content = whole(self.machine, self.parts, self.tiny)
+        content = whole(self.hardware, self.parts, self.tiny)
         jsonschema.validate(content, SCHEMA)
         write_json(self.path, content)
 
@@ -137,19 +137,26 @@ def read(path: Path) -> dict[str, Any]:
 
 
 def whole(
-    machine: dict[str, Any] | None, parts: dict[str, dict[str, Any]], tiny: bool = False
+    hardware: dict[str, Any] | None, parts: dict[str, dict[str, Any]], tiny: bool = False
 ) -> dict[str, Any]:
     """Return the whole file: of no machine yet where it is None."""
     return {
         "schema": "racines.figures/1",
         "what": "what one GPU does",
         "command": "make gpu",
-        "source": "one machine, in one or several runs",
-        "machine": machine,
+        "source": "measured once",
+        "machine": NOT_MEASURED if hardware is None else _named(hardware),
+        "hardware": hardware,
         "tiny": tiny,
         "parts": parts,
         "tables": {"gpu": table(parts)},
     }
+
+
+def _named(hardware: dict[str, Any]) -> str:
+    driver = f", driver {hardware['driver']}" if hardware["driver"] else ""
+    torch = hardware["versions"]["torch"]
+    return f"{hardware['device']}{driver}; {hardware['cpu']}; PyTorch {torch}"
 
 
 def table(parts: dict[str, dict[str, Any]]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from racines_envs.task.core import ScanCore
 from racines_envs.worlds.making import make_core
 from tests.benchmarks.gpu.sizes import Sizes
 
-STUDENT = "models/weights/student"
+STUDENT = str(Path(__file__).parents[3] / "models/weights/student")
 WARM_UP = 2
 
 
