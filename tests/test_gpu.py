@@ -93,6 +93,8 @@ def test_another_machines_file_is_refused_and_so_is_no_device(tmp_path: Path, ca
         assert gpu.main(out) == 1 and not (tmp_path / "none.json").exists()
         told = capsys.readouterr().err.splitlines()
         assert len(told) == 1 and "device 'cuda': there is none here" in told[0]
+    assert run(tmp_path / "other", "--parts", "render,speed") == 1
+    assert "unknown part 'speed': choose of correctness, render" in capsys.readouterr().err
     with pytest.raises(SystemExit) as ended:
         run(tmp_path, budget="soon")
     assert ended.value.code == 2

@@ -37,3 +37,10 @@ def test_our_rows_are_faster_than_64_environments_of_the_librarys_own(client: st
     )
     print(client, told)
     assert told["ratio"] > 1
+
+
+def test_tianshous_rows_are_those_of_its_own_vector_environment():
+    if not interpreter("tianshou").exists():
+        pytest.skip("no environment .venv-tianshou: make test-clients makes it")
+    script = str(ROOT / "tests/clients/tianshou_equal.py")
+    assert run_in("tianshou", script).splitlines()[-1] == "equal"

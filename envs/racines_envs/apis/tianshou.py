@@ -38,16 +38,16 @@ class TianshouScanEnv(BaseVectorEnv):
         self.is_async, self.is_closed, self.timeout = False, False, None
         self.waiting_id: list[int] = []
         self.ready_id = list(range(num_envs))
-        self._seeds: list[int] | None = None
 
     def reset(self, env_id: Any = None, **kwargs: Any) -> tuple[Any, np.ndarray]:
-        """Start episodes of the rows named, or of all; `seed` and `options` as in Gymnasium."""
+        """Start episodes of the rows named, or of all; one `seed` and `options` are each row's."""
         rows = np.asarray(self._wrap_id(env_id))
-        seed, self._seeds = kwargs.pop("seed", self._seeds), None
+        seed = kwargs.pop("seed", None)
         options = dict(kwargs.pop("options", None) or {})
         if len(rows) < self.env_num:
             options["reset_mask"] = np.isin(np.arange(self.env_num), rows)
-        seen, infos = self.envs.reset(seed=seed, options=options)
+        seeds = None if seed is None else [seed] * self.env_num
+        seen, infos = self.envs.reset(seed=seeds, options=options)
         return self._taken(seen, rows), self._told(infos, rows)
 
     def step(self, action: Any, id: Any = None) -> tuple[Any, ...]:
@@ -69,10 +69,10 @@ class TianshouScanEnv(BaseVectorEnv):
         return self._taken(seen, rows), *(column[rows] for column in paid), told
 
     def seed(self, seed: int | list[int] | None = None) -> list[Any]:
-        """Set the seeds of the next reset of all rows: s, s + 1, …, or one a row."""
+        """Start the first episodes of the seeds s, s + 1, …, or of one a row; return the seeds."""
         if isinstance(seed, int):
             seed = [seed + row for row in range(self.env_num)]
-        self._seeds = seed
+        self.envs.reset(seed=seed)
         return [None] * self.env_num if seed is None else [[each] for each in seed]
 
     def render(self, **_: Any) -> list[Any]:

@@ -46,6 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def measure(options: argparse.Namespace) -> int:
     """Run the parts in order within the budget."""
+    from racines_data.errors import RacinesError
     from racines_data.terminal import say
     from racines_models.devices import resolve_device
     from tests.benchmarks.gpu.document import DONE, FAILED, UNDER_WAY, Document
@@ -54,9 +55,12 @@ def measure(options: argparse.Namespace) -> int:
     end = time.monotonic() + options.budget
     device = resolve_device(options.device)
     sizes = TINY if options.tiny else Sizes()
+    known = parts(device, sizes, options.work, end)
+    if unknown := set(options.parts or ()) - set(known):
+        raise RacinesError(f"unknown part {min(unknown)!r}: choose of {', '.join(known)}")
     document, failed = Document(options.out, device, options.tiny), []
     document.write()
-    for name, (part, share) in parts(device, sizes, options.work, end).items():
+    for name, (part, share) in known.items():
         if document.state(name) == DONE or (options.parts and name not in options.parts):
             continue
         left = end - time.monotonic() - KEPT

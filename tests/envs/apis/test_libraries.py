@@ -1,10 +1,15 @@
-"""Other people's learners on the tasks as they are: no wrapper of ours, none of theirs added."""
+"""Other people's learners on the tasks: as they are, and as docs/clients.md shows them.
+
+The libraries that are not beside us in one environment: `make test-clients`.
+"""
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
 from torch import nn
+
+from tests.clients.examples import STEPS, example
 
 ID = "racines_envs:racines/SC-v0"
 
@@ -102,3 +107,14 @@ def test_stable_baselines3_ppo_runs_as_it_is(phantom, observation, policy):
     seen, _ = env.reset(seed=0)
     action, _ = model.predict(seen, deterministic=True)
     assert env.action_space.contains(np.int64(action))
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("client", ["gymnasium", "sb3", "cleanrl", "torchrl"])
+def test_the_example_of_the_documentation_runs_on_both_tasks(client, capsys):
+    with torch.random.fork_rng():
+        exec(compile(example(client), client, "exec"), {})
+    said = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["patients" in line[0] for line in said if "SC" in line[0]] == [False, True]
+    if client != "gymnasium":
+        assert all(int(line[1]) >= STEPS for line in said if "SC" in line[0])
