@@ -22,11 +22,11 @@ endef
 SHARE := $(or $(OMP_NUM_THREADS),$(shell echo $$(( ($$(getconf _NPROCESSORS_ONLN) + 1) / 2 ))))
 repro: export OMP_WAIT_POLICY ?= PASSIVE
 # Compiled code is kept: without it each process reads all of the tests and packages anew.
-TESTS := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs
+TESTS := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal --ignore tests/benchmarks --ignore tests/export_envs --ignore tests/clients
 # The files that have tests of a mark: to read all others takes each process longer than some of those.
 marked = $$(grep -rlw --include="test_*.py" "mark.$(1)" tests)
 
-.PHONY: help repro studio test test-docs test-docs-quick test-thorough test-fast test-instruction-sets test-exports mutants lint types bench docs docs-numbers clean
+.PHONY: help repro studio test test-docs test-docs-quick test-thorough test-fast test-instruction-sets test-exports test-clients mutants lint types bench gpu docs docs-numbers clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -69,6 +69,9 @@ test-fast: $(READY) ## run the tests that take seconds
 test-exports: $(READY) .venv-lerobot/.ready .venv-minari/.ready ## open exports with the real libraries
 	OMP_NUM_THREADS=1 pytest -n 0 tests/export_envs
 
+test-clients: $(READY) $(patsubst tests/clients/%.txt,.venv-%/.ready,$(wildcard tests/clients/*.txt)) ## train by other libraries, each in its environment, and time them
+	OMP_NUM_THREADS=1 pytest -n 0 tests/clients -s
+
 mutants: $(READY) ## break what the numbers rest on and see whether the tests notice; goes on where it stopped
 	OMP_NUM_THREADS=1 python -m tests.mutants
 
@@ -76,6 +79,14 @@ mutants: $(READY) ## break what the numbers rest on and see whether the tests no
 .venv-%/.ready: tests/export_envs/%.txt
 	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
 	.venv-$*/bin/python -m pip install -q -r $<
+	touch $@
+
+# Nor do all learners: beside each stands our package on its published versions, but for what the
+# learner's file names.
+.venv-%/.ready: tests/clients/%.txt pyproject.toml constraints.txt
+	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
+	grep -vixf <(sed -n 's/\[.*\]//; s/==.*/==.*/p' $<) constraints.txt > .venv-$*/constraints.txt
+	.venv-$*/bin/python -m pip install -q --no-compile -c .venv-$*/constraints.txt -e . -r $<
 	touch $@
 
 lint: $(READY) ## check style, format and spelling
@@ -88,6 +99,11 @@ types: $(READY) ## check types
 
 bench: $(READY) ## measure speed; run alone, on a quiet machine
 	OMP_NUM_THREADS=$$(nproc) pytest tests/benchmarks -n 0 --benchmark-only
+
+# It sets nothing up: a machine with a GPU has its own PyTorch, and often no network.
+gpu: ## measure one GPU and train the paper's agent and generators on it; goes on where it stopped. BUDGET=25m DEVICE=cuda OUT= PARTS=
+	PYTHONPATH=.:models:envs:leaderboard$${PYTHONPATH:+:$$PYTHONPATH} $(PYTHON) -m tests.benchmarks.gpu --budget $(or $(BUDGET),25m) \
+	--device $(or $(DEVICE),cuda) $(if $(OUT),--out $(OUT)) $(if $(PARTS),--parts $(PARTS))
 
 studio: $(READY) ## show boards, study and data in a browser, at http://127.0.0.1:7860
 	racines studio

@@ -1,4 +1,7 @@
-"""One core behind three interfaces: Gymnasium, Gymnasium's vector environments, TorchRL."""
+"""One core behind many interfaces: Gymnasium's, single and vector, TorchRL's, and those of others.
+
+`sb3` and `tianshou` import those libraries, so they are imported by name and not from here.
+"""
 
 import lazy_loader
 

@@ -7,96 +7,24 @@ import numpy as np
 import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector.utils import batch_space, iterate
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose, euler_to_matrix
 from racines_data.imaging import IMAGE_SIZE
+from racines_envs.apis.reading import (
+    action_space,
+    read_actions,
+    read_case,
+    read_mode,
+    read_pose,
+    read_seeds,
+    take_mask,
+)
 from racines_envs.apis.rendering import History, compose
 from racines_envs.task.actions import ACTIONS
-from racines_envs.task.core import PARAMS_SIZE, ScanCore
-from racines_envs.task.motion import Velocity
+from racines_envs.task.core import PARAMS_SIZE
 from racines_envs.task.state import Transition
 from racines_envs.worlds.making import make_core
-from racines_envs.worlds.ward import Ward
-
-OPTIONS = ("pose", "patient")
-"""What a reset may be told."""
-
-
-def action_space(core: ScanCore) -> spaces.Space[Any]:
-    """Return the space of one row's action: 13 steps, or a twist in m/s and rad/s."""
-    if isinstance(core.motion, Velocity):
-        limits = core.motion.limits.cpu().numpy()
-        return spaces.Box(-limits, limits, dtype=np.float32)
-    return spaces.Discrete(len(ACTIONS))
-
-
-def read_actions(actions: Any, core: ScanCore) -> torch.Tensor:
-    """Turn the actions of all rows, in any kind of sequence, into a tensor of (N,) or (N, 6)."""
-    twists = isinstance(core.motion, Velocity)
-    wanted = "twists of six numbers, m/s and rad/s" if twists else "integers 0-12"
-    try:
-        array = np.asarray(actions)
-    except ValueError as error:
-        raise RacinesError(f"actions {actions!r} are ragged: give {wanted}") from error
-    if twists and array.dtype.kind == "f":
-        alone = array.shape == (6,) and core.num_envs == 1
-        return torch.as_tensor(array.astype(np.float32)[None] if alone else array)
-    if array.dtype.kind not in "iu":
-        kind = "of the wrong kind" if twists else "no integer"
-        raise RacinesError(f"action {actions!r} is {kind}: give {wanted}")
-    return torch.as_tensor(np.atleast_1d(array).astype(np.int64))
-
-
-def read_pose(options: dict[str, Any] | None, count: int) -> Pose | None:
-    """Read `options["pose"]`: (6,) or (count, 6) m and extrinsic xyz angles rad."""
-    options = options or {}
-    unknown = set(options) - set(OPTIONS)
-    if unknown:
-        known = " and ".join(map(repr, OPTIONS))
-        raise RacinesError(f"unknown reset option {sorted(unknown)[0]!r}: known are {known}")
-    if "pose" not in options:
-        return None
-    try:
-        values = torch.as_tensor(np.asarray(options["pose"], dtype=np.float32))
-    except (TypeError, ValueError) as error:
-        raise RacinesError(
-            f"options['pose'] is no numbers ({options['pose']!r}): give position in m and angles "
-            "in rad"
-        ) from error
-    if values.shape not in ((6,), (count, 6)):
-        raise RacinesError(
-            f"options['pose'] has shape {tuple(values.shape)}: give (6,) or ({count}, 6), position "
-            "in m and angles in rad"
-        )
-    values = values.expand(count, 6)
-    return Pose(values[:, :3], euler_to_matrix(values[:, 3:]))
-
-
-def read_case(options: dict[str, Any] | None, core: ScanCore) -> torch.Tensor | None:
-    """Read `options["patient"]`: the seed of a patient of the environment, or one for each row."""
-    if not options or "patient" not in options:
-        return None
-    if not isinstance(core.phantom, Ward):
-        raise RacinesError(f"options['patient']: {core.task.id} has one heart and no patients")
-    patients = np.asarray(options["patient"])
-    if patients.dtype.kind not in "iu" or patients.shape not in ((), (core.num_envs,)):
-        raise RacinesError(
-            f"options['patient'] is {options['patient']!r}: give a patient's seed, or a list of "
-            f"{core.num_envs}, one a row"
-        )
-    return core.phantom.case_of(np.broadcast_to(patients, core.num_envs).tolist())
-
-
-def read_seeds(seed: Any, count: int) -> int | torch.Tensor | None:
-    """Turn Gymnasium's seed of a vector environment into one integer or (count,) int64."""
-    if seed is None:
-        return None
-    array = np.asarray(seed)
-    if array.dtype.kind not in "iu" or array.shape not in ((), (count,)):
-        raise RacinesError(f"seed {seed!r}: give one integer, or a list of {count}, one a row")
-    return int(array) if array.ndim == 0 else torch.as_tensor(array.astype(np.int64))
 
 
 class Scan:
@@ -128,12 +56,19 @@ class Scan:
             seen["action_mask"] = spaces.MultiBinary(len(ACTIONS))
         return spaces.Dict(seen) if len(seen) > 1 else seen[self.core.observation]
 
-    def reset(self, env: Any, seed: Any, options: dict[str, Any] | None) -> Any:
-        """Start episodes and return what is seen; without any seed yet, `env` draws one."""
+    def reset(
+        self, env: Any, seed: Any, options: dict[str, Any] | None,
+        mask: torch.Tensor | None = None,
+    ) -> Any:  # fmt: skip
+        """Start episodes and return what all see; without any seed yet, `env` draws one.
+
+        Only the rows of an (N,) bool `mask` start, all without one.
+        """
         if seed is None and not self._seeded:
             seed = int(env.np_random.integers(2**31))
         pose, case = read_pose(options, self.core.num_envs), read_case(options, self.core)
-        seen = self.core.reset(seed, pose=pose, case=case)
+        rows = None if mask is None else mask.to(self.core.device)
+        seen = self.core.reset(seed, rows, pose, case)
         self._seeded = True
         self._note()
         return self._arrays(seen)
@@ -221,19 +156,25 @@ class GymScanEnv(gymnasium.Env[Any, Any]):
 
 
 class VectorScanEnv(VectorEnv[Any, Any, Any]):
-    """N probes on one phantom.
+    """N probes on one phantom, or on the patients of a ward.
 
-    Row i with seed s is exactly `GymScanEnv` with seed s + i. A row that ends starts its next
-    episode in the next step, whose action it ignores (`AutoresetMode.NEXT_STEP`, Gymnasium's
-    default: so one step draws one image a row and the last observation is never lost).
+    Row i with seed s is exactly `GymScanEnv` with seed s + i. When a row that ended begins anew is
+    the `autoreset_mode`'s to say, as Gymnasium's own vector environments understand it:
+
+        NEXT_STEP  in the next step, whose action it ignores (the default: one image a row a step)
+        SAME_STEP  at once: its last observation and infos are `final_obs` and `final_info`
+        DISABLED   when `reset(options={"reset_mask": …})` says so; a step before is refused
     """
 
     metadata = GymScanEnv.metadata | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
-        self, view: str, num_envs: int = 1, render_mode: str | None = None, **settings: Any
-    ) -> None:
+        self, view: str, num_envs: int = 1, render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP, **settings: Any,
+    ) -> None:  # fmt: skip
         """Build N rows of a view's task; settings as for `GymScanEnv`."""
+        self.autoreset_mode = read_mode(autoreset_mode)
+        self.metadata = GymScanEnv.metadata | {"autoreset_mode": self.autoreset_mode}
         self._scan = Scan(view, num_envs, render_mode, settings)
         self.core, self.render_mode, self.num_envs = self._scan.core, render_mode, num_envs
         self.single_observation_space = self._scan.space()
@@ -244,32 +185,63 @@ class VectorScanEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | list[int] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start N episodes, of seeds s, s + 1, … for an integer s, or of one seed a row."""
+        """Start N episodes, of seeds s, s + 1, … for an integer s, or of one seed a row.
+
+        Options are those of `GymScanEnv`, and Gymnasium's `reset_mask`: (N,) bool, the rows that
+        start. What the others see is returned as it was, and nothing in the infos is of them.
+        """
         seeds = read_seeds(seed, self.num_envs)
         super().reset(seed=seeds if isinstance(seeds, int) else None)
-        return self._scan.reset(self, seeds, options), self._infos()
+        mask, rest = take_mask(options, self.num_envs)
+        seen = self._scan.reset(self, seeds, rest, mask)
+        return seen, self._infos(None if mask is None else mask.numpy())
 
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Take (N,) actions, integers 0-12, or (N, 6) twists."""
-        taken = read_actions(actions, self.core)
-        seen, reward, *ends = self._scan.step(taken, autoreset=True)
+    def step(
+        self, actions: Any, rows: torch.Tensor | None = None
+    ) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Take (N,) actions, integers 0-12, or (N, 6) twists; only (K,) `rows` move, or all."""
+        taken, mode = read_actions(actions, self.core), self.autoreset_mode
+        seen, reward, *ends = self._scan.step(
+            taken,
+            autoreset=mode is AutoresetMode.NEXT_STEP,
+            strict=mode is AutoresetMode.DISABLED,
+            rows=rows,
+        )
         ended, cut = (value.cpu().numpy() for value in ends)
-        return seen, reward.double().cpu().numpy(), ended, cut, self._infos()
+        last: dict[str, Any] = {}
+        if mode is AutoresetMode.SAME_STEP and (ended | cut).any():
+            seen, last = self._restart(seen, ended | cut)
+        return seen, reward.double().cpu().numpy(), ended, cut, last | self._infos()
 
     def render(self) -> tuple[Any, ...] | None:
         """Return N pictures of `racines_envs.apis.rendering.compose`, (540, 960, 3) uint8 each."""
         return self._scan.draw()
 
-    def _infos(self) -> dict[str, Any]:
-        """Return the infos with Gymnasium's masks of presence."""
+    def _restart(self, seen: Any, done: np.ndarray) -> tuple[Any, dict[str, Any]]:
+        """Start the next episodes of the rows that are done; return what is seen, and was last."""
+        final = np.full(self.num_envs, None, dtype=object)
+        for row, each in enumerate(iterate(self.observation_space, seen)):
+            if done[row]:
+                final[row] = each
+        told = {"final_obs": final, "final_info": self._infos(done)}
+        last = told | {f"_{name}": done.copy() for name in told}
+        return self._scan.reset(self, None, None, torch.as_tensor(done)), last
+
+    def _infos(self, rows: np.ndarray | None = None) -> dict[str, Any]:
+        """Return the infos with Gymnasium's masks of presence, of (N,) bool rows or of all."""
+        here = np.ones(self.num_envs, dtype=np.bool_) if rows is None else rows
         told = self.core.info(view_error=False)
-        infos = {name: value.cpu().numpy().copy() for name, value in told.items()}
-        infos |= {f"_{name}": np.ones(self.num_envs, dtype=np.bool_) for name in told}
-        edge, rows = self._scan.edge_info()
+        infos: dict[str, Any] = {}
+        for name, value in told.items():
+            array = value.cpu().numpy()
+            infos[name] = np.where(here, array, np.zeros_like(array))
+            infos[f"_{name}"] = here.copy()
+        edge, at = self._scan.edge_info()
         present = np.zeros(self.num_envs, dtype=np.bool_)
-        present[rows.cpu().numpy()] = True
+        present[at.cpu().numpy()] = True
         for name, values in edge.items():
-            infos[name] = np.zeros(self.num_envs)
-            infos[name][present] = values.cpu().numpy()
-            infos[f"_{name}"] = present.copy()
+            array = np.zeros(self.num_envs)
+            array[present] = values.cpu().numpy()
+            infos[name] = np.where(here, array, 0.0)
+            infos[f"_{name}"] = present & here
         return infos

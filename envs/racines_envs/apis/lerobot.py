@@ -17,7 +17,8 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, Vecto
 
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.schema import PARAMETERS
-from racines_envs.apis.gym_env import OPTIONS, GymScanEnv
+from racines_envs.apis.gym_env import GymScanEnv
+from racines_envs.apis.reading import OPTIONS
 from racines_envs.task.motion import VELOCITY, Velocity
 
 CAMERA = "ultrasound"

@@ -26,7 +26,7 @@ from racines_data.files import write_atomic
 from racines_data.geometry import Pose, geodesic
 from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig
 from racines_envs.agents.protocol import Agent
-from racines_envs.apis.gym_env import read_actions
+from racines_envs.apis.reading import read_actions
 from racines_envs.apis.rendering import History, compose
 from racines_envs.robots.arm import FREE
 from racines_envs.task.core import ScanCore

@@ -104,7 +104,7 @@ class ScanCore:
         and be of a given `case` of the world, (N,), not of the one that its seed names.
         """
         if seed is not None:
-            self._seed(seed)
+            self._seed(seed, mask)
         if mask is None or not self._sensed:
             self.state = self._begin(torch.arange(self.num_envs, device=self.device), pose, case)
             self._sense()
@@ -114,12 +114,15 @@ class ScanCore:
             self._sense(rows)
         return self.observe()
 
-    def _seed(self, seed: int | Tensor) -> None:
+    def _seed(self, seed: int | Tensor, mask: Tensor | None = None) -> None:
         index = torch.arange(self.num_envs, dtype=torch.int64, device=self.device)
         given = seed.to(self.device, torch.int64) if isinstance(seed, Tensor) else index + seed
         if given.shape != (self.num_envs,):
             raise RacinesError(f"seeds have shape {tuple(given.shape)}: give ({self.num_envs},)")
-        self._env_seed, self._episode = given, torch.full_like(given, -1)
+        new = torch.stack([given, torch.full_like(given, -1)])
+        if mask is not None:
+            new = torch.where(mask, new, torch.stack([self._env_seed, self._episode]))
+        self._env_seed, self._episode = new
 
     def _begin(self, rows: Tensor, pose: Pose | None = None, case: Tensor | None = None) -> State:
         """Return fresh states of (K,) rows, each at the next episode of its seed."""
@@ -162,7 +165,7 @@ class ScanCore:
 
         With `autoreset`, a row that ended in the step before ignores its action and starts its next
         episode instead (Gymnasium's NEXT_STEP): reward 0, neither terminated nor truncated.
-        Only the (K,) `rows` are looked at, by default all: what has ended need not be drawn again.
+        Only the (K,) `rows` move and are looked at, by default all; the others stay as they are.
 
         Raises:
             RacinesError: no reset before; wrong actions; an image, a judgement or a force that is
@@ -170,17 +173,20 @@ class ScanCore:
         """
         if not self._sensed:
             raise RacinesError("step before reset: call reset first")
-        if strict and bool(self.state.done.any()):
-            row = int(self.state.done.nonzero()[0])
+        chosen = torch.ones_like(self.state.done)
+        if rows is not None:
+            chosen = torch.zeros_like(chosen).index_fill(0, rows, True)
+        if strict and bool((self.state.done & chosen).any()):
+            row = int((self.state.done & chosen).nonzero()[0])
             raise RacinesError(
                 f"the episode of row {row} has ended after {int(self.state.steps[row])} steps: "
                 "call reset before the next step"
             )
         state, before = self.state, self.score
-        live = ~state.done
+        live = chosen & ~state.done
         self.state = self._move(state, self.motion.check(action, self.num_envs), live)
         if autoreset:
-            ended = state.done.nonzero().squeeze(1)
+            ended = (chosen & state.done).nonzero().squeeze(1)
             if len(ended):
                 self.state = self.state.replaced(ended, self._begin(ended))
         self._sense(rows)

@@ -41,34 +41,95 @@ def test_check_env_passes_without_warnings(phantom, grader, view, observation, r
 
 
 @pytest.mark.usefixtures("short_episodes")
-@pytest.mark.parametrize("observation", OBSERVATIONS)
-def test_the_vector_environment_equals_gymnasiums_own_on_the_same_seeds(phantom, observation):
+@pytest.mark.parametrize(
+    ("mode", "observation"),
+    [
+        *((AutoresetMode.NEXT_STEP, observation) for observation in OBSERVATIONS),
+        (AutoresetMode.SAME_STEP, "params"),
+        (AutoresetMode.SAME_STEP, "multimodal"),
+        (AutoresetMode.DISABLED, "params"),
+    ],
+)
+def test_the_vector_environment_equals_gymnasiums_own_on_the_same_seeds(phantom, mode, observation):
     ours = gymnasium.make_vec(
-        ID, num_envs=3, phantom=phantom, observation=observation, reward="oracle"
-    )
-    theirs = SyncVectorEnv([lambda: make(phantom, observation)] * 3)
+        ID, num_envs=3, phantom=phantom, observation=observation, reward="oracle",
+        autoreset_mode=mode,
+    )  # fmt: skip
+    theirs = SyncVectorEnv([lambda: make(phantom, observation)] * 3, autoreset_mode=mode)
     assert ours.observation_space == theirs.observation_space
     assert ours.action_space == theirs.action_space
-    assert ours.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    a, b = ours.reset(seed=7), theirs.reset(seed=7)
+    assert ours.metadata["autoreset_mode"] is theirs.metadata["autoreset_mode"] is mode
+    a, b = ours.reset(seed=[7, 90, 8]), theirs.reset(seed=[7, 90, 8])
     rng, ended = np.random.default_rng(0), 0
     for step in range(65):  # past two episodes of thirty steps
-        for x, y in zip(_leaves(a), _leaves(b), strict=True):
-            np.testing.assert_array_equal(x, y, err_msg=f"step {step}")
-        action = rng.integers(0, 13, 3)
+        assert _same(a, b), f"step {step}"
+        action = np.where([True, False, True], rng.integers(0, 13, 3), 12)
         a, b = ours.step(action), theirs.step(action)
         assert a[0] in ours.observation_space
-        ended += int((a[2] | a[3]).sum())
+        done = a[2] | a[3]
+        ended += int(done.sum())
+        if mode is AutoresetMode.DISABLED and done.any():
+            assert _same(a, b)
+            options = {"reset_mask": done.copy()}  # Gymnasium takes it out of the options
+            a, b = ours.reset(options=dict(options)), theirs.reset(options=dict(options))
     assert ended >= 6
     assert ours.num_envs == 3
 
 
-def _leaves(value):
-    if isinstance(value, dict):
-        return [leaf for key in sorted(value) for leaf in _leaves(value[key])]
-    if isinstance(value, tuple):
-        return [leaf for item in value for leaf in _leaves(item)]
-    return [np.asarray(value)]
+def _same(a, b):
+    """Tell whether two answers are equal, to the last key, mask and type of number."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
+    if isinstance(a, tuple) or (isinstance(a, np.ndarray) and a.dtype == object):
+        return len(a) == len(b) and all(_same(*pair) for pair in zip(a, b, strict=True))
+    kinds = [getattr(np.asarray(each).dtype, "kind", None) for each in (a, b)]
+    return kinds[0] == kinds[1] and np.array_equal(a, b)
+
+
+@pytest.mark.usefixtures("short_episodes")
+def test_a_row_that_is_reset_alone_takes_its_seed_and_leaves_the_others(phantom):
+    def make_rows():
+        return gymnasium.make_vec(
+            ID, num_envs=2, phantom=phantom, observation="params", reward="oracle"
+        )
+
+    envs, untouched, other = make_rows(), make_rows(), make_rows()
+    for each in (envs, untouched):
+        each.reset(seed=0)
+        each.step([0, 0])
+    seen, infos = envs.reset(seed=40, options={"reset_mask": np.array([False, True])})
+    fresh = other.reset(seed=40)[0]
+    np.testing.assert_array_equal(seen[1], fresh[1])
+    assert infos["_steps"].tolist() == [False, True]
+    for step in range(40):  # the first row goes on to the second episode of its own seed
+        a, b, c = envs.step([0, 1]), untouched.step([0, 1]), other.step([0, 1])
+        np.testing.assert_array_equal(a[0][0], b[0][0], err_msg=f"step {step}")
+        np.testing.assert_array_equal(a[0][1], c[0][1], err_msg=f"step {step}")
+
+
+def test_modes_and_masks_that_are_none_are_refused(phantom):
+    settings = {"phantom": phantom, "observation": "params", "reward": "oracle"}
+    with pytest.raises(RacinesError, match="autoreset_mode 'Never': choose one of 'NextStep'"):
+        gymnasium.make_vec(ID, num_envs=2, autoreset_mode="Never", **settings)
+    envs = gymnasium.make_vec(ID, num_envs=2, autoreset_mode="SameStep", **settings)
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    for mask in ([True], [0, 1], [False, False], "all"):
+        with pytest.raises(RacinesError, match="reset_mask"):
+            envs.reset(options={"reset_mask": mask})
+    with pytest.raises(RacinesError, match="unknown reset option 'reset_mask'"):
+        make(phantom).reset(options={"reset_mask": np.array([True])})
+
+
+@pytest.mark.usefixtures("short_episodes")
+def test_without_autoreset_a_step_after_the_end_is_refused(phantom):
+    envs = gymnasium.make_vec(
+        ID, num_envs=2, phantom=phantom, observation="params", reward="oracle",
+        autoreset_mode="Disabled",
+    )  # fmt: skip
+    envs.reset(seed=0)
+    with pytest.raises(RacinesError, match="has ended after 30 steps: call reset"):
+        for _ in range(40):
+            envs.step([12, 12])
 
 
 def test_images_are_channels_last(phantom):

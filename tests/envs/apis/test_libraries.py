@@ -1,78 +1,16 @@
-"""Other people's learners on the tasks as they are: no wrapper of ours, none of theirs added."""
+"""Other people's learners on the tasks: as they are, and as docs/clients.md shows them.
+
+The libraries that are not beside us in one environment: `make test-clients`.
+"""
 
 import gymnasium
 import numpy as np
 import pytest
 import torch
-from torch import nn
+
+from tests.clients.examples import STEPS, example
 
 ID = "racines_envs:racines/SC-v0"
-
-
-class ActorCritic(nn.Module):
-    def __init__(self, envs):
-        super().__init__()
-        size, actions = envs.single_observation_space.shape[0], envs.single_action_space.n
-        self.body = nn.Sequential(nn.Linear(size, 32), nn.Tanh())
-        self.actor, self.critic = nn.Linear(32, actions), nn.Linear(32, 1)
-
-    def forward(self, seen, action=None):
-        hidden = self.body(seen)
-        choice = torch.distributions.Categorical(logits=self.actor(hidden))
-        action = choice.sample() if action is None else action
-        return action, choice.log_prob(action), choice.entropy(), self.critic(hidden).squeeze(-1)
-
-
-def clean_ppo(envs, updates=3, steps=32, epochs=2, gamma=0.99, trace=0.95, clip=0.2):
-    """PPO in one function on a vector environment, as CleanRL writes it."""
-    agent = ActorCritic(envs)
-    optimiser = torch.optim.Adam(agent.parameters(), 1e-3)
-    seen, _ = envs.reset(seed=1)
-    seen, done = torch.tensor(seen), torch.zeros(envs.num_envs)
-    losses, ends = [], 0
-    for _ in range(updates):
-        rows = []
-        for _ in range(steps):
-            with torch.no_grad():
-                action, logprob, _, value = agent(seen)
-            after, reward, terminated, truncated, _ = envs.step(action.numpy())
-            # Gymnasium's NEXT_STEP: the step after an end only resets, and teaches nothing.
-            rows.append((seen, action, logprob, value, torch.tensor(reward), done, 1.0 - done))
-            seen, done = torch.tensor(after), torch.tensor(terminated | truncated).float()
-            ends += int(done.sum())
-        with torch.no_grad():
-            following, carry, advantages = agent(seen)[3], 0.0, []
-            live = 1.0 - done
-            for _, _, _, value, reward, was, _ in reversed(rows):
-                delta = reward + gamma * following * live - value
-                carry = delta + gamma * trace * live * carry
-                advantages.insert(0, carry)
-                following, live = value, 1.0 - was
-        x, a, old, v, _, _, valid = (torch.cat(column) for column in zip(*rows, strict=True))
-        adv = torch.cat(advantages).float()
-        for _ in range(epochs):
-            _, new, entropy, value = agent(x, a)
-            ratio = (new - old).exp()
-            gain = torch.min(ratio * adv, ratio.clamp(1 - clip, 1 + clip) * adv)
-            loss = (0.5 * (value - adv - v).square() - gain - 0.01 * entropy) * valid
-            loss = loss.sum() / valid.sum()
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            losses.append(loss.item())
-    return agent, losses, ends
-
-
-def test_a_cleanrl_style_loop_runs_on_make_vec(phantom):
-    envs = gymnasium.make_vec(
-        ID, num_envs=4, phantom=phantom, observation="params", reward="shaped"
-    )
-    torch.manual_seed(0)
-    before = ActorCritic(envs).actor.weight.detach().clone()
-    torch.manual_seed(0)
-    agent, losses, ends = clean_ppo(envs, updates=7)
-    assert np.isfinite(losses).all() and ends >= 4  # 224 steps: every row was truncated once
-    assert not torch.equal(before, agent.actor.weight)
 
 
 @pytest.mark.parametrize(
@@ -102,3 +40,16 @@ def test_stable_baselines3_ppo_runs_as_it_is(phantom, observation, policy):
     seen, _ = env.reset(seed=0)
     action, _ = model.predict(seen, deterministic=True)
     assert env.action_space.contains(np.int64(action))
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("client", ["gymnasium", "sb3", "cleanrl", "torchrl"])
+def test_the_example_of_the_documentation_runs_on_both_tasks(client, capsys):
+    with torch.random.fork_rng():
+        exec(compile(example(client), client, "exec"), names := {})
+    said = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["patients" in line[0] for line in said if "SC" in line[0]] == [False, True]
+    if client != "gymnasium":
+        assert all(int(line[1]) >= STEPS for line in said if "SC" in line[0])
+    if client == "cleanrl":
+        assert torch.isfinite(names["loss"]).all() and 0 < names["live"].mean() <= 1

@@ -1,9 +1,13 @@
 """Tasks on patients: rows are independent, agents declare, starts tell nothing, misuse is named."""
 
+import functools
+
 import gymnasium
+import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose
@@ -208,3 +212,27 @@ def test_a_patient_who_is_not_there_is_named(still: Ward):
     env = gymnasium.make("racines_envs:racines/SC-patients-v0", phantom=still, observation="params")
     with pytest.raises(RacinesError, match="patient 3 is not in the pool"):
         env.reset(seed=0, options={"patient": 3})
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_rows_of_patients_begin_anew_as_gymnasiums_own_do(still, mode):
+    settings = {"phantom": still, "observation": "params", "reward": "shaped"}
+    name = "racines_envs:racines/SC-patients-v0"
+    ours = gymnasium.make_vec(name, num_envs=2, autoreset_mode=mode, **settings)
+    single = functools.partial(gymnasium.make, name, **settings)
+    theirs = SyncVectorEnv([single] * 2, autoreset_mode=mode)
+    a, b = ours.reset(seed=3), theirs.reset(seed=3)
+    rng, ended = np.random.default_rng(0), 0
+    for _ in range(25):
+        np.testing.assert_array_equal(a[0], b[0])
+        np.testing.assert_array_equal(a[-1]["seconds"], b[-1]["seconds"])
+        action = np.where(rng.random(2) < 0.7, 12, rng.integers(12, size=2))  # 12 declares
+        a, b = ours.step(action), theirs.step(action)
+        for mine, others in zip(a[:4], b[:4], strict=True):
+            np.testing.assert_array_equal(mine, others)
+        done = a[2] | a[3]
+        ended += int(done.sum())
+        if mode is AutoresetMode.DISABLED and done.any():
+            masks = ({"reset_mask": done.copy()} for _ in range(2))
+            a, b = (env.reset(options=next(masks)) for env in (ours, theirs))
+    assert ended >= 4

@@ -341,3 +341,26 @@ def test_any_image_source_is_a_backend(phantom):
     for settings in ({"backend": Gray()}, {"backend": "generator", "generator": Gray()}):
         seen = core_of(phantom, 2, "image", **settings).reset(seed=0)
         assert bool((seen["image"] == 77).all()) and phantom.rendered == 0
+
+
+def test_rows_that_are_not_chosen_stay_as_they_are_and_may_have_ended(phantom):
+    task = dataclasses.replace(get_task("SC"), max_steps=5)
+    core, alone = core_of(phantom, 3, task=task), core_of(phantom, 1, task=task)
+    core.reset(seed=0)
+    alone.reset(seed=1)
+    for action in actions(3, 5):
+        before = core.state
+        given = core.step(action, rows=torch.tensor([1]), strict=True)
+        own = alone.step(action[1:2])
+        assert torch.equal(given.observation["params"][1:2], own.observation["params"])
+        assert torch.equal(given.reward[[0, 2]], torch.zeros(2)) and given.reward[1] == own.reward
+        for part in dataclasses.fields(before):
+            was, now = (getattr(state, part.name)[[0, 2]] for state in (before, core.state))
+            assert torch.equal(was, now), part.name
+    assert core.state.done.tolist() == [False, True, False]
+    core.step(torch.tensor([1, 1, 1]), rows=torch.tensor([0, 2]), strict=True)
+    assert core.state.steps.tolist() == [1, 5, 1]
+    with pytest.raises(RacinesError, match="episode of row 1 has ended"):
+        core.step(torch.tensor([1, 1, 1]), rows=torch.tensor([1, 2]), strict=True)
+    core.step(torch.tensor([1, 1, 1]), autoreset=True, rows=torch.tensor([0]))
+    assert core.state.steps.tolist() == [2, 5, 1], "who is not chosen is not reset"
