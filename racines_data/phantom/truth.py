@@ -5,6 +5,7 @@ geometry alone, so it cannot be fooled by a generator or a grader.
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -30,18 +31,23 @@ def coupling(pose: Pose, surface: float, probe: ProbeConfig) -> Tensor:
     A beam steered to one side draws mostly on the elements of that side, so a probe that lifts at
     one edge loses that side of the sector first.
     """
-    device = pose.position.device
-    elements = torch.linspace(-0.5, 0.5, 9, device=device) * probe.aperture
-    rows = torch.linspace(-0.5, 0.5, 3, device=device) * probe.thickness * 0.8
+    elements, rows, weight = _face(probe, pose.position.device)
     depth = (surface - pose.position[:, 2]).view(-1, 1, 1) - (
         pose.rotation[:, 2, 0].view(-1, 1, 1) * elements.view(1, -1, 1)
         + pose.rotation[:, 2, 1].view(-1, 1, 1) * rows.view(1, 1, -1)
     )
     touching = torch.sigmoid((depth + 0.0005) / 0.0007).mean(-1)
+    return (touching.unsqueeze(1) * weight).sum(-1)
+
+
+@lru_cache(maxsize=64)  # of probes, all of whose rows have the same in every step
+def _face(probe: ProbeConfig, device: torch.device) -> tuple[Tensor, Tensor, Tensor]:
+    """Return where the face's 9 elements and 3 rows lie, m, and their (beams, 9) weights."""
+    elements = torch.linspace(-0.5, 0.5, 9, device=device) * probe.aperture
+    rows = torch.linspace(-0.5, 0.5, 3, device=device) * probe.thickness * 0.8
     steer = torch.linspace(-1.0, 1.0, probe.beams, device=device).unsqueeze(1)
     weight = torch.exp(-0.5 * ((elements / probe.aperture - 0.22 * steer) / 0.28) ** 2)
-    weight = weight / weight.sum(1, keepdim=True)
-    return (touching.unsqueeze(1) * weight).sum(-1)
+    return elements, rows, weight / weight.sum(1, keepdim=True)
 
 
 def deepest(force: float, surface: float, config: ContactConfig) -> float:
