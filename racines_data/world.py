@@ -6,6 +6,7 @@ The phantom is one implementation, recordings in its place are another. A class 
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 import torch
@@ -43,9 +44,15 @@ class Workspace:
     def contains(self, pose: Pose) -> Tensor:
         """Return (B,) bool."""
         inside = (pose.position >= self.position_min) & (pose.position <= self.position_max)
-        upright = -pose.rotation[:, 2, 2] >= torch.cos(torch.tensor(self.tilt_max)).item()
+        upright = -pose.rotation[:, 2, 2] >= _cosine(self.tilt_max)
         yaw = torch.atan2(pose.rotation[:, 1, 0], pose.rotation[:, 0, 0]).abs() <= self.yaw_max
         return inside.all(-1) & upright & yaw
+
+
+@lru_cache(maxsize=64)
+def _cosine(angle: float) -> float:
+    """Return a cosine as float32 has it."""
+    return torch.cos(torch.tensor(angle)).item()
 
 
 class Truth(NamedTuple):

@@ -25,6 +25,7 @@ AIR_LOSS = 60.0  # one-way loss a centimetre outside the block, dB
 LOOK_STEP = 1.6  # phase between sub-bands over one sigma of the pulse, rad: nearly uncorrelated
 RINGING_DEPTH = 0.035  # depth at which reverberation has lost a factor e of its power, m
 NEAR_FIELD = 0.025  # depth at which the near field's gain is a factor e closer to that in depth, m
+STRIP = 24  # columns of a band matrix that are multiplied at once
 VEIL_ANGLE, VEIL_DEPTH = 0.20, 0.020  # reach of multiple scattering: standard deviation, rad and m
 NOISE_BANK = 1 << 20
 REVERBERATION_SEED = 977
@@ -37,7 +38,7 @@ class Beams(NamedTuple):
     cos: Tensor
     depth: Tensor  # (S,) distance of each sample from the face, m
     elevation: Tensor  # (L, S) offset out of the plane, m: one draw a point for its thickness
-    axial: Tensor  # (S, S) pulse, as a matrix from the right
+    axial: Tensor  # (S / STRIP, W, STRIP) pulse from the right, see `strips_of`
     lateral_far: Tensor  # (L, L) beam profile at the focus with its side lobes, from the left
     lateral_near: Tensor
     veil_across: Tensor  # (L, L) from the left: the mean echo power around
@@ -72,7 +73,7 @@ def make_beams(probe: ProbeConfig, gel_attenuation: float, device: torch.device)
         cos=angle.cos(),
         depth=depth,
         elevation=elevation,
-        axial=_profile(probe.samples, probe.axial_sigma / step),
+        axial=strips_of(_profile(probe.samples, probe.axial_sigma / step)),
         lateral_far=_profile(probe.beams, sigma) + lobes,
         lateral_near=_profile(probe.beams, 2.2 * sigma) + lobes,
         veil_across=averaging(probe.beams, VEIL_ANGLE / spacing) * 10.0 ** (probe.haze / 10.0),
@@ -86,6 +87,42 @@ def make_beams(probe: ProbeConfig, gel_attenuation: float, device: torch.device)
         noise=normal(sample_seeds(2, 1), NOISE_BANK)[0],
     )
     return Beams(*(x.to(device=device, dtype=torch.float32) for x in beams))
+
+
+def strips_of(matrix: Tensor) -> Tensor:
+    """Cut an (S, S) band matrix into (N, W, STRIP) columns with the W rows about their band."""
+    size = len(matrix)
+    step = STRIP if size % STRIP == 0 else size
+    rows, columns = matrix.nonzero().unbind(1)
+    reach = int((rows - columns).abs().max())
+    width = min(size, step + 2 * reach)
+    starts = [_first_row(at, reach, size, width) for at in range(0, size, step)]
+    parts = (matrix[first : first + width, at * step : (at + 1) * step]
+             for at, first in enumerate(starts))  # fmt: skip
+    return torch.stack([*parts])
+
+
+def _first_row(column: int, reach: int, size: int, width: int) -> int:
+    """Return the first of the `width` rows of a strip that begins at a column."""
+    return min(max(column - reach, 0), size - width)
+
+
+def banded(field: Tensor, strips: Tensor) -> Tensor:
+    """Multiply a (B, L, S) field from the right by a band matrix, see `strips_of`.
+
+    A matrix product adds up from the first row to the last, and what lies beyond the band adds
+    zeros: so the result is the dense product's, to the last bit.
+    """
+    count, width, step = strips.shape
+    size = field.shape[-1]
+    if count == 1:
+        return torch.bmm(field, strips.expand(len(field), -1, -1))
+    reach, parts = (width - step) // 2, []
+    for at, strip in enumerate(strips):
+        first = _first_row(at * step, reach, size, width)
+        seen = field[..., first : first + width]
+        parts.append(torch.bmm(seen, strip.expand(len(field), -1, -1)))
+    return torch.cat(parts, -1)
 
 
 def _profile(size: int, sigma: float) -> Tensor:
@@ -168,7 +205,7 @@ def form_image(echoes: Tensor, beams: Beams, look: int = 0) -> Tensor:
         torch.mul(real, cos, out=echoes[:, 0]).sub_(imaginary * sin)
         torch.mul(real, sin, out=echoes[:, 1]).add_(imaginary * cos)
     field = echoes.flatten(0, 1)
-    field = torch.bmm(field, beams.axial.expand(len(field), -1, -1))
+    field = banded(field, beams.axial)
     blurred = torch.bmm(beams.lateral_far.expand(len(field), -1, -1), field)
     shallow = field[..., : len(beams.near)]
     near = torch.bmm(beams.lateral_near.expand(len(field), -1, -1), shallow)
@@ -205,7 +242,7 @@ class ScanConverter(NamedTuple):
     """Speckle reduction, then bilinear weights from the polar grid to the sector's pixels."""
 
     smooth_beams: Tensor  # (L, L) from the left
-    smooth_samples: Tensor  # (S, S) from the right
+    smooth_samples: Tensor  # (S / STRIP, W, STRIP) from the right, see `strips_of`
     pixels: Tensor  # (P,) int64 flat indices of the pixels inside the sector
     taps: Tensor  # (4 * P,) int64 flat indices into the (beams, samples) grid
     weights: Tensor  # (4, P) float32
@@ -213,7 +250,7 @@ class ScanConverter(NamedTuple):
     def convert(self, polar: Tensor) -> Tensor:
         """Turn (B, beams, samples) gray levels 0-255 into (B, 128, 128) uint8 images."""
         count = len(polar)
-        polar = torch.bmm(polar, self.smooth_samples.expand(count, -1, -1))
+        polar = banded(polar, self.smooth_samples)
         polar = torch.bmm(self.smooth_beams.expand(count, -1, -1), polar)
         picked = polar.flatten(1).index_select(1, self.taps)
         gray = (picked.view(count, 4, -1) * self.weights).sum(1)
@@ -241,7 +278,7 @@ def scan_converter(probe: ProbeConfig, device: torch.device) -> ScanConverter:
     along, across = probe.smoothing
     converter = ScanConverter(
         smooth_beams=averaging(probe.beams, across, 3),
-        smooth_samples=averaging(probe.samples, along, 3).T.contiguous(),
+        smooth_samples=strips_of(averaging(probe.samples, along, 3).T),
         pixels=inside.flatten().nonzero().squeeze(1),
         taps=taps.flatten(),
         weights=weights,

@@ -7,7 +7,7 @@ from torchmetrics.functional.image import structural_similarity_index_measure as
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, euler_to_matrix, matrix_to_euler, pose_to_parameters
 from racines_data.imaging import ImageSource
-from racines_data.phantom import Phantom, PhantomConfig, shared_phantom
+from racines_data.phantom import Phantom, PhantomConfig, acoustics, shared_phantom
 from racines_data.phantom.heart import heart
 from racines_data.phantom.volume import bake
 from racines_data.randomness import normal, sample_seeds
@@ -223,3 +223,12 @@ def test_unknown_names_are_refused(phantom: Phantom) -> None:
         Phantom(PhantomConfig(anatomy="kidney"))
     with pytest.raises(RacinesError, match="not finite"):
         phantom.generate(torch.full((1, 12), float("nan")), 0)
+
+
+@pytest.mark.parametrize("sigma", [0.3, 0.557, 4.0, 20.0])
+def test_a_band_alone_gives_the_dense_products_bits(sigma: float) -> None:
+    for size in (144, 100):
+        field = normal(sample_seeds(3, 4), 96 * size).view(4, 96, size)
+        matrix = acoustics.averaging(size, sigma, 3).T.contiguous()
+        dense = torch.bmm(field, matrix.expand(4, -1, -1))
+        assert torch.equal(acoustics.banded(field, acoustics.strips_of(matrix)), dense)
