@@ -110,7 +110,7 @@ class RayEngine:
     ) -> Iterator[Any]:
         waiting = enumerate(pickle.dumps(task, pickle.HIGHEST_PROTOCOL) for task in tasks)
         running: dict[Any, tuple[int, bytes, int]] = {}  # by reference: number, task, tries
-        early: dict[int, bytes] = {}
+        early: dict[int, tuple[bool, bytes]] = {}
         following, more = 0, True
         try:
             while True:
@@ -121,29 +121,32 @@ class RayEngine:
                 if not running and not early:
                     return
                 if running and following not in early:
-                    (done, *_), _ = self._ray.wait([*running], num_returns=1)
-                    number, task, tries = running.pop(done)
-                    if (result := self._result(done, tries, remedy)) is None:
+                    (ready, *_), _ = self._ray.wait([*running], num_returns=1)
+                    number, task, tries = running.pop(ready)
+                    if (result := self._result(ready, tries, remedy)) is None:
                         running[begin(task)] = number, task, tries + 1
                     else:
                         early[number] = result
                 while following in early:
-                    yield pickle.loads(early.pop(following))
+                    done, content = early.pop(following)
+                    if not done:  # in its turn: what came before it counts
+                        raise pickle.loads(content)
+                    yield pickle.loads(content)
                     following += 1
         finally:
             for reference in running:
                 self._ray.cancel(reference, force=True)
 
-    def _result(self, reference: Any, tries: int, remedy: str) -> bytes | None:
-        """Return a pickled result; None if its worker died and the task is to run again.
+    def _result(self, reference: Any, tries: int, remedy: str) -> tuple[bool, bytes] | None:
+        """Return what `run_task` did; None if its worker died and the task is to run again.
 
         Raises:
-            RacinesError: the task refused its input, or it was begun often enough.
+            RacinesError: it was begun often enough, or its result has no room.
         """
         lost = self._ray.exceptions
         dead = lost.WorkerCrashedError, lost.NodeDiedError, lost.LocalRayletDiedError
         try:
-            done, content = self._ray.get(reference)
+            return self._ray.get(reference)
         except (*dead, lost.ObjectLostError, lost.OutOfMemoryError) as error:
             hungry = isinstance(error, lost.OutOfMemoryError)
             what = "ran out of memory" if hungry else "died"
@@ -157,9 +160,6 @@ class RayEngine:
             return None
         except (lost.ObjectStoreFullError, lost.OutOfDiskError) as error:
             raise RacinesError(f"the object store of the cluster is full: {STORE}") from error
-        if not done:
-            raise pickle.loads(content)
-        return content
 
     def _nodes(self) -> list[dict[str, float]]:
         return [node["Resources"] for node in self._ray.nodes() if node["Alive"]]

@@ -52,9 +52,7 @@ def test_a_refusal_is_told_as_it_is_here(engine: RayEngine):
         next(made)
 
 
-def test_a_worker_of_another_version_is_refused(
-    engine: RayEngine, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_worker_of_another_version_is_refused(engine: RayEngine, monkeypatch: pytest.MonkeyPatch):
     from racines_data.engines import ray, versions
 
     here = versions.versions()

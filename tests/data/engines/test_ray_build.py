@@ -18,7 +18,7 @@ SWEEPS = {"frames": 40, "shortest": 10, "longest": 20}
 
 def test_a_build_of_the_phantom_has_the_same_bytes(engine: RayEngine, tmp_path: Path):
     for name, by in (("here", None), ("ray", engine)):
-        build(PhantomSource.from_config(SWEEPS), tmp_path / name, ONE, engine=by)
+        build(PhantomSource.from_config(SWEEPS, []), tmp_path / name, ONE, engine=by)
     assert files(tmp_path / "ray") == files(tmp_path / "here")
 
 
@@ -35,7 +35,7 @@ def test_a_worker_killed_in_a_build_costs_its_unit_only(engine: RayEngine, tmp_p
 
 @pytest.mark.slow
 def test_patients_have_the_same_bytes(engine: RayEngine, tmp_path: Path):
-    settings = {"train": 1, "validation": 1, "test": 0, "sweeps": 1, "frames_per_sweep": 4}
+    settings = {"train": 1, "validation": 1, "test": 0, "frames_per_sweep": 2}
     for name, by in (("here", None), ("ray", engine)):
         root = tmp_path / name
         build(FakeSource(FakeConfig(frames=20)), root, ONE)
