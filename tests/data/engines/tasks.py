@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from racines_data.errors import RacinesError
+from racines_envs.agents.random import RandomAgent
 from tests.data.fake_source import FakeSource
 
 
@@ -54,3 +55,17 @@ class DyingSource(FakeSource):
         if unit.id == "t007":
             die_once(Path(self.config.journal), "t007")
         return super().produce(unit)
+
+
+class DyingAgent(RandomAgent):
+    """Draws its actions, and kills its worker once in the middle of a start set."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.folder, self.decisions = folder, 0
+
+    def act(self, observation, seeds):
+        self.decisions += 1
+        if self.decisions == 10:
+            die_once(self.folder, "agent")
+        return super().act(observation, seeds)

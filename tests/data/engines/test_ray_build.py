@@ -13,7 +13,7 @@ from tests.data.engines.tasks import DyingSource
 from tests.data.fake_source import FakeConfig, FakeSource
 
 ONE = DataConfig(workers=1, shards=2)
-SWEEPS = {"frames": 40, "shortest": 10, "longest": 20}
+SWEEPS = {"frames": 20, "shortest": 10, "longest": 10}
 
 
 def test_a_build_of_the_phantom_has_the_same_bytes(engine: RayEngine, tmp_path: Path):
@@ -33,7 +33,7 @@ def test_a_worker_killed_in_a_build_costs_its_unit_only(engine: RayEngine, tmp_p
     assert files(tmp_path / "ray") == files(tmp_path / "here")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_patients_have_the_same_bytes(engine: RayEngine, tmp_path: Path):
     settings = {"train": 1, "validation": 1, "test": 0, "frames_per_sweep": 2}
     for name, by in (("here", None), ("ray", engine)):
