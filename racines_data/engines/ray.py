@@ -69,7 +69,6 @@ class RayEngine:
     def _connect(self) -> None:
         own: dict[str, Any] = {}
         if self.address == "local":
-            # Without a report of use, a dashboard, or tasks begun anew behind our back.
             os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
             own = {"include_dashboard": False, "num_cpus": self._workers}
         try:
@@ -92,7 +91,8 @@ class RayEngine:
 
         count = threads or torch.get_num_threads()
         call = Call(uuid.uuid4().hex, count, os.getcwd(), versions())
-        content = pickle.dumps((work, state), pickle.HIGHEST_PROTOCOL)
+        # By value where a script itself, `__main__`, defines it: workers have another.
+        content = self._ray.cloudpickle.dumps((work, state))
         self._check_store(len(content))
         shared, ray = self._ray.put(content), self._ray
         cpus = min(count, max(int(node.get("CPU", 1)) for node in self._nodes()))
@@ -108,7 +108,7 @@ class RayEngine:
     def _in_order(
         self, begin: Callable[[bytes], Any], tasks: Iterable[Any], room: int, remedy: str
     ) -> Iterator[Any]:
-        waiting = enumerate(pickle.dumps(task, pickle.HIGHEST_PROTOCOL) for task in tasks)
+        waiting = enumerate(map(self._ray.cloudpickle.dumps, tasks))
         running: dict[Any, tuple[int, bytes, int]] = {}  # by reference: number, task, tries
         early: dict[int, tuple[bool, bytes]] = {}
         following, more = 0, True
