@@ -12,7 +12,7 @@ import os
 import platform
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
@@ -24,7 +24,6 @@ import torch
 from racines_data.build import staging
 from racines_data.build.dataset import DataConfig, build
 from racines_data.files import write_json
-from racines_data.sources.base import Source
 from racines_data.sources.gate.bounds import bounds_of
 from racines_data.sources.patients import BeatingSource
 from racines_data.sources.phantom import PhantomSource
@@ -53,7 +52,7 @@ def cost(work: Callable[[], Any], count: int) -> float:
     return min(once(), once()) / count
 
 
-def frames_of(source: Source, units: list[Any]) -> list[Any]:
+def frames_of(source: Any, units: Sequence[Any]) -> list[Any]:
     """Make the staged tables of some units."""
     bounds = bounds_of(source, ())
     return [staging._make(source, bounds, unit) for unit in units]

@@ -48,17 +48,21 @@ def train_agent(
     settings: opt.Set = None,
     params: opt.Params = None,
     profile: opt.Profile = None,
+    engine: opt.Engine = "local",
+    address: opt.Address = None,
     as_json: opt.AsJson = False,
 ) -> None:
     """Train an agent into envs/runs/<run>, or --out; options override the settings.
 
     With --env replay:FOLDER in the recorded frames of a dataset, from starts of its train split,
     into envs/runs/<run>-replay-<folder>-<view>; --set then also takes the settings of the replay.
-    With `repeats: N` in its entry, N seeds: the first in that folder, seed n in its seed-<n>.
+    With `repeats: N` in its entry, N seeds: the first in that folder, seed n in its seed-<n>; with
+    --engine ray beside each other, in folders that all nodes see.
     """
     from racines_data.config import fill
     from racines_envs.agents import agent_class
     from racines_envs.evaluation.agent_specs import find_entry, read_json
+    from racines_models.cli.device import spread
     from racines_models.protocol import Run
     from racines_models.training.checkpoint import train_seeds
 
@@ -85,13 +89,16 @@ def train_agent(
     ) | more  # fmt: skip
     config: Any = fill(cls.Config, entry.settings | chosen, entry.where)
     folder = out or entry.folder
-    where = {"phantom": phantom, "data": data, "progress": not as_json}
+    where = {"phantom": phantom, "data": data}
+    run = Run(folder, seed_of(values, seed), resume=resume, progress=not as_json)
 
     def fit(one: Run) -> dict[str, Any]:
-        cls.train(config, one.folder, seed=one.seed, resume=one.resume, **where)
+        told = {"seed": one.seed, "resume": one.resume, "progress": one.progress}
+        cls.train(config, one.folder, **told, **where)
         return read_json(one.folder / "metrics.json")
 
-    train_seeds(fit, Run(folder, seed_of(values, seed), resume=resume), entry.repeats)
+    with spread(engine, address, getattr(config, "device", None)) as pool:
+        train_seeds(fit, run, entry.repeats, pool)
     metrics = (folder / "metrics.json").read_text()
     say_page(metrics if as_json else f"settings, metrics and policy, if any, are in {folder}")
 

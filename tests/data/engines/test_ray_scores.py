@@ -11,6 +11,7 @@ from racines_data.build.dataset import DataConfig, build
 from racines_data.engines import LOCAL
 from racines_data.engines.ray import RayEngine
 from racines_data.errors import RacinesError
+from racines_envs.agents.ppo import PPOAgent, PPOConfig
 from racines_envs.agents.random import RandomAgent
 from racines_envs.evaluation.patients import PatientsConfig, evaluate_patients
 from racines_envs.evaluation.run import EvaluationConfig, evaluate, write_evaluation
@@ -20,9 +21,11 @@ from racines_models.cli.device import spread
 from racines_models.judges.grader.annotate import annotate
 from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork
 from racines_models.judges.pose.regressor import PoseConfig, PoseNetwork, PoseRegressor
+from racines_models.protocol import Run
 from racines_models.provenance import same_result
 from racines_models.scores import scoring
 from racines_models.scores.scoring import ScoresConfig, score
+from racines_models.training.checkpoint import train_seeds
 from tests.conftest import ROOT
 from tests.data.build.test_build import files
 from tests.data.engines.tasks import DyingAgent
@@ -109,3 +112,23 @@ def test_a_command_takes_no_device_that_workers_have_not():
         assert opened is None
     with pytest.raises(RacinesError, match="--engine ray works on CPUs: give --device cpu"):
         spread("ray", None, "cuda")
+
+
+def trained(folder: Path, engine: RayEngine | None) -> dict[str, bytes]:
+    config = PPOConfig(frames=512, update_every=256, envs=8, epochs=1, validation_starts=4)
+
+    def fit(one: Run) -> dict[str, Any]:
+        PPOAgent.train(config, one.folder, seed=one.seed, resume=one.resume, progress=False)
+        return json.loads((one.folder / "metrics.json").read_text())
+
+    train_seeds(fit, Run(folder, 3), 2, engine)
+    return {
+        str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*.safetensors")
+    }
+
+
+def test_trainings_are_equal(engine: RayEngine, tmp_path: Path):
+    here, there = trained(tmp_path / "here", None), trained(tmp_path / "ray", engine)
+    assert set(here) == {"policy.safetensors", "seed-4/policy.safetensors"} and here == there
+    seeds = json.loads((tmp_path / "ray" / "metrics.json").read_text())["seeds"]
+    assert list(seeds) == ["3", "4"]
