@@ -60,7 +60,7 @@ def frames_of(source: Any, units: Sequence[Any]) -> list[Any]:
 
 def of_build() -> dict[str, Any]:
     """Measure a frame of the phantom: making it, its staged bytes and its bytes in a dataset."""
-    sources = [
+    sources: list[Any] = [
         PhantomSource.from_config({"frames": n, "shortest": 60, "longest": 60}, []) for n in FRAMES
     ]
     units = sources[0].plan()
@@ -100,7 +100,7 @@ def of_hearts() -> dict[str, Any]:
             frames_of(source, units[:1])
             then.append(time.process_time() - baked)
             first.append(baked - began - then[-1])
-    frame = median(then) / units[0].frames
+    frame = median(then) / settings["frames_per_sweep"]
     return {"heart_seconds": median(first), "beating_frame_seconds": frame}
 
 

@@ -30,7 +30,7 @@ from tests.conftest import ROOT
 from tests.data.build.test_build import files
 from tests.data.engines.tasks import DyingAgent
 from tests.data.fake_source import FakeConfig, FakeSource
-from tests.envs.fakes import FakeGrader
+from tests.envs.fakes import FakeGrader, FakePhantom
 from tests.models.labelled import LabelledStore, Replay
 from tests.models.scores.test_scores import Coarse
 
@@ -118,7 +118,8 @@ def trained(folder: Path, engine: RayEngine | None) -> dict[str, bytes]:
     config = PPOConfig(frames=512, update_every=256, envs=8, epochs=1, validation_starts=4)
 
     def fit(one: Run) -> dict[str, Any]:
-        PPOAgent.train(config, one.folder, seed=one.seed, resume=one.resume, progress=False)
+        where = {"phantom": FakePhantom(), "progress": False}
+        PPOAgent.train(config, one.folder, seed=one.seed, resume=one.resume, **where)
         return json.loads((one.folder / "metrics.json").read_text())
 
     train_seeds(fit, Run(folder, 3), 2, engine)
@@ -127,6 +128,7 @@ def trained(folder: Path, engine: RayEngine | None) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.thorough
 def test_trainings_are_equal(engine: RayEngine, tmp_path: Path):
     here, there = trained(tmp_path / "here", None), trained(tmp_path / "ray", engine)
     assert set(here) == {"policy.safetensors", "seed-4/policy.safetensors"} and here == there
