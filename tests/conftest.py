@@ -122,12 +122,12 @@ def drawn_pictures(plain_pictures: Callable[..., bytes | None]) -> Iterator[None
 @pytest.fixture(scope="module")
 def warm_workers() -> Iterator[None]:
     """Let workers be forks with their imports done, where how they start is beside the point."""
-    from racines_data.build import staging
+    from racines_data.engines import local
     from racines_models.training import processes
 
     warm.start()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(staging, "multiprocessing", warm)
+        patch.setattr(local, "multiprocessing", warm)
         forked = partial(processes.start_processes, start_method="forkserver")
         patch.setattr(processes, "start_processes", forked)
         yield

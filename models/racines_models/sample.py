@@ -96,13 +96,22 @@ def draw(
     seeds = derive(torch.full_like(frames.index, seed), DRAW, frames.index)
     parts = []
     for parameters, chunk in zip(frames.parameters.split(CHUNK), seeds.split(CHUNK), strict=True):
-        images = generator.generate(parameters, chunk)
-        if not isinstance(images, Tensor) or len(images) != len(parameters):
-            raise RacinesError(f"the generator returned no (B, H, W) tensor of {len(parameters)}")
-        parts.append(images.cpu())
+        parts.append(drawn_of(generator, parameters, chunk))
         if progress is not None:
-            progress(len(images))
+            progress(len(chunk))
     return check_drawn(torch.cat(parts))
+
+
+def drawn_of(generator: ImageSource, parameters: Tensor, seeds: Tensor) -> Tensor:
+    """Return a generator's images of (B, 12) parameters and (B,) seeds, on the CPU.
+
+    Raises:
+        RacinesError: it returned something else, or another number of images.
+    """
+    images = generator.generate(parameters, seeds)
+    if not isinstance(images, Tensor) or len(images) != len(parameters):
+        raise RacinesError(f"the generator returned no (B, H, W) tensor of {len(parameters)}")
+    return images.cpu()
 
 
 def check_drawn(images: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from typing import Any, cast
 import pyarrow as pa
 
 from racines_data.build.planning import FORMAT, DataConfig, check_part, plan_units
-from racines_data.build.staging import in_workers, stage_units, staging_folder
+from racines_data.build.staging import REMEDY, stage_units, staging_folder
 from racines_data.build.writer import (
     Part,
     count_wholes,
@@ -33,6 +33,7 @@ from racines_data.card.croissant import add_croissant
 from racines_data.card.markdown import write_card
 from racines_data.card.rewrite import link_files, record_files
 from racines_data.digest import check_files, recipe_digest
+from racines_data.engines import Engine
 from racines_data.errors import RacinesError
 from racines_data.files import locked_place, swap_folder, write_atomic
 from racines_data.manifest import (
@@ -55,7 +56,7 @@ from racines_data.sources.gate.bounds import bounds_of
 
 
 def add_config(
-    source: Any, root: Path, config: DataConfig, progress: bool = False
+    source: Any, root: Path, config: DataConfig, engine: Engine, progress: bool = False
 ) -> dict[str, Any]:
     """Build the config that a source adds, in the place of an older one of that name.
 
@@ -65,7 +66,8 @@ def add_config(
         source: Has `adds`, the config's name, `mask_labels`, and `measures(patient)`; its units
             have `patient` and `split`.
         root: Folder of the dataset, which stands.
-        config: Shards, workers, limits.
+        config: Shards, limits.
+        engine: Who makes the frames; it is started.
         progress: Show a progress bar on stderr.
 
     Returns:
@@ -83,9 +85,9 @@ def add_config(
     recipe = added_recipe(source)
     with staging_folder(root, source, recipe_digest(recipe), config.allow) as folder:
         part = Part(name, source, units, {each.id: each.split for each in units}, folder / name)
-        stage_units([(source, units, part.folder, True)], config.workers, progress, config.allow)
+        stage_units([(source, units, part.folder, True)], engine, progress, config.allow)
         check_part(part, bounds.allow)
-        people = _measure(source, units, folder, config.workers)
+        people = _measure(source, units, folder, engine)
         final = folder / "final"
         # Whoever adds another config at this moment seals before this reads, or after it is sealed.
         with locked_place(root):
@@ -158,20 +160,23 @@ def _seal(final: Path, manifest: dict[str, Any]) -> None:
 # --- who was scanned ------------------------------------------------------------------------------
 
 
-def _measure(source: Any, units: Sequence[Any], folder: Path, workers: int) -> list[dict[str, Any]]:
+def _measure(
+    source: Any, units: Sequence[Any], folder: Path, engine: Engine
+) -> list[dict[str, Any]]:
     """Return a row of true measures a patient, in order; those a killed run has made are kept."""
     splits = {unit.patient: unit.split for unit in units}
     (folder / "measures").mkdir(exist_ok=True)
-    tasks = [(patient, folder / "measures" / f"{patient}.json") for patient in splits]
-    rows = list(in_workers(_measure_one, source, tasks, workers, "to go on, with fewer workers"))
+    paths = {patient: folder / "measures" / f"{patient}.json" for patient in splits}
+    missing = [patient for patient, path in paths.items() if not path.exists()]
+    made = engine.map(_measure_one, source, missing, remedy=REMEDY)
+    for patient, row in zip(missing, made, strict=True):
+        write_atomic(paths[patient], json.dumps(row))
+    rows = [json.loads(path.read_text()) for path in paths.values()]
     return [{**row, "split": splits[row["patient"]]} for row in rows]
 
 
-def _measure_one(source: Any, task: tuple[int, Path]) -> dict[str, Any]:
-    patient, path = task
-    if not path.exists():
-        write_atomic(path, json.dumps(source.measures(patient)))
-    return json.loads(path.read_text())
+def _measure_one(source: Any, patient: int) -> dict[str, Any]:
+    return source.measures(patient)
 
 
 _KINDS = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}

@@ -20,6 +20,8 @@ from racines_data.build.planning import FORMAT, DataConfig, check_part, own_spli
 from racines_data.build.staging import stage_units, staging_folder
 from racines_data.config import Settings, fill, section
 from racines_data.digest import recipe_digest
+from racines_data.engines import Engine
+from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.files import locked_place, recover_folder, swap_folder
 from racines_data.manifest import ADDED, MANIFEST, MULTI_PHANTOM
@@ -99,6 +101,7 @@ def build(
     config: DataConfig | None = None,
     progress: bool = False,
     many: Source | None = None,
+    engine: Engine | None = None,
 ) -> dict[str, Any]:
     """Build a dataset and swap it into place; a build that was killed goes on where it stopped.
 
@@ -110,6 +113,7 @@ def build(
         config: Splits, shards, workers, limits.
         progress: Show a progress bar on stderr.
         many: Source of the config `multi_phantom`; each of its sessions is one heart.
+        engine: Who makes the frames, started; `config.workers` processes here by default.
 
     Returns:
         The manifest; as it is of the added config, where one was.
@@ -123,10 +127,11 @@ def build(
     recover_folder(out)
     if config.workers < 1 or config.shards < 1:
         raise RacinesError("data.workers and data.shards must be one or more")
+    engine = engine or LocalEngine(config.workers)
     if not re.fullmatch(r"\d+\.\d+\.\d+", source.version):
         raise RacinesError(f"source {source.name}: version {source.version!r} is not x.y.z")
     if getattr(source, "adds", ""):
-        return beside.add_config(source, out, config, progress)
+        return beside.add_config(source, out, config, engine, progress)
     if out.exists() and not (out / MANIFEST).is_file() and (out.is_file() or any(out.iterdir())):
         raise RacinesError(f"{out}: exists and is not a dataset; name another --out or remove it")
     bounds = bounds_of(source, config.allow)
@@ -146,7 +151,7 @@ def build(
             splits = writer.assign_group_splits(many_units, *shares)
             part = writer.Part(MULTI_PHANTOM, many, many_units, splits, folder / MULTI_PHANTOM)
             parts.append((many, many_units, part.folder, True))
-        stage_units(parts, config.workers, progress, config.allow)
+        stage_units(parts, engine, progress, config.allow)
         for each in filter(None, (main, part)):
             check_part(each, bounds.allow)
         final = folder / f"final-{config.shards}"  # what is whole there has the same bounds

@@ -1,4 +1,4 @@
-"""Making trajectories in worker processes, each staged as one file that survives a kill.
+"""Making trajectories in the workers of an engine, each staged as one file that survives a kill.
 
     plan()  ──>  unit 0, 1, 2 …  ──>  workers: produce, check, PNG  ──>  units/00000.arrow …
 
@@ -8,24 +8,16 @@ goes on where it stopped. What a unit's file holds does not depend on the worker
 
 import hashlib
 import inspect
-import multiprocessing
-import multiprocessing.connection
 import os
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
-from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
 
 import pyarrow as pa
-import torch
 
 from racines_data.digest import trajectory_digest
-from racines_data.errors import RacinesError
-from racines_data.files import naming, working_folder
+from racines_data.engines import Engine
+from racines_data.files import naming, working_folder, write_atomic
 from racines_data.progress import progress_bar
 from racines_data.records import MASK_PIXELS, RAW_PIXELS, pixels_array, trajectory_to_table
 from racines_data.sources.base import Source, Unit, has_poses, labels_of_source
@@ -33,10 +25,7 @@ from racines_data.sources.gate.bounds import Bounds, bounds_of
 from racines_data.sources.gate.check import check_trajectory
 
 _DIGEST = b"racines.digest"
-_state: Any = None  # a worker's own copy
-State = TypeVar("State")
-Task = TypeVar("Task")
-Result = TypeVar("Result")
+REMEDY = "to go on, with fewer workers"
 
 
 def staging_folder(
@@ -69,11 +58,11 @@ def open_unit(path: Path) -> tuple[pa.Table, str]:
 
 def stage_units(
     parts: Sequence[tuple[Source, Sequence[Unit], Path, bool]],
-    workers: int,
+    engine: Engine,
     progress: bool,
     allow: Sequence[str] = (),
 ) -> None:
-    """Make the units of all parts that are not staged yet, in the same `workers` processes.
+    """Make the units of all parts that are not staged yet, by the workers of one engine.
 
     A part is a source, its units, their folder, and whether one worker makes all units of a
     session: for a source to which a session costs something (a heart is baked once). What the gate
@@ -98,81 +87,55 @@ def stage_units(
             total = sum(unit.frames for unit in units)
             shown.append(bar.add_task(f"{folder.name} frames", total=total, completed=staged))
         sources = [(source, bounds_of(source, allow)) for source, *_ in parts]
-        made = in_workers(_stage, sources, tasks, workers, "to go on, with fewer workers")
-        for (number, _), frames in zip(tasks, made, strict=True):
-            bar.advance(shown[number], frames)
-
-
-def in_workers(
-    work: Callable[[State, Task], Result],
-    state: State,
-    tasks: Sequence[Task],
-    workers: int,
-    remedy: str,
-) -> Iterator[Result]:
-    """Yield `work(state, task)` of each task, in order, from processes of one thread each.
-
-    The state is pickled to each process once. One worker, or one task, is this process. If a worker
-    dies, the `RacinesError` tells to run again, and the remedy.
-    """
-    if workers == 1 or len(tasks) < 2:
-        threads = torch.get_num_threads()
-        torch.set_num_threads(1)  # as in a worker: the number of threads may change last bits
-        try:
-            yield from (work(state, task) for task in tasks)
-        finally:
-            torch.set_num_threads(threads)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _start_worker, (state,)) as pool:
-        try:
-            yield from pool.map(partial(_in_worker, work), tasks)
-        except BrokenProcessPool as error:
-            raise RacinesError(
-                f"a worker process died (out of memory?): run again {remedy}"
-            ) from error
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _start_worker(state: Any) -> None:
-    global _state
-    _state = state
-    torch.set_num_threads(1)
-    threading.Thread(target=_die_with_parent, daemon=True).start()
-
-
-def _die_with_parent() -> None:
-    # A pool's workers outlive a parent that was killed, waiting for work that never comes.
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        multiprocessing.connection.wait([parent.sentinel])
-        os._exit(1)
-
-
-def _in_worker(work: Callable[[Any, Task], Result], task: Task) -> Result:
-    return work(_state, task)
+        # Workers that see this machine's folders write there: what they made survives a kill.
+        make = _stage if engine.own_files else _send
+        made = engine.map(make, sources, tasks, remedy=REMEDY)
+        for (number, members), contents in zip(tasks, made, strict=True):
+            for (unit, path), content in zip(members, contents, strict=True):
+                if content is not None:
+                    write_atomic(path, content)
+                bar.advance(shown[number], unit.frames)
 
 
 def _stage(
     sources: Sequence[tuple[Source, Bounds]], task: tuple[int, Sequence[tuple[Unit, Path]]]
-) -> int:
-    """Make some units of a source, each into its file; return the frames expected of them."""
+) -> list[None]:
+    """Make some units of a source, each into its file."""
     number, members = task
-    source, bounds = sources[number]
-    labels = labels_of_source(source)
     for unit, path in members:
-        trajectory = source.produce(unit)
-        check_trajectory(trajectory, unit, labels, has_poses(source), bounds, source.name)
-        table = trajectory_to_table(trajectory, source.name, labels)
-        table = table.append_column(RAW_PIXELS, pixels_array(trajectory.images))
-        if trajectory.masks is not None:
-            table = table.append_column(MASK_PIXELS, pixels_array(trajectory.masks))
-        digest = {_DIGEST: trajectory_digest(trajectory).encode()}
-        table = table.replace_schema_metadata((table.schema.metadata or {}) | digest)
-        aside = path.with_suffix(f".{os.getpid()}")
+        table, aside = _make(*sources[number], unit), path.with_suffix(f".{os.getpid()}")
         with naming(path):
-            with pa.OSFile(str(aside), "wb") as file, pa.ipc.new_file(file, table.schema) as writer:
-                writer.write_table(table)
+            with pa.OSFile(str(aside), "wb") as file:
+                _write(table, file)
             os.replace(aside, path)
-    return sum(unit.frames for unit, _ in members)
+    return [None] * len(members)
+
+
+def _send(
+    sources: Sequence[tuple[Source, Bounds]], task: tuple[int, Sequence[tuple[Unit, Path]]]
+) -> list[bytes]:
+    """Make some units of a source; return what their files hold."""
+    number, members = task
+    contents = []
+    for unit, _ in members:
+        _write(_make(*sources[number], unit), buffer := pa.BufferOutputStream())
+        contents.append(buffer.getvalue().to_pybytes())
+    return contents
+
+
+def _write(table: pa.Table, sink: pa.NativeFile) -> None:
+    with pa.ipc.new_file(sink, table.schema) as writer:
+        writer.write_table(table)
+
+
+def _make(source: Source, bounds: Bounds, unit: Unit) -> pa.Table:
+    """Make and check a unit; return its rows, with pixels, and in the schema its digest."""
+    labels = labels_of_source(source)
+    trajectory = source.produce(unit)
+    check_trajectory(trajectory, unit, labels, has_poses(source), bounds, source.name)
+    table = trajectory_to_table(trajectory, source.name, labels)
+    table = table.append_column(RAW_PIXELS, pixels_array(trajectory.images))
+    if trajectory.masks is not None:
+        table = table.append_column(MASK_PIXELS, pixels_array(trajectory.masks))
+    digest = {_DIGEST: trajectory_digest(trajectory).encode()}
+    return table.replace_schema_metadata((table.schema.metadata or {}) | digest)

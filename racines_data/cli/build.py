@@ -34,6 +34,8 @@ def build(
     allow: opt.Allow = None,
     params: opt.Params = None,
     profile: opt.Profile = None,
+    engine: opt.Engine = "local",
+    address: opt.Address = None,
     as_json: opt.AsJson = False,
 ) -> None:
     """Acquire or import a dataset, and write it as shards, a training store and a card.
@@ -42,6 +44,7 @@ def build(
     """
     from racines_data.build import dataset
     from racines_data.config import section
+    from racines_data.engines import LOCAL, open_engine
     from racines_data.sources.base import source_class
 
     start = time.perf_counter()
@@ -58,8 +61,10 @@ def build(
     made = dataset.make_source(config, sections.get(config.source), inputs or [])
     many = dataset.make_multi_phantom(made, config, sections.get("multi_phantom"))
     others = [] if source else dataset.make_also(config, sections)
-    manifest = dataset.build(made, out, config, progress=not as_json, many=many)
-    added = [dataset.build(other, out, config, progress=not as_json) for other in others]
+    told = not as_json
+    with open_engine(engine, address, config.workers if engine == LOCAL else workers) as pool:
+        manifest = dataset.build(made, out, config, told, many, pool)
+        added = [dataset.build(other, out, config, told, engine=pool) for other in others]
     if as_json:
         summary = {key: manifest[key] for key in (*_KEYS, "tag")}
         summary["multi_phantom"] = manifest.get("multi_phantom")

@@ -41,6 +41,11 @@ Set = Annotated[
 Seed = Annotated[int | None, typer.Option(help="Seed.  [default: the settings']")]
 DrawSeed = Annotated[int, typer.Option("--seed", min=0, help="Seed of what is drawn by chance.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Worker processes.")]
+Engine = Annotated[str, typer.Option(help="Who runs the tasks: local, or ray.")]
+Address = Annotated[
+    str | None,
+    typer.Option(help="HOST:PORT of a Ray cluster; none: a Ray of this machine's own."),
+]
 Verify = Annotated[
     bool,
     typer.Option("--verify", help="Hash every file of a dataset again, changed or not."),

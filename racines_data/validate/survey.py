@@ -19,8 +19,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from torch import Tensor
 
-from racines_data.build.staging import in_workers
 from racines_data.digest import trajectory_digest
+from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import config_manifest, is_turned, manifest_labels
@@ -158,7 +158,7 @@ def survey(
     total = sum(piece.frames for piece in pieces)
     dataset = root, manifest_labels(manifest), store
     used = workers if total >= WORTH_WORKERS else 1
-    read = in_workers(read_piece, dataset, pieces, used, "with fewer --workers")
+    read = LocalEngine(used).map(read_piece, dataset, pieces, remedy="with fewer --workers")
     with progress_bar(progress) as bar:
         task = bar.add_task(f"checking {config}", total=total)
         for piece, (sweeps, faults) in zip(pieces, read, strict=True):

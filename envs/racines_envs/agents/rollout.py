@@ -1,5 +1,6 @@
 """The one loop that lets an agent act: every start of a set at once, one episode each."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,23 @@ class Episodes:
     """(n,) episode seeds."""
     actions: tuple[Tensor, ...] = ()
     """(n,) int64 of each step; those behind an episode's end did nothing."""
+
+
+def join_episodes(parts: Sequence[Episodes]) -> Episodes:
+    """Return episodes that were run apart as those of one call, but for their actions."""
+    longest = max(len(each.positions) for each in parts)
+
+    def lengthen(values: np.ndarray) -> np.ndarray:
+        """After its end an episode stays as it was."""
+        return np.concatenate([values, np.repeat(values[-1:], longest - len(values), 0)])
+
+    return Episodes(
+        final={k: np.concatenate([each.final[k] for each in parts]) for k in parts[0].final},
+        positions=np.concatenate([lengthen(each.positions) for each in parts], 1),
+        probabilities=np.concatenate([lengthen(each.probabilities) for each in parts], 1),
+        parameters=torch.cat([each.parameters for each in parts]),
+        seeds=torch.cat([each.seeds for each in parts]),
+    )
 
 
 @torch.no_grad()

@@ -48,17 +48,21 @@ def train_agent(
     settings: opt.Set = None,
     params: opt.Params = None,
     profile: opt.Profile = None,
+    engine: opt.Engine = "local",
+    address: opt.Address = None,
     as_json: opt.AsJson = False,
 ) -> None:
     """Train an agent into envs/runs/<run>, or --out; options override the settings.
 
     With --env replay:FOLDER in the recorded frames of a dataset, from starts of its train split,
     into envs/runs/<run>-replay-<folder>-<view>; --set then also takes the settings of the replay.
-    With `repeats: N` in its entry, N seeds: the first in that folder, seed n in its seed-<n>.
+    With `repeats: N` in its entry, N seeds: the first in that folder, seed n in its seed-<n>; with
+    --engine ray beside each other, in folders that all nodes see.
     """
     from racines_data.config import fill
     from racines_envs.agents import agent_class
     from racines_envs.evaluation.agent_specs import find_entry, read_json
+    from racines_models.cli.device import spread
     from racines_models.protocol import Run
     from racines_models.training.checkpoint import train_seeds
 
@@ -85,13 +89,16 @@ def train_agent(
     ) | more  # fmt: skip
     config: Any = fill(cls.Config, entry.settings | chosen, entry.where)
     folder = out or entry.folder
-    where = {"phantom": phantom, "data": data, "progress": not as_json}
+    where = {"phantom": phantom, "data": data}
+    run = Run(folder, seed_of(values, seed), resume=resume, progress=not as_json)
 
     def fit(one: Run) -> dict[str, Any]:
-        cls.train(config, one.folder, seed=one.seed, resume=one.resume, **where)
+        told = {"seed": one.seed, "resume": one.resume, "progress": one.progress}
+        cls.train(config, one.folder, **told, **where)
         return read_json(one.folder / "metrics.json")
 
-    train_seeds(fit, Run(folder, seed_of(values, seed), resume=resume), entry.repeats)
+    with spread(engine, address, getattr(config, "device", None)) as pool:
+        train_seeds(fit, run, entry.repeats, pool)
     metrics = (folder / "metrics.json").read_text()
     say_page(metrics if as_json else f"settings, metrics and policy, if any, are in {folder}")
 
@@ -121,6 +128,8 @@ def evaluate_agent(
     settings: opt.Set = None,
     params: opt.Params = None,
     profile: opt.Profile = None,
+    engine: opt.Engine = "local",
+    address: opt.Address = None,
     force: opt.Force = False,
     as_json: opt.AsJson = False,
 ) -> None:
@@ -136,6 +145,8 @@ def evaluate_agent(
     With --env replay:FOLDER it acts in the recorded frames of a dataset, from starts of --split,
     the test split by default; --set then also takes the settings of the replay.
     """
+    from racines_models.cli.device import spread
+
     if goal and not env:
         raise RacinesError("--goal needs --env replay:FOLDER")
     if env:
@@ -149,6 +160,7 @@ def evaluate_agent(
             device=device,
         )  # fmt: skip
         where = {"name": name, "run": run, "out": out, "force": force, "as_json": as_json}
+        where |= {"opened": spread(engine, address, device)}
         given_ = chosen | overrides(settings)
         return _on_recordings(agent, env, view, given_, params, profile, picture, **where)
     task = on_tier(view, tier)
@@ -158,15 +170,15 @@ def evaluate_agent(
             device=device,
         )  # fmt: skip
         where = {"name": name, "run": run, "out": out, "force": force, "as_json": as_json}
+        where |= {"opened": spread(engine, address, device)}
         return _on_patients(agent, chosen | overrides(settings), params, profile, **where)
     if split or patients:
         raise RacinesError("--split and --patients need --tier patients or beating")
     from racines_data.config import fill, section
-    from racines_envs.evaluation.agent_specs import find_entry
+    from racines_envs.evaluation.agent_specs import find_entry, result_name
     from racines_envs.evaluation.run import (
         EvaluationConfig,
         evaluate,
-        result_name,
         write_evaluation,
     )
     from racines_envs.evaluation.trainings import published_run
@@ -186,10 +198,11 @@ def evaluate_agent(
     out = _result_file(out, entry.scores.with_name(f"{label}.json"))
     phantom, board = phantom_config(values), values.get("board")
     published = None if run else published_run(board, entry.name)
-    result = evaluate(
-        entry.agent, run or entry.folder, config, phantom, run=label, board=board,
-        published=published,
-    )  # fmt: skip
+    with spread(engine, address, config.device) as pool:
+        result = evaluate(
+            entry.agent, run or entry.folder, config, phantom, run=label, board=board,
+            published=published, engine=pool,
+        )  # fmt: skip
     write_evaluation(result, out, picture or out.with_suffix(".png"), force)
     if as_json:
         say_json(result.scores, indent=2)
@@ -205,7 +218,7 @@ def evaluate_agent(
 def _on_recordings(
     agent: str, env: str, view: str | None, chosen: dict[str, Any], params: Path | None,
     profile: str | None, picture: Path | None, *, name: str | None, run: Path | None,
-    out: Path | None, force: bool, as_json: bool,
+    out: Path | None, force: bool, as_json: bool, opened: Any,
 ) -> None:  # fmt: skip
     """Score an agent in recorded frames alone; settings are those of `evaluation` and `replay`."""
     from racines_data.config import fill, section
@@ -225,7 +238,8 @@ def _on_recordings(
     config = fill(EvaluationConfig, stated | rest | own, "evaluation")
     label = entry.name if name else plain_name(f"{entry.name}-{world.settings.split}")
     out = _result_file(out, entry.scores.with_name(f"{label}.json"))
-    result = evaluate(entry.agent, run or entry.folder, config, world, run=label)
+    with opened as pool:
+        result = evaluate(entry.agent, run or entry.folder, config, world, run=label, engine=pool)
     write_evaluation(result, out, picture or out.with_suffix(".png"), force)
     if as_json:
         say_json(result.scores, indent=2)
@@ -238,7 +252,7 @@ def _on_recordings(
 
 def _on_patients(
     agent: str, chosen: dict[str, Any], params: Path | None, profile: str | None, *,
-    name: str | None, run: Path | None, out: Path | None, force: bool, as_json: bool,
+    name: str | None, run: Path | None, out: Path | None, force: bool, as_json: bool, opened: Any,
 ) -> None:  # fmt: skip
     """Score an agent on patients, whose settings are the section `evaluation_patients`."""
     from racines_data.config import fill, section
@@ -264,7 +278,10 @@ def _on_patients(
             label = row_name(entry.name, config.view)
     label = name or label
     out = _result_file(out, entry.scores.with_name(f"{label}.json"))
-    result = evaluate_patients(entry.agent, run or entry.folder, config, run=label, board=board)
+    folder = run or entry.folder
+    with opened as pool:
+        made = {"run": label, "board": board, "engine": pool}
+        result = evaluate_patients(entry.agent, folder, config, **made)
     write_evaluation(result, out, None, force)
     if as_json:
         say_json(result.scores, indent=2)

@@ -192,3 +192,21 @@ def find_entry(settings: dict[str, Any], spec: str, name: str | None = None) -> 
 def plain_name(text: str) -> str:
     """Return a text as a name on a board: a-z, 0-9 and single dashes."""
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
+
+
+def result_name(run: str, config: Any, usual: Any) -> str:
+    """Return what a run's result is called: as the run, and by what differs from the usual.
+
+    Results of one agent on another view, backend or start set have names of their own. Both are an
+    `EvaluationConfig`.
+    """
+    parts = [run]
+    if config.view != usual.view:
+        parts.append(config.view)
+    if (config.backend, config.generator) != (usual.backend, usual.generator):
+        parts += [config.backend, *([Path(config.generator).stem] if config.generator else [])]
+    if config.sets != usual.sets:
+        parts.append("seed-" + "-".join(map(str, config.sets)))
+    if config.starts != usual.starts:
+        parts.append(f"{config.starts}-starts")
+    return plain_name("-".join(parts))

@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 
 from racines_data.digest import recipe_digest
+from racines_data.engines import Engine
+from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.patients.patient import PATHOLOGIES
 from racines_data.patients.pool import check_memory
@@ -23,7 +25,7 @@ from racines_data.phantom.saved import provenance
 from racines_data.randomness import derive
 from racines_envs.agents import learns, load_agent
 from racines_envs.agents.protocol import FILES, Agent
-from racines_envs.agents.rollout import Episodes, rollout
+from racines_envs.agents.rollout import rollout
 from racines_envs.evaluation.agent_specs import check_view, plain_name
 from racines_envs.evaluation.measures import (
     Metrics,
@@ -126,11 +128,12 @@ class StartSet(NamedTuple):
 def evaluate_patients(
     name: str, run_dir: Path, config: PatientsConfig, agent: Agent | None = None,
     run: str | None = None, board: str | None = None, published: Path | None = None,
-    starts: StartSet | None = None,
+    starts: StartSet | None = None, engine: Engine | None = None,
 ) -> Scored:  # fmt: skip
     """Run an agent on patients and score it; arguments as of `evaluate`.
 
     `starts` stands for the start set that the settings name, whose split has to be its patients'.
+    With an `engine` that is started, each chunk of patients is a task.
 
     Raises:
         RacinesError: unknown names, missing weights, an agent that was trained for another task,
@@ -141,7 +144,7 @@ def evaluate_patients(
     starts = starts or start_set(config)
     agents, trainings = open_agents(name, run_dir, config, agent, published)
     agent = agents[0]
-    acted = act_on_patients(agents, config, starts)
+    acted = act_on_patients(agents, config, starts, engine=engine)
     values = patient_values(acted)
     metrics, evidence = measure_patients(values, starts.units)
     task = {
@@ -202,6 +205,7 @@ def act_on_patients(
     starts: StartSet,
     ward_of: Callable[[StartSet], Ward] | None = None,
     around: Callable[[ScanCore], ScanCore] | None = None,
+    engine: Engine | None = None,
 ) -> list[dict[str, np.ndarray]]:
     """Return the last infos, (N,) each, of every agent's episodes.
 
@@ -211,32 +215,41 @@ def act_on_patients(
         starts: from where.
         ward_of: makes the ward of a chunk of the starts, in place of the patients as they are.
         around: makes the environment that is acted in of the usual one.
+        engine: runs a task a chunk; None: here, one after the other.
     """
-    parts: list[list[Episodes]] = [[] for _ in agents]
-    for chunk in starts.chunks(config.chunk):
-        if ward_of is None:
-            ward = make_ward(
-                config.task.tier, config.split, chunk.patients, config.device,
-                phantom=config.phantom,
-            )  # fmt: skip
-        else:
-            ward = ward_of(chunk)
-        for agent, own in zip(agents, parts, strict=True):
-            own.append(_act(agent, ward, config, chunk, around))
-    names = parts[0][0].final
-    return [{k: np.concatenate([e.final[k] for e in own]) for k in names} for own in parts]
+    work, state = _act_on_chunk, (agents, config, ward_of, around)
+    chunks = starts.chunks(config.chunk)
+    made = list((engine or LocalEngine()).map(work, state, chunks, threads=None))
+    names = made[0][0]
+    return [
+        {name: np.concatenate([of_chunk[k][name] for of_chunk in made]) for name in names}
+        for k in range(len(agents))
+    ]
 
 
-def _act(
-    agent: Agent, ward: Ward, config: PatientsConfig, starts: StartSet,
-    around: Callable[[ScanCore], ScanCore] | None,
-) -> Episodes:  # fmt: skip
-    seeds, case = starts.seeds, ward.case_of(starts.units.tolist())
-    core = core_for(
-        agent, config.task, len(seeds), reward=config.reward, phantom=ward, device=config.device
-    )
-    core = core if around is None else around(core)
-    return rollout(core, agent, seeds.to(core.device), case)
+def _act_on_chunk(
+    state: tuple[
+        Sequence[Agent], PatientsConfig, Callable[[StartSet], Ward] | None,
+        Callable[[ScanCore], ScanCore] | None,
+    ],
+    chunk: StartSet,
+) -> list[dict[str, np.ndarray]]:  # fmt: skip
+    """Return the last infos of every agent's episodes on a few patients."""
+    agents, config, ward_of, around = state
+    if ward_of is None:
+        ward = make_ward(
+            config.task.tier, config.split, chunk.patients, config.device, phantom=config.phantom
+        )
+    else:
+        ward = ward_of(chunk)
+    seeds, case, found = chunk.seeds, ward.case_of(chunk.units.tolist()), []
+    for agent in agents:
+        core = core_for(
+            agent, config.task, len(seeds), reward=config.reward, phantom=ward, device=config.device
+        )
+        core = core if around is None else around(core)
+        found.append(rollout(core, agent, seeds.to(core.device), case).final)
+    return found
 
 
 def by_pathology_of(evidence: Evidence) -> dict[str, Metrics]:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,15 +10,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from racines_data.engines import Engine
 from racines_data.errors import RacinesError
 from racines_data.world import World
 from racines_envs.agents import learns, load_agent, sees
 from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import FILES, Agent, Untrained, acts
-from racines_envs.agents.rollout import Episodes, rollout
+from racines_envs.agents.rollout import Episodes, join_episodes, rollout
 from racines_envs.agents.trace import TraceAgent, circumstances, read_trace, write_trace
-from racines_envs.evaluation.agent_specs import check_view, plain_name
+from racines_envs.evaluation.agent_specs import check_view
 from racines_envs.evaluation.measures import episode_values, latency, measure, measure_by_seed
 from racines_envs.evaluation.trainings import Training, find_trainings
 from racines_envs.task.core import ScanCore
@@ -124,7 +125,7 @@ class Prepared(NamedTuple):
 def evaluate(
     name: str, run_dir: Path, config: EvaluationConfig, phantom: WorldLike = None,
     grader: Judge | None = None, agent: Agent | None = None, run: str | None = None,
-    board: str | None = None, published: Path | None = None,
+    board: str | None = None, published: Path | None = None, engine: Engine | None = None,
 ) -> Evaluation:  # fmt: skip
     """Run the agent that lies in `run_dir` and score it; all episodes of all sets at once.
 
@@ -135,7 +136,8 @@ def evaluate(
     what its training left, is not read for agents without weights. A `phantom` is the shared one by
     default; a `grader` and an `agent` that are open already stand for those that settings and name
     say, the agent for one training. The scores call it `run`, or else by the agent's name, and tell
-    the `board` they are for.
+    the `board` they are for. With an `engine` that is started, each training acts from each start
+    set in a task of its own.
 
     Raises:
         RacinesError: unknown names, missing weights, an agent that was trained for another view,
@@ -148,11 +150,15 @@ def evaluate(
     agent, core, seeds, grader = prepare(name, run_dir, config, phantom, grader, agent)
     if learns(agent) and not given:
         trainings = find_trainings(run_dir, published)
-    acted = [_act(agent, core, seeds, grader)]
-    for training in trainings[1:]:
-        other = load_agent(name, training.folder, config.device)
+    others = [load_agent(name, each.folder, config.device) for each in trainings[1:]]
+    for training, other in zip(trainings[1:], others, strict=True):
         check_view(other, config.view, name, training.folder)
-        acted.append(_act(other, _alike(core, other, config, len(seeds)), seeds, grader))
+    if engine is None or isinstance(agent, TraceAgent):  # a trace is of all starts at once
+        acted = [_act(agent, core, seeds, grader)]
+        for other in others:
+            acted.append(_act(other, _alike(core, other, config, len(seeds)), seeds, grader))
+    else:
+        acted = act_by_sets(engine, [agent, *others], config, phantom, grader)
     steps = reference_steps(config.view, seeds, core.phantom, config.device)
     values = episode_values([episodes for episodes, _ in acted], steps)
     if grader is not None:
@@ -169,6 +175,32 @@ def evaluate(
     scores |= {"board": board} if board else {}
     scores["seconds"] = time.perf_counter() - began
     return Evaluation(scores, evidence, acted[0][0], core, config.pictured)
+
+
+def act_by_sets(
+    engine: Engine, agents: Sequence[Agent], config: EvaluationConfig, phantom: WorldLike,
+    grader: Judge | None,
+) -> list[tuple[Episodes, np.ndarray]]:  # fmt: skip
+    """Return what `_act` does of every agent from all start sets, a task an agent and set."""
+    tasks = [(place, seed) for place in range(len(agents)) for seed in config.sets]
+    state = agents, config, phantom, grader
+    made = list(engine.map(_act_in_set, state, tasks, threads=None))
+    of_each = [made[k : k + len(config.sets)] for k in range(0, len(made), len(config.sets))]
+    return [
+        (
+            join_episodes([episodes for episodes, _ in own]),
+            np.concatenate([hits for _, hits in own]),
+        )
+        for own in of_each
+    ]
+
+
+def _act_in_set(
+    state: tuple[Sequence[Agent], EvaluationConfig, WorldLike, Judge | None], task: tuple[int, int]
+) -> tuple[Episodes, np.ndarray]:
+    agents, config, phantom, grader = state
+    one = replace(config, seed=task[1])
+    return _act(*prepare("", Path(), one, phantom, grader, agents[task[0]]))
 
 
 def _act(
@@ -332,23 +364,6 @@ def _weights(agent: Agent, trainings: Sequence[Training]) -> dict[str, Any] | No
         for name, sha256 in each.files.items()
     }
     return {"sha256": files.get("policy.safetensors", only), "files": files | further}
-
-
-def result_name(run: str, config: EvaluationConfig, usual: EvaluationConfig) -> str:
-    """Return what a run's result is called: as the run, and by what differs from the usual.
-
-    Results of one agent on another view, backend or start set have names of their own.
-    """
-    parts = [run]
-    if config.view != usual.view:
-        parts.append(config.view)
-    if (config.backend, config.generator) != (usual.backend, usual.generator):
-        parts += [config.backend, *([Path(config.generator).stem] if config.generator else [])]
-    if config.sets != usual.sets:
-        parts.append("seed-" + "-".join(map(str, config.sets)))
-    if config.starts != usual.starts:
-        parts.append(f"{config.starts}-starts")
-    return plain_name("-".join(parts))
 
 
 def write_evaluation(

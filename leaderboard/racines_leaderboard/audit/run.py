@@ -5,15 +5,17 @@ if the new one lies within the old one's 95 % interval. Where all metrics that r
 record's tier becomes `reproduced`, and what came out is kept in it.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from racines_data.engines import Engine
+from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.files import locked
 from racines_leaderboard.audit import adapting, claims, moving, weights
-from racines_leaderboard.audit.bench import Bench
+from racines_leaderboard.audit.bench import Bench, Places
 from racines_leaderboard.audit.evidence import (
     check_evidence,
     compare_evidence,
@@ -81,6 +83,35 @@ def audit(path: Path, bench: Bench, quick: bool = False, find: Finder = find_roa
         settled = {each.subject for each in numbers}
         verdicts = [each for each in verdicts if each.subject not in settled] + numbers
     return _report(record, bench, verdicts, how, quick)
+
+
+def audit_all(
+    paths: Sequence[Path], places: Places, quick: bool = False, engine: Engine | None = None
+) -> Iterator[Report]:
+    """Give the report of each record, in order, as `audit` does; an engine takes a record a task.
+
+    Its workers read the records and what they rest on by the same paths.
+    """
+    auditor = Auditor(places, quick)
+    yield from (engine or LocalEngine()).map(_audit_one, auditor, paths, threads=None)
+
+
+class Auditor:
+    """Audits records of any board; what a board needs is opened once in each process."""
+
+    def __init__(self, places: Places, quick: bool = False) -> None:
+        """Look where `places` say."""
+        self.places, self.quick = places, quick
+        self._benches: dict[str, Bench] = {}
+
+    def bench(self, path: Path) -> Bench:
+        """Return the bench of the board that a record is of."""
+        board = path.parts[-3]
+        return self._benches.setdefault(board, Bench(board, self.places))
+
+
+def _audit_one(auditor: Auditor, path: Path) -> Report:
+    return audit(path, auditor.bench(path), auditor.quick)
 
 
 def retrain(path: Path, bench: Bench, into: Path) -> Report:

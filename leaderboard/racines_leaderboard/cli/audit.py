@@ -40,6 +40,8 @@ def audit(
     results: opt.Results = opt.RESULTS,
     submissions: opt.Submissions = opt.SUBMISSIONS,
     unconfined: opt.Unconfined = False,
+    engine: opt.Engine = "local",
+    address: opt.Address = None,
     details: opt.Details = False,
     seal: Annotated[
         bool, typer.Option("--seal", help="Seal records that have no seal and do not fail.")
@@ -57,12 +59,14 @@ def audit(
     Markdown. Exits 0 if all that ranks was recomputed and holds, 1 if anything does not hold, else
     3: not verified, with the commands that would verify it.
     """
+    from racines_data.engines import LOCAL
     from racines_data.files import write_atomic, write_json
     from racines_leaderboard.audit import run
-    from racines_leaderboard.audit.bench import Bench, Places
+    from racines_leaderboard.audit.bench import Places
     from racines_leaderboard.audit.verdicts import audit_markdown, show
     from racines_leaderboard.records.verdicts import EXITS
     from racines_leaderboard.submissions.confined.session import Limits
+    from racines_models.cli.device import spread
 
     judges = {"grader": grader, "pose": pose}
     given = {kind: folder for kind, folder in judges.items() if folder is not None}
@@ -75,19 +79,21 @@ def audit(
         raise typer.BadParameter("give names, or --all")
     if quick and retrain:
         raise typer.BadParameter("--quick makes no number again, --retrain does: give one")
-    benches: dict[str, Bench] = {}
-    reports = []
-    for path in run.find_records(places.results, names or [], board):
-        bench = benches.setdefault(path.parts[-3], Bench(path.parts[-3], places))
+    if retrain and engine != LOCAL:
+        raise typer.BadParameter("--retrain trains on this machine: leave --engine out")
+    reports, paths = [], run.find_records(places.results, names or [], board)
+    with spread(engine, address) as pool:
         if retrain:
-            report = run.retrain(path, bench, retrain_into)
+            opened = run.Auditor(places)
+            found = (run.retrain(path, opened.bench(path), retrain_into) for path in paths)
         else:
-            report = run.audit(path, bench, quick)
-        reports.append(report)
-        if not as_json:
-            show(report, details)
-        if seal and not report.fails:
-            _seal(path)
+            found = run.audit_all(paths, places, quick, pool)
+        for path, report in zip(paths, found, strict=True):
+            reports.append(report)
+            if not as_json:
+                show(report, details)
+            if seal and not report.fails:
+                _seal(path)
     if keep:
         _keep(places.results, reports)
     document = _document(reports)

@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from racines_data.build.staging import in_workers
 from racines_data.build.writer import assign_splits
 from racines_data.config import fill
 from racines_data.digest import content_digest, trajectory_digest
+from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import check_split
@@ -111,7 +111,8 @@ def draw_frames(
     trajectories = []
     with progress_bar(progress, "frames") as bar:
         task = bar.add_task("fresh frames", total=sum(unit.frames for unit in chosen))
-        for made in in_workers(_produce, source, chosen, workers, "with fewer workers"):
+        engine = LocalEngine(workers)
+        for made in engine.map(_produce, source, chosen, remedy="with fewer workers"):
             trajectories.append(made)
             bar.advance(task, len(made))
     return FreshFrames(store, split, trajectories)

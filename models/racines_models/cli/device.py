@@ -1,8 +1,12 @@
-"""The option `--device`, as every command has it."""
+"""The option `--device`, as every command has it, and what `--engine` may be given beside it."""
 
-from typing import Annotated
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from racines_data.engines import Engine
 
 
 def _present(device: str | None) -> str | None:
@@ -16,3 +20,22 @@ _HELP = "auto, cpu, cuda or cuda:N."
 Device = Annotated[str, typer.Option(help=_HELP, callback=_present)]
 OneDevice = Annotated[str | None, typer.Option("--device", help=_HELP, callback=_present)]
 """Where the settings name one already."""
+
+
+def spread(
+    engine: str, address: str | None, device: str | None = None
+) -> "AbstractContextManager[Engine | None]":
+    """Return the engine that a command was given; None, within it, stands for this process.
+
+    Raises:
+        RacinesError: as `open_engine`, or a device that workers have not.
+    """
+    from racines_data.engines import LOCAL, open_engine
+    from racines_data.errors import RacinesError
+
+    opened = open_engine(engine, address)
+    if engine == LOCAL:
+        return nullcontext()
+    if device not in (None, "cpu"):
+        raise RacinesError(f"--engine {engine} works on CPUs: give --device cpu, not {device}")
+    return opened

@@ -89,6 +89,10 @@ class InceptionFeatures:
         network = torch.jit.load(str(inception_path()), map_location=device).eval()
         self._network = torch.jit.freeze(network)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Be opened anew where it is sent: TorchScript is not pickled."""
+        return InceptionFeatures, (self.device, self.batch_size)
+
     @property
     def settings(self) -> dict[str, Any]:
         """What the features depend on, for a scores file."""

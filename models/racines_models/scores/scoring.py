@@ -4,11 +4,13 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
+from racines_data.engines import Engine
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
 from racines_data.store.frames import SECTOR, FrameStore
@@ -20,6 +22,7 @@ from racines_models.sample import Progress, Sample, draw, speed, take_sample
 from racines_models.scores.features import Extractor, GraderFeatures, InceptionFeatures, Remembered
 from racines_models.scores.scorer import PRDC_FRAMES as PRDC_FRAMES
 from racines_models.scores.scorer import Scorer, ScoresConfig, plain, runs_of
+from racines_models.scores.spread import SpreadExtractor, SpreadGrader, SpreadPose, spread_draw
 from racines_models.scores.turns import by_angle, turn_figures
 from racines_models.statistics import Evidence
 
@@ -59,6 +62,7 @@ def score(
     cache: Path | None = None,
     device: str = "cpu",
     progress: Progress | None = None,
+    engine: Engine | None = None,
 ) -> Scores:
     """Score a generator on a split of a dataset.
 
@@ -74,6 +78,7 @@ def score(
         cache: Folder for what is computed of the reference alone.
         device: Where features are computed.
         progress: Told of images drawn and images embedded, as they come.
+        engine: Draws and looks at images, started; None: this process.
 
     Raises:
         RacinesError: an empty split, or images that cannot be scored.
@@ -86,9 +91,14 @@ def score(
     runs = runs_of(generator)
     turns = take_turns(runs, seeds)
     seeds = tuple(seed for _, seed in turns)
-    drawn = [draw(each, sample.frames, seed, progress) for each, seed in turns]
+    draw_by = draw if engine is None else partial(spread_draw, engine)
+    drawn = [draw_by(each, sample.frames, seed, progress) for each, seed in turns]
     scorer = Scorer(config, store, sample, drawn, cache, progress, len(runs))
-    inception = InceptionFeatures(device)
+    inception: Extractor = InceptionFeatures(device)
+    if engine is not None:
+        inception = SpreadExtractor(inception, engine)
+        grader = None if grader is None else SpreadGrader(grader, engine)
+        pose = None if pose is None else SpreadPose(pose, engine)
     turned = store.turns is not None  # strata are parts of what was looked at whole
     extractors: dict[str, Extractor] = {"inception": Remembered(inception) if turned else inception}
     figures = scorer.likeness() | scorer.distances("", extractors["inception"])

@@ -9,12 +9,13 @@ import json
 import os
 import pickle
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from racines_data.engines import Engine
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.terminal import say
@@ -87,13 +88,18 @@ def discard_checkpoint(folder: Path) -> None:
     shutil.rmtree(folder / FOLDER, ignore_errors=True)
 
 
-def train_seeds(fit: Callable[[Run], dict[str, Any]], run: Run, repeats: int) -> dict[str, Any]:
+def train_seeds(
+    fit: Callable[[Run], dict[str, Any]], run: Run, repeats: int, engine: Engine | None = None
+) -> dict[str, Any]:
     """Train seeds `run.seed`, `run.seed + 1`, …; return the first's metrics, all under `seeds`.
 
-    `fit` trains one run. `run` is the first; the others stand in `seed-<n>` of its folder.
+    `fit` trains one run. `run` is the first; the others stand in `seed-<n>` of its folder. With an
+    `engine` that is started each seed is a task, whose checkpoint is where it goes on if its worker
+    dies; all workers have to see the folder.
 
     Raises:
-        RacinesError: the folder holds trainings of other seeds, and `run.resume` is not False.
+        RacinesError: the folder holds trainings of other seeds, and `run.resume` is not False; or
+            workers wrote into another.
     """
     folders = [run.folder, *(run.folder / f"{PREFIX}{run.seed + k}" for k in range(1, repeats))]
     others = [each for each in repeat_folders(run.folder) if each not in folders]
@@ -106,24 +112,58 @@ def train_seeds(fit: Callable[[Run], dict[str, Any]], run: Run, repeats: int) ->
     for folder in others:
         if is_main_process():
             shutil.rmtree(folder)
-    if repeats == 1:
+    if repeats == 1 and engine is None:
         return fit(run)
-    done, notes, resume = {}, run.folder / DONE, run.resume
-    if resume is not False and notes.is_file():
+    done, notes = {}, run.folder / DONE
+    if run.resume is not False and notes.is_file():
         kept = json.loads(notes.read_text())
         done = kept["done"] if kept["first"] == run.seed else {}
-    for seed, folder in enumerate(folders, start=run.seed):
-        if str(seed) in done:
-            continue
-        done[str(seed)] = fit(dataclasses.replace(run, folder=folder, seed=seed, resume=resume))
-        resume = None if resume else resume  # only the seed that was cut short has a checkpoint
-        if is_main_process():
+    waiting = [
+        dataclasses.replace(run, folder=folder, seed=seed)
+        for seed, folder in enumerate(folders, start=run.seed)
+        if str(seed) not in done
+    ]
+    fitted = _one_by_one(fit, waiting) if engine is None else _at_once(engine, fit, waiting)
+    for one, metrics in zip(waiting, fitted, strict=True):
+        done[str(one.seed)] = metrics
+        if is_main_process() and repeats > 1:
             write_json(notes, {"first": run.seed, "done": done})
+    if repeats == 1:
+        return done[str(run.seed)]
     metrics = done[str(run.seed)] | {"seeds": done}
     if is_main_process():
         write_json(run.folder / "metrics.json", metrics)
         notes.unlink()
     return metrics
+
+
+def _one_by_one(
+    fit: Callable[[Run], dict[str, Any]], runs: Sequence[Run]
+) -> Iterator[dict[str, Any]]:
+    for place, one in enumerate(runs):
+        # Only the seed that was cut short has a checkpoint.
+        later = place > 0 and one.resume is True
+        yield fit(dataclasses.replace(one, resume=None) if later else one)
+
+
+def _at_once(
+    engine: Engine, fit: Callable[[Run], dict[str, Any]], runs: Sequence[Run]
+) -> Iterator[dict[str, Any]]:
+    # Any of them may have been cut short, or not begun.
+    resume = False if runs and runs[0].resume is False else None
+    tasks = [dataclasses.replace(one, resume=resume, progress=False) for one in runs]
+    made = engine.map(_fit, fit, tasks, threads=None, remedy="to go on")
+    for one, metrics in zip(runs, made, strict=True):
+        if not one.folder.is_dir():
+            raise RacinesError(
+                f"{one.folder}: a worker trained seed {one.seed} and nothing is there: give --out "
+                "a folder that all nodes of the cluster see"
+            )
+        yield metrics
+
+
+def _fit(fit: Callable[[Run], dict[str, Any]], run: Run) -> dict[str, Any]:
+    return fit(run)
 
 
 def repeat_folders(folder: Path) -> list[Path]:

@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
-from racines_envs.evaluation.agent_specs import find_entry
-from racines_envs.evaluation.run import EvaluationConfig, result_name
+from racines_envs.evaluation.agent_specs import find_entry, result_name
+from racines_envs.evaluation.run import EvaluationConfig
 from racines_leaderboard.cli.command import app
 from tests.leaderboard.graphs import sound_policy
 

@@ -29,6 +29,8 @@ def eval_generator(
     params: opt.Params = None,
     profile: opt.Profile = None,
     device: Device = "auto",
+    engine: opt.Engine = "local",
+    address: opt.Address = None,
     force: opt.Force = False,
     as_json: opt.AsJson = False,
 ) -> None:
@@ -49,7 +51,7 @@ def eval_generator(
 
         vain = {
             "--data": data != opt.DATA, "--grader": grader, "--no-grader": no_grader,
-            "--no-pose": no_pose, "--samples": samples,
+            "--no-pose": no_pose, "--samples": samples, "--engine": engine != "local",
         }  # fmt: skip
         for option in (option for option, there in vain.items() if there):
             raise RacinesError(f"{option} is not for --tier patients: leave it out")
@@ -61,6 +63,7 @@ def eval_generator(
     from racines_data.config import fill, section
     from racines_data.progress import image_counter
     from racines_data.store.frames import open_store
+    from racines_models.cli.device import spread
     from racines_models.cli.output import metrics_table, tell
     from racines_models.judges.grader.model import Grader
     from racines_models.judges.pose.regressor import PoseRegressor
@@ -91,7 +94,8 @@ def eval_generator(
     regressor = None if pose is None else PoseRegressor.load(pose, device)
     total = min(config.samples, len(store.split_indices(config.split)))
     total *= 1 + 2 * len(take_turns(runs, config.seeds))
-    with image_counter(f"scoring {title}", total, hidden=as_json) as advance:
+    counter = image_counter(f"scoring {title}", total, hidden=as_json)
+    with spread(engine, address, device) as pool, counter as advance:
         scores = score(
             runs,
             store,
@@ -102,6 +106,7 @@ def eval_generator(
             cache=out / "reference",
             device=device,
             progress=advance,
+            engine=pool,
         )
     content: dict[str, Any] = {**scores.content, "weights": weights_of(name, run, further) or None}
     content["dataset"]["board"] = values.get("board")

@@ -42,6 +42,8 @@ def annotate(
     grader: opt.Grader = opt.GRADER,
     out: opt.OwnOut = None,
     device: Device = "auto",
+    engine: opt.Engine = "local",
+    address: opt.Address = None,
     as_json: opt.AsJson = False,
 ) -> None:
     """Write a grader's view and grade of every frame into view_predicted and grade_predicted.
@@ -50,6 +52,7 @@ def annotate(
     """
     from racines_data.manifest import default_root, read_manifest
     from racines_data.progress import image_counter
+    from racines_models.cli.device import spread
     from racines_models.cli.output import metrics_table, tell
     from racines_models.judges.grader.annotate import annotate as annotate_dataset
     from racines_models.judges.grader.model import Grader
@@ -57,8 +60,9 @@ def annotate(
     folder = default_root(root)
     total = read_manifest(folder)["counts"]["frames"]
     judge = Grader.load(grader or opt.GRADER, device)
-    with image_counter("annotating", total, hidden=as_json) as advance:
-        manifest = annotate_dataset(folder, judge, out, advance)
+    counter = image_counter("annotating", total, hidden=as_json)
+    with spread(engine, address, device) as pool, counter as advance:
+        manifest = annotate_dataset(folder, judge, out, advance, pool)
     told, where = manifest["annotation"], str(out or folder)
     tables = [
         metrics_table(f"grader and labels, {split} split", figures)

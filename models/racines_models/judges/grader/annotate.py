@@ -13,6 +13,7 @@ import shutil
 from collections.abc import Iterable
 from contextlib import suppress
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 from safetensors.torch import load_file
+from torch import Tensor
 
 from racines_data.card.croissant import CROISSANT, add_croissant
 from racines_data.card.markdown import write_card
 from racines_data.digest import canonical_json, check_files
+from racines_data.engines import Engine
+from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.files import (
     locked_place,
@@ -47,12 +51,17 @@ BATCH = 256
 
 
 def annotate(
-    root: Path, grader: Grader, out: Path | None = None, progress: Progress | None = None
+    root: Path,
+    grader: Grader,
+    out: Path | None = None,
+    progress: Progress | None = None,
+    engine: Engine | None = None,
 ) -> dict[str, Any]:
     """Fill `view_predicted` and `grade_predicted` of every frame of a dataset.
 
     A run that was killed goes on where it stopped; until the last rename the old dataset stands.
     Without `out`, the dataset itself is replaced. `progress` is told of images judged.
+    An `engine` that is started judges them, a batch a task; else this process does.
 
     Returns:
         The manifest; its `annotation` names the grader and how it agrees with known views and
@@ -76,7 +85,9 @@ def annotate(
     key = canonical_json([manifest["files"], grader.settings, str(out)])
     busy = "it is being annotated already; wait for it"
     with working_folder(out, "annotating", key, busy) as folder:
-        opinions = _judge_all(store, grader, shards, folder / "opinions", progress)
+        opinions = _judge_all(
+            store, grader, shards, folder / "opinions", progress, engine or LocalEngine()
+        )
         manifest["annotation"] = {
             "grader": grader.sha256,
             "settings": grader.settings,
@@ -129,20 +140,29 @@ def _shards(root: Path, manifest: dict[str, Any], store: FrameStore) -> dict[str
 
 
 def _judge_all(
-    store: FrameStore, grader: Grader, shards: dict[str, slice], folder: Path, told: Progress | None
-) -> np.ndarray:
+    store: FrameStore, grader: Grader, shards: dict[str, slice], folder: Path,
+    told: Progress | None, engine: Engine,
+) -> np.ndarray:  # fmt: skip
     """Return (N, 2) float32 views and grades, judged shard by shard; those on disk are kept."""
+    paths = {name: folder / f"{Path(name).stem}.safetensors" for name in shards}
+    missing = [name for name in shards if not paths[name].exists()]
+    batches = (each for name in missing for each in store.images[shards[name]].split(BATCH))
+    judged = engine.map(_judge, grader, batches, threads=None)
     parts = []
     for name, rows in shards.items():
-        path = folder / f"{Path(name).stem}.safetensors"
-        if not path.exists():
-            judged = map(grader.probabilities_and_grade, store.images[rows].split(BATCH))
-            answers = [torch.stack([p.argmax(-1).float(), g.float()], 1).cpu() for p, g in judged]
-            save_weights(path, {"opinions": torch.cat(answers)})
-        parts.append(load_file(path)["opinions"])
+        if name in missing:
+            answers = islice(judged, -(-(rows.stop - rows.start) // BATCH))
+            save_weights(paths[name], {"opinions": torch.cat([*answers])})
+        parts.append(load_file(paths[name])["opinions"])
         if told is not None:
             told(len(parts[-1]))
     return torch.cat(parts).numpy()
+
+
+def _judge(grader: Grader, images: Tensor) -> Tensor:
+    """Return (B, 2) float32 views and grades, on the CPU, of a batch."""
+    p, g = grader.probabilities_and_grade(images)
+    return torch.stack([p.argmax(-1).float(), g.float()], 1).cpu()
 
 
 def _bring(source: Path, linked: bool, target: Path) -> None:

@@ -1,0 +1,30 @@
+"""One Ray of two workers for all tests of engines; it starts once a test process."""
+
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from racines_data.engines.ray import RayEngine
+
+STORE = 100 << 20
+"""Bytes of its object store."""
+
+
+@pytest.fixture(scope="session")
+def cluster() -> Iterator[None]:
+    import ray
+
+    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_DEDUP_LOGS": "0"}
+    ray.init(
+        "local", num_cpus=2, object_store_memory=STORE, include_dashboard=False,
+        log_to_driver=False, logging_level="ERROR",
+    )  # fmt: skip
+    yield
+    ray.shutdown()
+
+
+@pytest.fixture
+def engine(cluster: None) -> Iterator[RayEngine]:
+    with RayEngine() as opened:
+        yield opened
