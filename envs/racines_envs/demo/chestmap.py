@@ -14,19 +14,20 @@ from racines_data.geometry import Pose
 from racines_data.patients.bake import label_box
 from racines_data.patients.form import FOOT
 from racines_data.patients.heart import Heart
-from racines_data.patients.labels import AORTA, LA, LV, MYOCARDIUM, RA, RV, RV_WALL
+from racines_data.patients.labels import AORTA, LA, LV, MYOCARDIUM, PULMONARY, RA, RV, RV_WALL
 from racines_data.patients.volume import LOW, VOXEL
-from racines_envs.demo.looks import AIM, INK, LABEL, PROBE, SKIN, TRUE, WAY, font
+from racines_envs.demo.looks import AIM, INK, LABEL, PAPER, PROBE, SKIN, TRUE, WAY, font
 from racines_envs.demo.watching import Shot
 
 SIZE = 416
 _FINE = 2
 """How much finer it is drawn than shown, for smooth lines."""
 _ACROSS = 0.235  # m of the chest that is shown
-_BONE = (226, 203, 180)
+_BONE = (246, 230, 208)
 _HEART = (
     (LV, (178, 58, 64)), (MYOCARDIUM, (150, 44, 52)), (LA, (196, 92, 92)), (RV, (88, 92, 158)),
     (RV_WALL, (78, 80, 142)), (RA, (108, 112, 172)), (AORTA, (206, 104, 96)),
+    (PULMONARY, (98, 102, 166)),
 )  # fmt: skip
 """What is shown of the heart: left parts red, right parts blue, as atlases have them."""
 _HALF, _FACE = 0.011, 0.005
@@ -106,20 +107,21 @@ class ChestMap:
             draw.circle((x, y), 13 * _FINE, outline=TRUE, width=3 * _FINE)
             draw.text((x, y - 17 * _FINE), f"true {label}", TRUE, font(13 * _FINE), anchor="md",
                       stroke_width=2 * _FINE, stroke_fill=INK)  # fmt: skip
-        self._draw_aim(draw, shot)
         self._draw_probe(draw, shot)
+        self._draw_aim(draw, shot)
         return image.resize((SIZE, SIZE), Image.Resampling.LANCZOS)
 
     def _draw_aim(self, draw: ImageDraw.ImageDraw, shot: Shot) -> None:
         """Draw where the servo believes the view, dashed as wide as it is unsure."""
         x, y = self._pixels(np.array(shot.aim))[0]
-        radius = min(max(shot.spread * 1e-3 * self._scale, 6.0 * _FINE), SIZE * _FINE * 0.45)
+        radius = min(max(shot.spread * 1e-3 * self._scale, 9.0 * _FINE), SIZE * _FINE * 0.45)
         box = (x - radius, y - radius, x + radius, y + radius)
-        for start in range(0, 360, 24):
-            draw.arc(box, start, start + 13, fill=AIM, width=2 * _FINE)
-        arm = 5 * _FINE
-        draw.line((x - arm, y, x + arm, y), fill=AIM, width=2 * _FINE)
-        draw.line((x, y - arm, x, y + arm), fill=AIM, width=2 * _FINE)
+        arm = 6 * _FINE
+        for ink, width in ((PAPER, 4 * _FINE), (AIM, 2 * _FINE)):
+            for start in range(0, 360, 30):
+                draw.arc(box, start, start + 19, fill=ink, width=width)
+            draw.line((x - arm, y, x + arm, y), fill=ink, width=width)
+            draw.line((x, y - arm, x, y + arm), fill=ink, width=width)
 
     def _draw_probe(self, draw: ImageDraw.ImageDraw, shot: Shot) -> None:
         """Draw the face on the skin and a mark at the image's right side."""

@@ -6,8 +6,8 @@ from typing import Any
 from PIL import ImageFont
 
 BACK, PANEL, LINE, PALE, WORDS = "#0f1419", "#182029", "#3d4854", "#a9b4bf", "#eef2f5"
-INK, LABEL = "#11161c", "#6b4a3a"
-SKIN = (236, 196, 170)
+INK, LABEL, PAPER = "#11161c", "#5a3a2b", "#ffffff"
+SKIN = (226, 180, 152)
 PROBE, AIM, TRUE, WAY = "#38bdf8", "#7c2bd6", "#22c55e", "#14639c"
 READ, GOOD, BAD = "#c4a1ff", "#4ade80", "#fbbf24"
 
