@@ -30,6 +30,10 @@ _HEART = (
     (PULMONARY, (98, 102, 166)),
 )  # fmt: skip
 """What is shown of the heart: left parts red, right parts blue, as atlases have them."""
+_FAN, _RIM = (190, 230, 255, 52), (230, 246, 255, 190)
+_PARTS = (("head", (0.5, 0.02), "ma"), ("feet", (0.5, 0.98), "md"),
+          ("right", (0.02, 0.5), "lm"), ("left", (0.98, 0.5), "rm"))  # fmt: skip
+"""Words at the edges, where they stand in shares of the side, and by what they hang."""
 _HALF, _FACE = 0.011, 0.005
 """Half the probe's length and width on the skin, m."""
 
@@ -44,6 +48,9 @@ class ChestMap:
         # Rows: to the right and down in the picture, seen from above.
         self._turn = np.array([[-down[1], down[0]], down])
         self._own = own.position[0].double().numpy(), own.rotation[0].double().numpy()
+        settings = heart.settings
+        self._half_angle = float(settings.half_angle[0])
+        self._depth = 1e-3 * float(settings.step[0]) * settings.along.shape[-1]
         voxels, colours = _heart_points(heart)
         middle = np.median(voxels[:, :2], 0)
         self._middle = self._turn @ ((middle + self._own[0][:2]) / 2.0)
@@ -67,10 +74,8 @@ class ChestMap:
         shape, cover = self._heart(voxels, colours)
         image.paste(shape, (0, 0), cover)
         draw = ImageDraw.Draw(image)
-        for words, place, anchor in (("head", (side / 2, 14), "ma"), ("feet", (side / 2, side - 14), "md")):
-            draw.text(place, words, LABEL, font(13 * _FINE), anchor=anchor)
-        draw.text((14, side / 2), "right", LABEL, font(13 * _FINE), anchor="lm")
-        draw.text((side - 14, side / 2), "left", LABEL, font(13 * _FINE), anchor="rm")
+        for words, (x, y), anchor in _PARTS:
+            draw.text((x * side, y * side), words, LABEL, font(13 * _FINE), anchor=anchor)
         return image
 
     def _heart(self, voxels: np.ndarray, colours: np.ndarray) -> tuple[Image.Image, Image.Image]:
@@ -98,18 +103,27 @@ class ChestMap:
     def picture(self, shots: Sequence[Shot], shot: Shot, label: str, reveal: bool) -> Image.Image:
         """Return the (SIZE, SIZE) RGB map at a shot; with `reveal` the patient's own pose."""
         image = self._ground.copy()
+        fan = [tuple(each) for each in self._pixels(self._fan(shot))]
+        ImageDraw.Draw(image, "RGBA").polygon(fan, fill=_FAN, outline=_RIM, width=_FINE)
         draw = ImageDraw.Draw(image)
         way = [self._pixels(np.array(s.position))[0] for s in shots if s.step <= shot.step]
         if len(way) > 1:
             draw.line([tuple(each) for each in way], fill=WAY, width=2 * _FINE, joint="curve")
         if reveal:
             x, y = self._pixels(self._own[0])[0]
-            draw.circle((x, y), 13 * _FINE, outline=TRUE, width=3 * _FINE)
-            draw.text((x, y - 17 * _FINE), f"true {label}", TRUE, font(13 * _FINE), anchor="md",
+            draw.circle((x, y), 15 * _FINE, outline=TRUE, width=3 * _FINE)
+            draw.text((x, y + 18 * _FINE), f"true {label}", TRUE, font(14 * _FINE), anchor="ma",
                       stroke_width=2 * _FINE, stroke_fill=INK)  # fmt: skip
         self._draw_probe(draw, shot)
         self._draw_aim(draw, shot)
         return image.resize((SIZE, SIZE), Image.Resampling.LANCZOS)
+
+    def _fan(self, shot: Shot) -> np.ndarray:
+        """Return (n, 3) m of the outline of the slice that is looked through."""
+        angle = np.linspace(-self._half_angle, self._half_angle, 17)
+        rim = np.stack([np.sin(angle), np.zeros(17), np.cos(angle)], 1) * self._depth
+        points = np.concatenate([np.zeros((1, 3)), rim])
+        return points @ np.array(shot.rotation).reshape(3, 3).T + np.array(shot.position)
 
     def _draw_aim(self, draw: ImageDraw.ImageDraw, shot: Shot) -> None:
         """Draw where the servo believes the view, dashed as wide as it is unsure."""

@@ -10,19 +10,24 @@
 import io
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageColor, ImageDraw
 
 from racines_envs.demo.chestmap import ChestMap
 from racines_envs.demo.episode import Outcome, verdict
 from racines_envs.demo.looks import (
+    AIM,
     BACK,
     BAD,
     GOOD,
+    INK,
     LINE,
     PALE,
     PANEL,
+    PAPER,
+    PROBE,
     READ,
     TRUE,
+    WAY,
     WORDS,
     font,
 )
@@ -30,9 +35,11 @@ from racines_envs.demo.watching import Shot
 
 SIDE, GAP, LOW = 300, 10, 128
 WIDTH, HEIGHT = 2 * SIDE + 3 * GAP, SIDE + LOW + 3 * GAP
-EVERY, MILLISECONDS, HELD = 2, 120, 40
+EVERY, MILLISECONDS, HELD = 3, 160, 30
 """Steps from picture to picture, the time of each, and the pictures' worth that the end stands."""
 COLOURS = 96
+SIGNS = (PROBE, AIM, TRUE, READ, WAY, GOOD, BAD, PAPER, INK, WORDS, PALE, "#ffe08a")
+"""Colours that the film never loses."""
 
 
 def ultrasound(
@@ -98,7 +105,7 @@ def ending(outcome: Outcome) -> Image.Image:
 
 
 def film(outcome: Outcome, chest: ChestMap) -> bytes:
-    """Return the film as a GIF: every other step, the end, and the end beside the best view."""
+    """Return the film as a GIF: every third step, the end, and the end beside the best view."""
     frames = [frame(outcome, chest, shot) for shot in kept(outcome.shots)] + [ending(outcome)]
     palette = _palette(frames)
     few = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames]
@@ -109,12 +116,20 @@ def film(outcome: Outcome, chest: ChestMap) -> bytes:
 
 
 def _palette(frames: list[Image.Image]) -> Image.Image:
-    """Return colours that suit the first, middle and last pictures."""
+    """Return colours that suit the first, middle and last pictures, and those of all signs.
+
+    A sign of few pixels would else be shown in the colour of something larger.
+    """
     some = [frames[0], frames[len(frames) // 2], frames[-2], frames[-1]]
     strip = Image.new("RGB", (WIDTH, HEIGHT * len(some)))
     for number, each in enumerate(some):
         strip.paste(each, (0, HEIGHT * number))
-    return strip.quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    many = strip.quantize(COLOURS - len(SIGNS), Image.Quantize.MEDIANCUT).getpalette() or []
+    signs = [value for sign in SIGNS for value in ImageColor.getrgb(sign)[:3]]
+    colours = (signs + many)[: 3 * COLOURS]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(colours)
+    return palette
 
 
 def _sheet(left: Image.Image, right: Image.Image) -> Image.Image:

@@ -15,8 +15,8 @@ from racines_envs.demo.episode import Outcome, verdict
 from racines_envs.demo.film import kept, ultrasound
 from racines_envs.task.tiers import STEP_SECONDS
 
-SEEN, MAP, QUALITY = 384, 416, 72
-"""Pixels of the pictures, and how well they are packed."""
+SEEN, QUALITY, EVERY = 384, 72, 2
+"""Pixels of the pictures, how well they are packed, and steps from one to the next."""
 AILING = {
     "healthy": "a healthy heart", "dilated": "a dilated left ventricle",
     "hypertrophied": "a thickened left ventricle", "small": "a small heart",
@@ -43,7 +43,7 @@ def _content(
     ailing = AILING.get(patient.pathology, patient.pathology)
     beats = "beating" if draw.tier == "beating" else "still"
     frames = []
-    for shot in kept(shots):
+    for shot in kept(shots, EVERY):
         last = shot is shots[-1]
         frames.append({
             "step": shot.step, "distance": round(shot.distance, 1),
