@@ -50,5 +50,5 @@ def demo(
         say(line)
     say("Try next:")
     for command, about in next_commands(draw):
-        say(f"  {command}\n".rstrip())
+        say(f"  {command}")
         say(f"      {about}")

@@ -92,11 +92,15 @@ class ChestMap:
         shape[at[:, 1], at[:, 0]] = (colours[order] * lit[:, None]).clip(0, 255)
         cover[at[:, 1], at[:, 0]] = 205
         whole = (SIZE * _FINE, SIZE * _FINE)
-        smooth = Image.fromarray(shape).filter(ImageFilter.MedianFilter(5)).resize(
-            whole, Image.Resampling.BICUBIC
+        smooth = (
+            Image.fromarray(shape)
+            .filter(ImageFilter.MedianFilter(5))
+            .resize(whole, Image.Resampling.BICUBIC)
         )
-        edge = Image.fromarray(cover).filter(ImageFilter.MedianFilter(5)).resize(
-            whole, Image.Resampling.BICUBIC
+        edge = (
+            Image.fromarray(cover)
+            .filter(ImageFilter.MedianFilter(5))
+            .resize(whole, Image.Resampling.BICUBIC)
         )
         return smooth, edge.filter(ImageFilter.GaussianBlur(2))
 
@@ -113,7 +117,7 @@ class ChestMap:
             x, y = self._pixels(self._own[0])[0]
             draw.circle((x, y), 15 * _FINE, outline=TRUE, width=3 * _FINE)
             draw.text((x, y + 18 * _FINE), f"true {label}", TRUE, font(14 * _FINE), anchor="ma",
-                      stroke_width=2 * _FINE, stroke_fill=INK)  # fmt: skip
+                      stroke_width=_FINE, stroke_fill=INK)  # fmt: skip
         self._draw_probe(draw, shot)
         self._draw_aim(draw, shot)
         return image.resize((SIZE, SIZE), Image.Resampling.LANCZOS)

@@ -1,10 +1,10 @@
 """The film of an episode: the ultrasound beside the probe over the chest, and what is believed.
 
-    +----------------+----------------+
-    |   ultrasound   |   the chest    |
-    +----------------+----------------+
-    |  in words      |  grades so far |
-    +----------------+----------------+
++----------------+----------------+
+|   ultrasound   |   the chest    |
++----------------+----------------+
+|  in words      |  grades so far |
++----------------+----------------+
 """
 
 import io
@@ -37,8 +37,24 @@ SIDE, GAP, LOW = 300, 10, 128
 WIDTH, HEIGHT = 2 * SIDE + 3 * GAP, SIDE + LOW + 3 * GAP
 EVERY, MILLISECONDS, HELD = 3, 160, 30
 """Steps from picture to picture, the time of each, and the pictures' worth that the end stands."""
-COLOURS = 96
-SIGNS = (PROBE, AIM, TRUE, READ, WAY, GOOD, BAD, PAPER, INK, WORDS, PALE, "#ffe08a")
+COLOURS, GRAYS = 128, 32
+SIGNS = (
+    BACK,
+    PANEL,
+    LINE,
+    PROBE,
+    AIM,
+    TRUE,
+    READ,
+    WAY,
+    GOOD,
+    BAD,
+    PAPER,
+    INK,
+    WORDS,
+    PALE,
+    "#ffe08a",
+)
 """Colours that the film never loses."""
 
 
@@ -116,19 +132,21 @@ def film(outcome: Outcome, chest: ChestMap) -> bytes:
 
 
 def _palette(frames: list[Image.Image]) -> Image.Image:
-    """Return colours that suit the first, middle and last pictures, and those of all signs.
+    """Return grays for the ultrasound, the signs' own colours, and those that suit the maps.
 
     A sign of few pixels would else be shown in the colour of something larger.
     """
-    some = [frames[0], frames[len(frames) // 2], frames[-2], frames[-1]]
-    strip = Image.new("RGB", (WIDTH, HEIGHT * len(some)))
-    for number, each in enumerate(some):
-        strip.paste(each, (0, HEIGHT * number))
-    many = strip.quantize(COLOURS - len(SIGNS), Image.Quantize.MEDIANCUT).getpalette() or []
+    maps = [frames[at] for at in (0, len(frames) // 2, -2)]
+    strip = Image.new("RGB", (SIDE, SIDE * len(maps)))
+    for number, each in enumerate(maps):
+        left = SIDE + 2 * GAP
+        strip.paste(each.crop((left, GAP, left + SIDE, GAP + SIDE)), (0, SIDE * number))
+    grays = [round(255 * i / (GRAYS - 1)) for i in range(GRAYS) for _ in range(3)]
     signs = [value for sign in SIGNS for value in ImageColor.getrgb(sign)[:3]]
-    colours = (signs + many)[: 3 * COLOURS]
+    many = COLOURS - GRAYS - len(SIGNS)
+    suiting = strip.quantize(many, Image.Quantize.MEDIANCUT).getpalette() or []
     palette = Image.new("P", (1, 1))
-    palette.putpalette(colours)
+    palette.putpalette(grays + signs + suiting[: 3 * many])
     return palette
 
 
@@ -172,4 +190,3 @@ def _wrapped(draw: ImageDraw.ImageDraw, text: str, width: int) -> list[str]:
         else:
             lines[-1] = longer
     return lines
-

@@ -100,15 +100,22 @@ def look(core: ScanCore, agent: Watched, shots: list[list[Shot]], live: Tensor) 
         ended = bool(core.state.done[row])
         if not live[row] or (own and own[-1].ended):
             continue
-        values = (info["grade"], 1e3 * info["position_error"], 1e3 * believed, agent.grade)
-        step, told = int(core.state.steps[row]), [float(each[row]) for each in values]
         own.append(
             Shot(
-                images[row].cpu().numpy(), step, *told, ended, 1e3 * float(agent.spread[row]),
-                int(info["view"][row]), _numbers(core.state.position[row]),
-                _numbers(core.state.rotation[row]), _numbers(agent.centre.position[row]),
+                images[row].cpu().numpy(),
+                int(core.state.steps[row]),
+                float(info["grade"][row]),
+                float(1e3 * info["position_error"][row]),
+                float(1e3 * believed[row]),
+                float(agent.grade[row]),
+                ended,
+                spread=1e3 * float(agent.spread[row]),
+                view=int(info["view"][row]),
+                position=_numbers(core.state.position[row]),
+                rotation=_numbers(core.state.rotation[row]),
+                aim=_numbers(agent.centre.position[row]),
             )
-        )  # fmt: skip
+        )
 
 
 def _numbers(values: Any) -> tuple[float, ...]:
