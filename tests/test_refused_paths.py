@@ -114,6 +114,7 @@ NEEDED = {
     "expert sample": "--out out --truth --data {}",
     "expert rate": "{}",
     "expert score": "{} ratings.jsonl",
+    "demo": "--patient 1 --out {}",
     "replay": "{}",
     "explain": "--params {}",
     "submit": "{}",

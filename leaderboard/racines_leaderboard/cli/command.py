@@ -91,6 +91,7 @@ COMMANDS = {
     "expert sample": "racines_leaderboard.cli.expert:sample",
     "expert rate": "racines_leaderboard.cli.expert:rate",
     "expert score": "racines_leaderboard.cli.expert:score",
+    "demo": "racines_envs.cli.demo:demo",
     "drive": "racines_envs.cli.episodes:drive",
     "replay": "racines_envs.cli.episodes:replay",
     "explain": "racines_envs.cli.episodes:explain",

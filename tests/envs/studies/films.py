@@ -12,7 +12,7 @@ ends as the published one did, to `SAME` of its distance.
 import io
 import json
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -25,7 +25,7 @@ from racines_data.geometry import Pose
 from racines_data.patients.labels import LABELS
 from racines_data.patients.landmarks import landmarks
 from racines_data.randomness import derive
-from racines_envs.agents.servo.agent import ServoAgent
+from racines_envs.demo.watching import Shot, Watched, watch
 from racines_envs.evaluation.patients import PatientsConfig, StartSet
 from racines_envs.evaluation.run import core_for
 from racines_envs.task.core import ScanCore
@@ -56,40 +56,6 @@ class Episode(NamedTuple):
     start: int
     distance: float
     """Millimetres to the patient's own pose at the end, as published; NaN where nobody looked."""
-
-
-class Watched(ServoAgent):
-    """The servo, and what it believes."""
-
-    name: ClassVar[str] = "servo"
-    centre: Pose
-    """(N,) where it believes the view to be."""
-    grade: Tensor
-    """(N,) how good it reads the present picture to be, 0-10."""
-
-    def act(self, observation: dict[str, Tensor], seeds: Tensor) -> Tensor:
-        """Act as the servo does, and keep what it believes."""
-        action, labels = super().act(observation, seeds), self._labels(observation)
-        assert self._mind is not None
-        self.centre = self._mind.centre(labels)
-        read = self.readings(observation["image"])
-        self.grade = read.grades[torch.arange(len(labels)), labels]
-        return action
-
-
-class Shot(NamedTuple):
-    """What one row shows at a step."""
-
-    image: np.ndarray
-    step: int
-    grade: float
-    distance: float
-    """Millimetres to the patient's own pose."""
-    believed: float
-    """Millimetres to where the servo believes it."""
-    read: float
-    """Grade that the servo reads from the picture."""
-    ended: bool
 
 
 def chosen() -> list[Episode]:
@@ -125,32 +91,7 @@ def run(episodes: list[Episode], split: str) -> tuple[ScanCore, list[list[Shot]]
     )
     case = ward.case_of([each.patient for each in episodes])
     core = core_for(agent, config.task, len(seeds), reward="oracle", phantom=ward)
-    agent.attach(core)
-    observation, shots = core.reset(seeds, case=case), [[] for _ in episodes]
-    for _ in range(core.task.max_steps):
-        live = ~core.state.done
-        if not bool(live.any()):
-            break
-        action = agent.act(observation, core.decision_seeds())
-        look(core, agent, shots, live)
-        rows = live.nonzero().squeeze(1)
-        observation = core.step(action, rows=rows if len(rows) < len(seeds) else None).observation
-    agent.act(observation, core.decision_seeds())
-    look(core, agent, shots, torch.ones(len(seeds), dtype=torch.bool))
-    return core, shots
-
-
-def look(core: ScanCore, agent: Watched, shots: list[list[Shot]], live: Tensor) -> None:
-    """Keep what the (N,) live rows show; a row that has ended once more, as its last picture."""
-    info, images = core.info(view_error=False), core.picture()
-    believed = (agent.centre.position - core.state.position).norm(dim=1)
-    for row, own in enumerate(shots):
-        ended = bool(core.state.done[row])
-        if not live[row] or (own and own[-1].ended):
-            continue
-        values = (info["grade"], 1e3 * info["position_error"], 1e3 * believed, agent.grade)
-        step, told = int(core.state.steps[row]), [float(each[row]) for each in values]
-        own.append(Shot(images[row].cpu().numpy(), step, *told, ended))
+    return core, watch(core, agent, seeds, case)
 
 
 def film(episode: Episode, shots: list[Shot], own: np.ndarray, found: bool) -> bytes:
