@@ -121,7 +121,8 @@ def make_backend(
 def usual_grader(task: Task) -> Path:
     """Return the folder of the grader that is meant where none is named: that of the task's tier.
 
-    One trained in the current folder, or else the published one, which is said once. Beating hearts have that of patients; an organ only one that was trained here.
+    One trained in the current folder, or else the published one, which is said once. Beating hearts
+    have that of patients; an organ only one that was trained here.
     """
     if task.anatomy != HEART:
         return GRADER_FOLDER

@@ -30,6 +30,7 @@ GROUPS = {
     "eval": "Score a generator, a grader, an agent or estimated motion.",
     "study": "Questions that a table or a picture answers.",
     "export": "Hand a generator, an agent, or what they answer to a program outside.",
+    "weights": "The published weights: what there is, whether it is whole, its cards.",
     "board": "What a board holds its records to, and its rounds of fresh draws.",
     "expert": "A blinded study: experts say which view an image shows, and how good it is.",
 }
@@ -91,6 +92,10 @@ COMMANDS = {
     "expert sample": "racines_leaderboard.cli.expert:sample",
     "expert rate": "racines_leaderboard.cli.expert:rate",
     "expert score": "racines_leaderboard.cli.expert:score",
+    "weights list": "racines_leaderboard.cli.weights:list_",
+    "weights verify": "racines_leaderboard.cli.weights:verify",
+    "weights card": "racines_leaderboard.cli.weights:card",
+    "weights fetch": "racines_leaderboard.cli.weights:fetch",
     "drive": "racines_envs.cli.episodes:drive",
     "replay": "racines_envs.cli.episodes:replay",
     "explain": "racines_envs.cli.episodes:explain",
