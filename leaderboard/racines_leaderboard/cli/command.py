@@ -103,6 +103,7 @@ COMMANDS = {
     "leaderboard": "racines_leaderboard.cli.board:leaderboard",
     "board commit-secret": "racines_leaderboard.cli.secret:commit_secret",
     "board reveal": "racines_leaderboard.cli.secret:reveal",
+    "doctor": "racines_leaderboard.cli.doctor:doctor",
     "audit": "racines_leaderboard.cli.audit:audit",
     "studio": "racines_leaderboard.cli.studio:studio",
 }
