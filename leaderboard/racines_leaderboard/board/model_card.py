@@ -17,6 +17,8 @@ NO_DEVICE = (
     "**This is research software, not a medical device.** Trained on simulated or public research "
     "images; nothing here is for clinical use."
 )
+NO_ROW = "No row of a board is of these weights."
+NO_RECORDS = "The records of its rows are not here: they come with a checkout of the repository."
 _DATA = ("data", "dataset", "environment")
 _SETS_ASIDE = "Figures of a run's own report are of its validation or test split, as it says there."
 
@@ -31,8 +33,9 @@ def model_card(catalogue: Catalogue, weights: WeightsSet) -> str:
     metrics = _read(catalogue.root / weights.folder / "metrics.json")
     if Path(weights.name).suffix:  # a file of its own, beside the runs of others
         described, metrics = {}, {}
-    records = {name: _read(catalogue.root / name) for name in weights.records}
-    submission = next((each["submission"] or {} for each in records.values() if each), {})
+    found = {name: _read(catalogue.root / name) for name in weights.records}
+    records = {name: record for name, record in found.items() if record}
+    submission = next((each["submission"] or {} for each in records.values()), {})
     parts = [
         f"# {escape(described.get('title') or weights.name)}",
         NO_DEVICE,
@@ -41,7 +44,7 @@ def model_card(catalogue: Catalogue, weights: WeightsSet) -> str:
         _trained_on(described, metrics),
         *_settings(described),
         "## Scores",
-        *(_scores(records) or ["No row of a board is of these weights."]),
+        *(_scores(records) or [NO_ROW if not weights.records else NO_RECORDS]),
         *_own_figures(weights, described, metrics),
         "## Files",
         _files(weights),

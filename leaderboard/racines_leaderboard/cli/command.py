@@ -21,6 +21,7 @@ from racines_data.errors import RacinesError, describe_os_error
 from racines_data.manifest import VERIFY_VARIABLE
 from racines_data.plugins import Plugins
 from racines_data.terminal import say
+from racines_leaderboard.cli.examples import epilog_of, root_epilog
 from racines_leaderboard.cli.renamed import RenamingGroup
 
 GROUPS = {
@@ -109,6 +110,7 @@ COMMANDS = {
 }
 """Where the function of each command stands; heavy imports stand inside it, for a quick --help."""
 
+HELP = ["-h", "--help"]
 PLUGINS = Plugins("command", "racines.commands", or_give="")
 
 app = typer.Typer(
@@ -116,8 +118,9 @@ app = typer.Typer(
     cls=RenamingGroup,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
     rich_markup_mode=None,
+    context_settings={"help_option_names": HELP},  # which all commands below take over
+    epilog=root_epilog(),
 )
 
 
@@ -128,7 +131,7 @@ def _assemble() -> None:
         app.add_typer(groups[name], name=name)
     for words, function in COMMANDS.items():
         group, _, name = words.rpartition(" ")
-        groups[group].command(name)(resolve_name(function))
+        groups[group].command(name, epilog=epilog_of(words))(resolve_name(function))
     taken = {each.name for each in (*app.registered_commands, *app.registered_groups)}
     passed_on = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
     for name, point in PLUGINS.points().items():
@@ -145,7 +148,8 @@ def _call(context: typer.Context) -> Any:
         function, made = made, typer.Typer(add_completion=False)
         made.command()(function)
     command = typer.main.get_command(made)
-    return command.main(context.args, prog_name=f"racines {name}", standalone_mode=False)
+    told = {"prog_name": f"racines {name}", "help_option_names": HELP}
+    return command.main(context.args, standalone_mode=False, **told)
 
 
 _assemble()
