@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.files import sha256_file, write_json
-from racines_models.catalogue import CATALOGUE, SCHEMA
-from racines_models.places import POLICIES, WEIGHTS
+from racines_models.published.catalogue import CATALOGUE, SCHEMA
+from racines_models.published.places import POLICIES, WEIGHTS
 from tests.prose.markers import ROOT
 from tests.prose.weights import ENDINGS, GROUPS, group_of, named
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from racines_data.errors import RacinesError
 from racines_data.geometry import matrix_from_6d, matrix_to_euler
 from racines_envs.task.core import PARAMS_SIZE
-from racines_models.places import WEIGHTS, published
+from racines_models.published.places import WEIGHTS, published
 
 SEEN = {"image": ["image"], "params": ["params"], "multimodal": ["image", "params"]}
 """What each observation holds, in the order in which networks read it."""

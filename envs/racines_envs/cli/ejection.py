@@ -10,7 +10,7 @@ from racines_data.cli.options import given, overrides, read_settings
 from racines_envs.cli.settings import Agent
 from racines_envs.cli.study import SCORES
 from racines_models.cli.device import OneDevice
-from racines_models.places import WEIGHTS, published
+from racines_models.published.places import WEIGHTS, published
 
 JUDGES = (
     Path("models/runs/segmentation"),

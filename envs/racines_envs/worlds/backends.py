@@ -18,8 +18,8 @@ from racines_data.views import HEART
 from racines_data.world import World
 from racines_envs.task.names import HEART_TIER, PATIENTS
 from racines_envs.task.tasks import Task
-from racines_models.places import WEIGHTS, own_or_published
 from racines_models.protocol import Judge
+from racines_models.published.places import WEIGHTS, own_or_published
 
 GRADER_FOLDER = Path("models/runs/grader")
 GRADERS = {

@@ -10,7 +10,7 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.tables import Markdown, code, escape, markdown_table
-from racines_models.catalogue import Catalogue, WeightsSet
+from racines_models.published.catalogue import Catalogue, WeightsSet
 
 LICENCE = "Apache-2.0"
 NO_DEVICE = (

@@ -19,7 +19,7 @@ EXAMPLES = {
     "data validate": "racines data validate data/racines",
     "data annotate": "racines data annotate data/racines",
     "data card": "racines data card data/racines",
-    "data export": "racines data export --format release --out exported",
+    "data export": "racines data export data/racines --format release --out exported",
     "data push": "racines data push OWNER/NAME --dry-run",
     "data pull": "racines data pull OWNER/NAME",
     "phantom from-mesh": "racines phantom from-mesh meshes --tissues tissues.yaml --out mine",
@@ -38,12 +38,12 @@ EXAMPLES = {
     "eval agent": "racines eval agent planner --profile smoke",
     "eval robustness": "racines eval robustness planner --profile smoke",
     "export generator": "racines export generator vae-gan --out vae-gan.onnx",
-    "export agent": "racines export agent --run envs/weights/ppo --out ppo.onnx",
+    "export agent": "racines export agent envs/weights/ppo --out ppo.onnx",
     "export weights": "racines export weights models/runs/vae-gan",
     "export poses": "racines export poses --out poses.parquet",
     "export predictions": "racines export predictions mean-image --out predictions.parquet",
     "export motion": "racines export motion no-motion --out motion.npz",
-    "export envhub": "racines export envhub --out envhub",
+    "export envhub": "racines export envhub SC --out envhub",
     "export trace": "racines export trace planner --out trace.jsonl",
     "board pin": "racines board pin phantom-default",
     "board commit-secret": "racines board commit-secret phantom-default",
@@ -53,13 +53,13 @@ EXAMPLES = {
     "expert score": "racines expert score kit ratings.jsonl",
     "drive": "racines drive",
     "replay": "racines replay episode.json",
-    "explain": "racines explain --profile smoke",
+    "explain": "racines explain ppo --profile smoke",
     "submit": "racines submit submission.yaml --check",
     "leaderboard": "racines leaderboard --board phantom-default",
     "audit": "racines audit phantom-default",
     "studio": "racines studio",
 }
-"""A line that works, or that shows the shape where it takes what is one's own; studies have none."""
+"""A line that works, or shows the shape where it takes what is one's own; studies have none."""
 
 
 def epilog_of(words: str) -> str | None:

@@ -13,7 +13,7 @@ Name = Annotated[str, typer.Argument(help="Name of the weights, as racines weigh
 def list_(as_json: opt.AsJson = False) -> None:
     """List every published set of weights: what it is, its size, the boards that name it."""
     from racines_data.terminal import say, say_json
-    from racines_models.catalogue import read_catalogue
+    from racines_models.published.catalogue import read_catalogue
 
     sets = read_catalogue().sets.values()
     if as_json:
@@ -35,7 +35,7 @@ def verify(
 ) -> None:
     """Hash every file of the published weights; exit 1 if one is missing or damaged."""
     from racines_data.terminal import say, say_json
-    from racines_models.catalogue import broken_files, read_catalogue
+    from racines_models.published.catalogue import broken_files, read_catalogue
 
     catalogue = read_catalogue()
     sets = list(catalogue.sets.values()) if name is None else [catalogue.named(name)]
@@ -57,7 +57,7 @@ def card(name: Name, out: opt.OwnOutFile = None) -> None:
     from racines_data.files import write_atomic
     from racines_data.terminal import say, say_page
     from racines_leaderboard.board.model_card import model_card
-    from racines_models.catalogue import read_catalogue
+    from racines_models.published.catalogue import read_catalogue
 
     catalogue = read_catalogue()
     page = model_card(catalogue, catalogue.named(name))
@@ -71,7 +71,7 @@ def card(name: Name, out: opt.OwnOutFile = None) -> None:
 def fetch(name: Name) -> None:
     """Fetch weights that are not here; so far no repository is named that has them."""
     from racines_data.errors import RacinesError
-    from racines_models.catalogue import broken_files, read_catalogue
+    from racines_models.published.catalogue import broken_files, read_catalogue
 
     catalogue = read_catalogue()
     if not broken_files(catalogue.root, [catalogue.named(name)], full=False):

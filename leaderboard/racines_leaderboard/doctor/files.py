@@ -6,8 +6,8 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.manifest import MANIFEST, default_root, read_manifest, rebuild_hint
-from racines_models.catalogue import CATALOGUE, broken_files, read_catalogue
-from racines_models.places import published
+from racines_models.published.catalogue import CATALOGUE, broken_files, read_catalogue
+from racines_models.published.places import published
 
 DATA = Path("data")
 

@@ -8,7 +8,7 @@ from typing import Any
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
-from racines_models.places import CHECKOUT
+from racines_models.published.places import CHECKOUT
 
 KEY = ("torch", "torchrl", "tensordict", "gymnasium", "datasets", "numpy", "polars", "monai")
 """Packages that are named in any case, since results hang on them most."""

@@ -9,7 +9,7 @@ import racines_envs  # noqa: F401  (registers the tasks)
 from racines_data.errors import RacinesError
 from racines_envs.task.tasks import get_task
 from racines_envs.worlds.backends import GRADER_FILE, GRADER_FOLDER, make_grader, usual_grader
-from racines_models import places
+from racines_models.published import places
 
 
 @pytest.fixture

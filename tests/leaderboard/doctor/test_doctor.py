@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from racines_leaderboard.cli.command import app
 from racines_leaderboard.doctor import examine, installed, machine
-from racines_models import places
+from racines_models.published import places
 from tests.conftest import command
 
 

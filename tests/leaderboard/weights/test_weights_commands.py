@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from racines_data.errors import RacinesError
 from racines_leaderboard.board.model_card import model_card
 from racines_leaderboard.cli.command import app
-from racines_models import places
-from racines_models.catalogue import CATALOGUE, read_catalogue
+from racines_models.published import places
+from racines_models.published.catalogue import CATALOGUE, read_catalogue
 from tests import weights_manifest
 from tests.prose import weights
 

@@ -7,7 +7,7 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_models.cli.device import Device
-from racines_models.places import WEIGHTS, published
+from racines_models.published.places import WEIGHTS, published
 
 if TYPE_CHECKING:
     from rich.table import Table

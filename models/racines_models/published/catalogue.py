@@ -13,7 +13,7 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_models.places import WEIGHTS, published
+from racines_models.published.places import WEIGHTS, published
 
 SCHEMA = "racines.weights/1"
 CATALOGUE = WEIGHTS / "manifest.json"

@@ -11,7 +11,7 @@ from racines_data.terminal import say
 
 WEIGHTS = Path("models/weights")
 POLICIES = Path("envs/weights")
-CHECKOUT = Path(__file__).resolve().parents[2]
+CHECKOUT = Path(__file__).resolve().parents[3]
 """The folder of the checkout that this code lies in; of an installed wheel, one without weights."""
 
 
