@@ -11,6 +11,7 @@ from typing import Any
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_data.manifest import UNKNOWN_SCALE, scale_known
+from racines_data.processor import processor
 from racines_data.store.frames import FrameStore
 
 PASSING = ("seconds", "environment", "code")
@@ -115,18 +116,10 @@ def environment(device: str = "cpu") -> dict[str, Any]:
         "python": platform.python_version(),
         "torch": torch.__version__,
         "platform": platform.platform(),
-        "cpu": _processor(),
+        "cpu": processor(),
         "threads": torch.get_num_threads(),
         "device": device,
     }
     if device.startswith("cuda"):
         described["gpu"] = torch.cuda.get_device_name(device)
     return described
-
-
-def _processor() -> str:
-    info = Path("/proc/cpuinfo")
-    for line in info.read_text().splitlines() if info.is_file() else ():
-        if line.startswith("model name"):
-            return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from racines_data.errors import RacinesError
 from racines_data.geometry import matrix_from_6d, matrix_to_euler
 from racines_envs.task.core import PARAMS_SIZE
+from racines_models.published.places import WEIGHTS, published
 
 SEEN = {"image": ["image"], "params": ["params"], "multimodal": ["image", "params"]}
 """What each observation holds, in the order in which networks read it."""
@@ -22,7 +23,7 @@ SEEN = {"image": ["image"], "params": ["params"], "multimodal": ["image", "param
 ROTATIONS = {"continuous": PARAMS_SIZE, "euler": 6}
 """Numbers of a pose by how its rotation is read."""
 
-PUBLISHED = {"explored": Path("models/weights/encoder"), "pose": Path("models/weights/pose")}
+PUBLISHED = {"explored": WEIGHTS / "encoder", "pose": WEIGHTS / "pose"}
 """Encoders of the repository: what `racines train encoder` made of the profile `reference`, and the
 pose regressor of the dataset's sweeps, which is lost where tasks start."""
 BESIDE = "encoder"
@@ -137,9 +138,9 @@ def open_encoder(
         return None
     from racines_models.judges.pose.regressor import PoseRegressor
 
-    named = PUBLISHED.get(spec, Path(spec))
+    named = published(PUBLISHED[spec]) if spec in PUBLISHED else Path(spec)
     places = [named] if near is None else [near / BESIDE, named]
-    places += PUBLISHED.values() if sha256 is not None else ()
+    places += map(published, PUBLISHED.values()) if sha256 is not None else ()
     found = [folder for folder in places if folder.is_dir()]
     if not found:
         raise RacinesError(

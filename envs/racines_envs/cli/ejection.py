@@ -10,10 +10,11 @@ from racines_data.cli.options import given, overrides, read_settings
 from racines_envs.cli.settings import Agent
 from racines_envs.cli.study import SCORES
 from racines_models.cli.device import OneDevice
+from racines_models.published.places import WEIGHTS, published
 
 JUDGES = (
     Path("models/runs/segmentation"),
-    Path("models/weights/phantom-patients/segmentation"),
+    WEIGHTS / "phantom-patients/segmentation",
 )
 """Where the segmentation judge is looked for: trained here, or published."""
 
@@ -62,7 +63,7 @@ def ejection(
     out = out or SCORES / f"{entry.name}-ejection.json"
     opt.check_ending(out, ".json")
     parts = out.with_suffix(".parts.json")
-    trained = (each for each in JUDGES if (each / "config.json").is_file())
+    trained = (each for each in map(published, JUDGES) if (each / "config.json").is_file())
     judge = SegmentationJudge.load(segmentation or next(trained, JUDGES[0]), config.device)
     with progress_bar(not as_json, "patients") as bar:
         task = bar.add_task(entry.name, total=config.patients)

@@ -19,11 +19,12 @@ from racines_data.world import World
 from racines_envs.task.names import HEART_TIER, PATIENTS
 from racines_envs.task.tasks import Task
 from racines_models.protocol import Judge
+from racines_models.published.places import WEIGHTS, own_or_published
 
 GRADER_FOLDER = Path("models/runs/grader")
 GRADERS = {
-    HEART_TIER: (GRADER_FOLDER, Path("models/weights/grader")),
-    PATIENTS: (Path("models/runs/grader-patients"), Path("models/weights/phantom-patients/grader")),
+    HEART_TIER: (GRADER_FOLDER, WEIGHTS / "grader"),
+    PATIENTS: (Path("models/runs/grader-patients"), WEIGHTS / "phantom-patients/grader"),
 }
 """Where the grader of a tier lies: one trained here stands before the published one."""
 GRADER_FILE = "grader.safetensors"
@@ -120,13 +121,13 @@ def make_backend(
 def usual_grader(task: Task) -> Path:
     """Return the folder of the grader that is meant where none is named: that of the task's tier.
 
-    Beating hearts have that of patients; an organ only one that was trained here.
+    One trained in the current folder, or else the published one, which is said once. Beating hearts
+    have that of patients; an organ only one that was trained here.
     """
     if task.anatomy != HEART:
         return GRADER_FOLDER
-    own, published = GRADERS[HEART_TIER if task.tier == HEART_TIER else PATIENTS]
-    trained = (own / GRADER_FILE).is_file() or not (published / GRADER_FILE).is_file()
-    return own if trained else published
+    own, folder = GRADERS[HEART_TIER if task.tier == HEART_TIER else PATIENTS]
+    return own_or_published(own, folder, GRADER_FILE)
 
 
 def make_grader(

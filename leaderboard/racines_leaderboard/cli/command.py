@@ -21,6 +21,7 @@ from racines_data.errors import RacinesError, describe_os_error
 from racines_data.manifest import VERIFY_VARIABLE
 from racines_data.plugins import Plugins
 from racines_data.terminal import say
+from racines_leaderboard.cli.examples import epilog_of, root_epilog
 from racines_leaderboard.cli.renamed import RenamingGroup
 
 GROUPS = {
@@ -30,6 +31,7 @@ GROUPS = {
     "eval": "Score a generator, a grader, an agent or estimated motion.",
     "study": "Questions that a table or a picture answers.",
     "export": "Hand a generator, an agent, or what they answer to a program outside.",
+    "weights": "The published weights: what there is, whether it is whole, its cards.",
     "board": "What a board holds its records to, and its rounds of fresh draws.",
     "expert": "A blinded study: experts say which view an image shows, and how good it is.",
 }
@@ -92,6 +94,10 @@ COMMANDS = {
     "expert rate": "racines_leaderboard.cli.expert:rate",
     "expert score": "racines_leaderboard.cli.expert:score",
     "demo": "racines_envs.cli.demo:demo",
+    "weights list": "racines_leaderboard.cli.weights:list_",
+    "weights verify": "racines_leaderboard.cli.weights:verify",
+    "weights card": "racines_leaderboard.cli.weights:card",
+    "weights fetch": "racines_leaderboard.cli.weights:fetch",
     "drive": "racines_envs.cli.episodes:drive",
     "replay": "racines_envs.cli.episodes:replay",
     "explain": "racines_envs.cli.episodes:explain",
@@ -99,11 +105,13 @@ COMMANDS = {
     "leaderboard": "racines_leaderboard.cli.board:leaderboard",
     "board commit-secret": "racines_leaderboard.cli.secret:commit_secret",
     "board reveal": "racines_leaderboard.cli.secret:reveal",
+    "doctor": "racines_leaderboard.cli.doctor:doctor",
     "audit": "racines_leaderboard.cli.audit:audit",
     "studio": "racines_leaderboard.cli.studio:studio",
 }
 """Where the function of each command stands; heavy imports stand inside it, for a quick --help."""
 
+HELP = ["-h", "--help"]
 PLUGINS = Plugins("command", "racines.commands", or_give="")
 
 app = typer.Typer(
@@ -111,8 +119,9 @@ app = typer.Typer(
     cls=RenamingGroup,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
     rich_markup_mode=None,
+    context_settings={"help_option_names": HELP},  # which all commands below take over
+    epilog=root_epilog(),
 )
 
 
@@ -123,7 +132,7 @@ def _assemble() -> None:
         app.add_typer(groups[name], name=name)
     for words, function in COMMANDS.items():
         group, _, name = words.rpartition(" ")
-        groups[group].command(name)(resolve_name(function))
+        groups[group].command(name, epilog=epilog_of(words))(resolve_name(function))
     taken = {each.name for each in (*app.registered_commands, *app.registered_groups)}
     passed_on = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
     for name, point in PLUGINS.points().items():
@@ -140,7 +149,8 @@ def _call(context: typer.Context) -> Any:
         function, made = made, typer.Typer(add_completion=False)
         made.command()(function)
     command = typer.main.get_command(made)
-    return command.main(context.args, prog_name=f"racines {name}", standalone_mode=False)
+    told = {"prog_name": f"racines {name}", "help_option_names": HELP}
+    return command.main(context.args, standalone_mode=False, **told)
 
 
 _assemble()

@@ -6,6 +6,7 @@ from typing import Any
 from typer.core import TyperGroup
 
 from racines_data.terminal import say
+from racines_leaderboard.cli.suggest import suggesting
 
 COMMANDS = {
     "phantom sheet": "study sheet",
@@ -63,7 +64,17 @@ def _tell(old: str, new: str) -> None:
 
 
 class RenamingGroup(TyperGroup):
-    """The root of the commands, which takes old names too without listing them."""
+    """The root of the commands: takes old names without listing them, and says what is meant."""
+
+    def make_context(self, *args: Any, **settings: Any) -> Any:
+        """Read the root's own options."""
+        with suggesting(self):
+            return super().make_context(*args, **settings)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that is named."""
+        with suggesting(self):
+            return super().invoke(ctx)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command by its name of today."""

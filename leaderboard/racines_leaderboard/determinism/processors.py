@@ -21,6 +21,7 @@ from zipfile import BadZipFile
 import numpy as np
 import torch
 
+from racines_data import processor
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
 from racines_data.geometry import Pose, pose_to_parameters
@@ -29,7 +30,6 @@ from racines_data.phantom.config import heart_config
 from racines_data.randomness import sample_seeds, uniform
 from racines_data.tables import markdown_table
 from racines_data.validate.canonical import BEYOND, LEVELS, SHARE, compare
-from racines_models.provenance import environment
 
 SCHEMA = "racines.canonical/1"
 RECORD = Path(__file__).with_name("canonical.npz")
@@ -111,14 +111,11 @@ def draw(record: Record) -> Drawing:
 
 
 def _processor() -> str:
-    info, told = Path("/proc/cpuinfo"), {}
-    for line in info.read_text().splitlines() if info.is_file() else ():
-        key, _, value = line.partition(":")
-        told.setdefault(key.strip(), value.strip())
+    told = processor.told()
     parts = [
         f"{key.removeprefix('cpu ')} {told[key]}" for key in ("cpu family", "model") if key in told
     ]
-    return environment()["cpu"] + (f" ({', '.join(parts)})" if parts else "")
+    return processor.processor() + (f" ({', '.join(parts)})" if parts else "")
 
 
 def read_record(path: Path = RECORD) -> Record:

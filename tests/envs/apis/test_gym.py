@@ -228,6 +228,7 @@ def test_start_pose_option(phantom):
 
 def test_missing_grader_and_wrong_names_are_refused(phantom, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("racines_models.published.places.CHECKOUT", tmp_path)
     with pytest.raises(RacinesError, match="racines train grader"):
         gymnasium.make(ID, phantom=phantom)
     with pytest.raises(RacinesError, match="render_mode"):

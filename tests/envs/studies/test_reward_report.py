@@ -95,6 +95,7 @@ def test_a_high_return_without_the_view_is_counted(phantom):
 
 def test_impossible_reports_are_refused(phantom, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("racines_models.published.places.CHECKOUT", tmp_path)
     runs = find_runs(["random"])
     fine = RewardReportConfig()
     for wrong in (

@@ -303,6 +303,7 @@ def test_the_distance_is_in_unit_steps_and_counts_the_rotation(phantom):
 
 def test_bad_input_is_refused_with_a_reason(phantom, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("racines_models.published.places.CHECKOUT", tmp_path)
     with pytest.raises(RacinesError, match=r"racines train grader.*reward='oracle'"):
         core_of(phantom, reward="paper")
     with pytest.raises(RacinesError, match="observation"):

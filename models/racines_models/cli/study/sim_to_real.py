@@ -7,13 +7,14 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_models.cli.device import Device
+from racines_models.published.places import WEIGHTS, published
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 JUDGES = Path("models/runs")
 """Where judges lie that are not named."""
-PUBLISHED = Path("models/weights/phantom-patients")
+PUBLISHED = WEIGHTS / "phantom-patients"
 """Where the published judges of patients lie."""
 
 
@@ -82,8 +83,8 @@ def _imported(
     from racines_models.studies.sim_to_real.imported import measure_imported
     from racines_models.studies.sim_to_real.imported_sheet import sheet, told_rows
 
-    judge = None if no_grader else Grader.load(grader or PUBLISHED / "grader", device)
-    regressor = PoseRegressor.load(PUBLISHED / "pose", device)
+    judge = None if no_grader else Grader.load(grader or published(PUBLISHED / "grader"), device)
+    regressor = PoseRegressor.load(published(PUBLISHED / "pose"), device)
     measured = measure_imported(open_store(root), judge, regressor, InceptionFeatures(device))
     write_atomic(out.with_suffix(".png"), sheet(measured))
     write_json(out.with_suffix(".json"), measured.content)

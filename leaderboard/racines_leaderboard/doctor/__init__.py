@@ -1,0 +1,1 @@
+"""What `racines doctor` looks at: packages, machine, files. Nothing heavy is imported."""
