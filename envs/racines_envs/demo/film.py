@@ -21,6 +21,7 @@ from racines_envs.demo.looks import (
     GOOD,
     INK,
     LINE,
+    NAME,
     PALE,
     PANEL,
     PAPER,
@@ -53,7 +54,7 @@ SIGNS = (
     INK,
     WORDS,
     PALE,
-    "#ffe08a",
+    NAME,
 )
 """Colours that the film never loses."""
 
@@ -65,7 +66,7 @@ def ultrasound(
     shown = Image.fromarray(image).resize((side, side), Image.Resampling.BICUBIC).convert("RGB")
     draw = ImageDraw.Draw(shown)
     for name, (x, y) in (names or {}).items():
-        draw.text((x * side, y * side), name, "#ffe08a", font(max(12, side // 22)), anchor="mm",
+        draw.text((x * side, y * side), name, NAME, font(max(12, side // 22)), anchor="mm",
                   stroke_width=2, stroke_fill="#000000")  # fmt: skip
     return shown
 

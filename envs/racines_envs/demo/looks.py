@@ -9,7 +9,7 @@ BACK, PANEL, LINE, PALE, WORDS = "#0f1419", "#182029", "#3d4854", "#a9b4bf", "#e
 INK, LABEL, PAPER = "#11161c", "#5a3a2b", "#ffffff"
 SKIN = (226, 180, 152)
 PROBE, AIM, TRUE, WAY = "#38bdf8", "#7c2bd6", "#22c55e", "#14639c"
-READ, GOOD, BAD = "#c4a1ff", "#4ade80", "#fbbf24"
+READ, GOOD, BAD, NAME = "#c4a1ff", "#4ade80", "#fbbf24", "#ffe08a"
 
 
 @cache

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from PIL import Image
+from PIL import Image, ImageSequence
 from rich.console import Console
 from typer.testing import CliRunner
 
@@ -38,6 +38,10 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[episode.Outcome, Pat
 @pytest.fixture(scope="module")
 def chest(made: tuple[episode.Outcome, Path]) -> ChestMap:
     return ChestMap(made[0].heart, made[0].own)
+
+
+def frames(moving: Image.Image) -> int:
+    return sum(1 for _ in ImageSequence.Iterator(moving))
 
 
 def content(text: str) -> dict:
@@ -72,7 +76,7 @@ def test_the_page_holds_all_it_shows_and_says_what_it_is_not(made: tuple[episode
 
 def test_the_film_is_of_every_third_step_and_the_end(made: tuple[episode.Outcome, Path]):
     with Image.open(made[1] / "demo.gif") as moving:
-        assert moving.size == (film.WIDTH, film.HEIGHT) and moving.n_frames == 3
+        assert moving.size == (film.WIDTH, film.HEIGHT) and frames(moving) == 3
         moving.seek(1)
         shown = moving.convert("RGB")
     colours = {colour for _, colour in shown.getcolors(1 << 20) or []}
@@ -89,7 +93,7 @@ def test_the_tracked_film_is_small_and_of_the_middle_of_the_found():
     failing = next(row[1] for row in rows if row[0] == "failure")
     with Image.open(path) as moving:
         last = steps % film.EVERY > 0
-        assert moving.n_frames == steps // film.EVERY + 1 + last + 1
+        assert frames(moving) == steps // film.EVERY + 1 + last + 1
     for name in ("README.md", "docs/demo.md"):
         text = (ROOT / name).read_text()
         assert f"--patient {patient} --seed 0" in text and f"--patient {failing} --seed 0" in text
@@ -196,4 +200,4 @@ def test_the_command_finds_the_view_and_repeats_the_tracked_film(
         Image.open(tmp_path / "demo/demo.gif") as new,
         Image.open(ROOT / "docs/images/demo.gif") as old,
     ):
-        assert new.n_frames == old.n_frames
+        assert frames(new) == frames(old)
