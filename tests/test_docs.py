@@ -77,6 +77,8 @@ def _parse(words: list[str]) -> None:
     while hasattr(found, "commands"):
         if words[0] in {option for each in found.params for option in each.opts}:
             words.pop(0)  # a switch of the whole program
+            if not words:
+                return  # such as --install-completion, which is all of the line
         found = found.commands[words.pop(0)]
     try:
         found.make_context("racines", words)

@@ -16,7 +16,7 @@ KEY = ("torch", "torchrl", "tensordict", "gymnasium", "datasets", "numpy", "pola
 
 def python() -> dict[str, Any]:
     """Return the version of Python, what is asked for, and whether they fit."""
-    asked = metadata("racines").get("Requires-Python") or ""
+    asked = next(iter(metadata("racines").get_all("Requires-Python") or [""]))
     here = platform.python_version()
     return {"version": here, "asked": asked, "fits": SpecifierSet(asked).contains(here, True)}
 
@@ -49,8 +49,10 @@ def _asked(extra: str) -> Iterator[Requirement]:
     """Yield what is asked for in any case, or by an extra alone; what is for other systems not."""
     for line in requires("racines") or ():
         asked = Requirement(line)
-        always = asked.marker is None or asked.marker.evaluate({"extra": ""})
-        if always if not extra else not always and asked.marker.evaluate({"extra": extra}):
+        marker = asked.marker
+        always = marker is None or marker.evaluate({"extra": ""})
+        of_it = marker is not None and not always and marker.evaluate({"extra": extra})
+        if of_it if extra else always:
             yield asked
 
 
