@@ -107,5 +107,15 @@ def times(value: float) -> str:
     return f"{value:,.0f}" if value >= 10 else f"{value:.2f}"
 
 
-PEERS = table(read())
+def measured(lines: list[dict[str, Any]]) -> str:
+    """Return on what machine, and when, lines were measured, in words."""
+    here = {
+        f"{each['cpu']}, {each['cores']} cores, {each['threads']} threads, torch {each['torch']}, "
+        f"{each['date']}"
+        for each in (line["measured"] for line in lines)
+    }
+    return "; ".join(sorted(here)) or "nothing yet"
+
+
+PEERS, MEASURED = table(read()), measured(read())
 """What the documentation shows."""

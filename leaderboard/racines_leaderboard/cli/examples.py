@@ -51,12 +51,13 @@ EXAMPLES = {
     "expert sample": "racines expert sample --out kit",
     "expert rate": "racines expert rate kit",
     "expert score": "racines expert score kit ratings.jsonl",
+    "demo": "racines demo --patient 20035",
     "drive": "racines drive",
     "replay": "racines replay episode.json",
     "explain": "racines explain ppo --profile smoke",
     "submit": "racines submit submission.yaml --check",
     "leaderboard": "racines leaderboard --board phantom-default",
-    "audit": "racines audit phantom-default",
+    "audit": "racines audit ppo --board phantom-default",
     "studio": "racines studio",
 }
 """A line that works, or shows the shape where it takes what is one's own; studies have none."""

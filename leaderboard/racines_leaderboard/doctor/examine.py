@@ -54,6 +54,8 @@ def _next(report: dict[str, Any]) -> Iterator[str]:
     if report["problems"]:
         yield "racines doctor, once the problems above are solved"
         return
+    if report["weights"]["files"]:
+        yield "racines demo"
     if not report["datasets"]:
         yield "racines data build --profile smoke"
     else:
