@@ -1,18 +1,19 @@
 """Speed and memory of the data build, beside writing the same frames with plain `datasets`.
 
 The peer draws the same sweeps by the same renderer and hands them, a row a frame, to
-`Dataset.from_generator`, then writes Parquet; as many processes as ours. Ours does more in its
-time: splits, checks, digests, and a store for training. Rows are compared, value for value.
+`Dataset.from_generator`, then writes Parquet; both in one process of one thread, since a fork of a
+process with threads may wait for ever. Ours does more in its time: splits, checks, digests, a card
+with pictures, and a store for training. Rows are compared, value for value.
 """
 
 import os
-import resource
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from datasets import Dataset, concatenate_datasets
 
 import racines_data
@@ -42,12 +43,11 @@ def rows(units: list[Any], config: DataConfig) -> Iterator[dict[str, Any]]:
             yield row | {"trajectory": sweep.id, "frame": t}
 
 
-def plain(config: DataConfig, folder: Path, workers: int) -> None:
+def plain(config: DataConfig, folder: Path) -> None:
     """Write the frames with `datasets` alone."""
     dataset = Dataset.from_generator(
         rows, features=frame_features(("phantom",)), cache_dir=str(folder / "cache"),
         gen_kwargs={"units": list(make_source(config).plan()), "config": config},
-        num_proc=workers if workers > 1 else None,
     )  # fmt: skip
     dataset.to_parquet(folder / "frames.parquet")  # type: ignore[union-attr]
 
@@ -55,9 +55,9 @@ def plain(config: DataConfig, folder: Path, workers: int) -> None:
 @pytest.mark.timeout(900)
 @pytest.mark.slow
 def test_build(benchmark, line, tmp_path: Path) -> None:
-    workers = min(2, len(os.sched_getaffinity(0)))
-    config = DataConfig(frames=FRAMES, workers=workers)
-    shared_phantom()  # baked before either side forks
+    config, threads = DataConfig(frames=FRAMES, workers=1), torch.get_num_threads()
+    torch.set_num_threads(1)
+    shared_phantom()  # baked for both
     places = {name: [] for name in ("ours", PEER)}
 
     def place(name: str) -> Path:
@@ -68,15 +68,13 @@ def test_build(benchmark, line, tmp_path: Path) -> None:
 
     sides = {
         "ours": lambda: build(make_source(config), place("ours") / "racines", config),
-        PEER: lambda: plain(config, place(PEER), workers),
+        PEER: lambda: plain(config, place(PEER)),
     }
     times = in_turns(sides, rounds=2, warm=0)
     benchmark.pedantic(sides["ours"], rounds=1)
+    torch.set_num_threads(threads)
     assert_equal(places["ours"][0] / "racines", places[PEER][0] / "frames.parquet")
-    most = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20
-    benchmark.extra_info["gigabytes_of_the_largest_process"] = most
-    print(f"{most:.2f} GB, the largest child process of either")
-    work = f"build, {FRAMES:,} frames, {workers} processes"
+    work = f"build, {FRAMES:,} frames, one process"
     line(line_of(work, "frames/s", FRAMES, times, PEER, f"columns, and {ROWS} rows"))
 
 
