@@ -54,13 +54,12 @@ def _next(report: dict[str, Any]) -> Iterator[str]:
     if report["problems"]:
         yield "racines doctor, once the problems above are solved"
         return
-    if report["weights"]["files"]:
-        yield "racines demo"
     if not report["datasets"]:
         yield "racines data build --profile smoke"
     else:
         yield f"racines data validate {report['datasets'][0]['root']}"
     if report["weights"]["files"]:
+        yield "racines demo"
         yield "racines weights list"
     yield "racines leaderboard"
 

@@ -42,6 +42,7 @@ def test_the_papers_reward_asks_the_grader_of_patients(beating, tmp_path, monkey
     hearts = make_core("A4C", observation="params", reward="paper").grader
     assert hearts.sha256 != core.grader.sha256
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("racines_models.published.places.CHECKOUT", tmp_path)
     with pytest.raises(RacinesError, match="train grader --out models/runs/grader-patients"):
         core_of(beating, reward="paper")
 
