@@ -32,7 +32,7 @@ def test_leaderboards(visit: Visit, tmp_path: Path, size):
     label = page.get_by_text("Further figures", exact=True).bounding_box()
     assert label["x"] + label["width"] <= size[0]
     photograph(page, tmp_path / "generators.png")
-    page.get_by_label("agents").click()
+    page.get_by_label("agents", exact=True).click()
     page.wait_for_selector("#boards-tables tr[data-name=pl-image]")
     page.get_by_label("the pose").click()
     page.wait_for_selector("#boards-tables tr[data-name=pl-image]", state="detached")
