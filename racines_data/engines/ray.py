@@ -208,4 +208,7 @@ def _not_started(address: str, error: Exception) -> RacinesError:
         return RacinesError(
             f"--address {address}: {told}: install the versions of the cluster here, or ours there"
         )
-    return RacinesError(f"--engine ray: Ray did not start: {told}: see its logs in /tmp/ray")
+    return RacinesError(
+        f"--engine ray: Ray did not start: {told}: see session_latest/logs in Ray's "
+        "temporary folder"
+    )

@@ -80,6 +80,12 @@ class PolicyAgent:
     remembers: ClassVar[bool] = False
     """Whether what it does in a step depends on the steps before; see `rollout`."""
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Take a subclass that wants to meet the environment for one that keeps a memory."""
+        super().__init_subclass__(**options)
+        if "attach" in vars(cls) and "remembers" not in vars(cls):
+            cls.remembers = True
+
     def __init__(
         self, config: Any, actor: ObservationNetwork, encoder: PoseEncoder | None = None
     ) -> None:

@@ -32,6 +32,19 @@ def test_rows_that_have_ended_are_not_drawn_again_and_nothing_else_changes(phant
         assert torch.equal(value, observation[name]), name
 
 
+def test_a_policy_that_meets_its_environment_is_shown_all_rows():
+    """A package's own policy may keep a memory of each row, which it begins in `attach`."""
+
+    class Recurrent(PPOAgent):
+        def attach(self, core):
+            self.memory = torch.zeros(core.num_envs)
+
+    class Plain(PPOAgent):
+        pass
+
+    assert Recurrent.remembers and not Plain.remembers and not PPOAgent.remembers
+
+
 def test_who_keeps_no_memory_is_asked_of_live_rows_alone_and_acts_alike(monkeypatch):
     """A policy's episodes are the same whether or not it is shown what has ended."""
     agent = PPOAgent.load(ROOT / "envs/weights/phantom-default/ppo")
