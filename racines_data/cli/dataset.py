@@ -101,7 +101,7 @@ def push(
         bool, typer.Option(help="Send the training stores too; `pull` can make them again.")
     ] = False,
     dry_run: Annotated[bool, typer.Option(help="Say what would go, without network.")] = False,
-    out: opt.Cards = None,
+    cards: opt.Cards = None,
     workers: opt.Workers = 2,
     as_json: opt.AsJson = False,
 ) -> None:
@@ -111,8 +111,8 @@ def push(
 
     folder = default_root(root)
     plan = plan_push(folder, repo_id, tag, revision, with_store, workers or 1)
-    if out is not None:
-        write_atomic(out / CARD, (folder / CARD).read_bytes())
+    if cards is not None:
+        write_atomic(cards / CARD, (folder / CARD).read_bytes())
     made = plan.to_json() if dry_run else push_dataset(folder, plan, private)
     if as_json:
         say_json({**made, "private": private, "dry_run": dry_run})

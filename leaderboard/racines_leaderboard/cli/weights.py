@@ -102,7 +102,7 @@ def push(
     name: Annotated[list[str] | None, typer.Argument(help="Sets.  [default: all]")] = None,
     private: Annotated[bool, typer.Option(help="Make a new repository private.")] = False,
     dry_run: Annotated[bool, typer.Option(help="Say what would go, without network.")] = False,
-    out: opt.Cards = None,
+    cards: opt.Cards = None,
     as_json: opt.AsJson = False,
 ) -> None:
     """Send sets of weights to the Hub, each a model repository with its card (token: HF_TOKEN)."""
@@ -114,8 +114,8 @@ def push(
     catalogue = read_catalogue()
     sets = [catalogue.named(each) for each in name or catalogue.sets]
     plans = pushing.plan_pushes(catalogue, sets, owner)
-    for plan in plans if out is not None else ():
-        write_atomic(out / plan.repo_id.partition("/")[2] / pushing.CARD, plan.card)
+    for plan in plans if cards is not None else ():
+        write_atomic(cards / plan.repo_id.partition("/")[2] / pushing.CARD, plan.card)
     made = []
     for plan in plans:
         made.append(plan.to_json() if dry_run else pushing.push(plan, private))

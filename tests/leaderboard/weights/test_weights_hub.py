@@ -152,7 +152,7 @@ def test_a_dry_run_lists_and_writes_cards_and_asks_nobody(
     copied: Catalogue, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr("huggingface_hub.HfApi", None)
-    words = ["weights", "push", "someone", "--dry-run", "--out", "cards"]
+    words = ["weights", "push", "someone", "--dry-run", "--cards", "cards"]
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert "seed-2/policy.safetensors" in done.stdout and "would send 1 model" in done.stdout
