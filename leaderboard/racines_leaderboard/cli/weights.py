@@ -114,10 +114,10 @@ def push(
     catalogue = read_catalogue()
     sets = [catalogue.named(each) for each in name or catalogue.sets]
     plans = pushing.plan_pushes(catalogue, sets, owner)
-    for plan in plans if cards is not None else ():
-        write_atomic(cards / plan.repo_id.partition("/")[2] / pushing.CARD, plan.card)
     made = []
     for plan in plans:
+        if cards is not None:
+            write_atomic(cards / plan.repo_id.partition("/")[2] / pushing.CARD, plan.card)
         made.append(plan.to_json() if dry_run else pushing.push(plan, private))
         if not as_json:
             say(f"{plan.repo_id} (tag {plan.tag})")
