@@ -111,6 +111,7 @@ MOVED = {
     "racines_leaderboard.submissions.confined": (
         "confined=session confined_child=child confined_roads=session confined_wire=child"
     ),
+    "racines_leaderboard.weights": "board.model_card=card",
     "racines_models": "bootstrap=statistics publish=weights racines_envs.intervals=statistics",
     "racines_models.cli": (
         "cli_conditioning=study.comparisons cli_data=study.comparisons cli_floor=study.comparisons "

@@ -51,3 +51,12 @@ def console(err: bool = False) -> "Console":
             super().print(*texts, **options)
 
     return Plain(stderr=err, markup=False, emoji=False, highlight=False)
+
+
+def sized(count: float) -> str:
+    """Return a count of bytes in words: `950 B`, `1.2 kB`, `3.40 GB`."""
+    for unit in ("B", "kB", "MB"):
+        if count < 1000:
+            return f"{count:.{0 if unit == 'B' else 1}f} {unit}"
+        count /= 1000
+    return f"{count:.2f} GB"

@@ -16,6 +16,9 @@ from racines_models.published.places import POLICIES, WEIGHTS
 from tests.prose.markers import ROOT
 from tests.prose.weights import ENDINGS, GROUPS, group_of, named
 
+HUB = None
+"""Who has the sets' repositories on the Hugging Face Hub; nobody so far."""
+
 
 def manifest() -> dict[str, Any]:
     """Return what the manifest has to say of the weights that git tracks."""
@@ -46,7 +49,7 @@ def manifest() -> dict[str, Any]:
                 and Path(name).stem.startswith(Path(place).name)
             ),
         }
-    return {"schema": SCHEMA, "sets": dict(sorted(sets.items()))}
+    return {"schema": SCHEMA, "hub": HUB, "sets": dict(sorted(sets.items()))}
 
 
 def _sets() -> dict[str, list[str]]:

@@ -7,8 +7,9 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_data.errors import RacinesError
+from racines_data.files import write_atomic
 from racines_data.manifest import CARD, PICTURES, default_root, digest_note, read_manifest
-from racines_data.terminal import say, say_json
+from racines_data.terminal import say, say_json, sized
 
 if TYPE_CHECKING:
     from racines_data.hub.push import Push
@@ -100,6 +101,7 @@ def push(
         bool, typer.Option(help="Send the training stores too; `pull` can make them again.")
     ] = False,
     dry_run: Annotated[bool, typer.Option(help="Say what would go, without network.")] = False,
+    cards: opt.Cards = None,
     workers: opt.Workers = 2,
     as_json: opt.AsJson = False,
 ) -> None:
@@ -109,35 +111,29 @@ def push(
 
     folder = default_root(root)
     plan = plan_push(folder, repo_id, tag, revision, with_store, workers or 1)
+    if cards is not None:
+        write_atomic(cards / CARD, (folder / CARD).read_bytes())
     made = plan.to_json() if dry_run else push_dataset(folder, plan, private)
     if as_json:
         say_json({**made, "private": private, "dry_run": dry_run})
     elif dry_run:
         _print_plan(plan, private)
     elif made["uploaded"]:
-        say(f"{repo_id}: {len(plan.files)} files, {_size(plan.bytes)}, tag {plan.tag}")
+        say(f"{repo_id}: {len(plan.files)} files, {sized(plan.bytes)}, tag {plan.tag}")
     else:
         say(f"{repo_id}: has {plan.tag} already, with these very files")
 
 
 def _print_plan(plan: "Push", private: bool) -> None:
     for name, record in sorted(plan.files.items()):
-        say(f"{_size(record['bytes']):>10}  {name}")
+        say(f"{sized(record['bytes']):>10}  {name}")
     for name, count in sorted(plan.left_out.items()):
-        say(f"{_size(count):>10}  {name}  (stays here; --with-store sends it)")
+        say(f"{sized(count):>10}  {name}  (stays here; --with-store sends it)")
     say(
-        f"would send {len(plan.files)} files, {_size(plan.bytes)}, to dataset {plan.repo_id} "
+        f"would send {len(plan.files)} files, {sized(plan.bytes)}, to dataset {plan.repo_id} "
         f"({'private' if private else 'public'} if new), branch {plan.revision}, tag {plan.tag}, "
         f"content sha256 {plan.digest}"
     )
-
-
-def _size(count: float) -> str:
-    for unit in ("B", "kB", "MB"):
-        if count < 1000:
-            return f"{count:.{0 if unit == 'B' else 1}f} {unit}"
-        count /= 1000
-    return f"{count:.2f} GB"
 
 
 def pull(

@@ -82,6 +82,9 @@ OutFile = Annotated[Path, typer.Option("--out", help="File to write.")]
 OwnOutFile = Annotated[
     Path | None, typer.Option("--out", help="File to write.  [default: by name, or none]")
 ]
+Cards = Annotated[
+    Path | None, typer.Option("--cards", help="Write the cards into this folder too.")
+]
 Report = Annotated[Path, typer.Option("--out", help="Writes OUT.json, and OUT.png beside it.")]
 
 Trained = Annotated[

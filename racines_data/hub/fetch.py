@@ -92,7 +92,7 @@ def hub_errors(repo_id: str, remedy: str) -> Iterator[None]:
         ) from error
 
 
-def hub_files(client: "HfApi", repo_id: str, revision: str) -> dict[str, Any]:
+def hub_files(client: "HfApi", repo_id: str, revision: str, kind: str = KIND) -> dict[str, Any]:
     """Return the files of a revision, by path, with `size` and, of large ones, `lfs.sha256`."""
-    tree = client.list_repo_tree(repo_id, recursive=True, revision=revision, repo_type=KIND)
+    tree = client.list_repo_tree(repo_id, recursive=True, revision=revision, repo_type=kind)
     return {entry.path: entry for entry in tree if hasattr(entry, "size")}

@@ -136,7 +136,7 @@ def push(root: Path, plan: Push, private: bool = False, api: "HfApi | None" = No
         RacinesError: no token, the tag is taken by other content, the repository holds something
             else, or the upload fails.
     """
-    client, repo = api or _client(), plan.repo_id
+    client, repo = api or writing_client(), plan.repo_id
     with hub_errors(repo, "run the command again: it goes on where it stopped"):
         client.create_repo(repo, repo_type=KIND, private=private or None, exist_ok=True)
         refs = client.list_repo_refs(repo, repo_type=KIND)
@@ -148,13 +148,14 @@ def push(root: Path, plan: Push, private: bool = False, api: "HfApi | None" = No
             client.create_branch(repo, branch=plan.revision, repo_type=KIND, exist_ok=True)
         _check_room(client, plan)
         commit = _upload(client, root, plan)
-        _check_uploaded(client, plan, commit)
+        check_uploaded(hub_files(client, repo, commit), plan.files, repo)
         message = describe(read_manifest(root))
         client.create_tag(repo, tag=plan.tag, tag_message=message, revision=commit, repo_type=KIND)
     return {**plan.to_json(), "commit": commit, "uploaded": True}
 
 
-def _client() -> "HfApi":
+def writing_client() -> "HfApi":
+    """Return a client of the Hub that may write; raises `RacinesError` without a token."""
     from huggingface_hub import HfApi, get_token
 
     if get_token() is None:
@@ -206,14 +207,18 @@ def _upload(client: "HfApi", root: Path, plan: Push) -> str:
     ).oid
 
 
-def _check_uploaded(client: "HfApi", plan: Push, commit: str) -> None:
-    tree = hub_files(client, plan.repo_id, commit)
-    for name, record in plan.files.items():
-        file = tree.get(name)
+def check_uploaded(there: dict[str, Any], files: dict[str, dict[str, Any]], repo_id: str) -> None:
+    """Check by size, and where the Hub tells it by sha256, that files are there as they are here.
+
+    Raises:
+        RacinesError: one that is not.
+    """
+    for name, record in files.items():
+        file = there.get(name)
         sha256 = getattr(getattr(file, "lfs", None), "sha256", None)  # small files have none
         other = sha256 and record.get("sha256") not in (None, sha256)
         if file is None or file.size != record["bytes"] or other:
             raise RacinesError(
-                f"{plan.repo_id}: {name} is not on the Hub as it is here; nothing was tagged: run "
+                f"{repo_id}: {name} is not on the Hub as it is here; nothing was tagged: run "
                 "the command again"
             )

@@ -13,6 +13,8 @@ from huggingface_hub import HfApi
 from huggingface_hub.utils import filter_repo_objects
 
 Tree = dict[str, bytes]
+LARGE = (".parquet", ".safetensors", ".onnx")
+"""Files of which the Hub tells the sha256."""
 
 
 def as_in_the_api(method: Callable) -> Callable:
@@ -23,7 +25,7 @@ def as_in_the_api(method: Callable) -> Callable:
         bound = real.bind(self, *args, **kwargs)
         self.calls.append(method.__name__)
         arguments = dict(itertools.islice(bound.arguments.items(), 1, None))
-        assert arguments.pop("repo_type") == "dataset"
+        assert arguments.pop("repo_type") == self.kind
         return method(self, **arguments)
 
     return call
@@ -50,6 +52,8 @@ class FakeHub:
     """Files that an upload transfers before the connection breaks."""
     damage: str = ""
     """A file that arrives empty."""
+    kind: str = "dataset"
+    """Of all repositories: `dataset` or `model`."""
 
     @as_in_the_api
     def create_repo(self, repo_id: str, private: bool | None = None, exist_ok: bool = False):
@@ -76,7 +80,7 @@ class FakeHub:
         yield SimpleNamespace(path="data", tree_id="a folder")
         for path, content in self.repositories[repo_id].tree(revision).items():
             sha256 = hashlib.sha256(content).hexdigest()
-            lfs = SimpleNamespace(sha256=sha256) if path.endswith(".parquet") else None
+            lfs = SimpleNamespace(sha256=sha256) if path.endswith(LARGE) else None
             yield SimpleNamespace(path=path, size=len(content), lfs=lfs)
 
     @as_in_the_api
@@ -85,11 +89,12 @@ class FakeHub:
         repo_id: str,
         folder_path: Path,
         revision: str,
-        allow_patterns: list[str],
         delete_patterns: list[str],
         commit_message: str,
         commit_description: str,
+        allow_patterns: list[str] | None = None,
     ):
+        folder_path = Path(folder_path)
         repository = self.repositories[repo_id]
         names = [p.relative_to(folder_path).as_posix() for p in folder_path.rglob("*.*")]
         names = [name for name in names if (folder_path / name).is_file()]
@@ -121,10 +126,13 @@ class FakeHub:
         return self.place(repo_id, revision, [filename], self.folder) + f"/{filename}"
 
     @as_in_the_api
-    def snapshot_download(self, repo_id: str, revision: str, local_dir=None, ignore_patterns=None):
+    def snapshot_download(
+        self, repo_id: str, revision: str, local_dir=None, ignore_patterns=None, allow_patterns=None
+    ):
         tree = self.repositories[repo_id].tree(revision)
-        wanted = filter_repo_objects(tree, ignore_patterns=ignore_patterns)
-        return self.place(repo_id, revision, [*wanted], local_dir or self.folder / revision)
+        patterns = {"ignore_patterns": ignore_patterns, "allow_patterns": allow_patterns}
+        wanted = filter_repo_objects(tree, **patterns)
+        return self.place(repo_id, revision, [*wanted], Path(local_dir or self.folder / revision))
 
     folder: Path = Path()
 

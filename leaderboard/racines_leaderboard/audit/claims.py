@@ -11,6 +11,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from packaging.version import InvalidVersion, Version
+
 from racines_data.digest import recipe_digest as digest_of
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
@@ -63,7 +65,7 @@ def check_claims(record: Record, bench: Bench) -> Iterator[Verdict]:
         yield told("seal", "the record has no seal: racines audit --seal gives one")
     yield from _names(record)
     yield _submission(record, bench)
-    yield equal("code.version", code["version"], version("racines"), "the package here")
+    yield _version(code["version"], version("racines"))
     if (commit := code.get("commit")) is not None:
         yield _commit(str(commit))
     if others := differing(record["scores"]["environment"], environment()):
@@ -76,6 +78,21 @@ def check_claims(record: Record, bench: Bench) -> Iterator[Verdict]:
     path = folder / kept / f"{record['name']}.json"
     if record["tier"] == "self-reported" and path.is_file():
         yield from _scores_file(record, path, bench)
+
+
+def _version(claimed: Any, here: str) -> Verdict:
+    """Hold the version of the package that made a record against the one that is here.
+
+    An earlier one is no fault: whether its numbers hold is seen where they are made again.
+    """
+    try:
+        earlier = Version(claimed) < Version(here)
+    except (InvalidVersion, TypeError):
+        return fails("code.version", "it names no version", claimed, here)
+    if earlier:
+        reason = "an earlier version made it: the numbers are made again by the code that is here"
+        return told("code.version", reason, claimed, here)
+    return equal("code.version", claimed, here, "the package here")
 
 
 def _names(record: Record) -> Iterator[Verdict]:

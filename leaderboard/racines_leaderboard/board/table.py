@@ -13,6 +13,7 @@ from rich.table import Table as RichTable
 
 from racines_data.tables import console_table, csv_table, escape, markdown_table
 from racines_data.terminal import shown_text
+from racines_leaderboard.board.declared import declared, declared_columns, declared_note
 from racines_leaderboard.board.rank import (
     SCORE,
     Ranked,
@@ -98,6 +99,7 @@ def plain(content: dict[str, list[Record]]) -> dict[str, Any]:
             | {key: getattr(ranked.standing, key) for key in ("trainings", "units")}
             | {"verdict": verdict_of(ranked.record) or None}
             | ({"task": ranked.record["scores"]["task"]} if track.steers else {})
+            | ({"training": told} if (told := declared(ranked.record)) else {})
             | {"metrics": ranked.record["scores"]["metrics"]}
             | {key: ranked.record[key] for key in STUDIED if key in ranked.record}
             for ranked in rankings(track, content[track.name])
@@ -172,19 +174,24 @@ def ranked_tables(
     yield ranked_table(title, track, ranking)
     if details and shown_columns(track.details, ranking):
         further = dataclasses.replace(track, columns=track.details)
-        table = ranked_table(f"{title} · in detail", further, ranking)
+        table = ranked_table(f"{title} · in detail", further, ranking, training=False)
         yield dataclasses.replace(table, notes=())  # it follows one that has them
 
 
-def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:
-    """Return one ranking as a table, with what there is to say of it; `ranking` holds a result."""
+def ranked_table(title: str, track: Track, ranking: list[Ranked], training: bool = True) -> Table:
+    """Return one ranking as a table, with what there is to say of it; `ranking` holds a result.
+
+    With `training`, what its submissions declare of their training stands in it.
+    """
     columns = shown_columns((SCORE, *track.columns), ranking)
     agents, shared = track.steers, tied(ranking)
     counted = [(head, key) for head, key in (("Trainings", "trainings"), ("Units", "units"))
                if any(getattr(each.standing, key) for each in ranking)]  # fmt: skip
     judged = any(verdict_of(each.record) for each in ranking)
+    records = [each.record for each in ranking]
+    told = declared_columns(records) if training else []
     rows = []
-    for ranked in ranking:
+    for i, ranked in enumerate(ranking):
         record, standing = ranked.record, ranked.standing
         counts = [m["n"] for c in columns if (m := shown_metric(record, c))]
         usual = max(counts, key=counts.count, default=0)
@@ -193,19 +200,20 @@ def ranked_table(title: str, track: Track, ranking: list[Ranked]) -> Table:
             system.append(record["scores"].get("sees", record["scores"]["task"]["observation"]))
         cells = [_cell(record, column, usual) for column in columns]
         cells += [f"{getattr(standing, key) or '–'}" for _, key in counted]
+        cells += [column[i] for _, column in told]
         verdict = [verdict_of(record) or "–"] if judged else []
         rows.append((*system, *cells, f"{usual:,}", *verdict, record["tier"]))
     sees, verdict = ("Sees",) if agents else (), ("Verdict",) if judged else ()
-    titles = (*(column.title for column in columns), *(head for head, _ in counted))
+    titles = (*(column.title for column in columns), *(head for head, _ in (*counted, *told)))
     head = ("#", "System", *sees, *titles, "n", *verdict, "Tier")
     few = f"{PERCENT} intervals; where such intervals were found to cover less, how much"
     shown = [shown_metric(each.record, column) for each in ranking for column in columns]
     less = any(metric is not None and (level_of(metric) or LEVEL) < LEVEL for metric in shown)
     counts = f"In brackets: {few if less else f'{PERCENT} intervals'}. n: {track.counted}."
     units = f" Units: {track.unit}." if any(key == "units" for _, key in counted) else ""
-    basis = " ".join([counts + units, *_basis([each.record for each in ranking])])
+    basis = " ".join([counts + units, *_basis(records)])
     rule = no_anchors(ranking[0].record) if unpinned(ranking) else track.rule
-    notes = tuple(filter(None, (rule, basis, *_notes(ranking))))
+    notes = tuple(filter(None, (rule, basis, declared_note(records), *_notes(ranking))))
     return Table(title, head, tuple(rows), notes)
 
 

@@ -31,7 +31,7 @@ GROUPS = {
     "eval": "Score a generator, a grader, an agent or estimated motion.",
     "study": "Questions that a table or a picture answers.",
     "export": "Hand a generator, an agent, or what they answer to a program outside.",
-    "weights": "The published weights: what there is, whether it is whole, its cards.",
+    "weights": "The published weights: what there is, whether it is whole, its cards, the Hub.",
     "board": "What a board holds its records to, and its rounds of fresh draws.",
     "expert": "A blinded study: experts say which view an image shows, and how good it is.",
 }
@@ -98,6 +98,7 @@ COMMANDS = {
     "weights verify": "racines_leaderboard.cli.weights:verify",
     "weights card": "racines_leaderboard.cli.weights:card",
     "weights fetch": "racines_leaderboard.cli.weights:fetch",
+    "weights push": "racines_leaderboard.cli.weights:push",
     "drive": "racines_envs.cli.episodes:drive",
     "replay": "racines_envs.cli.episodes:replay",
     "explain": "racines_envs.cli.episodes:explain",

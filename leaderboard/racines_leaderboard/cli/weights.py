@@ -56,7 +56,7 @@ def card(name: Name, out: opt.OwnOutFile = None) -> None:
     """Print the card of a set of weights in Markdown: method, data, settings, scores, limits."""
     from racines_data.files import write_atomic
     from racines_data.terminal import say, say_page
-    from racines_leaderboard.board.model_card import model_card
+    from racines_leaderboard.weights.card import model_card
     from racines_models.published.catalogue import read_catalogue
 
     catalogue = read_catalogue()
@@ -68,17 +68,64 @@ def card(name: Name, out: opt.OwnOutFile = None) -> None:
     say(str(out))
 
 
-def fetch(name: Name) -> None:
-    """Fetch weights that are not here; so far no repository is named that has them."""
+def fetch(
+    name: Name,
+    hub: Annotated[
+        str | None,
+        typer.Option(help="Owner of the repositories on the Hub.  [default: the manifest's]"),
+    ] = None,
+) -> None:
+    """Fetch what is missing or damaged of a set of weights from the Hub, by its sha256."""
     from racines_data.errors import RacinesError
+    from racines_data.terminal import say
     from racines_models.published.catalogue import broken_files, read_catalogue
+    from racines_models.published.hub import fetch as fetch_set
+    from racines_models.published.hub import repository
 
     catalogue = read_catalogue()
-    if not broken_files(catalogue.root, [catalogue.named(name)], full=False):
+    weights = catalogue.named(name)
+    if not broken_files(catalogue.root, [weights]):
+        say(f"weights {name}: here already, whole")
+        return
+    owner = hub or catalogue.hub
+    if owner is None:
         raise RacinesError(
-            f"weights {name!r}: here already; racines weights verify {name} checks them"
+            f"weights {name!r}: the manifest names nobody on the Hub who has them: --hub OWNER, "
+            f"or take them from a checkout, git -C {catalogue.root} restore {weights.folder}"
         )
-    raise RacinesError(
-        f"weights {name!r}: no hub repository is named that has them: take them from a checkout, "
-        f"git -C {catalogue.root} restore {catalogue.named(name).folder}"
-    )
+    names = fetch_set(catalogue, weights, owner)
+    say(f"{catalogue.root / weights.folder}: {len(names)} files of {repository(owner, weights)}")
+
+
+def push(
+    owner: Annotated[str, typer.Argument(help="Owner of the repositories on the Hub.")],
+    name: Annotated[list[str] | None, typer.Argument(help="Sets.  [default: all]")] = None,
+    private: Annotated[bool, typer.Option(help="Make a new repository private.")] = False,
+    dry_run: Annotated[bool, typer.Option(help="Say what would go, without network.")] = False,
+    cards: opt.Cards = None,
+    as_json: opt.AsJson = False,
+) -> None:
+    """Send sets of weights to the Hub, each a model repository with its card (token: HF_TOKEN)."""
+    from racines_data.files import write_atomic
+    from racines_data.terminal import say, say_json, sized
+    from racines_leaderboard.weights import push as pushing
+    from racines_models.published.catalogue import read_catalogue
+
+    catalogue = read_catalogue()
+    sets = [catalogue.named(each) for each in name or catalogue.sets]
+    plans = pushing.plan_pushes(catalogue, sets, owner)
+    made = []
+    for plan in plans:
+        if cards is not None:
+            write_atomic(cards / plan.repo_id.partition("/")[2] / pushing.CARD, plan.card)
+        made.append(plan.to_json() if dry_run else pushing.push(plan, private))
+        if not as_json:
+            say(f"{plan.repo_id} (tag {plan.tag})")
+        for file, told in plan.files.items() if dry_run and not as_json else ():
+            say(f"{sized(told['bytes']):>10}  {file}")
+    if as_json:
+        say_json({"weights": made, "private": private, "dry_run": dry_run})
+        return
+    told = "would send" if dry_run else "sent"
+    kind = f"{'private' if private else 'public'} if new"
+    say(f"{told} {len(plans)} model repositories ({kind}), {sized(sum(p.bytes for p in plans))}")

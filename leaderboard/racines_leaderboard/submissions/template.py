@@ -8,7 +8,7 @@ from racines_data.files import write_atomic
 from racines_leaderboard.submissions.document import ALL, KINDS, NAME, YAML, measure, opened
 
 TEXT = """\
-# Every line but url, paper and hours is needed. What the fields mean: docs/submit.md
+# Every line that is no comment is needed. What the fields mean: docs/submit.md
 schema: racines.submission/2
 name: {name}                # a-z 0-9 and dashes
 track: {track}
@@ -29,7 +29,9 @@ code: {{url: "https://example.org/REPOSITORY", commit: "0000000"}}
 training:
   budget: IMAGES OR STEPS SEEN
   hardware: WHAT IT RAN ON
-  # hours: 1.5
+  # images: 24000            # that one training saw, repeats counted
+  # steps: 200000            # of environments, that one training took
+  # hours: 1.5               # of one training, on that hardware
 artefacts:
 {artefacts}"""
 ENTRY = """\

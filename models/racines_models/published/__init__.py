@@ -1,1 +1,1 @@
-"""The published weights: `places` finds them, `catalogue` says what each is, and if it is whole."""
+"""The published weights: `places` finds them, `catalogue` says what each is, `hub` fetches them."""

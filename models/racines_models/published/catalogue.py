@@ -55,6 +55,8 @@ class Catalogue:
     root: Path
     """The checkout."""
     sets: dict[str, WeightsSet]
+    hub: str | None = None
+    """Who has the repositories of the sets on the Hub; None where nobody is named."""
 
     def named(self, name: str) -> WeightsSet:
         """Return a set by name; raises `RacinesError` if there is none, with those nearest."""
@@ -85,7 +87,7 @@ def read_catalogue() -> Catalogue:
         raise RacinesError(
             f"{path}: damaged ({error}); get it again: git restore {path}"
         ) from error
-    return Catalogue(path.parents[len(CATALOGUE.parts) - 1], sets)
+    return Catalogue(path.parents[len(CATALOGUE.parts) - 1], sets, told.get("hub"))
 
 
 def broken_files(root: Path, sets: Iterable[WeightsSet], full: bool = True) -> list[dict[str, str]]:
@@ -97,13 +99,13 @@ def broken_files(root: Path, sets: Iterable[WeightsSet], full: bool = True) -> l
     for each in sets:
         for name, told in each.files.items():
             path = Path(each.folder, name)
-            if problem := _problem(root / path, told, full):
+            if problem := problem_of(root / path, told, full):
                 remedy = f"get it again: git -C {root} restore {path}"
                 found.append({"file": str(path), "problem": problem, "remedy": remedy})
     return found
 
 
-def _problem(path: Path, told: dict[str, Any], full: bool) -> str:
+def problem_of(path: Path, told: dict[str, Any], full: bool = True) -> str:
     """Return what is wrong with a file, or nothing."""
     if not path.is_file():
         return "missing"

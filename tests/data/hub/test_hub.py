@@ -147,7 +147,8 @@ def test_dry_run_says_what_would_go_without_network(built: Path, tmp_path: Path)
     plan = plan_push(built, REPO)
     assert told == {**plan.to_json(), "private": False, "dry_run": True}
     assert told["bytes"] == sum((built / name).stat().st_size for name in told["files"])
-    text = command(tmp_path, *words, "--private").stdout
+    text = command(tmp_path, *words, "--private", "--cards", "cards").stdout
+    assert (tmp_path / "cards/README.md").read_bytes() == (built / "README.md").read_bytes()
     assert all(name in text for name in plan.files)
     assert f"to dataset {REPO} (private if new), branch main, tag {TAG}" in text
     assert "store/frames.arrow  (stays here" in text

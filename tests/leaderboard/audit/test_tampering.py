@@ -125,6 +125,17 @@ def test_a_commit_that_is_an_option_of_git(held):
         )
 
 
+def test_a_record_of_an_earlier_version_holds_and_a_false_version_does_not(held):
+    def audited(version: object) -> Report:
+        return held.changed(tell(lambda r: scores(r)["code"], version=version))
+
+    report = audited("0.1.0")
+    said = next(each for each in report.verdicts if each.subject == "code.version")
+    assert report.holds and said.verdict == "informative" and said.claimed == "0.1.0"
+    for version in ("1000.0.0", "", "newest"):
+        assert "code.version" in wrong(audited(version))
+
+
 def test_a_seal_that_is_gone_tells_nothing_and_hides_nothing(held):
     record = copy.deepcopy(held.record)
     del record["seal"]

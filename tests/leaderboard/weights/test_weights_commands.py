@@ -9,8 +9,8 @@ import yaml
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
-from racines_leaderboard.board.model_card import model_card
 from racines_leaderboard.cli.command import app
+from racines_leaderboard.weights.card import model_card
 from racines_models.published import places
 from racines_models.published.catalogue import CATALOGUE, read_catalogue
 from tests import weights_manifest
@@ -77,7 +77,8 @@ def test_a_card_says_method_data_settings_scores_licence_and_limits(name: str):
     front, _, body = page.removeprefix("---\n").partition("\n---\n")
     head = yaml.safe_load(front)
     assert head["license"] == "apache-2.0" and head["library_name"] == "racines"
-    for part in ("not a medical device", "## Trained on", "## Scores", "## Licence", "## Limits"):
+    parts = "## Trained on,## Intended use,## Load,## Scores,## Licence,## Limits,CC BY 4.0"
+    for part in ("not a medical device", *parts.split(",")):
         assert part in body, part
     for record in catalogue.sets[name].records:
         assert record in body
@@ -97,9 +98,9 @@ def test_what_is_not_there_is_told(copied: Path, monkeypatch: pytest.MonkeyPatch
     for words in (("card", "pp"), ("verify", "pp"), ("fetch", "pp")):
         with pytest.raises(RacinesError, match="did you mean ppo"):
             raise run(*words).exception or AssertionError(words)
-    assert "here already" in str(run("fetch", "ppo").exception)
+    assert "here already" in run("fetch", "ppo").stdout
     (places.POLICIES / "ppo/config.json").unlink()
-    assert "no hub repository is named" in str(run("fetch", "ppo").exception)
+    assert "names nobody on the Hub" in str(run("fetch", "ppo").exception)
     CATALOGUE.write_text('{"schema": "racines.weights/9", "sets": {}}')
     assert "racines.weights/9" in str(run("list").exception)
     CATALOGUE.unlink()

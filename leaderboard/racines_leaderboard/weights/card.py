@@ -5,12 +5,17 @@ Every figure stands with where it is from: the record of a board, or the run's o
 
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from racines_data.errors import RacinesError
 from racines_data.tables import Markdown, code, escape, markdown_table
 from racines_models.published.catalogue import Catalogue, WeightsSet
+from racines_models.published.hub import tag_of
+
+if TYPE_CHECKING:
+    from huggingface_hub import EvalResult
 
 LICENCE = "Apache-2.0"
 NO_DEVICE = (
@@ -19,12 +24,62 @@ NO_DEVICE = (
 )
 NO_ROW = "No row of a board is of these weights."
 NO_RECORDS = "The records of its rows are not here: they come with a checkout of the repository."
+DATA_LICENCE = "CC BY 4.0, simulated; no image is of a person"
+TRAINING_DATA = f"Frames of the simulated phantom or of simulated patients: {DATA_LICENCE}."
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a kind of weights is for, and how it is loaded."""
+
+    used: str
+    load: str
+    """Code, with `place` and `name` to fill in."""
+    task: str = ""
+    """The hub's name of its task, where it has one."""
+
+
+KINDS = {
+    "racines.generator/1": Kind(
+        "Draws the ultrasound image at a pose of the probe, in the scene that it learned.",
+        "from racines_models.registry import load_generator\n\n"
+        'generator = load_generator("{name}", "{place}")',
+    ),
+    "racines.grader/1": Kind(
+        "Says which view a simulated image shows and how well: the judge of a board.",
+        'from racines_models.judges.grader.model import Grader\n\ngrader = Grader.load("{place}")',
+        "image-classification",
+    ),
+    "racines.pose-regressor/1": Kind(
+        "Reads the probe's pose from a simulated image: a judge of boards, or an encoder.",
+        "from racines_models.judges.pose.regressor import PoseRegressor\n\n"
+        'regressor = PoseRegressor.load("{place}")',
+    ),
+    "racines.segmentation/1": Kind(
+        "Outlines chambers and walls in images of simulated patients: a judge of boards.",
+        "from racines_models.judges.segmentation.model import SegmentationJudge\n\n"
+        'judge = SegmentationJudge.load("{place}")',
+        "image-segmentation",
+    ),
+    "agent": Kind(
+        "Steers a simulated probe to a view of a simulated heart, in the tasks of RACINES.",
+        "from racines_envs.agents.protocol import load_agent\n\n"
+        'agent = load_agent("{name}", "{place}")',
+        "reinforcement-learning",
+    ),
+    ".onnx": Kind(
+        "Steers a simulated probe to a view of a simulated heart, in the tasks of RACINES.",
+        'from racines_envs.agents.protocol import load_agent\n\nagent = load_agent("{place}", ".")',
+        "reinforcement-learning",
+    ),
+}
+"""By the schema that `config.json` names; agents name none, and files go by their ending."""
 _DATA = ("data", "dataset", "environment")
 _SETS_ASIDE = "Figures of a run's own report are of its validation or test split, as it says there."
 
 
-def model_card(catalogue: Catalogue, weights: WeightsSet) -> str:
-    """Return the card of a set of weights.
+def model_card(catalogue: Catalogue, weights: WeightsSet, repo_id: str | None = None) -> str:
+    """Return the card of a set of weights, for a repository of the Hub if one is named.
 
     Raises:
         RacinesError: a file that the card is made of is missing or damaged.
@@ -33,6 +88,7 @@ def model_card(catalogue: Catalogue, weights: WeightsSet) -> str:
     metrics = _read(catalogue.root / weights.folder / "metrics.json")
     if Path(weights.name).suffix:  # a file of its own, beside the runs of others
         described, metrics = {}, {}
+    kind = _kind(weights, described)
     found = {name: _read(catalogue.root / name) for name in weights.records}
     records = {name: record for name, record in found.items() if record}
     submission = next((each["submission"] or {} for each in records.values()), {})
@@ -40,8 +96,13 @@ def model_card(catalogue: Catalogue, weights: WeightsSet) -> str:
         f"# {escape(described.get('title') or weights.name)}",
         NO_DEVICE,
         *_method(weights, described, submission),
+        "## Intended use",
+        *_use(kind),
+        "## Load",
+        *_load(weights, kind, str(described.get("name") or described.get("agent")), repo_id),
         "## Trained on",
         _trained_on(described, metrics),
+        TRAINING_DATA,
         *_settings(described),
         "## Scores",
         *(_scores(records) or [NO_ROW if not weights.records else NO_RECORDS]),
@@ -49,12 +110,12 @@ def model_card(catalogue: Catalogue, weights: WeightsSet) -> str:
         "## Files",
         _files(weights),
         "## Licence",
-        escape(submission.get("licence") or LICENCE),
+        f"Weights: {escape(submission.get('licence') or LICENCE)}. Data: {DATA_LICENCE}.",
         "## Limits",
         *_limits(described, submission),
     ]
     body = "\n\n".join(part.strip() for part in parts if part.strip())
-    return f"---\n{_front_matter(weights, records)}\n---\n{body}\n"
+    return f"---\n{_front_matter(weights, records, kind)}\n---\n{body}\n"
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -69,30 +130,81 @@ def _read(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def _front_matter(weights: WeightsSet, records: Mapping[str, Any]) -> str:
-    """Return the YAML that a hub reads: licence, library, tags, and the ranked scores."""
-    from huggingface_hub import EvalResult, ModelCardData
+def _front_matter(weights: WeightsSet, records: Mapping[str, Any], kind: str) -> str:
+    """Return the YAML that a hub reads: licence, library, tags, task, and the boards' figures."""
+    from huggingface_hub import ModelCardData
 
-    results = [
-        EvalResult(
-            task_type=record["track"],
-            dataset_type="racines",
-            dataset_name=f"{record['board']}, {Path(name).stem}",
-            metric_type=metric,
-            metric_value=told["value"],
-        )
-        for name, record in records.items()
-        for metric, told in record["scores"]["metrics"].items()
-        if told["value"] is not None
-    ]
+    task = KINDS[kind].task if kind in KINDS else ""
     data = ModelCardData(
         license=LICENCE.lower(),
         library_name="racines",
         tags=["ultrasound", "echocardiography", "simulation", *weights.boards],
+        pipeline_tag=task or None,
         model_name=weights.name,
-        eval_results=results or None,
+        eval_results=[each for record in records.values() for each in _results(record)] or None,
     )
     return data.to_yaml()
+
+
+def _results(record: Mapping[str, Any]) -> Iterator["EvalResult"]:
+    """Yield the figures of a record, each with its n and interval, as a hub's model index has them.
+
+    The data are named by board, source, version and recipe; agents' by the task as well.
+    """
+    from huggingface_hub import EvalResult
+
+    scores = record["scores"]
+    data = scores.get("dataset") or scores.get("phantom") or {}
+    told = {key: data[key] for key in ("source", "version", "recipe_digest") if key in data}
+    task = scores.get("task") or {}
+    view = task.get("view", "")
+    for metric, figure in scores["metrics"].items():
+        if figure["value"] is None:
+            continue
+        yield EvalResult(
+            task_type=record["track"],
+            task_name=f"{record['track']} {view}".strip(),
+            dataset_type="racines",
+            dataset_name=" ".join(filter(None, (record["board"], view))),
+            dataset_split=data.get("split") or (task.get("start_set") or {}).get("split") or "test",
+            dataset_args=told | {"board": record["board"], "record_seal": record.get("seal")},
+            metric_type=metric,
+            metric_value=figure["value"],
+            metric_args={key: figure.get(key) for key in ("n", "low", "high", "unit")},
+        )
+
+
+def _kind(weights: WeightsSet, described: Mapping[str, Any]) -> str:
+    """Return what a set is, a key of `KINDS`: by its file, its schema, or that it is an agent."""
+    if suffix := Path(weights.name).suffix:
+        return suffix
+    return str(described.get("schema", "agent"))
+
+
+def _use(kind: str) -> Iterator[str]:
+    used = KINDS[kind].used if kind in KINDS else "See the repository."
+    yield f"{used} For research on simulated data, and to hold one's own method against."
+    yield (
+        "Not for diagnosis, not for guiding a probe over a person, not as a judge of real images: "
+        "none of that was measured."
+    )
+
+
+def _load(weights: WeightsSet, kind: str, name: str, repo_id: str | None) -> Iterator[str]:
+    """Say how a set is loaded by its name, from a checkout and from the Hub."""
+    is_file = bool(Path(weights.name).suffix)
+    place = f"{weights.folder}/{next(iter(weights.files))}" if is_file else weights.folder
+    if kind in KINDS:
+        yield "In a checkout of the repository, after `pip install -e .`:"
+        yield f"```python\n{KINDS[kind].load.format(place=place, name=name)}\n```"
+    if repo_id is not None:
+        owner = repo_id.partition("/")[0]
+        yield "From the Hub, held to the sha256 of the checkout's manifest:"
+        yield f"    racines weights fetch {weights.name} --hub {owner}"
+        yield (
+            f"The files of this card are those of the tag {code(tag_of(weights))} of "
+            f"{code(repo_id)}, which is never moved."
+        )
 
 
 def _method(
