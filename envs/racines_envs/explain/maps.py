@@ -66,6 +66,23 @@ def policy_logits(agent: Any) -> Explained:
     return judge
 
 
+def view_scores(agent: Any) -> Explained:
+    """Return how sure an agent that reads views is of each, as a function of its image.
+
+    Raises:
+        RacinesError: an agent that reads none.
+    """
+    if not hasattr(agent, "view_scores"):
+        name = getattr(agent, "name", type(agent).__name__)
+        raise RacinesError(f"agent {name!r} reads no views of an image: explain its actions")
+    agent.network.eval().requires_grad_(False)
+
+    def judge(images: Tensor, params: Tensor) -> Tensor:
+        return agent.view_scores(images)
+
+    return judge
+
+
 def grader_probabilities(grader: Judge) -> Explained:
     """Return a grader's probabilities of the views as a function of the image, if it is ours."""
     if not isinstance(grader, Grader):

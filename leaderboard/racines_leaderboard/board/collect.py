@@ -30,10 +30,15 @@ from racines_models.provenance import same_result
 Record = dict[str, Any]
 
 
+FIRST = ("patients", "beating")
+"""Boards that stand before the others: on hearts that nobody trained on."""
+
+
 def boards(results: Path) -> list[str]:
-    """Return the names of the boards that hold a result."""
+    """Return the names of the boards that hold a result, those on patients first."""
     paths = results.glob("*/*/*.json")
-    return sorted({path.parts[-3] for path in paths if path.parts[-2] in TRACK})
+    found = {path.parts[-3] for path in paths if path.parts[-2] in TRACK}
+    return [name for name in FIRST if name in found] + sorted(found.difference(FIRST))
 
 
 def read_board(results: Path, board: str) -> dict[str, list[Record]]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import gradio as gr
 from gradio.themes import Base
@@ -14,6 +15,7 @@ from racines_leaderboard.studio.parts import Place
 
 TABS = {
     "leaderboards": "Leaderboards",
+    "patients": "Patients",
     "generators": "Generators",
     "probe": "Drive the probe",
     "agent": "Watch an agent",
@@ -65,11 +67,19 @@ def build(place: Place, tabs: Sequence[str] | None = None) -> gr.Blocks:
         raise RacinesError(f"--tab {unknown[0]}: choose among {', '.join(TABS)}")
     with gr.Blocks(title="RACINES Studio", analytics_enabled=False) as app:
         gr.HTML(HEAD, elem_id="rc-head")
-        with gr.Tabs():
-            for name in (name for name in TABS if name in wanted):
+        shown = [name for name in TABS if name in wanted]
+        with gr.Tabs() as pages:
+            for name in shown:
                 with gr.Tab(TABS[name], id=name):
                     import_module(f"{__package__}.tabs.{name}").build(place)
         gr.HTML(FOOT, elem_id="rc-foot")
+
+        def chosen(request: gr.Request) -> Any:
+            """Open the tab that the page's address names."""
+            name = dict(request.query_params or {}).get("tab")
+            return gr.Tabs(selected=name) if name in shown else gr.skip()
+
+        app.load(chosen, None, pages, api_visibility="private", queue=False)
     app.queue(max_size=place.max_sessions, default_concurrency_limit=AT_ONCE, api_open=False)
     return app
 

@@ -152,7 +152,7 @@ def _table(table: Table, named: bool = True) -> str:
     systems = [row[1] for row in table.rows] if named else None
     notes = "".join(f"<p>{text(words, 2000)}</p>" for words in table.notes)
     return (
-        f'<h3 class="rc-title">{text(table.title)}</h3>'
+        f'<h2 class="rc-title">{text(table.title)}</h2>'
         f"{html.table(table.head, rows, css, systems)}"
         f'<div class="rc-note">{notes}</div>'
     )

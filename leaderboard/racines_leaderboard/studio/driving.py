@@ -15,17 +15,13 @@ import torch
 
 from racines_envs.apis.rendering import History
 from racines_envs.robots.arm import FREE, ROBOTS
-from racines_envs.task.starts import evaluation_seeds
-from racines_envs.task.tasks import TASKS
-from racines_envs.worlds.making import make_core
-from racines_leaderboard.studio import inputs
-from racines_leaderboard.studio.parts import Place, Shared, load_grader, load_phantom
+from racines_leaderboard.studio import worlds
+from racines_leaderboard.studio.parts import Place, Shared
 from racines_leaderboard.studio.scene import Curve, Scene, judged, snapshot, take_scene
+from racines_leaderboard.studio.worlds import FIRST_PATIENT, Start
 
-FIXED, SEEDED = "evaluation", "seed"
-KINDS = (FIXED, SEEDED)
-"""How a start is named: by its number among the fixed starts of evaluations, or by a seed."""
-FIXED_STARTS = 100
+SCANNED = 12
+"""Visitors whose environment of a patient is kept: each heart takes 20 MB."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +30,7 @@ class Session:
 
     token: str
     """Drawn at random: nobody meets another's environment."""
-    task: str
-    kind: str
-    number: int
-    robot: str = FREE
+    start: Start
     actions: tuple[int, ...] = ()
 
 
@@ -46,29 +39,17 @@ def robots() -> tuple[str, ...]:
     return (FREE, *(ROBOTS.names() if find_spec("pytorch_kinematics") else ()))
 
 
-def begin(task: Any, kind: Any, number: Any, robot: Any = FREE) -> Session:
-    """Return a session at its start; raise a `RacinesError` for what was not offered."""
-    robot = inputs.choice(robot, robots(), "robot")
-    task, kind = inputs.choice(task, tuple(TASKS), "task"), inputs.choice(kind, KINDS, "start")
-    greatest = FIXED_STARTS - 1 if kind == FIXED else inputs.GREATEST_SEED
-    number = inputs.whole(number, 0, greatest, "number of the start")
-    return Session(secrets.token_urlsafe(16), task, kind, number, robot)
+def begin(
+    task: Any, kind: Any, number: Any, robot: Any = FREE, patient: Any = FIRST_PATIENT,
+    actions: tuple[int, ...] = (),
+) -> Session:  # fmt: skip
+    """Return a session at its start, or where some actions lead.
 
-
-def reset_seed(kind: str, number: int) -> Any:
-    """Return what a core of one row is reset with for a start."""
-    return evaluation_seeds(number + 1)[-1:] if kind == FIXED else number
-
-
-def core_and_grader(
-    place: Place, task: str, observation: str, encoder: Any = None, robot: str = FREE
-) -> tuple[Any, Any]:
-    """Return a task's core of one row, rewarded by the truth, and the grader of its images."""
-    core = make_core(
-        TASKS[task], observation=observation, reward="oracle", device=place.device,
-        phantom=load_phantom(place, TASKS[task].anatomy), encoder=encoder, robot=robot,
-    )  # fmt: skip
-    return core, load_grader(place, core.phantom.labels)
+    Raises:
+        RacinesError: what was not offered.
+    """
+    start = worlds.start_of(task, kind, number, robot, patient, robots())
+    return Session(secrets.token_urlsafe(16), start, actions)
 
 
 class Live:
@@ -77,11 +58,11 @@ class Live:
     def __init__(self, place: Place, session: Session) -> None:
         """Make it, and take the session's actions."""
         self.lock = threading.Lock()
-        self.core, self._grader = core_and_grader(place, session.task, "image", robot=session.robot)
+        self.core, self._grader = worlds.core_and_grader(place, session.start, "image")
         self._history = History(1)
         self._images: list[Any] = []
         self._judged: tuple[list[float], list[float]] = [], []
-        self.core.reset(reset_seed(session.kind, session.number))
+        worlds.reset(self.core, session.start)
         self._note(None)
         for action in session.actions:
             self.step(action)
@@ -122,10 +103,13 @@ class Lives:
 
     def __init__(self, place: Place) -> None:
         self._place = place
-        self._kept: Shared[Live] = Shared(place.max_sessions)
+        most = place.max_sessions
+        self._kept: dict[bool, Shared[Live]] = {
+            False: Shared(most), True: Shared(min(SCANNED, most))
+        }  # fmt: skip
 
     def __len__(self) -> int:
-        return len(self._kept)
+        return sum(map(len, self._kept.values()))
 
     def look(self, session: Session, truth: bool) -> Scene:
         """Return the session's present moment."""
@@ -142,8 +126,9 @@ class Lives:
 
     def _at(self, session: Session) -> Live:
         """Return the environment that stands where the session's actions lead."""
-        live = self._kept.get(session.token, lambda: Live(self._place, session))
+        kept = self._kept[bool(session.start.patient)]
+        live = kept.get(session.token, lambda: Live(self._place, session))
         if live.actions != session.actions:  # the session is what counts
             live = Live(self._place, session)
-            self._kept.put(session.token, live)
+            kept.put(session.token, live)
         return live

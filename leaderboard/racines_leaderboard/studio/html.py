@@ -73,7 +73,8 @@ def table(
     names = [""] * len(lines) if names is None else [f' data-name="{text(n)}"' for n in names]
     body = "".join(f"<tr{name}>{row}</tr>" for name, row in zip(names, lines, strict=True))
     top = f"<thead><tr>{line('th', head)}</tr></thead>"
-    return f'<div class="rc-scroll"><table>{top}<tbody>{body}</tbody></table></div>'
+    # What scrolls takes the focus, so that arrow keys move it.
+    return f'<div class="rc-scroll" tabindex="0"><table>{top}<tbody>{body}</tbody></table></div>'
 
 
 def missing(what: str, *commands: str) -> str:
@@ -100,6 +101,12 @@ def element(png: bytes, alt: str, css: str = "rc-chart") -> str:
     """Return a PNG as an HTML image; `css` is ours, `alt` may be anybody's."""
     data = base64.b64encode(png).decode()
     return f'<img class="{css}" alt="{text(alt)}" src="data:image/png;base64,{data}">'
+
+
+def animation(webp: bytes, alt: str, css: str = "rc-chart") -> str:
+    """Return an animated WebP as an HTML image."""
+    data = base64.b64encode(webp).decode()
+    return f'<img class="{css}" alt="{text(alt)}" src="data:image/webp;base64,{data}">'
 
 
 def ultrasound(png: bytes, alt: str) -> str:

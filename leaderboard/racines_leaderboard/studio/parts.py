@@ -129,11 +129,15 @@ def load_index(place: Place) -> Any:
     return _indices.get(store.digest, lambda: PoseIndex(store.parameters))
 
 
-def load_grader(place: Place, labels: Sequence[str]) -> Any:
-    """Return the grader of the runs or else the published one; None if none knows the labels."""
+def load_grader(place: Place, labels: Sequence[str], tier: str = "") -> Any:
+    """Return the grader of the runs or else the published one; None if none knows the labels.
+
+    With a `tier` it is the published one of that folder.
+    """
     from racines_models.judges.grader.model import WEIGHTS, Grader
 
-    for folder in (place.runs / "grader", place.weights / "grader"):
+    known = (place.runs / "grader", place.weights / "grader")
+    for folder in (place.weights / tier / "grader",) if tier else known:
         if not (folder / WEIGHTS).is_file():
             continue
         key = _stamp(folder / WEIGHTS), place.device

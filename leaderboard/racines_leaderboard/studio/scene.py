@@ -12,6 +12,7 @@ from PIL import Image
 
 from racines_envs.apis.rendering import block_views
 from racines_envs.task.actions import ACTIONS
+from racines_envs.task.tasks import DECLARED
 from racines_leaderboard.studio.html import element, quick_png, text
 
 ZOOM = 2
@@ -121,6 +122,8 @@ def _why(core: Any, success: bool) -> str:
     if task.hits_to_end and int(core.state.streak[0]) >= task.hits_to_end:
         return f"{task.view} was held for {task.hits_to_end} steps in a row"
     shown = "the view is in sight" if success else "the view was not found"
+    if task.termination == DECLARED and int(core.state.idle[0]) >= task.idles:
+        return f"declared by {task.idles} steps of staying, and {shown}"
     return f"all {task.max_steps} steps are taken, and {shown}"
 
 

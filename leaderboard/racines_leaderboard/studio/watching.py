@@ -19,23 +19,22 @@ from racines_envs.agents import agent_names, load_agent
 from racines_envs.apis.rendering import History, Steps
 from racines_envs.explain import maps
 from racines_envs.robots.arm import FREE
-from racines_envs.task.tasks import TASKS
-from racines_leaderboard.studio import inputs
-from racines_leaderboard.studio.driving import (
-    FIXED,
-    FIXED_STARTS,
-    core_and_grader,
-    reset_seed,
-    robots,
-)
+from racines_envs.task.names import HEART_TIER, TIERS, tier_of
+from racines_leaderboard.studio import inputs, worlds
+from racines_leaderboard.studio.driving import robots
 from racines_leaderboard.studio.parts import Place, Shared, trained_runs
 from racines_leaderboard.studio.scene import Curve, Scene, Snapshot, judged, snapshot, take_scene
+from racines_leaderboard.studio.worlds import FIRST_PATIENT, FIXED, Start
 
 UNTRAINED = ("planner", "random", "hill-climber")
 """Agents that need no files of their own."""
+ON_PATIENTS = ("servo", "constant-pose", "blind-tour")
+"""Agents that scan patients alone, in any view."""
+ANYWHERE = ("planner", "random")
 POLICY = "policy.safetensors"
 OFF, ACTION, TARGET = "off", "chosen action", "target view, by the grader"
-EXPLAINED = (OFF, ACTION, TARGET)
+READ = "target view, as the agent reads it"
+EXPLAINED = (OFF, ACTION, READ, TARGET)
 """What may be attributed to the pixels."""
 POINTS = 24
 """Of the integral: fewer than `racines explain` takes, so that a step is there in a second."""
@@ -55,7 +54,9 @@ class Watchable:
     """Registered name."""
     folder: Path
     view: str | None
-    """The task it was trained for; None for any."""
+    """The view it was trained for; None for any."""
+    tiers: tuple[str, ...]
+    """Where it acts: on the one heart, on still or on beating patients."""
     changed: int
     """When its files last changed, ns."""
 
@@ -87,21 +88,34 @@ class Episode:
     def explainable(self) -> tuple[str, ...]:
         """What can be attributed to pixels here."""
         looks = hasattr(self.agent, "logits") and self.agent.observation != "params"
-        offered = {OFF: True, ACTION: looks, TARGET: hasattr(self.grader, "network")}
+        reads = hasattr(self.agent, "view_scores")
+        offered = {OFF: True, ACTION: looks, READ: reads}
+        offered |= {TARGET: hasattr(self.grader, "network")}
         return tuple(name for name, there in offered.items() if there)
 
 
 def agents(place: Place) -> dict[str, Watchable]:
     """Return the agents by label: those without files, the published policies, then the runs."""
-    offered = {name: Watchable(name, name, place.agents / name, None, 0) for name in UNTRAINED}
+    offered = {
+        name: Watchable(name, name, place.agents / name, None, _tiers(name, {}), 0)
+        for name in UNTRAINED
+    }
     folders = (place.policies, " (published)"), (place.agents, "")
     for label, config, weights in trained_runs(POLICY, *folders):
         # Only registered names: `module:Class` would let a folder choose what is imported.
         if label not in offered and (agent := config.get("agent")) in agent_names():
             settings, changed = config.get("config"), weights.stat().st_mtime_ns
-            view = settings.get("view") if isinstance(settings, dict) else None
-            offered[label] = Watchable(label, agent, weights.parent, view, changed)
+            settings = settings if isinstance(settings, dict) else {}
+            view, tiers = settings.get("view"), _tiers(agent, settings)
+            offered[label] = Watchable(label, agent, weights.parent, view, tiers, changed)
     return offered
+
+
+def _tiers(agent: str, settings: dict[str, Any]) -> tuple[str, ...]:
+    """Return where an agent of some settings acts."""
+    if agent in ANYWHERE:
+        return TIERS
+    return TIERS[1:] if agent in ON_PATIENTS else (settings.get("tier", HEART_TIER),)
 
 
 def _offered(place: Place, label: Any) -> Watchable:
@@ -111,18 +125,23 @@ def _offered(place: Place, label: Any) -> Watchable:
 
 def tasks_of(place: Place, label: Any) -> list[str]:
     """Return the tasks that an agent can be watched in."""
-    view = _offered(place, label).view
-    return [name for name, task in TASKS.items() if view in (None, task.view)]
+    agent = _offered(place, label)
+    return [
+        name for name, task in worlds.tasks().items()
+        if agent.view in (None, task.view) and tier_of(name) in agent.tiers
+    ]  # fmt: skip
 
 
-def watch(place: Place, label: Any, task: Any, number: Any, robot: Any = FREE) -> Episode:
+def watch(
+    place: Place, label: Any, task: Any, number: Any, robot: Any = FREE,
+    patient: Any = FIRST_PATIENT,
+) -> Episode:  # fmt: skip
     """Return the episode of an agent from a fixed start, run now or before."""
-    robot = inputs.choice(robot, robots(), "robot")
     chosen = _offered(place, label)
-    task = inputs.choice(task, tasks_of(place, label), "task")
-    number = inputs.whole(number, 0, FIXED_STARTS - 1, "number of the start")
-    key = chosen, task, number, robot, place.device
-    return _episodes.get(key, lambda: _run(place, chosen, key))
+    inputs.choice(task, tasks_of(place, label), "task")
+    start = worlds.start_of(task, FIXED, number, robot, patient, robots())
+    key = chosen, start, place.device
+    return _episodes.get(key, lambda: _run(place, chosen, start, key))
 
 
 def moment(episode: Episode, step: Any) -> Scene:
@@ -146,7 +165,12 @@ def _explain(episode: Episode, step: int, what: str) -> tuple[np.ndarray, float]
         if what == ACTION:
             judge, target = maps.policy_logits(episode.agent), episode.history.actions[step + 1]
         else:
-            judge, target = maps.grader_probabilities(episode.grader), episode.core.task.target
+            target = episode.core.task.target
+            by_grader = what == TARGET
+            judge = (
+                maps.grader_probabilities(episode.grader) if by_grader
+                else maps.view_scores(episode.agent)
+            )  # fmt: skip
         image, params = episode.moments[step].image, episode.params[step : step + 1]
         targets = torch.tensor([target], device=image.device)
         attributions, _ = maps.integrated_gradients(judge, image, params, targets, POINTS)
@@ -155,11 +179,11 @@ def _explain(episode: Episode, step: int, what: str) -> tuple[np.ndarray, float]
     return attributions[0].cpu().numpy(), float(p[target])
 
 
-def _run(place: Place, chosen: Watchable, key: tuple[Any, ...]) -> Episode:
+def _run(place: Place, chosen: Watchable, start: Start, key: tuple[Any, ...]) -> Episode:
     """Let the agent act until its episode ends, 200 steps at most."""
     agent: Any = load_agent(chosen.agent, chosen.folder, place.device)
     encoder = getattr(agent, "encoder", None)
-    core, grader = core_and_grader(place, key[1], "multimodal", encoder, key[3])
+    core, grader = worlds.core_and_grader(place, start, "multimodal", encoder)
     if hasattr(agent, "guide"):
         if grader is None:
             raise RacinesError(f"{chosen.label}: goes by a grader, and none of these views is here")
@@ -168,7 +192,7 @@ def _run(place: Place, chosen: Watchable, key: tuple[Any, ...]) -> Episode:
     # An agent is shown what it asks to see, of all that there is.
     hidden = {"image": ("params",), "params": ("image", "features")}.get(agent.observation, ())
     history, moments, params = History(1), [], []
-    seen, action = core.reset(reset_seed(FIXED, key[2])), None
+    seen, action = worlds.reset(core, start), None
     while True:
         history.note(core, action)
         moments.append(snapshot(core))

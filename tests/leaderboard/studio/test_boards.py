@@ -7,6 +7,7 @@ import shutil
 import pytest
 
 from racines_data.errors import RacinesError
+from racines_leaderboard.board.collect import boards
 from racines_leaderboard.records.schema import sealed
 from racines_leaderboard.records.tracks import TIERS
 from racines_leaderboard.studio.boards import (
@@ -100,7 +101,7 @@ def test_a_new_result_shows_without_a_restart(place: Place, tmp_path):
 
 @pytest.fixture
 def two_boards(place: Place, tmp_path) -> Place:
-    """A board with both tracks, and one that has agents alone, which is the last by name."""
+    """A board with both tracks, and one that has agents alone."""
     results = tmp_path / "results"
     shutil.copytree(place.results / "tiny", results / "tiny")
     for path in (place.results / "tiny/agents").glob("*.json"):
@@ -119,14 +120,23 @@ def test_a_board_is_shown_by_a_track_that_it_has(two_boards: Place):
     gradio = pytest.importorskip("gradio", reason='needs Gradio: pip install "racines[studio]"')
     from racines_leaderboard.studio.tabs import leaderboards
 
-    assert leaderboards._track(two_boards, "zoo", "generators") == "agents"
-    assert leaderboards._track(two_boards, "tiny", "agents") == "agents"
+    moved, kept = (
+        leaderboards._track(two_boards, *b) for b in (("zoo", "generators"), ("tiny", "agents"))
+    )
+    assert moved.value == "agents" and [name for name, _ in moved.choices] == ["agents"]
+    assert kept.value == "agents" and len(kept.choices) == 2
     with pytest.raises(RacinesError, match="was not offered"):
         leaderboards._track(two_boards, "zoo", "<script>")
     with gradio.Blocks() as page:
         leaderboards.build(two_boards)
     parts = {getattr(each, "label", None): each for each in page.blocks.values()}
-    assert parts["Board"].value == "zoo" and parts["Track"].value == "agents"
-    offered = [value for _, value in parts["View"].choices]
-    assert offered == ["all", "PL", "SC"], "of the track that is shown"
-    assert "sc-image" in tables_html(results, Selection("zoo", parts["Track"].value))
+    assert parts["Board"].value == "tiny" and parts["Track"].value == "generators"
+    offered = [value for _, value in parts["Track"].choices]
+    assert offered == ["generators", "agents"], "tracks that the board has"
+
+
+def test_boards_on_patients_stand_first(tmp_path):
+    for board in ("beating", "zoo", "patients", "anything"):
+        (tmp_path / board / "agents").mkdir(parents=True)
+        (tmp_path / board / "agents" / "x.json").write_text("{}")
+    assert boards(tmp_path) == ["patients", "beating", "anything", "zoo"]

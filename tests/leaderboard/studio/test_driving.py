@@ -10,10 +10,11 @@ from racines_data.errors import RacinesError
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core
-from racines_leaderboard.studio import driving
+from racines_leaderboard.studio import driving, worlds
 from racines_leaderboard.studio import scene as scenes
-from racines_leaderboard.studio.driving import FIXED, SEEDED, Lives, begin
+from racines_leaderboard.studio.driving import Lives, begin
 from racines_leaderboard.studio.parts import Place
+from racines_leaderboard.studio.worlds import FIXED, SEEDED
 from tests.envs.fakes import FakeGrader, FakePhantom
 
 ACTIONS = (0, 0, 3, 5, 6, 9, 12, 4)
@@ -22,8 +23,8 @@ ACTIONS = (0, 0, 3, 5, 6, 9, 12, 4)
 @pytest.fixture
 def phantom(monkeypatch):
     phantom = FakePhantom()
-    monkeypatch.setattr(driving, "load_phantom", lambda place, anatomy: phantom)
-    monkeypatch.setattr(driving, "load_grader", lambda place, labels: FakeGrader())
+    monkeypatch.setattr(worlds, "load_phantom", lambda place, anatomy: phantom)
+    monkeypatch.setattr(worlds, "load_grader", lambda place, labels, tier: FakeGrader())
     return phantom
 
 
@@ -165,7 +166,7 @@ def test_an_arm_may_carry_the_probe():
     free, carried = begin("SC", FIXED, 0), begin("SC", FIXED, 0, "ur5e")
     free, _ = kept.step(free, 0, True)
     carried, scene = kept.step(carried, 0, True)
-    assert carried.robot == "ur5e" and scene.step == 1
+    assert carried.start.robot == "ur5e" and scene.step == 1
     arm, alone = kept.look(carried, True), kept.look(free, True)
     np.testing.assert_array_equal(arm.image, alone.image)
     assert arm.above != alone.above  # the arm is drawn

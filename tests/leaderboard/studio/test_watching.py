@@ -15,7 +15,7 @@ from racines_envs.agents.rollout import rollout
 from racines_envs.explain.maps import integrated_gradients, policy_logits
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core
-from racines_leaderboard.studio import driving, watching
+from racines_leaderboard.studio import watching, worlds
 from racines_leaderboard.studio.parts import Place
 from racines_leaderboard.studio.watching import overlay
 from tests.envs.fakes import FakeGrader, FakePhantom
@@ -33,8 +33,8 @@ def policy(folder, observation="image", view="SC", bias=0):
 @pytest.fixture
 def place(tmp_path, monkeypatch):
     phantom = FakePhantom()
-    monkeypatch.setattr(driving, "load_phantom", lambda place, anatomy: phantom)
-    monkeypatch.setattr(driving, "load_grader", lambda place, labels: FakeGrader())
+    monkeypatch.setattr(worlds, "load_phantom", lambda place, anatomy: phantom)
+    monkeypatch.setattr(worlds, "load_grader", lambda place, labels, tier: FakeGrader())
     monkeypatch.setattr(watching, "_episodes", type(watching._episodes)(8))
     monkeypatch.setattr(watching, "_maps", type(watching._maps)(8))
     policy(tmp_path / "runs" / "seeing")
@@ -75,7 +75,7 @@ def test_it_is_the_evaluations_episode(place):
 def test_the_hill_climber_goes_by_the_pages_grader(place, monkeypatch):
     episode = watching.watch(place, "hill-climber", "SC", 0)
     assert isinstance(episode.agent.guide, FakeGrader) and episode.steps > 0
-    monkeypatch.setattr(driving, "load_grader", lambda place, labels: None)
+    monkeypatch.setattr(worlds, "load_grader", lambda place, labels, tier: None)
     with pytest.raises(RacinesError, match="goes by a grader"):
         watching.watch(place, "hill-climber", "SC", 1)
 

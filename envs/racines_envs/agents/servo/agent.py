@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
@@ -24,7 +25,7 @@ from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER
 from racines_models.devices import on_device, resolve_device
 from racines_models.networks.batching import in_fixed_batches
-from racines_models.networks.servo import Reading, ServoNetwork
+from racines_models.networks.servo import SIDE, Reading, ServoNetwork
 from racines_models.protocol import Run
 from racines_models.weights import load_network, read_described, save_weights
 
@@ -96,6 +97,12 @@ class ServoAgent:
 
         said = in_fixed_batches(look, images)
         return Reading(said[..., :6], said[..., 6:12], *said[..., 12:].unbind(-1))
+
+    def view_scores(self, images: Tensor) -> Tensor:
+        """Return (N, views) scores of (N, 128, 128) float gray levels, to be differentiated."""
+        factor = images.shape[-1] // SIDE
+        small = functional.avg_pool2d(images.to(self._device).unsqueeze(1), factor).squeeze(1)
+        return self.network.read(small).scores
 
     @classmethod
     def train(

@@ -29,11 +29,12 @@ def build(place: Place) -> None:
         gr.HTML(missing(what, "racines eval generator nearest-pose", collect))
         return
     with gr.Row():
-        board = gr.Dropdown(names, value=names[-1], label="Board", min_width=200)
-        first = shown.track_held(place.results, names[-1])
-        track = gr.Radio(shown.TRACK_NAMES, value=first, label="Track")
+        board = gr.Dropdown(names, value=names[0], label="Board", min_width=200)
+        held = shown.held(place.results, names[0])
+        first = held[0]
+        track = gr.Radio(held, value=first, label="Track")
     with gr.Row(visible=TRACK[first].steers) as of_agents:
-        views = [shown.ALL, *shown.views(place.results, names[-1], first)]
+        views = [shown.ALL, *shown.views(place.results, names[0], first)]
         view = gr.Dropdown(views, value=shown.ALL, label="View", min_width=300)
         sights = [shown.ALL, *shown.SIGHT]
         sees = gr.Radio(sights, value=shown.ALL, label="The agent sees", min_width=300)
@@ -53,10 +54,11 @@ def build(place: Place) -> None:
     wire(system.change, "record", partial(_record, place), [system, *chosen], record)
 
 
-def _track(place: Place, board: Any, track: Any) -> str:
-    """Return the track that was chosen, or one that the board has in its place."""
+def _track(place: Place, board: Any, track: Any) -> Any:
+    """Offer the board's tracks; chosen stays what was, or else is one that the board has."""
     wanted = shown.selected(place.results, board, track, shown.ALL, shown.ALL, [], False)
-    return shown.track_held(place.results, wanted.board, wanted.track)
+    held = shown.held(place.results, wanted.board)
+    return gr.Radio(choices=held, value=shown.track_held(place.results, wanted.board, wanted.track))
 
 
 def _filters(place: Place, board: Any, track: Any) -> tuple[Any, Any]:

@@ -13,10 +13,10 @@ from racines_envs.driving.keyboard import KEYS
 from racines_envs.robots.arm import FREE
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.task.tasks import TASKS
-from racines_leaderboard.studio import driving
+from racines_leaderboard.studio import driving, links, worlds
 from racines_leaderboard.studio.html import note
 from racines_leaderboard.studio.parts import Place
-from racines_leaderboard.studio.scene import panels
+from racines_leaderboard.studio.scene import Scene, panels
 from racines_leaderboard.studio.tabs import wiring
 
 GROUPS = (("Move", ("x", "y", "z")), ("Turn", ("rx", "ry", "rz")))
@@ -28,9 +28,10 @@ PLAIN = {
 }  # fmt: skip
 """Each action in a word; the axes are the probe's, x to the right of its image."""
 INTRODUCTION = note(
-    "Steer the probe over the simulated block until the view is in sight for three steps in a row: "
-    "by the buttons, or by the keys on them. Directions are the probe's: right and left in its "
-    "image, out of the image and into it, down into the block and up."
+    "Steer the probe until the view is in sight: in the one heart for three steps in a row, in a "
+    "patient until you declare it by staying three times. By the buttons, or by the keys on them. "
+    "Directions are the probe's: right and left in its image, out of the image and into it, down "
+    f"into the body and up. Patients by split: {worlds.PATIENTS_OFFERED}."
 )
 KEYS_JS = """
 const keys = KEYS;
@@ -65,8 +66,15 @@ def build(place: Place) -> None:
     tab, lives, session = Context.block, driving.Lives(place), gr.State(None)
     gr.HTML(INTRODUCTION)
     with gr.Row():
-        task = gr.Dropdown(list(TASKS), value="SC", label="Task", min_width=120)
-        kind = gr.Dropdown(list(driving.KINDS), value=driving.FIXED, label="Start", min_width=120)
+        task = gr.Dropdown(
+            list(worlds.tasks()), value="A4C-beating", label="Task", elem_id="probe-task",
+            min_width=130,
+        )  # fmt: skip
+        patient = gr.Number(
+            worlds.FIRST_PATIENT, label="Patient", precision=0,
+            minimum=1, elem_id="probe-patient", min_width=110,
+        )  # fmt: skip
+        kind = gr.Dropdown(list(worlds.KINDS), value=worlds.FIXED, label="Start", min_width=120)
         number = gr.Number(0, label="Number", precision=0, minimum=0, min_width=90)
         robot = gr.Dropdown(
             list(driving.robots()), value=FREE, label="Carried by", elem_id="probe-robot",
@@ -82,9 +90,10 @@ def build(place: Place) -> None:
         with gr.Column(scale=4, min_width=320):
             side = gr.HTML(elem_id="probe-side")
     gr.HTML(js_on_load=KEYS_JS.replace("KEYS", json.dumps(_keys())))
-    chosen, shown = [task, kind, number, robot, truth], [session, image, side]
+    chosen, shown = [task, kind, number, robot, patient, truth], [session, image, side]
     # Steps are taken one after the other, in the order in which they came.
     wire, quiet = wiring("probe", in_turn=True), {"show_progress": "hidden"}
+    wire(task.change, "patient", _patient, [task], [patient], **quiet)
     wire(start.click, "start", partial(_begin, lives), chosen, shown, show_progress_on=[image])
     wire(truth.input, "look", partial(_look, lives), [session, truth], shown[1:], **quiet)
     for action, button in buttons.items():
@@ -93,8 +102,26 @@ def build(place: Place) -> None:
             trigger_mode="multiple", **quiet,
         )  # fmt: skip
     if isinstance(tab, gr.Tab):
-        meet = partial(_open, lives)
+
+        def meet(
+            session: Any, task: Any, kind: Any, number: Any, robot: Any, patient: Any, truth: Any,
+            request: gr.Request,
+        ) -> tuple[Any, ...]:  # fmt: skip
+            """Begin the first episode of a visitor; later the tab is as it was left."""
+            if session is not None or links.told(request, "probe") is not None:
+                return gr.skip(), gr.skip(), gr.skip()
+            return _begin(lives, task, kind, number, robot, patient, truth)
+
         wire(tab.select, "open", meet, [session, *chosen], shown, show_progress_on=[image])
+    assert (page := Context.root_block) is not None
+
+    def linked(request: gr.Request) -> tuple[Any, ...]:
+        """Take up the episode that the page's address tells of."""
+        if (fields := links.told(request, "probe")) is None:
+            return tuple(gr.skip() for _ in (*chosen, *shown))
+        return _linked(lives, fields)
+
+    wire(page.load, "linked", linked, None, [*chosen, *shown], show_progress_on=[image])
 
 
 def _buttons() -> dict[int, gr.Button]:
@@ -131,28 +158,47 @@ def _keys() -> dict[str, str]:
     return pressed | {arrow: pressed[key] for arrow, key in arrows.items()}
 
 
-def _open(lives: driving.Lives, session: Any, *chosen: Any) -> tuple[Any, ...]:
-    """Begin the first episode of a visitor; later the tab is as it was left."""
-    if session is not None:
-        return gr.skip(), gr.skip(), gr.skip()
-    return _begin(lives, *chosen)
+def _patient(task: Any) -> Any:
+    """Show the patient's number where the task has patients."""
+    return gr.Number(visible=worlds.on_patients(str(task)))
 
 
-def _begin(
-    lives: driving.Lives, task: Any, kind: Any, number: Any, robot: Any, truth: Any
-) -> tuple[Any, ...]:
-    session = driving.begin(task, kind, number, robot)
-    return session, *panels(lives.look(session, truth is True))
+def _begin(lives: driving.Lives, *chosen: Any) -> tuple[Any, ...]:
+    *start, truth = chosen
+    session = driving.begin(*start)
+    return session, *_panels(session, lives.look(session, truth is True))
+
+
+def _linked(lives: driving.Lives, fields: dict[str, str]) -> tuple[Any, ...]:
+    asked = (
+        fields.get("task"), fields.get("start", worlds.FIXED), links.number(fields, "number"),
+        fields.get("robot", FREE), links.number(fields, "patient", worlds.FIRST_PATIENT),
+    )  # fmt: skip
+    session = driving.begin(*asked, links.decoded(fields))
+    truth = fields.get("truth") == "1"
+    scene = lives.look(session, truth)
+    return *asked, truth, session, *_panels(session, scene)
+
+
+def _panels(session: driving.Session, scene: Scene) -> tuple[str, str]:
+    """Return the two halves of the page, with a link to this moment."""
+    image, side = panels(scene)
+    start = session.start
+    fields: dict[str, Any] = {"task": start.task, "start": start.kind, "number": start.number}
+    fields |= {"patient": start.patient} if start.patient else {}
+    fields |= {"robot": start.robot} if start.robot != FREE else {}
+    fields |= {"truth": 1} if scene.truth else {}
+    return image + links.link("probe", **fields, actions=links.coded(session.actions)), side
 
 
 def _step(lives: driving.Lives, action: int, session: Any, truth: Any) -> tuple[Any, ...]:
     if session is None:
         raise RacinesError("no episode yet: press Start anew")
     session, scene = lives.step(session, action, truth is True)
-    return session, *panels(scene)
+    return session, *_panels(session, scene)
 
 
 def _look(lives: driving.Lives, session: Any, truth: Any) -> tuple[Any, Any]:
     if session is None:
         return gr.skip(), gr.skip()
-    return panels(lives.look(session, truth is True))
+    return _panels(session, lives.look(session, truth is True))
