@@ -6,12 +6,13 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+from racines_data.escape import visible
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.rank import SCORE, Ranked, Record, by_task, rank
-from racines_leaderboard.board.standing import NO_EVIDENCE, UNPINNED, is_bound
+from racines_leaderboard.board.standing import is_bound
 from racines_leaderboard.board.table import Table, ranked_table, shown_columns, shown_metric
 from racines_leaderboard.records.tracks import PERCENT, Column, Track, board_tracks
-from racines_models.statistics.intervals import Interval, difference
+from racines_models.statistics.intervals import LEVEL, Interval, difference
 
 FIRST = ("patients", "beating")
 """Boards that stand before the others."""
@@ -48,9 +49,8 @@ class Section:
 
 def ordered(names: Sequence[str]) -> list[str]:
     """Return boards as the page has them: patients first, then by name."""
-    return sorted(
-        names, key=lambda name: (FIRST.index(name) if name in FIRST else len(FIRST), name)
-    )
+    first = [name for name in FIRST if name in names]
+    return [*first, *sorted(set(names) - set(first))]
 
 
 def read_sections(results: Path) -> dict[str, list[Section]]:
@@ -99,9 +99,8 @@ def pairs(section: Section) -> Iterator[dict[str, Any]]:
     for (i, first), (j, second) in combinations(enumerate(section.ranking), 2):
         told = compared(first, second)
         text = sentence(first, second, told, section.track)
-        figures = (
-            {} if told is None else {key: getattr(told, key) for key in ("value", "low", "high")}
-        )
+        keys = () if told is None else ("value", "low", "high")
+        figures = {key: getattr(told, key) for key in keys}
         yield {"rows": [i, j], "text": text, **figures}
 
 
@@ -115,32 +114,35 @@ def compared(first: Ranked, second: Ranked) -> Interval | None:
 
 def sentence(first: Ranked, second: Ranked, told: Interval | None, track: Track) -> str:
     """Say in one sentence how two systems compare; the first stands above the second."""
-    a, b = (each.record["name"] for each in (first, second))
+    a, b = (visible(each.record["name"]) for each in (first, second))
     if told is None:
-        lacking = [each.record["name"] for each in (first, second)
-                   if each.standing.why in (NO_EVIDENCE, UNPINNED)]  # fmt: skip
-        return (
-            f"{a} and {b} cannot be paired: no evidence or no anchors of {' and '.join(lacking)}."
-        )
-    counts = sorted({each.standing.trainings or 0 for each in (first, second)})
-    trained = f"{' and '.join(map(str, counts))} training{'' if counts == [1] else 's'}"
+        without = [visible(each.record["name"]) for each in (first, second)
+                   if each.standing.replicates is None]  # fmt: skip
+        return f"{a} and {b} cannot be paired: no evidence or anchors of {' and '.join(without)}."
+    counts = dict.fromkeys(each.standing.trainings or 0 for each in (first, second))
+    trained = f"{' and '.join(map(str, counts))} training{'' if list(counts) == [1] else 's'}"
     basis = f"{told.units:,} {track.unit}, {trained}"
+    apart = f"{abs(told.value):.3f} {'lower' if told.value < 0 else 'higher'} than {b}"
     if told.low is None or told.high is None:
-        return f"{a} scores {told.value:+.3f} against {b} ({basis}); without an interval."
-    covers = (
-        "" if told.level is None or told.level >= 0.95 else f", found to cover {told.level:.0%}"
+        return f"{a} scores {apart} ({basis}); the difference has no interval."
+    between = f"{PERCENT} interval of the paired difference {told.low:+.3f} to {told.high:+.3f}"
+    if told.level is not None and told.level < LEVEL:
+        between += f", found to cover {100 * told.level:.0f} %"
+    return (
+        f"{a} scores {apart} ({between}; {basis}): {_meaning(a, b, told)}{_apart(first, second)}."
     )
-    between = f"{told.low:+.3f} to {told.high:+.3f}{covers}"
-    start = (
-        f"{a} scores {told.value:+.3f} against {b} (paired {PERCENT} interval {between}; {basis})"
-    )
-    if told.low > 0:
-        end = f"the interval leaves out 0, so {a} has the higher score"
-    elif told.high < 0:
-        end = f"the interval leaves out 0, so {b} has the higher score"
-    else:
-        end = "the interval holds 0, so neither is ahead"
-    unplaced = [f"{each.record['name']} ({each.standing.why})"
-                for each in (first, second) if each.place is None]  # fmt: skip
-    apart = f"; without a place: {' and '.join(unplaced)}" if unplaced else ""
-    return f"{start}: {end}{apart}."
+
+
+def _meaning(first: str, second: str, told: Interval) -> str:
+    if told.low is not None and told.low > 0:
+        return f"the interval leaves out 0, so {first} has the higher score"
+    if told.high is not None and told.high < 0:
+        return f"the interval leaves out 0, so {second} has the higher score"
+    return "the interval holds 0, so neither is ahead"
+
+
+def _apart(first: Ranked, second: Ranked) -> str:
+    """Say which of two systems takes no place, and why."""
+    found = [f"{visible(each.record['name'])} ({each.standing.why})"
+             for each in (first, second) if each.place is None]  # fmt: skip
+    return f"; without a place: {' and '.join(found)}" if found else ""

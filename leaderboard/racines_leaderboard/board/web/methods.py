@@ -7,6 +7,7 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PIL import Image
 
 from racines_data.errors import RacinesError
@@ -20,7 +21,7 @@ from racines_leaderboard.records.tracks import PERCENT
 from racines_leaderboard.records.verdicts import DOES_NOT_HOLD, HOLDS, NOT_VERIFIED
 
 PICTURES = "pictures"
-"""Folder of a board with `<track>/<name>.webp`, a drawn frame beside the truth."""
+"""Folder of a board with `<track>/<name>.webp`: left true frames, right the same ones drawn."""
 LARGEST = (520, 260)
 MEANING = {
     HOLDS: "the last audit made its numbers again from what lies beside the record",
@@ -37,11 +38,14 @@ def found_by_view(sections: list[Section]) -> Shown:
     found: Shown = defaultdict(list)
     for section in sections:
         for ranked in section.ranking if section.track.steers else ():
-            metric = next(filter(None, (metric_of(ranked.record, key) for key in _FOUND)), None)
-            view = ranked.record["scores"]["task"]["view"]
-            entry = (view, metric)
-            if metric is not None and entry not in found[_family(ranked.record)]:
-                found[_family(ranked.record)].append(entry)
+            told = (metric_of(ranked.record, key) for key in _FOUND)
+            metric = next((each for each in told if each is not None), None)
+            if metric is None:
+                continue
+            entry = ranked.record["scores"]["task"]["view"], metric
+            views = found[_family(ranked.record)]
+            if entry not in views:
+                views.append(entry)
     return found
 
 
@@ -77,17 +81,16 @@ def picture(section: Section, ranked: Ranked, results: Path, found: Shown) -> st
     path = results / section.board / PICTURES / record["track"] / f"{record['name']}.webp"
     if path.is_file():
         return (
-            f'<figure><img src="{_packed(path)}" alt="truth, and the same pose drawn by '
-            f'{html(record["name"])}" loading="lazy"><figcaption>One held-out pose: the truth, and '
-            "the same drawn by this method.</figcaption></figure>"
+            f'<figure><img src="{_packed(path)}" alt="held-out poses: left the truth, right drawn '
+            f'by {html(record["name"])}"><figcaption>Held-out poses: left the truth, right the '
+            "same drawn by this method.</figcaption></figure>"
         )
     if section.track.steers:
-        bars = [_share(view, metric) for view, metric in found.get(_family(record), ())]
-        return _charted(
-            "Found, by view",
-            bars,
-            f"n starts a view; bars end at the share, whiskers {PERCENT} intervals",
-        )
+        views = found.get(_family(record), [])
+        bars = [_share(view, metric) for view, metric in views]
+        counts = sorted({f"{metric['n']:,}" for _, metric in views})
+        n = f"n = {' or '.join(counts)} starts a view; lines are {PERCENT} intervals"
+        return _charted("Found, by view", bars, n)
     bars = list(_between_anchors(section, record, results))
     return _charted("Between the anchors", bars, "0 and 1 are the anchors of the board")
 
@@ -100,7 +103,7 @@ def _charted(title: str, bars: list[Bar], note: str) -> str:
 
 def _share(view: str, metric: dict[str, Any]) -> Bar:
     name = view.partition("-")[0]
-    told = f"{metric['value']:.0%}"
+    told = f"{100 * metric['value']:.0f} %"
     return name, metric["value"], metric.get("low"), metric.get("high"), told
 
 
@@ -111,16 +114,10 @@ def _between_anchors(section: Section, record: Record, results: Path) -> list[Ba
     if part is None or any(metric is None for metric in metrics):
         return []
     values = [[metric["value"]] for metric in metrics if metric is not None]
-    shares = anchor(_column(values), track, part["anchors"]["values"])[:, 0]
+    shares = anchor(np.array(values, np.float64), track, part["anchors"]["values"])[:, 0]
     columns = track.ranked_columns()
-    return [(column.label, float(share), None, None, f"{share:.2f}")
+    return [(column.label, float(share), None, None, f"{round(share, 2) + 0.0:.2f}")
             for column, share in zip(columns, shares, strict=True)]  # fmt: skip
-
-
-def _column(values: list[list[float]]) -> Any:
-    import numpy as np
-
-    return np.array(values, np.float64)
 
 
 def _packed(path: Path) -> str:
