@@ -98,7 +98,7 @@ const apply = () => {
       row.hidden = !passes;
       shown += passes;
     }
-    ranking.querySelector(".none").hidden = shown > 0;
+    ranking.querySelector(".empty").hidden = shown > 0;
   }
 };
 filters.addEventListener("input", apply);

@@ -106,7 +106,7 @@ def _section(section: Section, key: str, results: Path, found: Shown) -> str:
         f'<div class="ranking" data-key="{key}"><h3 id="{key}-h">{html(section.title)}</h3>'
         f'<div class="scroll" tabindex="0" role="region" aria-labelledby="{key}-h"><table>'
         f"<thead><tr>{_heads(head)}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
-        '<p class="none" hidden>No row passes the filters.</p>'
+        '<p class="empty" hidden>No row passes the filters.</p>'
         f'<div class="compare" role="status" aria-live="polite"></div>'
         f'<details class="about"><summary>Methods of this table</summary><div class="cards">'
         f"{''.join(cards)}</div></details>"
