@@ -272,7 +272,8 @@ def draw_episode(explanation: Explanation, row: int, path: Path) -> None:
         write_atomic(path, encode(_episode_figure(explanation, row), few=False, dpi=140))
 
 
-def _episode_figure(explanation: Explanation, row: int) -> "Figure":
+def _episode_figure(explanation: Explanation, row: int) -> Any:
+    """Return the figure of an episode: images above, attributions below."""
     from matplotlib.figure import Figure
 
     frames, kinds = explanation.frames, list(explanation.maps)

@@ -91,9 +91,10 @@ def _write_chart(path: Path, track: Track, records: list[Record]) -> bool:
     for axis, column in zip(axes.flat, columns, strict=False):
         panel(axis, column, ranking)
     top = "best at the top; " if SCORE in columns else ""
-    canvas.suptitle(
-        f"{track.name.capitalize()}: {top}bars are {PERCENT} intervals; open: bounds", size=10.5
-    )
+    shown = [shown_metric(ranked.record, columns[0]) for ranked in ranking]
+    counts = " or ".join(f"{n:,}" for n in sorted({each["n"] for each in shown if each}))
+    told = f"bars are {PERCENT} intervals, n = {counts} {track.counted}; open gray: bounds"
+    canvas.suptitle(f"{track.name.capitalize()}: {top}{told}", size=10.5)
     write_atomic(path, encode(canvas, dpi=DPI))
     return True
 
@@ -116,6 +117,7 @@ def panel(axis: Axes, column: Column, ranking: Sequence[Ranked]) -> None:
     axis.set_yticks(range(len(ranking)), labels, size=9, parse_math=False)
     axis.set_ylim(len(ranking) - 0.4, -0.6)
     axis.set_title(column.title, size=9)
+    axis.tick_params(axis="y", length=0)
     axis.grid(visible=False, axis="y")
     axis.grid(visible=True, axis="x", color=GRID)
     axis.set_axisbelow(True)
