@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from racines_data.files import image_bytes
-from racines_data.views import VIEW_TITLES
 
 INK, MUTED, GRID = "#1f2933", "#66727f", "#e4e8ec"
 OURS, PAPER = "#4477aa", "#cc3311"
@@ -66,11 +65,6 @@ def card_style() -> Iterator[None]:
 def colour(number: int) -> str:
     """Return the colour of a series by its number; they begin again after eight."""
     return _VIEWS[number % len(_VIEWS)]
-
-
-def view_name(label: str) -> str:
-    """Return a view as pictures name it, as `A4C apical four-chamber`; no view by its label."""
-    return f"{label} {VIEW_TITLES[label]}" if label in VIEW_TITLES else label
 
 
 def show_depth(axis: Axes, height: int, mm: float, bar: float = 20.0, ink: str = "white") -> None:
