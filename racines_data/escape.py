@@ -5,6 +5,7 @@ HTML, a CSV file or a terminal passes them through the escape of that medium, an
 """
 
 import html as _html
+import json
 import re
 from typing import Any
 
@@ -56,6 +57,20 @@ def _block(line: str) -> str:
 def html(text: Any) -> str:
     """Return text as HTML that shows it on one line: no element, attribute or template."""
     return _html.escape(visible(text), quote=True).translate(_TEMPLATES)
+
+
+def json_in_html(document: Any) -> str:
+    """Return a document as JSON for a script's element, where nothing may look like markup.
+
+    Neither the element's end nor a comment can stand in it; it parses to the same document.
+
+    Raises:
+        ValueError: a number that JSON does not have, such as NaN.
+    """
+    text = json.dumps(document, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    for sign, number in (("<", "003c"), (">", "003e"), ("&", "0026")):
+        text = text.replace(sign, f"\\u{number}")
+    return text
 
 
 def csv_cell(value: Any) -> Any:

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 
 import matplotlib
 import numpy as np
+from cycler import cycler
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
@@ -42,6 +44,8 @@ _STYLE = {
     "ytick.labelsize": 8,
     "legend.frameon": False,
     "legend.fontsize": 8.5,
+    "axes.prop_cycle": cycler(color=_VIEWS),
+    "image.cmap": "cividis",
     "figure.facecolor": "white",
     "figure.dpi": 110,
 }
@@ -58,14 +62,39 @@ def card_style() -> Iterator[None]:
         yield
 
 
+def colour(number: int) -> str:
+    """Return the colour of a series by its number; they begin again after eight."""
+    return _VIEWS[number % len(_VIEWS)]
+
+
+def show_depth(axis: Axes, height: int, mm: float, bar: float = 20.0, ink: str = "white") -> None:
+    """Mark an image of `height` rows of `mm` each: a tick a cm of depth, longer each five, a bar.
+
+    The bar is `bar` mm long and stands at the lower left, with its length. Depth is counted from
+    the image's upper edge.
+    """
+    right = axis.get_xlim()[1]
+    for cm in range(1, int(height * mm / 10.0) + 1):
+        long = 0.045 if cm % 5 == 0 else 0.02
+        row = 10.0 * cm / mm
+        axis.plot([right * (1 - long), right], [row, row], color=ink, linewidth=0.8)
+        if cm % 5 == 0:
+            axis.text(right * 0.945, row, f"{cm}", color=ink, fontsize=6, ha="right", va="center")
+    y, left = 0.95 * height, 0.04 * height
+    axis.plot([left, left + bar / mm], [y, y], color=ink, linewidth=1.6)
+    axis.text(left, y - 0.02 * height, f"{bar / 10:g} cm", color=ink, fontsize=6, va="bottom")
+
+
 def view_colours(labels: Sequence[str]) -> dict[str, str]:
     """Return a colour for each view label; the last one, no view, is gray."""
     views = {name: _VIEWS[i % len(_VIEWS)] for i, name in enumerate(labels[:-1])}
     return {**views, labels[-1]: NO_VIEW}
 
 
-def encode(figure: Figure, gray: bool = False, few: bool = True) -> bytes:
+def encode(figure: Figure, gray: bool = False, few: bool = True, dpi: float | None = None) -> bytes:
     """Return a figure as PNG without a date or a program's name, in gray, in few colours or all."""
+    if dpi is not None:
+        figure.set_dpi(dpi)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")

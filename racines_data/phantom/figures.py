@@ -1,6 +1,6 @@
 """Pictures of the phantom for people: the contact sheet of the views."""
 
-import io
+import math
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from racines_data.files import write_atomic
 from racines_data.geometry import Pose, euler_to_matrix, matrix_to_euler
 from racines_data.phantom.model import Phantom
+from racines_data.plotting import card_style, encode, show_depth
 from racines_data.randomness import normal, sample_seeds
 from racines_data.views import RANDOM, VIEW_TITLES
 
@@ -17,27 +18,30 @@ COLUMNS = 6
 CANDIDATES = 400
 
 
+@card_style()
 def contact_sheet(phantom: Phantom, out: Path, seed: int = 0) -> None:
     """Draw each view at its nominal pose and at poses of falling grade, and `Random` scans."""
     titles = VIEW_TITLES | {name: title for name, title in phantom.titles.items() if title}
     count = len(phantom.labels)
-    figure = Figure(figsize=(COLUMNS * 1.75 + 1.2, count * 1.62 + 0.5), facecolor="black")
+    figure = Figure(figsize=(COLUMNS * 1.75 + 1.2, count * 1.62 + 0.5))
+    probe = phantom.config.probe
+    width = 2e3 * probe.depth * math.sin(probe.half_angle)
     axes = figure.subplots(count, COLUMNS, squeeze=False)
     for row, name in zip(axes, phantom.labels, strict=True):
         for axis, image, grade in zip(row, *_samples(phantom, name, seed), strict=True):
             axis.imshow(image, cmap="gray", vmin=0, vmax=255)
+            if axis is row[0]:
+                show_depth(axis, image.shape[0], width / image.shape[1])
             axis.set_axis_off()
             label = "Random" if name == RANDOM else f"grade {grade:.1f}"
-            axis.set_title(label, color="white", fontsize=8, pad=2)
+            axis.set_title(label, fontsize=9, fontweight="normal", loc="center", pad=2)
         title = titles.get(name, "").replace(" ", "\n")
         row[0].text(
-            -0.12, 0.5, f"{name}\n{title}", color="white", fontsize=9,
+            -0.12, 0.5, f"{name}\n{title}", fontsize=9.5,
             ha="right", va="center", transform=row[0].transAxes,
         )  # fmt: skip
     figure.subplots_adjust(left=0.14, right=0.995, top=0.97, bottom=0.01, wspace=0.03, hspace=0.14)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, facecolor="black", metadata={"Software": None})
-    write_atomic(out, buffer.getvalue())
+    write_atomic(out, encode(figure, gray=True, dpi=130))
 
 
 def _samples(phantom: Phantom, name: str, seed: int) -> tuple[np.ndarray, np.ndarray]:

@@ -2,13 +2,13 @@
 
 import base64
 import io
-import json
 from importlib.resources import files
 from string import Template
 from typing import Any
 
 from PIL import Image
 
+from racines_data.escape import json_in_html
 from racines_data.views import LABELS, VIEW_TITLES
 from racines_envs.demo.chestmap import ChestMap
 from racines_envs.demo.episode import Outcome, verdict
@@ -27,10 +27,7 @@ AILING = {
 def page(outcome: Outcome, chest: ChestMap, next_commands: list[tuple[str, str]]) -> str:
     """Return the HTML; `next_commands` are commands, and what each does."""
     text = files("racines_envs.demo").joinpath("page.html").read_text()
-    content = json.dumps(_content(outcome, chest, next_commands), ensure_ascii=True)
-    # Inside a script's element nothing may look like its end, nor like a comment.
-    for sign, number in (("<", "003c"), (">", "003e"), ("&", "0026")):
-        content = content.replace(sign, f"\\u{number}")
+    content = json_in_html(_content(outcome, chest, next_commands))
     return Template(text).substitute(content=content)
 
 

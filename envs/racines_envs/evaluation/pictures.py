@@ -1,6 +1,5 @@
 """Pictures of what agents did."""
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +11,15 @@ from matplotlib.patches import Rectangle
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from racines_data.files import write_atomic
+from racines_data.plotting import card_style, encode
 from racines_envs.task.core import ScanCore
 from racines_envs.worlds.recorded.world import Recordings
 
+DPI = 140
 MARGIN = 6.0  # mm, shown around the paths
 
 
+@card_style()
 def draw_trajectories(evaluation: Any, path: Path) -> None:
     """Draw the probe's path from several starts, in 3-D, as PNG; mm in the robot base frame.
 
@@ -58,9 +60,7 @@ def draw_trajectories(evaluation: Any, path: Path) -> None:
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, aside first."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    write_atomic(path, buffer.getvalue())
+    write_atomic(path, encode(figure, few=False, dpi=DPI))
 
 
 def _draw_path(axes: Any, path: np.ndarray, probability: np.ndarray, number: int) -> None:

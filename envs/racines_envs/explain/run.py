@@ -266,6 +266,14 @@ def draw_episode(explanation: Explanation, row: int, path: Path) -> None:
     Red speaks for the chosen action (or the target view), blue against; green lines are true
     borders of tissues.
     """
+    from racines_data.plotting import card_style, encode
+
+    with card_style():
+        write_atomic(path, encode(_episode_figure(explanation, row), few=False, dpi=140))
+
+
+def _episode_figure(explanation: Explanation, row: int) -> Any:
+    """Return the figure of an episode: images above, attributions below."""
     from matplotlib.figure import Figure
 
     frames, kinds = explanation.frames, list(explanation.maps)
@@ -294,9 +302,7 @@ def draw_episode(explanation: Explanation, row: int, path: Path) -> None:
         axis.set(xticks=[], yticks=[])
     view = explanation.scores["settings"]["view"]
     figure.suptitle(f"{explanation.scores['agent']} on {view}, start {row}", fontsize=10)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, dpi=130, metadata={"Software": None})
-    write_atomic(path, buffer.getvalue())
+    return figure
 
 
 def _overlay(axis: Any, image: np.ndarray, drawn: Tensor) -> None:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from racines_data.errors import RacinesError
+from racines_data.plotting import card_style, colour
 from racines_envs.evaluation.agent_specs import read_json, split_label
 from racines_envs.evaluation.pictures import save
 from racines_envs.studies.rewards import PAPER
@@ -88,6 +89,7 @@ def joined(curves: Sequence[Sequence[Sequence[float]]]) -> tuple[np.ndarray, ...
     return steps, values.mean(0), values.min(0), values.max(0)
 
 
+@card_style()
 def draw_curves(content: dict[str, Any], path: Path, paper: bool = True) -> None:
     """Draw one line a label: a run, or the mean of its training seeds and their range; PNG.
 
@@ -103,18 +105,16 @@ def draw_curves(content: dict[str, Any], path: Path, paper: bool = True) -> None
             same = [run["curves"] for run in runs if run["label"] == label]
             curves = [each[name] for each in same if name in each]
             if curves:
-                _draw_line(axes, curves, label, f"C{number}")
+                _draw_line(axes, curves, label, colour(number))
         if paper:
             _draw_paper(axes, name, runs)
         axes.set(xlabel="environment steps", title=PANELS[name])
         axes.xaxis.set_major_locator(MaxNLocator(5))
         axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 50k
-        axes.title.set_fontsize(10)
-        axes.grid(alpha=0.25)
         if name == "validation/success":
             axes.set_ylim(-0.03, 1.03)
     shown = grid[0, 0].get_legend_handles_labels()
-    figure.legend(*shown, loc="outside lower center", ncols=4, fontsize=8)
+    figure.legend(*shown, loc="outside lower center", ncols=4)
     save(figure, path)
 
 

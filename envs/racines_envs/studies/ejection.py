@@ -11,7 +11,6 @@ Each training's part of each chunk of patients is kept as it is done; a study th
 on.
 """
 
-import io
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -32,6 +31,7 @@ from racines_data.files import write_json
 from racines_data.geometry import Pose
 from racines_data.patients.labels import LABELS
 from racines_data.patients.pool import Pool
+from racines_data.plotting import OURS, PAPER, card_style, encode
 from racines_data.randomness import derive
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
@@ -63,7 +63,7 @@ OUTLINES, POSES = ("judge", "truth"), ("agent", "planner")
 VOLUMES = ("end_diastolic_volume", "end_systolic_volume", "ejection_fraction")
 UNITS = ("mL", "mL", "%")
 MOST = (np.inf, np.inf, 100.0)
-INKS = ("#4f7fb5", "#b5694f")
+INKS = (OURS, PAPER)
 
 
 @dataclass(frozen=True)
@@ -348,6 +348,7 @@ def _errors(measured: Measured, truth: Beat) -> dict[str, float | None]:
     return {name: float(each.mean()) if len(each) else None for name, each in joined.items()}
 
 
+@card_style()
 def draw_ejection(report: dict[str, Any], measured: Measured, truth: Beat) -> bytes:
     """Return a PNG: measured against true ejection fractions, and their differences (Bland-Altman).
 
@@ -369,14 +370,8 @@ def draw_ejection(report: dict[str, Any], measured: Measured, truth: Beat) -> by
                 right.axhline(told[name]["value"], color=ink, linestyle=style, linewidth=1.1)
     left.set(xlabel="true ejection fraction, %", ylabel="measured, %", xlim=(0, 90), ylim=(0, 90))
     right.set(xlabel="mean of both, %", ylabel="measured less true, percentage points")
-    left.legend(fontsize=8, frameon=False, loc="lower right")
+    left.legend(loc="lower right")
     count = len(true)
-    right.set_title("lines: bias and limits of agreement", size=9)
-    left.set_title(f"{visible(report['agent'])} on {report['task']['view']}, n = {count}", size=9)
-    for axis in (left, right):
-        axis.grid(color="#e4e4e4", linewidth=0.7)
-        axis.set_axisbelow(True)
-        axis.spines[["top", "right"]].set_visible(False)
-    image = io.BytesIO()
-    canvas.savefig(image, format="png", dpi=140)
-    return image.getvalue()
+    right.set_title("lines: bias and limits of agreement")
+    left.set_title(f"{visible(report['agent'])} on {report['task']['view']}, n = {count}")
+    return encode(canvas, dpi=150)

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from racines_data.errors import RacinesError
+from racines_data.plotting import card_style, colour
 from racines_data.tables import escape, markdown_table
 from racines_envs.agents.protocol import Agent
 from racines_envs.evaluation.agent_specs import Run, common_view
@@ -319,6 +320,7 @@ def _of_the_paper(content: dict[str, Any]) -> str:
     )
 
 
+@card_style()
 def draw_returns(episodes: Outcomes, view: str, path: Path) -> None:
     """Draw return against true grade at the end, a panel a reward and rule; PNG.
 
@@ -332,13 +334,12 @@ def draw_returns(episodes: Outcomes, view: str, path: Path) -> None:
         for number, agent in enumerate(agents):
             episode = episodes[agent, rewards[row], rules[column]]
             _scatter(axes, episode, agent, number, len(agents))
-        axes.set_title(f"{rewards[row]}, {rules[column]}", fontsize=9)
-        axes.tick_params(labelsize=8)
+        axes.set_title(f"{rewards[row]}, {rules[column]}")
         if column == 0:
-            axes.set_ylabel("true grade at the end", fontsize=8)
+            axes.set_ylabel("true grade at the end")
         if row == len(rewards) - 1:
-            axes.set_xlabel("return", fontsize=8)
-    figure.suptitle(f"Return against truth on {view}; one point an episode", fontsize=10)
+            axes.set_xlabel("return")
+    figure.suptitle(f"Return against truth on {view}; one point an episode", fontsize=10.5)
     figure.legend(*grid[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     save(figure, path)
 
@@ -346,7 +347,7 @@ def draw_returns(episodes: Outcomes, view: str, path: Path) -> None:
 def _scatter(axes: Any, episode: Settled, agent: str, number: int, agents: int) -> None:
     # Episodes without the view lie apart on rows of their own below the axis, one an agent.
     height = np.where(episode.success, episode.grade, -0.6 - 0.9 * number)
-    axes.scatter(episode.total, height, s=9, alpha=0.55, color=f"C{number}", label=agent)
+    axes.scatter(episode.total, height, s=9, alpha=0.55, color=colour(number), label=agent)
     axes.axhline(0.0, color="0.6", linewidth=0.7)
     axes.set_ylim(-0.9 * agents - 0.4, 10.4)
     axes.set_yticks([-0.45 - 0.45 * agents, 0, 5, 10], ["not\nseen", "0", "5", "10"])

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from scipy.stats import rankdata
 
 from racines_data.errors import RacinesError
+from racines_data.plotting import card_style
 from racines_data.tables import escape, markdown_table
 from racines_envs.agents.rollout import rollout
 from racines_envs.evaluation.agent_specs import Run, common_view
@@ -222,6 +223,7 @@ def transfer_markdown(content: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+@card_style()
 def draw_transfer(content: dict[str, Any], path: Path) -> None:
     """Draw true success as a heat map, steps and grade written into its cells; PNG."""
     backends, agents, cells = content["backends"], content["agents"], _cells(content)
@@ -231,7 +233,7 @@ def draw_transfer(content: dict[str, Any], path: Path) -> None:
     size = (2.6 + 1.9 * len(backends), 1.7 + 0.75 * len(agents))
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
-    image = axes.imshow(values, cmap="viridis", vmin=0, vmax=100, aspect="auto")
+    image = axes.imshow(values, cmap="cividis", vmin=0, vmax=100, aspect="auto")
     for (row, column), value in np.ndenumerate(values):
         metrics = cells[agents[row]["label"], backends[column]]
         steps, grade = metrics["steps"]["value"], metrics["final_grade"]["value"]
@@ -242,6 +244,7 @@ def draw_transfer(content: dict[str, Any], path: Path) -> None:
     places = [f"\n({_short(a['trained_in'])})" if a["trained_in"] else "" for a in agents]
     names = [f"{a['label']}{place}" for a, place in zip(agents, places, strict=True)]
     axes.set_yticks(range(len(agents)), names)
+    axes.grid(visible=False)
     axes.set(xlabel="evaluated in", title=f"True success on {content['view']}")
     figure.colorbar(image, label="true success, %")
     save(figure, path)

@@ -1,6 +1,5 @@
 """Pages made of boards: the leaderboard's Markdown with its charts, and the tables of a README."""
 
-import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,9 +11,11 @@ from matplotlib.figure import Figure
 from racines_data.errors import RacinesError
 from racines_data.escape import visible
 from racines_data.files import write_atomic
+from racines_data.plotting import GRID, NO_VIEW, OURS, card_style, encode
 from racines_data.tables import escape
 from racines_leaderboard.board.collect import boards, read_board
 from racines_leaderboard.board.rank import SCORE, Ranked, Record, rankings
+from racines_leaderboard.board.standing import is_bound
 from racines_leaderboard.board.table import (
     board_tables,
     shown_columns,
@@ -33,7 +34,7 @@ One board a dataset; results stand in `results/<board>/`, one JSON file a system
 Tiers: *self-reported* (the submitter's own run), *recomputed* (scores made again from the
 artefacts), *reproduced* (trained again).
 """
-INK = "#1f3a5f"
+DPI = 150
 PANELS_A_ROW = 5
 
 
@@ -73,6 +74,7 @@ def with_tables(text: str, results: Path, where: str) -> str:
     return f"{before}{opening}{board}{closing}\n\n{tables}\n\n{END}{after}"
 
 
+@card_style()
 def _write_chart(path: Path, track: Track, records: list[Record]) -> bool:
     """Draw the results of a track, a panel a figure; return False where there is none to draw."""
     ranking = rankings(track, records)
@@ -89,30 +91,34 @@ def _write_chart(path: Path, track: Track, records: list[Record]) -> bool:
     for axis, column in zip(axes.flat, columns, strict=False):
         panel(axis, column, ranking)
     top = "best at the top; " if SCORE in columns else ""
-    canvas.suptitle(f"{track.name.capitalize()}: {top}bars are {PERCENT} intervals", size=10)
-    image = io.BytesIO()
-    canvas.savefig(image, format="png", dpi=130)
-    write_atomic(path, image.getvalue())
+    shown = [shown_metric(ranked.record, columns[0]) for ranked in ranking]
+    counts = " or ".join(f"{n:,}" for n in sorted({each["n"] for each in shown if each}))
+    told = f"bars are {PERCENT} intervals, n = {counts} {track.counted}; open gray: bounds"
+    canvas.suptitle(f"{track.name.capitalize()}: {top}{told}", size=10.5)
+    write_atomic(path, encode(canvas, dpi=DPI))
     return True
 
 
 def panel(axis: Axes, column: Column, ranking: Sequence[Ranked]) -> None:
     """Draw one figure of N results, a line each, as dots with their intervals."""
     for row, ranked in enumerate(ranking):
+        bound = is_bound(ranked.record)
+        ink, fill = (NO_VIEW, "white") if bound else (OURS, OURS)
         metric = shown_metric(ranked.record, column)
         if metric is None:
             continue
         value = metric["value"] * column.scale
         if metric["low"] is not None and metric["high"] is not None:
             ends = [metric["low"] * column.scale, metric["high"] * column.scale]
-            axis.plot(ends, [row, row], color=INK, alpha=0.45, linewidth=3, solid_capstyle="butt")
-        axis.plot([value], [row], "o", color=INK, markersize=5)
+            axis.plot(ends, [row, row], color=ink, alpha=0.45, linewidth=3.5, solid_capstyle="butt")
+        axis.plot([value], [row], "o", color=ink, markerfacecolor=fill, markersize=5.5)
     named = [(ranked.record["name"], ranked.record["scores"].get("task")) for ranked in ranking]
     labels = [visible(f"{name} ({task['view']})" if task else name) for name, task in named]
     axis.set_yticks(range(len(ranking)), labels, size=9, parse_math=False)
     axis.set_ylim(len(ranking) - 0.4, -0.6)
     axis.set_title(column.title, size=9)
-    axis.tick_params(axis="x", labelsize=8)
-    axis.grid(axis="x", color="#dddddd", linewidth=0.7)
+    axis.tick_params(axis="y", length=0)
+    axis.grid(visible=False, axis="y")
+    axis.grid(visible=True, axis="x", color=GRID)
     axis.set_axisbelow(True)
     axis.spines[["top", "right", "left"]].set_visible(False)

@@ -157,14 +157,19 @@ def _cell(record: Record, column: Column, usual_n: int) -> str:
     metric = shown_metric(record, column)
     if metric is None:
         return "–"
+    text = figure_text(metric, column)
+    return text if metric["n"] == usual_n else f"{text}, n = {metric['n']:,}"
+
+
+def figure_text(metric: dict[str, Any], column: Column) -> str:
+    """Return a metric in the unit shown, its interval, and where that covers less, how much."""
     value, low, high = (
         None if metric[key] is None else f"{metric[key] * column.scale:.{column.digits}f}"
         for key in ("value", "low", "high")
     )
     level = level_of(metric)
     covered = f"; {100 * level:.0f} %" if level is not None and level < LEVEL else ""
-    text = str(value) if low is None or high is None else f"{value} ({low} – {high}{covered})"
-    return text if metric["n"] == usual_n else f"{text}, n = {metric['n']:,}"
+    return str(value) if low is None or high is None else f"{value} ({low} – {high}{covered})"
 
 
 def ranked_tables(

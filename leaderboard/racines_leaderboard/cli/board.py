@@ -36,6 +36,9 @@ def leaderboard(
     markdown: Annotated[
         Path | None, typer.Option(help="Write all boards to this file, charts beside the results.")
     ] = None,
+    html: Annotated[
+        Path | None, typer.Option(help="Write all boards to this file, one page for a browser.")
+    ] = None,
     readme: Annotated[
         Path | None, typer.Option(help="Renew the tables between the marks of this file.")
     ] = None,
@@ -56,6 +59,7 @@ def leaderboard(
     from racines_leaderboard.board import collect as results_of
     from racines_leaderboard.board.pages import with_tables, write_page
     from racines_leaderboard.board.table import board_csv, board_tables, plain, published, show
+    from racines_leaderboard.board.web.page import write_html
     from racines_leaderboard.fresh.flags import flag_notes
 
     if params is not None:
@@ -79,6 +83,8 @@ def leaderboard(
         raise RacinesError(f"{results}: no results of {board or 'any board'}")
     if markdown is not None:
         write_page(markdown, results)
+    if html is not None:
+        write_html(html, results)
     if readme is not None:
         if not readme.is_file():
             raise RacinesError(f"{readme}: no such file")

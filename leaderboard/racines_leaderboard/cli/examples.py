@@ -57,7 +57,7 @@ EXAMPLES = {
     "replay": "racines replay episode.json",
     "explain": "racines explain ppo --profile smoke",
     "submit": "racines submit submission.yaml --check",
-    "leaderboard": "racines leaderboard --board phantom-default",
+    "leaderboard": "racines leaderboard --html leaderboard.html",
     "audit": "racines audit ppo --board phantom-default",
     "studio": "racines studio",
 }

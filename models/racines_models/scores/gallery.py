@@ -1,9 +1,9 @@
 """The picture that matters: one row a pose, one column a generator, the truth first."""
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -72,6 +72,14 @@ def write_gallery(
 
 
 def _page(columns: Mapping[str, Tensor], labels: Sequence[str]) -> bytes:
+    from racines_data.plotting import card_style, encode
+
+    with card_style():
+        return encode(_drawn(columns, labels), gray=True)
+
+
+def _drawn(columns: Mapping[str, Tensor], labels: Sequence[str]) -> Any:
+    """Return the figure of the columns, a line a pose."""
     from matplotlib.figure import Figure
 
     down, across = len(labels), len(columns)
@@ -88,6 +96,4 @@ def _page(columns: Mapping[str, Tensor], labels: Sequence[str]) -> bytes:
     for i, label in enumerate(labels):
         middle = (height - top - (i + 0.5) * CELL) / height
         page.text(0.3 / width, middle, label, ha="center", va="center", size=9)
-    picture = io.BytesIO()
-    page.savefig(picture, format="png")
-    return picture.getvalue()
+    return page

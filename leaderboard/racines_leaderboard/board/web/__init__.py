@@ -1,0 +1,1 @@
+"""The boards as one HTML page that needs no server and no other host."""
