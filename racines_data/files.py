@@ -147,6 +147,11 @@ def _aside(out: Path) -> Path:
     return out.parent / f".{out.name}.old"
 
 
+def cache_folder() -> Path:
+    """Return the user's folder of what can be made or fetched again: ~/.cache/racines."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "racines"
+
+
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write readable JSON atomically."""
     write_atomic(path, json.dumps(content, indent=2) + "\n")

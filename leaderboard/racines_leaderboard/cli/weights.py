@@ -15,7 +15,8 @@ def list_(as_json: opt.AsJson = False) -> None:
     from racines_data.terminal import say, say_json
     from racines_models.published.catalogue import read_catalogue
 
-    sets = read_catalogue().sets.values()
+    catalogue = read_catalogue()
+    sets = catalogue.sets.values()
     if as_json:
         say_json({"weights": [each.to_json() for each in sets]})
         return
@@ -27,6 +28,8 @@ def list_(as_json: opt.AsJson = False) -> None:
                 say(f"  {each.name:<{_NAME}} {each.bytes / 1e6:6.2f} MB  {boards}")
     total = sum(each.bytes for each in sets) / 1e6
     say(f"{len(sets)} sets, {total:.1f} MB. Next: racines weights card NAME")
+    if catalogue.elsewhere:
+        say(f"{catalogue.elsewhere} more come with a checkout of the repository.")
 
 
 def verify(
@@ -39,7 +42,7 @@ def verify(
 
     catalogue = read_catalogue()
     sets = list(catalogue.sets.values()) if name is None else [catalogue.named(name)]
-    broken = broken_files(catalogue.root, sets)
+    broken = broken_files(catalogue, sets)
     files = sum(len(each.files) for each in sets)
     if as_json:
         say_json({"sets": len(sets), "files": files, "broken": broken})
@@ -69,16 +72,22 @@ def card(name: Name, out: opt.OwnOutFile = None) -> None:
 
 
 def fetch(name: Name) -> None:
-    """Fetch weights that are not here; so far no repository is named that has them."""
+    """Fetch weights that are not here: inception, by which FID and KID are defined."""
     from racines_data.errors import RacinesError
+    from racines_data.terminal import say
+    from racines_models.published import inception
     from racines_models.published.catalogue import broken_files, read_catalogue
 
+    if name == inception.NAME:
+        say(f"{inception.fetch_inception()}: as published")
+        return
+
     catalogue = read_catalogue()
-    if not broken_files(catalogue.root, [catalogue.named(name)], full=False):
+    if not broken_files(catalogue, [catalogue.named(name)], full=False):
         raise RacinesError(
             f"weights {name!r}: here already; racines weights verify {name} checks them"
         )
     raise RacinesError(
         f"weights {name!r}: no hub repository is named that has them: take them from a checkout, "
-        f"git -C {catalogue.root} restore {catalogue.named(name).folder}"
+        f"{catalogue.restore(catalogue.named(name).folder)}"
     )
