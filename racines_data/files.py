@@ -100,6 +100,8 @@ def working_folder(out: Path, kind: str, key: str, busy: str) -> Iterator[Path]:
             with suppress(Timeout), FileLock(other / "lock", blocking=False):
                 shutil.rmtree(other)
         yield folder
+        if os.name == "nt":  # which removes no file that is open
+            lock.release()
         shutil.rmtree(folder)
 
 
@@ -139,8 +141,10 @@ def _held(path: Path, seconds: float, busy: str) -> Iterator[None]:
         try:
             yield
         finally:
-            # While it is held: who waits at it sees that it is gone, and makes another.
-            path.unlink(missing_ok=True)
+            # While it is held: who waits at it sees that it is gone, and makes another. Windows
+            # removes no file that is open, so there it stays.
+            with suppress(PermissionError):
+                path.unlink(missing_ok=True)
 
 
 def _aside(out: Path) -> Path:

@@ -139,7 +139,7 @@ def make_grader(
         if not isinstance(grader, (str, Path)):
             raise RacinesError(f"grader {grader!r}: inherit from racines_models.protocol.Judge")
         folder, (_, heart) = Path(grader), GRADERS[HEART_TIER]
-        if folder in heart:  # as profiles name it; it may lie elsewhere, or the student in its place
+        if folder in heart:  # as profiles name it: elsewhere, or the student in its place
             folder = own_or_published(folder, heart, GRADER_FILE)
         if not (folder / GRADER_FILE).is_file():
             out = "" if folder == GRADER_FOLDER else f" --out {folder}"
