@@ -87,7 +87,7 @@ def _read_latest(path: Path) -> dict[str, Any]:
 def _forget_after(tables: Path, step: int) -> None:
     """Drop rows later than a step, and a last one that a kill tore."""
     for path in tables.glob("**/*.tsv"):
-        header, *rows = path.read_text(encoding="utf-8").splitlines() or [""]
-        whole = [row for row in rows if row.partition("\t")[0].isdigit()]
+        header, *rows = path.read_text(encoding="utf-8").splitlines(keepends=True) or ["step\n"]
+        whole = [row for row in rows if row.endswith("\n")]
         kept = [row for row in whole if int(row.partition("\t")[0]) <= step]
-        write_atomic(path, "\n".join([header, *kept]) + "\n")
+        write_atomic(path, "".join([header, *kept]))
