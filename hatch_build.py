@@ -8,11 +8,16 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-CARRIED = ("models/weights/manifest.json", "models/weights/student", "envs/weights/ppo")
+CARRIED = (
+    "models/weights/manifest.json",
+    "models/weights/student",
+    "envs/weights/ppo",
+    "envs/weights/servo",
+)
 
 
 class CarriedWeights(BuildHookInterface):
-    """Adds the judge and the agent that an installed package works with."""
+    """Adds the judge and the agents that an installed package works with."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Name the files to copy, in a wheel that is no editable one."""

@@ -1,7 +1,7 @@
 """The one place that says where published weights are, from whichever folder one works.
 
 Those of the current folder count first, then those of the checkout whose code this is. A wheel
-carries a few of them: a judge and an agent.
+carries a few of them: a judge and two agents.
 """
 
 from collections.abc import Sequence
