@@ -107,7 +107,7 @@ def test_the_installed_wheel_works_outside_the_repository(
     scored = json.loads(
         run(empty, racines, "eval", "agent", "ppo", "--view", "SC", "--starts", "2", "--json")
     )
-    assert scored["agent"] == "ppo" and scored["metrics"]["success_true"]["value"] == 1.0
+    assert scored["agent"] == "ppo-2-starts" and scored["metrics"]["success_true"]["value"] == 1.0
     assert (empty / "envs/runs/scores").is_dir()
     run(empty, racines, "demo", "--seed", "0", "--patient", "20035")
     assert (empty / "demo/index.html").is_file()
