@@ -86,7 +86,7 @@ mutants: $(READY) ## break what the numbers rest on and see whether the tests no
 .venv-%/.ready: tests/clients/%.txt pyproject.toml constraints.txt
 	test -x .venv-$*/bin/python || $(PYTHON) -m venv .venv-$*
 	grep -vixf <(sed -n 's/\[.*\]//; s/==.*/==.*/p' $<) constraints.txt > .venv-$*/constraints.txt
-	.venv-$*/bin/python -m pip install -q --no-compile -c .venv-$*/constraints.txt -e . -r $<
+	.venv-$*/bin/python -m pip install -q --no-compile -c .venv-$*/constraints.txt -e ".[train]" -r $<
 	touch $@
 
 lint: $(READY) ## check style, format and spelling

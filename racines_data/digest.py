@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from racines_data.errors import RacinesError
-from racines_data.files import sampled_sha256, sha256_file, write_atomic
+from racines_data.files import cache_folder, sampled_sha256, sha256_file, write_atomic
 from racines_data.manifest import (
     ADDED,
     CARD,
@@ -225,8 +225,7 @@ def checked_shards(
 
 
 def _verified_path() -> Path:
-    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(cache) / "racines" / "verified.json"
+    return cache_folder() / "verified.json"
 
 
 def _read_verified() -> dict[str, Any]:

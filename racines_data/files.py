@@ -100,6 +100,8 @@ def working_folder(out: Path, kind: str, key: str, busy: str) -> Iterator[Path]:
             with suppress(Timeout), FileLock(other / "lock", blocking=False):
                 shutil.rmtree(other)
         yield folder
+        if os.name == "nt":  # which removes no file that is open
+            lock.release()
         shutil.rmtree(folder)
 
 
@@ -139,12 +141,19 @@ def _held(path: Path, seconds: float, busy: str) -> Iterator[None]:
         try:
             yield
         finally:
-            # While it is held: who waits at it sees that it is gone, and makes another.
-            path.unlink(missing_ok=True)
+            # While it is held: who waits at it sees that it is gone, and makes another. Windows
+            # removes no file that is open, so there it stays.
+            with suppress(PermissionError):
+                path.unlink(missing_ok=True)
 
 
 def _aside(out: Path) -> Path:
     return out.parent / f".{out.name}.old"
+
+
+def cache_folder() -> Path:
+    """Return the user's folder of what can be made or fetched again: ~/.cache/racines."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "racines"
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:

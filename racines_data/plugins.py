@@ -18,6 +18,7 @@ from operator import attrgetter
 from typing import Any
 
 from racines_data.errors import RacinesError
+from racines_data.extras import install_hint
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class Plugins:
             remedy = ""
             absent = error.name if isinstance(error, ModuleNotFoundError) else None
             if absent and not f"{module}.".startswith(f"{absent}."):
-                remedy = f"; it needs {absent}: pip install {absent}"
+                remedy = f"; it needs {absent}: {install_hint(absent)}"
             raise RacinesError(f"{what}: cannot import {module}: {error}{remedy}") from error
         try:
             return attrgetter(attribute)(found)

@@ -19,7 +19,6 @@ MODULES = [
     "torchrl.envs",
     "torchrl.collectors",
     "torchrl.objectives",
-    "dvclive.live",
     "monai.networks.nets.resnet",
     "pydantic.dataclasses",
     "pydantic.type_adapter",

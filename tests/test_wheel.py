@@ -5,6 +5,8 @@ from the environment that runs the tests, by a .pth file. That leaves out pip's 
 gigabytes and nothing of ours: the test checks that every package comes from the wheel.
 """
 
+import json
+import os
 import subprocess
 import sys
 import sysconfig
@@ -14,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+import hatch_build
 from tests.conftest import ROOT
 
 CHECK = """
@@ -24,16 +27,20 @@ for package in (racines_data, racines_models, racines_envs, racines_leaderboard)
 frames = racines_data.load(root=sys.argv[1], split="train")
 assert frames[0]["image"].size == (128, 128)
 import gymnasium
-env = gymnasium.make("racines_envs:racines/SC-v0", observation="image", reward="oracle")
+env = gymnasium.make("racines_envs:racines/SC-v0")  # the default reward asks the grader
 observation, info = env.reset(seed=0)
-observation, *_ = env.step(env.action_space.sample())
+observation, reward, *_ = env.step(env.action_space.sample())
 assert observation.shape == (128, 128, 1), observation.shape
+assert env.unwrapped.core.grader.architecture == "student"
 print("fine")
 """
 
 
 def run(folder: Path, *words: str | Path) -> str:
-    done = subprocess.run(list(map(str, words)), cwd=folder, capture_output=True, text=True)
+    # Nothing of the repository is told of: neither its code nor its metadata.
+    bare = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    words = tuple(map(str, words))
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, env=bare)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -60,6 +67,17 @@ def test_the_wheel_holds_the_packages_and_their_data_and_nothing_else(wheel: Pat
         "racines_leaderboard/studio/studio.css",
     ):
         assert name in names
+    inside = "racines_models/published/carried/"
+    carried = {name.removeprefix(inside) for name in names if name.startswith(inside)}
+    assert carried == {path for place in hatch_build.CARRIED for path in tracked(place)}
+    assert sum(name.endswith(".safetensors") for name in names) == len(
+        [name for name in carried if name.endswith(".safetensors")]
+    ), "in one place, once"
+
+
+def tracked(place: str) -> set[str]:
+    told = subprocess.run(["git", "ls-files", place], cwd=ROOT, capture_output=True, text=True)
+    return set(told.stdout.split())
 
 
 @pytest.mark.docs
@@ -75,5 +93,21 @@ def test_the_installed_wheel_works_outside_the_repository(
     # in a folder that a .pth file adds is not read, so the editable install stays out.
     site = run(tmp_path, python, "-c", "import site; print(site.getsitepackages()[0])").strip()
     Path(site, "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
-    assert "Usage: racines" in run(tmp_path, tmp_path / "env/bin/racines", "--help")
-    assert run(tmp_path, python, "-c", CHECK, tiny_root).endswith("fine\n")
+    racines, empty = tmp_path / "env/bin/racines", tmp_path / "empty"
+    empty.mkdir()
+    assert "Usage: racines" in run(empty, racines, "--help")
+    assert run(empty, python, "-c", CHECK, tiny_root).endswith("fine\n")
+    listed = json.loads(run(empty, racines, "weights", "list", "--json"))["weights"]
+    assert {each["name"] for each in listed} == {"student", "ppo", "servo"}
+    assert "more come with a checkout" in run(empty, racines, "weights", "list")
+    assert "all as published" in run(empty, racines, "weights", "verify")
+    doctor = run(empty, racines, "doctor")
+    assert "Nothing is broken." in doctor and "racines demo" in doctor
+    # Without a dataset, a params file or a run: the published agent and the student's judgement.
+    scored = json.loads(
+        run(empty, racines, "eval", "agent", "ppo", "--view", "SC", "--starts", "2", "--json")
+    )
+    assert scored["agent"] == "ppo-2-starts" and scored["metrics"]["success_true"]["value"] == 1.0
+    assert (empty / "envs/runs/scores").is_dir()
+    run(empty, racines, "demo", "--seed", "0", "--patient", "20035")
+    assert (empty / "demo/index.html").is_file()

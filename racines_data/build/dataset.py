@@ -10,7 +10,7 @@ Nothing of the result depends on the time, the number of workers or the order th
 
 import dataclasses
 import re
-import resource
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -190,10 +190,16 @@ def peak_memory(workers: int) -> int:
 
     The most that this process has held, and as often as there are workers the most that any one
     process that it has started and awaited has held; what they share is counted several times.
+    Windows tells nothing of it: 0.
     """
+    if sys.platform == "win32":  # which counts neither
+        return 0
+    import resource
+
     own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     child = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    return 1024 * (own + (workers * child if workers > 1 else 0))
+    unit = 1 if sys.platform == "darwin" else 1024
+    return unit * (own + (workers * child if workers > 1 else 0))
 
 
 def _recipe(source: Source, config: DataConfig, many: Source | None) -> dict[str, Any]:

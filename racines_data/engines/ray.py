@@ -19,6 +19,7 @@ from racines_data.engines import Result, State, Task
 from racines_data.engines.versions import versions
 from racines_data.engines.worker import Call, run_task
 from racines_data.errors import RacinesError
+from racines_data.extras import needed
 from racines_data.terminal import say
 
 TRIES = 4
@@ -41,13 +42,7 @@ class RayEngine:
         Raises:
             RacinesError: Ray is not installed, or no cluster answers there.
         """
-        try:
-            import ray
-        except ModuleNotFoundError as error:
-            raise RacinesError(
-                "--engine ray: Ray is not installed: pip install 'racines[ray]'"
-            ) from error
-        self._ray: Any = ray
+        self._ray: Any = needed("ray", "--engine ray")
         self.address = address or os.environ.get("RAY_ADDRESS") or "local"
         _check_address(self.address)
         self._workers, self._started, self.size = workers, False, workers or 1

@@ -5,6 +5,7 @@ Nothing here imports Ray: a worker that has another version of ours refuses befo
 
 import os
 import pickle
+import platform
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -56,7 +57,7 @@ def _check(wanted: dict[str, str]) -> None:
         differing = {key: value for key, value in here.items() if wanted.get(key) != value}
         theirs = {key: wanted[key] for key in differing}
         raise RacinesError(
-            f"a worker on {os.uname().nodename} has {described(differing)}; the machine that sent "
+            f"a worker on {platform.node()} has {described(differing)}; the machine that sent "
             f"the task has {described(theirs)}: install the same on every node (pip install "
             f"racines=={wanted['racines']} torch=={wanted['torch']}), or start the nodes from one "
             "image"

@@ -8,13 +8,13 @@ and so in all others, since the vertices of one surface go with the same tissue 
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from racines_data.errors import RacinesError
+from racines_data.extras import needed
 from racines_data.own.sheet import UNITS, Part, Sheet
 from racines_data.sources.table.inputs import open_folder
 
@@ -43,18 +43,6 @@ class Surface:
     def rim(self, name: str) -> np.ndarray:
         """Return the (3,) middle of a rim at the first phase."""
         return self.vertices[0, list(self.rims).index(name) - len(self.rims)]
-
-
-def needed(module: str, what: str, extra: str = "anatomy") -> Any:
-    """Import a library that only this needs.
-
-    Raises:
-        RacinesError: it is not installed, with the remedy.
-    """
-    try:
-        return import_module(module)
-    except ModuleNotFoundError as error:
-        raise RacinesError(f"{what} needs {error.name}: pip install 'racines[{extra}]'") from error
 
 
 def read_surfaces(folder: Path, sheet: Sheet) -> dict[str, Surface]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from racines_data.errors import RacinesError
-from racines_data.own.meshes import needed
+from racines_data.extras import needed
 from racines_data.own.sheet import UNITS, Sheet
 
 MOST = 200_000_000

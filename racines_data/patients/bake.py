@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from racines_data.files import write_atomic
+from racines_data.files import cache_folder, write_atomic
 from racines_data.patients.form import LIVER, Shape, shape_of
 from racines_data.patients.labels import BACKGROUND, BLOOD, MATERIALS, MITRAL, VALVES
 from racines_data.patients.paint import paint
@@ -196,15 +196,14 @@ def recipe(patient: Patient) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:24]
 
 
-def cache_folder() -> Path:
+def hearts_folder() -> Path:
     """Return where baked hearts are kept."""
-    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(cache) / "racines" / "hearts"
+    return cache_folder() / "hearts"
 
 
 def baked(patient: Patient) -> Tensor:
     """Return a patient's voxels from the cache, or bake them and put them there."""
-    path = cache_folder() / f"{recipe(patient)}.voxels"
+    path = hearts_folder() / f"{recipe(patient)}.voxels"
     if path.is_file() and path.stat().st_size == HEART_BYTES:
         with suppress(OSError):
             os.utime(path)

@@ -26,7 +26,7 @@ from typing import Any
 from tests.mutants.catalogue import ROOT
 
 PRELOAD = """
-    accelerate datasets dvclive.live gymnasium huggingface_hub matplotlib.figure matplotlib.pyplot
+    accelerate datasets gymnasium huggingface_hub matplotlib.figure matplotlib.pyplot
     monai.networks.nets.resnet numpy pandas PIL.Image polars pyarrow.parquet pytest pytest_timeout
     rich.progress safetensors.torch scipy.linalg scipy.ndimage scipy.optimize scipy.stats
     skimage.metrics tensordict.nn torch torch.distributions torch.optim.swa_utils

@@ -1,16 +1,17 @@
 """Deep Q-learning (Mnih et al., 2015; double: van Hasselt et al., 2016) with TorchRL."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictSequential
 from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
 from racines_envs.agents.policy import PolicyAgent
 from racines_envs.agents.training import LearningAgent, TrainingConfig, TrainingRun
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class _Training(TrainingRun):
         super().__init__(cls, config, *where)
 
     def _build(self) -> None:
+        from tensordict.nn import TensorDictSequential
         from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
         from torchrl.modules import EGreedyModule, QValueActor
         from torchrl.objectives import DQNLoss, SoftUpdate
@@ -87,7 +89,7 @@ class _Training(TrainingRun):
         share = config.explore_first + (config.explore_last - config.explore_first) * gone
         self.explore.eps.fill_(share)
 
-    def _update(self, batch: TensorDictBase) -> dict[str, float]:
+    def _update(self, batch: "TensorDictBase") -> dict[str, float]:
         """Keep a batch, learn once enough is kept, and explore less from now on."""
         kept = batch.reshape(-1).select(*self.kept).clone()
         kept["next", "reward"] = kept["next", "reward"] * self.config.reward_scale

@@ -1,15 +1,16 @@
 """Proximal policy optimisation (Schulman et al., 2017) with TorchRL; reads from top to bottom."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 
 from racines_envs.agents.policy import make_network
 from racines_envs.agents.training import LearningAgent, TrainingConfig, TrainingRun
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class _Training(TrainingRun):
     trained = ("actor", "critic", "optimiser")
 
     def _build(self) -> None:
+        from tensordict.nn import TensorDictModule
         from torch.distributions import Categorical
         from torchrl.modules import ProbabilisticActor, ValueOperator
         from torchrl.objectives import ClipPPOLoss
@@ -66,7 +68,7 @@ class _Training(TrainingRun):
         groups = [{"params": [*network.parameters()], "lr": rate} for network, rate in networks]
         self.optimiser = torch.optim.Adam(groups, eps=1e-5)
 
-    def _update(self, batch: TensorDictBase) -> dict[str, float]:
+    def _update(self, batch: "TensorDictBase") -> dict[str, float]:
         """Improve actor and critic by several passes over one batch."""
         config = self.config
         batch["next", "reward"] = batch["next", "reward"] * config.reward_scale
@@ -97,7 +99,7 @@ class _Training(TrainingRun):
         return {f"update/{key}": float(value) / count for key, value in sums.items()}
 
     @torch.no_grad()
-    def _refresh_norms(self, sample: TensorDictBase) -> None:
+    def _refresh_norms(self, sample: "TensorDictBase") -> None:
         # Normalisation keeps its running statistics while acting and while learning, so that the
         # first probability ratio of an update is exactly one; they move between updates only.
         seen = [sample[key] for key in self.actor.keys]

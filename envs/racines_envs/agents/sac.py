@@ -5,11 +5,9 @@ The baseline of continuous actions: it commands a twist of the probe (`action="v
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
-from tensordict import TensorDictBase
-from tensordict.nn import NormalParamExtractor, TensorDictModule
 from torch import Tensor, nn
 
 from racines_data.errors import RacinesError
@@ -19,6 +17,9 @@ from racines_envs.agents.training import LearningAgent, TrainingConfig, Training
 from racines_envs.task.motion import VELOCITY, Velocity
 from racines_envs.worlds.making import find_task
 from racines_models.networks.batching import in_fixed_batches
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
 
 AXES = 6
 
@@ -87,6 +88,7 @@ class _Training(TrainingRun):
         self.where["action"] = VELOCITY
 
     def _build(self) -> None:
+        from tensordict.nn import NormalParamExtractor, TensorDictModule
         from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
         from torchrl.modules import ProbabilisticActor, TanhNormal, ValueOperator
         from torchrl.objectives import SACLoss, SoftUpdate
@@ -119,7 +121,7 @@ class _Training(TrainingRun):
         self.kept = [*keys, "action", *(("next", key) for key in keys)]
         self.kept += [("next", key) for key in ("reward", "done", "terminated")]
 
-    def _update(self, batch: TensorDictBase) -> dict[str, float]:
+    def _update(self, batch: "TensorDictBase") -> dict[str, float]:
         """Keep a batch, and learn once enough is kept."""
         kept = batch.reshape(-1).select(*self.kept).clone()
         kept["next", "reward"] = kept["next", "reward"] * self.config.reward_scale

@@ -13,12 +13,12 @@ from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Self, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import torch
-from tensordict import TensorDictBase
 
 from racines_data.errors import RacinesError
+from racines_data.extras import needed
 from racines_data.patients.pool import MEMORY
 from racines_data.store.frames import FrameStore, open_store
 from racines_data.terminal import say
@@ -37,6 +37,10 @@ from racines_envs.worlds.ward import make_ward
 from racines_models.devices import on_device
 from racines_models.protocol import Run
 from racines_models.training.checkpoint import Checkpoint, discard_checkpoint
+from racines_models.training.curves import Curves
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
 
 PLACES = ("encoder", "grader", "generator")
 """Settings that name a place."""
@@ -116,6 +120,7 @@ class TrainingRun(ABC):
                 f"agents.{cls.name}.update_every is {config.update_every}: give a multiple of envs "
                 f"({config.envs})"
             )
+        needed("torchrl", f"training {cls.name}")
         self.folder, self.seed, self.progress = folder, seed, progress
         self.cls, self.config = cls, cast(Any, config)
         looks = config.observation != "params"
@@ -166,17 +171,16 @@ class TrainingRun(ABC):
         self.agent: Any = self.cls(self.config, self.actor, self.encoder)
 
     @abstractmethod
-    def _update(self, batch: TensorDictBase) -> dict[str, float]:
+    def _update(self, batch: "TensorDictBase") -> dict[str, float]:
         """Learn from a batch (envs, steps) of experience; return figures for the curves."""
 
     def _loop(self) -> None:
         """Gather and learn until `frames` is what the config says."""
-        from dvclive.live import Live
         from torchrl.collectors import Collector
 
         config, began = self.config, time.perf_counter() - self.seconds
-        folder, resume, every = self.folder / "dvclive", self.frames > 0, config.validate_every
-        with Live(str(folder), resume=resume, save_dvc_exp=False, dvcyaml=None) as live:
+        every = config.validate_every
+        with Curves(self.folder, self.frames) as curves:
             self.env.set_seed(self.seed * 1_000_003 + self.frames)
             size = config.update_every
             left = -(-(config.frames - self.frames) // size) * size
@@ -188,7 +192,7 @@ class TrainingRun(ABC):
                 row["frames_per_second"] = self.frames / self.seconds
                 if self.frames >= config.frames or self.frames // every > last:
                     row |= self._validate()
-                self._log(live, row)
+                self._log(curves, row)
             collector.shutdown()
 
     def _validate(self) -> dict[str, float]:
@@ -203,11 +207,8 @@ class TrainingRun(ABC):
         self.checkpoint.write(self._state())
         return row
 
-    def _log(self, live: Any, row: dict[str, float]) -> None:
-        live.step = self.frames
-        for name, value in row.items():
-            live.log_metric(name, value)
-        live.sync()
+    def _log(self, curves: Curves, row: dict[str, float]) -> None:
+        curves.row(self.frames, row)
         if self.progress and "validation/success" in row:
             say(
                 f"{self.frames:>10,} frames  success {row['validation/success']:.2f}  "
@@ -354,7 +355,7 @@ def seeded(seed: int, threads: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def finished(batch: TensorDictBase) -> dict[str, float]:
+def finished(batch: "TensorDictBase") -> dict[str, float]:
     """Return means over the episodes that ended in a batch."""
     done = batch["next", "done"]
     if not bool(done.any()):

@@ -3,10 +3,8 @@
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
-from torchrl.envs import EnvBase
 
+from racines_data.extras import absent
 from racines_data.imaging import IMAGE_SIZE
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import PARAMS_SIZE
@@ -14,6 +12,13 @@ from racines_envs.task.motion import Velocity
 from racines_envs.task.tasks import Task
 from racines_envs.worlds.making import make_core
 from racines_models.devices import resolve_device
+
+try:
+    from tensordict import TensorDict, TensorDictBase
+    from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
+    from torchrl.envs import EnvBase
+except ModuleNotFoundError as error:
+    raise absent(str(error.name), "ScanEnv") from error
 
 
 class ScanEnv(EnvBase):

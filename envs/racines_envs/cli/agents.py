@@ -200,7 +200,7 @@ def evaluate_agent(
     published = None if run else published_run(board, entry.name)
     with spread(engine, address, config.device) as pool:
         result = evaluate(
-            entry.agent, run or entry.folder, config, phantom, run=label, board=board,
+            entry.agent, run or entry.trained, config, phantom, run=label, board=board,
             published=published, engine=pool,
         )  # fmt: skip
     write_evaluation(result, out, picture or out.with_suffix(".png"), force)
@@ -239,7 +239,7 @@ def _on_recordings(
     label = entry.name if name else plain_name(f"{entry.name}-{world.settings.split}")
     out = _result_file(out, entry.scores.with_name(f"{label}.json"))
     with opened as pool:
-        result = evaluate(entry.agent, run or entry.folder, config, world, run=label, engine=pool)
+        result = evaluate(entry.agent, run or entry.trained, config, world, run=label, engine=pool)
     write_evaluation(result, out, picture or out.with_suffix(".png"), force)
     if as_json:
         say_json(result.scores, indent=2)
@@ -278,7 +278,7 @@ def _on_patients(
             label = row_name(entry.name, config.view)
     label = name or label
     out = _result_file(out, entry.scores.with_name(f"{label}.json"))
-    folder = run or entry.folder
+    folder = run or entry.trained
     with opened as pool:
         made = {"run": label, "board": board, "engine": pool}
         result = evaluate_patients(entry.agent, folder, config, **made)

@@ -68,7 +68,7 @@ def ejection(
     with progress_bar(not as_json, "patients") as bar:
         task = bar.add_task(entry.name, total=config.patients)
         report, measured, truth = study_ejection(
-            entry.agent, run or entry.folder, config, judge, entry.name,
+            entry.agent, run or entry.trained, config, judge, entry.name,
             lambda count: bar.advance(task, count), parts, force,
         )  # fmt: skip
     write_json(out, report)

@@ -109,7 +109,7 @@ def explain(
         grader=grader, device=device, seed=seed,
     ) | overrides(settings)  # fmt: skip
     config = fill(ExplainConfig, section(values, "explain") | chosen, "explain")
-    result = explain_agent(entry.agent, run or entry.folder, config, phantom_config(values))
+    result = explain_agent(entry.agent, run or entry.trained, config, phantom_config(values))
     folder = out or RUNS / "explain" / entry.name
     write_explanation(result, folder, pictures)
     if as_json:

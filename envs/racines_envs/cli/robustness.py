@@ -60,7 +60,7 @@ def evaluate_robustness(
     opt.check_ending(out, ".json")
     with progress_bar(not as_json, "conditions") as bar:
         task = bar.add_task(entry.name, total=len(conditions(config)))
-        folder = run or entry.folder
+        folder = run or entry.trained
         found = evaluate_robustness(
             entry.agent, folder, config, out, entry.name, lambda _: bar.advance(task), force
         )

@@ -24,6 +24,7 @@ from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER, TIERS
 from racines_envs.task.tiers import STEP_SECONDS
 from racines_envs.worlds.ward import Ward, make_ward
+from racines_models.published.places import published
 
 POLICY = Path("envs/weights/servo")
 SPLIT = "test"
@@ -112,9 +113,13 @@ def load_servo() -> Watched:
     Raises:
         RacinesError: its weights are not here.
     """
-    if not POLICY.is_dir():
-        raise RacinesError(f"{POLICY}: no such folder: run it in the root of a clone of RACINES")
-    return Watched.load(POLICY)
+    policy = published(POLICY)
+    if not policy.is_dir():
+        raise RacinesError(
+            f"{POLICY}: no such folder: run it in a clone of RACINES, or install the package from "
+            "its wheel"
+        )
+    return Watched.load(policy)
 
 
 def scan(

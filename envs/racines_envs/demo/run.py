@@ -23,7 +23,7 @@ PAGE, FILM, FIGURES = "index.html", "demo.gif", "demo.json"
 def next_commands(draw: Draw) -> list[tuple[str, str]]:
     """Return three commands to go on with, and what each does."""
     tier = f"--view {draw.view} --tier {draw.tier}"
-    score = f"racines eval agent servo --run envs/weights/servo {tier} --patients 3"
+    score = f"racines eval agent servo {tier} --patients 3"
     return [
         ("racines studio", "Look at boards, scans and agents in the browser."),
         (score, "Score the same agent on three validation patients."),

@@ -2,8 +2,7 @@
 
 import os
 import re
-import termios
-import tty
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from itertools import chain, groupby
 from pathlib import Path
@@ -167,12 +166,20 @@ class Terminal:
         """Use file descriptors, by default standard input and output, which are a terminal's."""
         if not (os.isatty(keys) and os.isatty(out)):
             raise RacinesError("racines drive needs a terminal: run it in one, or give --keys")
+        if sys.platform == "win32":
+            raise RacinesError(
+                "racines drive needs a POSIX terminal, which Windows (win32) has not: give --keys, "
+                "or drive in racines studio"
+            )
         self._in, self._out = keys, out
         self._before: list[Any] = []
         self._true_colour = os.environ.get("COLORTERM", "") in ("truecolor", "24bit")
 
     def __enter__(self) -> "Terminal":
         """Take the terminal."""
+        import termios
+        import tty
+
         self._before = termios.tcgetattr(self._in)
         tty.setraw(self._in)
         self._write(_ENTER)
@@ -180,6 +187,8 @@ class Terminal:
 
     def __exit__(self, *raised: object) -> None:
         """Give it back as it was."""
+        import termios
+
         self._write(_LEAVE)
         termios.tcsetattr(self._in, termios.TCSADRAIN, self._before)
 

@@ -28,6 +28,7 @@ from racines_data.config import section
 from racines_data.errors import RacinesError
 from racines_envs.agents import Agent, agent_class, learns, load_agent
 from racines_envs.agents.protocol import FILES
+from racines_models.published.places import POLICIES, own_or_published
 
 RUNS = Path("envs/runs")
 SECTIONS = ("agents", "patient_agents")
@@ -73,10 +74,13 @@ def split_label(spec: str) -> tuple[str | None, str]:
 
 
 def find_run(spec: str) -> Run:
-    """Return what `[LABEL=]NAME` or `[LABEL=]FOLDER` names; a name's folder is envs/runs/NAME."""
+    """Return what `[LABEL=]NAME` or `[LABEL=]FOLDER` names.
+
+    A name's folder is envs/runs/NAME, or else the published envs/weights/NAME.
+    """
     label, where = split_label(spec)
     given = Path(where).is_dir()
-    folder = Path(where) if given else RUNS / where
+    folder = Path(where) if given else trained_folder(where)
     described = folder / "config.json"
     if not described.is_file():
         if given:
@@ -87,6 +91,11 @@ def find_run(spec: str) -> Run:
         raise RacinesError(f"{described}: names no agent: {where} is not an agent's run folder")
     name = label or folder.resolve().name
     return Run(name, told["agent"], folder, told.get("config", {}), told.get("seed"))
+
+
+def trained_folder(name: str) -> Path:
+    """Return the folder of a run by its name: one made here, or the published one, said once."""
+    return own_or_published(RUNS / name, POLICIES / name, "config.json")
 
 
 def find_runs(specs: Sequence[str]) -> list[Run]:
@@ -146,6 +155,13 @@ class Entry:
     def folder(self) -> Path:
         """The run's folder."""
         return RUNS / self.name
+
+    @property
+    def trained(self) -> Path:
+        """The run's folder, or the published one of its name where none was trained here."""
+        return (
+            self.folder if Path(self.agent).suffix.lower() in FILES else trained_folder(self.name)
+        )
 
     @property
     def scores(self) -> Path:

@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from racines_data.errors import RacinesError
+from racines_data.extras import needed
 from racines_data.geometry import Pose, rotate
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.phantom.acoustics import pixel_grid, sector_mask
@@ -109,6 +110,7 @@ def integrated_gradients(
         difference of the outputs between image and black image, which would be 0 with an exact
         integral.
     """
+    needed("captum", "integrated gradients")
     from captum.attr import IntegratedGradients
 
     method, found = IntegratedGradients(judge), []

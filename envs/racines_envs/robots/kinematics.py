@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from racines_data.errors import RacinesError
+from racines_data.extras import needed
 from racines_data.geometry import Pose
 from racines_envs.robots.arm import BASE, TIP, Arm
 from racines_models.networks.batching import in_fixed_batches
@@ -33,12 +33,9 @@ class Kinematics:
         Raises:
             RacinesError: `pytorch_kinematics` is not installed.
         """
-        try:
-            from pytorch_kinematics import build_serial_chain_from_urdf
-        except ImportError as error:
-            raise RacinesError(
-                f"robot {arm.name!r} needs pytorch_kinematics: install racines[robot]"
-            ) from error
+        needed("pytorch_kinematics", f"robot {arm.name!r}")
+        from pytorch_kinematics import build_serial_chain_from_urdf
+
         chain = build_serial_chain_from_urdf(arm.urdf().encode(), TIP, BASE)
         self._chain: Any = chain.to(dtype=torch.float64, device=torch.device(device))
         self.arm, self.device = arm, torch.device(device)

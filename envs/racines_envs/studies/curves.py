@@ -1,4 +1,4 @@
-"""Learning curves of agents, from what a training leaves: metrics.json and DVCLive's tables."""
+"""Learning curves of agents, from what a training leaves: metrics.json and the tables beside it."""
 
 import csv
 from collections.abc import Sequence
@@ -15,6 +15,7 @@ from racines_envs.evaluation.agent_specs import read_json, split_label
 from racines_envs.evaluation.pictures import save
 from racines_envs.studies.rewards import PAPER
 from racines_envs.task.rewards import follows_paper
+from racines_models.training.curves import CURVES
 
 SCHEMA = "racines.agent-curves/1"
 PANELS = {
@@ -29,7 +30,7 @@ def read_curves(specs: Sequence[str]) -> dict[str, Any]:
     """Read the curves of `[LABEL=]FOLDER`s; runs of one label are training seeds of one thing.
 
     A finished run's validations come from metrics.json; all else, and a run under way, from
-    DVCLive's tables. A run without validations by environment steps is refused.
+    the tables under dvclive/. A run without validations by environment steps is refused.
     """
     if not specs:
         raise RacinesError("no run given: name run folders of trained agents")
@@ -63,7 +64,7 @@ def _read(label: str | None, folder: str) -> dict[str, Any]:
 
 def _table(folder: Path, name: str) -> list[list[float]]:
     """Read (step, value) rows; a step that a resumed run wrote again counts as it was last."""
-    path = folder / "dvclive" / "plots" / "metrics" / f"{name}.tsv"
+    path = folder / CURVES / "plots" / "metrics" / f"{name}.tsv"
     if not path.is_file():
         return []
     with path.open(newline="") as file:

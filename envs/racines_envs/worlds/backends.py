@@ -23,10 +23,11 @@ from racines_models.published.places import WEIGHTS, own_or_published
 
 GRADER_FOLDER = Path("models/runs/grader")
 GRADERS = {
-    HEART_TIER: (GRADER_FOLDER, WEIGHTS / "grader"),
-    PATIENTS: (Path("models/runs/grader-patients"), WEIGHTS / "phantom-patients/grader"),
+    HEART_TIER: (GRADER_FOLDER, (WEIGHTS / "grader", WEIGHTS / "student")),
+    PATIENTS: (Path("models/runs/grader-patients"), (WEIGHTS / "phantom-patients/grader",)),
 }
-"""Where the grader of a tier lies: one trained here stands before the published one."""
+"""Where the grader of a tier lies: one trained here stands before the published ones. The student
+does where it alone is, in an installed package."""
 GRADER_FILE = "grader.safetensors"
 JudgeLike = Judge | Path | str | None  # a grader itself, its run folder, or None for the default
 BACKENDS = ("phantom", "generator", "replay")
@@ -126,8 +127,8 @@ def usual_grader(task: Task) -> Path:
     """
     if task.anatomy != HEART:
         return GRADER_FOLDER
-    own, folder = GRADERS[HEART_TIER if task.tier == HEART_TIER else PATIENTS]
-    return own_or_published(own, folder, GRADER_FILE)
+    own, folders = GRADERS[HEART_TIER if task.tier == HEART_TIER else PATIENTS]
+    return own_or_published(own, folders, GRADER_FILE)
 
 
 def make_grader(
@@ -137,7 +138,9 @@ def make_grader(
     if not isinstance(grader, Judge):
         if not isinstance(grader, (str, Path)):
             raise RacinesError(f"grader {grader!r}: inherit from racines_models.protocol.Judge")
-        folder = Path(grader)
+        folder, (_, heart) = Path(grader), GRADERS[HEART_TIER]
+        if folder in heart:  # as profiles name it: elsewhere, or the student in its place
+            folder = own_or_published(folder, heart, GRADER_FILE)
         if not (folder / GRADER_FILE).is_file():
             out = "" if folder == GRADER_FOLDER else f" --out {folder}"
             raise RacinesError(

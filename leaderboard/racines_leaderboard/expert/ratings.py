@@ -14,7 +14,6 @@ A session holds no open file and knows no other rater's answers, so a page may o
 request. An image is answered once: a second thought after other images would not be blind.
 """
 
-import fcntl
 import hashlib
 import json
 import math
@@ -29,6 +28,7 @@ import numpy as np
 from jsonschema.exceptions import ValidationError, best_match
 
 from racines_data.errors import RacinesError
+from racines_data.files import locked
 from racines_leaderboard.expert.kit import Kit
 from racines_leaderboard.records.experts import EXPERT, KINDS, MACHINES
 from racines_leaderboard.records.schema import validator
@@ -231,9 +231,8 @@ class Session:
             fault = f"image {image}: seconds {seconds}: give a time, or none"
         if fault is not None:
             raise RacinesError(fault)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("a+b") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)  # two windows of one rater take turns
+        # Two windows of one rater take turns.
+        with locked(self.path.parent), self.path.open("a+b") as file:
             file.seek(self._read)
             self._catch_up(file.read())
             if image in self._answered:
@@ -247,7 +246,8 @@ class Session:
             file.write(line)
             file.flush()
             os.fsync(file.fileno())
-        if self._read == 0:  # a new file's name outlives a crash, as its content does
+        # A new file's name outlives a crash, as its content does; Windows opens no folder for that.
+        if self._read == 0 and os.name == "posix":
             handle = os.open(self.path.parent, os.O_RDONLY)
             try:
                 os.fsync(handle)

@@ -212,12 +212,18 @@ def check_name(name: object, where: str) -> str:
     return name
 
 
+_FLAGS = os.O_RDONLY
+for _flag in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):
+    _FLAGS |= getattr(os, _flag, 0)  # Windows has the last alone, and nobody else has it
+
+
 @contextlib.contextmanager
 def opened(folder: Path, name: str, where: str, limit: int = MAX_BYTES) -> Iterator[BinaryIO]:
     """Open a regular file of a folder, no link, device or folder, of 1 to `limit` bytes."""
-    flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    if os.name == "nt" and (folder / name).is_symlink():  # it has no flag that says so
+        raise RacinesError(f"{where}: {name}: a symbolic link: put the file itself there")
     try:
-        handle = os.open(folder / name, flags)
+        handle = os.open(folder / name, _FLAGS)
     except FileNotFoundError as error:
         raise RacinesError(f"{where}: {name}: no such file beside the submission") from error
     except OSError as error:

@@ -62,7 +62,7 @@ def plan_pushes(catalogue: Catalogue, sets: Iterable[WeightsSet], owner: str) ->
     """
     chosen = list(sets)
     plans = [_plan(catalogue, each, repository(owner, each)) for each in chosen]
-    broken = broken_files(catalogue.root, chosen)
+    broken = broken_files(catalogue, chosen)
     if broken:
         told = broken[0]
         raise RacinesError(f"{told['file']}: {told['problem']}, not pushed; {told['remedy']}")

@@ -5,7 +5,7 @@ them. Nothing heavy is imported.
 """
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from difflib import get_close_matches
 from pathlib import Path
@@ -13,13 +13,13 @@ from typing import Any
 
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
-from racines_models.published.places import WEIGHTS, published
+from racines_models.published.places import CARRIED, WEIGHTS, published
 
 SCHEMA = "racines.weights/1"
 CATALOGUE = WEIGHTS / "manifest.json"
 NONE_HERE = (
-    "no published weights here: they come with a checkout of the repository, not with the package; "
-    "run in one"
+    "no published weights here: they come with a checkout of the repository; run in one, or "
+    "install the package from a wheel, which carries a few"
 )
 
 
@@ -38,6 +38,10 @@ class WeightsSet:
     records: list[str]
     """Records whose weights they are, from the root of the checkout."""
 
+    def paths(self, root: Path) -> Iterator[Path]:
+        """Yield where its files lie under a root."""
+        return (root / self.folder / name for name in self.files)
+
     @property
     def bytes(self) -> int:
         """Size of all files."""
@@ -50,13 +54,21 @@ class WeightsSet:
 
 @dataclass(frozen=True)
 class Catalogue:
-    """The sets of a checkout, by name."""
+    """The sets of a checkout, or those that an installed wheel carries, by name."""
 
     root: Path
-    """The checkout."""
+    """The checkout, or the folder in the package that is laid out as one."""
     sets: dict[str, WeightsSet]
     hub: str | None = None
     """Who has the repositories of the sets on the Hub; None where nobody is named."""
+    elsewhere: int = 0
+    """How many more sets a checkout has than this wheel."""
+
+    def restore(self, path: Path | str) -> str:
+        """Return the command that brings a file or folder, named from the root, back."""
+        if self.root == CARRIED:
+            return "pip install --force-reinstall --no-deps racines"
+        return f"git -C {self.root} restore {path}"
 
     def named(self, name: str) -> WeightsSet:
         """Return a set by name; raises `RacinesError` if there is none, with those nearest."""
@@ -87,10 +99,18 @@ def read_catalogue() -> Catalogue:
         raise RacinesError(
             f"{path}: damaged ({error}); get it again: git restore {path}"
         ) from error
-    return Catalogue(path.parents[len(CATALOGUE.parts) - 1], sets, told.get("hub"))
+    root = path.parents[len(CATALOGUE.parts) - 1]
+    here = sets
+    if root == CARRIED:
+        here = {
+            name: each for name, each in sets.items() if any(map(Path.is_file, each.paths(root)))
+        }
+    return Catalogue(root, here, told.get("hub"), len(sets) - len(here))
 
 
-def broken_files(root: Path, sets: Iterable[WeightsSet], full: bool = True) -> list[dict[str, str]]:
+def broken_files(
+    catalogue: Catalogue, sets: Iterable[WeightsSet], full: bool = True
+) -> list[dict[str, str]]:
     """Return the files that are not as published: `file`, `problem` and `remedy` of each.
 
     With `full` every file is hashed; or else sizes alone are compared.
@@ -99,8 +119,8 @@ def broken_files(root: Path, sets: Iterable[WeightsSet], full: bool = True) -> l
     for each in sets:
         for name, told in each.files.items():
             path = Path(each.folder, name)
-            if problem := problem_of(root / path, told, full):
-                remedy = f"get it again: git -C {root} restore {path}"
+            if problem := problem_of(catalogue.root / path, told, full):
+                remedy = f"get it again: {catalogue.restore(path)}"
                 found.append({"file": str(path), "problem": problem, "remedy": remedy})
     return found
 

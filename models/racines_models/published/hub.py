@@ -63,7 +63,7 @@ def fetch(
     """
     from huggingface_hub import HfApi
 
-    broken = broken_files(catalogue.root, [weights])
+    broken = broken_files(catalogue, [weights])
     names = [str(Path(each["file"]).relative_to(weights.folder)) for each in broken]
     if not names:
         return []

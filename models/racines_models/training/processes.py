@@ -15,15 +15,17 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import torch
 import torch.distributed as dist
-from accelerate import Accelerator
 from torch import Tensor, nn
 from torch.multiprocessing.spawn import ProcessExitedException, start_processes
 
 from racines_data.errors import RacinesError
+
+if TYPE_CHECKING:
+    from accelerate import Accelerator
 
 T = TypeVar("T")
 
@@ -46,7 +48,7 @@ def _joined() -> bool:
 class Processes:
     """This process among those of a run; with one process nothing here does anything."""
 
-    def __init__(self, accelerator: Accelerator, batch_size: int):
+    def __init__(self, accelerator: "Accelerator", batch_size: int):
         self.rank, self.count = accelerator.process_index, accelerator.num_processes
         self.main = accelerator.is_main_process
         self._device = accelerator.device

@@ -4,22 +4,24 @@ import time
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
-from accelerate import Accelerator
-from accelerate.state import AcceleratorState
 from torch import Tensor, nn
 from torch.optim.lr_scheduler import LambdaLR
 from torch.optim.swa_utils import AveragedModel
 
 from racines_data.errors import RacinesError
+from racines_data.extras import needed
 from racines_data.store.frames import FrameStore
 from racines_models.protocol import Run
 from racines_models.training.checkpoint import Checkpoint
 from racines_models.training.log import Guard, TrainingLog
 from racines_models.training.objective import Course, FrameCourse, Learner, Training
 from racines_models.training.processes import Processes
+
+if TYPE_CHECKING:
+    from accelerate import Accelerator
 
 
 def train(
@@ -266,7 +268,11 @@ def resolve_precision(precision: str, device: str) -> str:
     return "bf16" if torch.cuda.is_bf16_supported() else "fp32"
 
 
-def _accelerator(config: Training, run: Run) -> Accelerator:
+def _accelerator(config: Training, run: Run) -> "Accelerator":
+    needed("accelerate", "training")
+    from accelerate import Accelerator
+    from accelerate.state import AcceleratorState
+
     # Accelerate keeps one state a process and refuses a second run with another precision.
     AcceleratorState._reset_state(reset_partial_state=True)
     precision = resolve_precision(config.precision, run.device)

@@ -242,7 +242,7 @@ def test_a_library_that_is_missing_is_named_with_the_remedy(tmp_path: Path, monk
     monkeypatch.setitem(__import__("sys").modules, "trimesh", None)
     meshes = organs.write_cup(tmp_path / "meshes")
     with pytest.raises(
-        RacinesError, match=r"outer\.obj: a mesh needs trimesh: pip install 'racines\[an"
+        RacinesError, match=r'outer\.obj: a mesh needs trimesh: pip install "racines\[an'
     ):
         from_mesh(meshes, organs.write_sheet(tmp_path / "cup.yaml", organs.CUP), tmp_path / "out")
 

@@ -161,9 +161,13 @@ def test_a_folder_of_another_kind_is_left_alone(tmp_path: Path, made: tuple[epis
         run.check_folder(tmp_path / "index.html", True)
 
 
-def test_outside_a_clone_it_says_where_to_run_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_it_runs_anywhere_and_without_weights_says_where_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(RacinesError, match="root of a clone"):
+    assert episode.load_servo().name == "servo"
+    monkeypatch.setattr("racines_models.published.places.CHECKOUT", tmp_path)
+    with pytest.raises(RacinesError, match="in a clone.*from its wheel"):
         episode.load_servo()
     assert not list(tmp_path.iterdir())
 

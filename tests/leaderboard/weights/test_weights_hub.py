@@ -127,7 +127,7 @@ def test_what_is_missing_is_fetched_and_nothing_else(hub: FakeHub, copied: Catal
     WEIGHTS.unlink()
     kept = (places.POLICIES / "ppo/policy.safetensors").stat().st_mtime_ns
     assert fetch(copied, weights, "someone", api=hub) == ["seed-1/policy.safetensors"]
-    assert not broken_files(copied.root, [weights])
+    assert not broken_files(copied, [weights])
     assert (places.POLICIES / "ppo/policy.safetensors").stat().st_mtime_ns == kept
     calls = len(hub.calls)
     assert fetch(copied, weights, "someone", api=hub) == [] and len(hub.calls) == calls

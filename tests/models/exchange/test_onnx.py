@@ -163,7 +163,7 @@ from racines_models.registry import open_generator
 open_generator("x.onnx")
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert "pip install 'racines[onnx]'" in done.stderr
+    assert 'pip install "racines[onnx]"' in done.stderr
 
 
 class Graph:

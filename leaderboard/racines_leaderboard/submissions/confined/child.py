@@ -10,9 +10,9 @@ and `recv` would unpickle. Arrays are packed by safetensors, whose reader checks
 it takes the bytes.
 """
 
+import contextlib
 import json
 import os
-import resource
 import sys
 from collections.abc import Callable, Mapping
 from multiprocessing.connection import Connection
@@ -88,7 +88,11 @@ def main() -> None:
     mode, limits = sys.argv[1], json.loads(sys.argv[2])
     if limits["parent"]:
         end_with(limits["parent"])
-    resource.setrlimit(resource.RLIMIT_AS, (limits["memory"], limits["memory"]))
+    import resource
+
+    # Linux alone holds to a limit of address space; elsewhere setting it may fail.
+    with contextlib.nullcontext() if sys.platform == "linux" else contextlib.suppress(ValueError):
+        resource.setrlimit(resource.RLIMIT_AS, (limits["memory"], limits["memory"]))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
     asked, answers = Connection(0, writable=False), Connection(1, readable=False)
@@ -118,6 +122,8 @@ def main() -> None:
 
 def _close_the_doors(unconfined: bool) -> None:
     """Forbid further files, sockets, processes and privileges; the libraries are loaded by now."""
+    import resource
+
     os.closerange(3, resource.getrlimit(resource.RLIMIT_NOFILE)[0])
     try:
         confine()

@@ -16,11 +16,15 @@ import contextlib
 import ctypes
 import errno
 import os
-import resource
 import signal
 import struct
 import sys
-from typing import NoReturn
+from typing import Any, NoReturn
+
+try:
+    import resource
+except ModuleNotFoundError:  # on Windows, which `confine` refuses
+    resource: Any = None
 
 PR_SET_PDEATHSIG, PR_SET_NO_NEW_PRIVS = 1, 38
 SECCOMP_SET_MODE_FILTER, SECCOMP_FILTER_FLAG_TSYNC = 1, 1
@@ -76,7 +80,7 @@ def confine() -> None:
         CannotConfineError: no Linux on x86_64 or aarch64, no seccomp filters, or what was to be
             forbidden was not. The process may be confined in part then: end it.
     """
-    machine = os.uname().machine
+    machine = os.uname().machine if hasattr(os, "uname") else "this machine"
     if sys.platform != "linux" or machine not in ARCHITECTURES or sys.maxsize < 2**32:
         raise CannotConfineError(f"{sys.platform} on {machine} has no filter here")
     column = list(ARCHITECTURES).index(machine)

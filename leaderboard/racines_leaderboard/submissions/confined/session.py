@@ -7,7 +7,6 @@ in a `RacinesError` that names the file and the limit, and the child is killed.
 import contextlib
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -67,6 +66,7 @@ class Child:
 
     def __init__(self, mode: str, content: bytes, where: str, limits: Limits | None = None) -> None:
         self.where, self.limits = where, limits or Limits()
+        check_platform(where, self.limits.unconfined)
         self._memory = f"the memory limit is {self.limits.memory / 2**20:,.0f} MiB"
         packages = (racines_data, racines_models, racines_leaderboard)
         roots = "|".join(str(Path(str(p.__file__)).resolve().parents[1]) for p in packages)
@@ -139,9 +139,11 @@ class Child:
 
         What still counts when this process is gone, and its clock with it.
         """
-        pid = self._process.pid
-        if not hasattr(resource, "prlimit"):  # Linux alone has it
+        if sys.platform != "linux":  # others have no prlimit(2)
             return
+        import resource
+
+        pid = self._process.pid
         with contextlib.suppress(OSError):  # the child is gone: the pipes will say so
             used = time.clock_gettime((~pid << 3) | 2)  # clock_getcpuclockid(3) of the process
             hard = resource.prlimit(pid, resource.RLIMIT_CPU)[1]
@@ -180,6 +182,25 @@ def _stop(process: subprocess.Popen[bytes], collect: bool = False) -> None:
             os.killpg(process.pid, signal.SIGKILL)
     if collect:
         process.wait()
+
+
+def check_platform(where: str, unconfined: bool) -> None:
+    """Refuse a system that cannot hold a child: by name, before anything of a stranger's is read.
+
+    Raises:
+        RacinesError: Windows, which has no such limits; another that is not Linux, unless the
+            caller goes on `unconfined`.
+    """
+    if sys.platform == "win32":
+        raise RacinesError(
+            f"{where}: Windows (win32) can neither confine a process nor limit what it takes: run "
+            "it on Linux (x86_64 or aarch64), as WSL is one"
+        )
+    if sys.platform != "linux" and not unconfined:
+        raise RacinesError(
+            f"{where}: nothing here can confine what a stranger sent: {sys.platform} has no filter "
+            f"here: {REMEDY}"
+        )
 
 
 class ConfinedSession:

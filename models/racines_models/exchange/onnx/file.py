@@ -3,7 +3,6 @@
 `open_session` runs it. Nothing here imports torch: a confined process has little memory.
 """
 
-import importlib
 import json
 import math
 import os
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
+from racines_data.extras import needed
 from racines_models.exchange.naming import check_size
 
 MAX_BYTES = 512 * 2**20
@@ -34,11 +34,7 @@ def import_onnx(*packages: str) -> None:
     """
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     for name in packages:
-        try:
-            importlib.import_module(name)
-        except ImportError as error:
-            absent = f"ONNX needs the package {name}, which is not installed"
-            raise RacinesError(f"{absent}: pip install 'racines[onnx]'") from error
+        needed(name, "ONNX")
 
 
 def open_session(content: bytes, where: str, device: str) -> Any:

@@ -1,9 +1,8 @@
 """What all readers of images have in common: the protocol, and how large an image may be."""
 
 from collections.abc import Iterator, Sequence
-from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -59,16 +58,6 @@ def check_size(path: Path, width: int, height: int, count: int) -> None:
             f"{said}, {width * height * count / 1e9:.0f} GB once decoded: at most "
             f"{MOST_BYTES / 1e9:.0f}; damaged, or cut it into sweeps of their own files"
         )
-
-
-def optional(module: str, package: str, path: Path) -> Any:
-    """Return a module of an optional package; else raise `RacinesError` with how to install it."""
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise RacinesError(
-            f"{path}: {package} reads it, which is not installed: pip install 'racines[import]'"
-        ) from error
 
 
 def gray(pixels: np.ndarray, path: Path, what: str = "image") -> np.ndarray:

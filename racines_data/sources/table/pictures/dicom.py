@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from racines_data.errors import RacinesError
+from racines_data.extras import needed
 from racines_data.sources.images import Fault, Kind
-from racines_data.sources.table.pictures.base import check_size, gray, optional
+from racines_data.sources.table.pictures.base import check_size, gray
 
 ENDINGS = (".dcm", ".dicom")
 
@@ -43,7 +44,7 @@ class Dicom:
         check_size(paths[0], *self.sizes[0], len(self.frames))
 
     def _header(self, path: Path) -> Any:
-        pydicom = optional("pydicom", "pydicom", path)
+        pydicom = needed("pydicom", f"{path}: DICOM")
         try:
             return pydicom.dcmread(path, stop_before_pixels=True)
         except (pydicom.errors.InvalidDicomError, ValueError, OSError, EOFError) as error:
@@ -67,7 +68,7 @@ class Dicom:
         return self.sizes, faults
 
     def _pixels(self, path: Path, index: int) -> np.ndarray:
-        pixels = optional("pydicom.pixels", "pydicom", path)
+        pixels = needed("pydicom.pixels", f"{path}: DICOM")
         try:
             return gray(np.asarray(pixels.pixel_array(path, index=index)), path)
         except (ValueError, RuntimeError, AttributeError, NotImplementedError, OSError) as error:

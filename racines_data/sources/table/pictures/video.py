@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from racines_data.errors import RacinesError
+from racines_data.extras import needed
 from racines_data.sources.images import Fault
-from racines_data.sources.table.pictures.base import MOST_PIXELS, check_size, optional
+from racines_data.sources.table.pictures.base import MOST_PIXELS, check_size
 
 FORMATS = {".mp4": "mov", ".m4v": "mov", ".mov": "mov", ".mkv": "matroska", ".avi": "avi"}
 """The container of each ending; named to the library, so that no playlist opens other files."""
@@ -42,7 +43,7 @@ class Video:
 
     @contextmanager
     def _open(self) -> Iterator[tuple[Any, Any]]:
-        av = optional("av", "PyAV", self.path)
+        av = needed("av", f"{self.path}: video")
         av.logging.set_level(None)
         options = {"max_pixels": str(MOST_PIXELS)}
         form = FORMATS[self.path.suffix.lower()]
