@@ -52,23 +52,26 @@ def verify(
         raise typer.Exit(1)
 
 
-def card(name: Name, out: opt.OwnOutFile = None) -> None:
+def card(name: Name, out: opt.OwnOutFile = None, as_json: opt.AsJson = False) -> None:
     """Print the card of a set of weights in Markdown: method, data, settings, scores, limits."""
     from racines_data.files import write_atomic
-    from racines_data.terminal import say, say_page
+    from racines_data.terminal import say, say_json, say_page
     from racines_leaderboard.board.model_card import model_card
     from racines_models.published.catalogue import read_catalogue
 
     catalogue = read_catalogue()
     page = model_card(catalogue, catalogue.named(name))
-    if out is None:
+    if out is not None:
+        write_atomic(out, page)
+    if as_json:
+        say_json({"name": name, "card": page, "out": None if out is None else str(out)})
+    elif out is None:
         say_page(page)
-        return
-    write_atomic(out, page)
-    say(str(out))
+    else:
+        say(str(out))
 
 
-def fetch(name: Name) -> None:
+def fetch(name: Name, as_json: opt.AsJson = False) -> None:
     """Fetch weights that are not here; so far no repository is named that has them."""
     from racines_data.errors import RacinesError
     from racines_models.published.catalogue import broken_files, read_catalogue

@@ -7,7 +7,7 @@ of the checkout whose code this is.
 from functools import cache
 from pathlib import Path
 
-from racines_data.terminal import say
+from racines_data.terminal import note
 
 WEIGHTS = Path("models/weights")
 POLICIES = Path("envs/weights")
@@ -40,4 +40,4 @@ def own_or_published(own: Path, folder: Path, file: str) -> Path:
 @cache
 def _tell(own: Path, there: Path) -> None:
     """Say once a process which weights stand in for a run."""
-    say(f"racines: no {own} here: using the published {there}", err=True)
+    note(f"racines: no {own} here: using the published {there}")
