@@ -26,11 +26,12 @@ Every command of `racines` with its arguments and options, drawn from the code b
 | `-h`, `--help` | the help of the command, with an example |
 
 The first two stand before the command or after it: `racines --json doctor` is
-`racines doctor --json`. The variable `RACINES_QUIET=1` does as `--quiet` for all commands of a shell.
-Colours are left out where `NO_COLOR` is set or the output is no terminal.
+`racines doctor --json`. The variable `RACINES_QUIET=1` does as `--quiet` for all commands of a
+shell. Colours are left out where `NO_COLOR` is set or the output is no terminal.
 
 `racines --version` prints the version. `racines --verify COMMAND` hashes every file of a dataset
-again, changed or not. `racines --install-completion` installs [completion](first-hour.md#completion).
+again, changed or not. `racines --install-completion` installs
+[completion](first-hour.md#completion).
 
 ## Exit codes
 """
