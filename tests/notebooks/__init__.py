@@ -40,6 +40,8 @@ def tidied(notebook: Any) -> Any:
     }
     for number, cell in enumerate(notebook.cells):
         cell.id, cell.metadata = f"cell-{number}", {}
+        if cell.cell_type == "code":
+            cell.outputs = _joined(cell.outputs)
         for output in cell.get("outputs", ()):
             output.get("metadata", {}).clear()
             if "image/png" in output.get("data", {}):
@@ -47,6 +49,18 @@ def tidied(notebook: Any) -> Any:
             if output.output_type == "stream":
                 output.text = ESCAPES.sub("", output.text.replace("\r\n", "\n"))
     return notebook
+
+
+def _joined(outputs: list[Any]) -> list[Any]:
+    """Return outputs with what was printed in pieces as one, however it arrived."""
+    joined: list[Any] = []
+    for output in outputs:
+        last = joined[-1] if joined else {}
+        if output.output_type == "stream" and last.get("name") == output.name:
+            last.text += output.text
+        else:
+            joined.append(output)
+    return joined
 
 
 def texts(notebook: Any) -> list[str]:
