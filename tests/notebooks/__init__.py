@@ -55,7 +55,7 @@ def _joined(outputs: list[Any]) -> list[Any]:
     """Return outputs with what was printed in pieces as one, however it arrived."""
     joined: list[Any] = []
     for output in outputs:
-        last = joined[-1] if joined else {}
+        last: Any = joined[-1] if joined else {}
         if output.output_type == "stream" and last.get("name") == output.name:
             last.text += output.text
         else:
