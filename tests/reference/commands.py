@@ -7,7 +7,7 @@ from typing import Any
 import typer.main
 
 from racines_data.tables import Markdown, code, markdown_table
-from racines_leaderboard.cli.command import COMMANDS, GROUPS, app
+from racines_leaderboard.cli.command import COMMANDS, GROUPS, HELP, app
 from racines_leaderboard.cli.everywhere import SECTIONS
 from racines_leaderboard.cli.examples import EXAMPLES, EXIT_CODES
 
@@ -59,7 +59,8 @@ def asked(words: str) -> Any:
 
 def _command(words: str) -> str:
     found = asked(words)
-    context = found.context_class(found, info_name=f"racines {words}")
+    # A command keeps the help option of the first context that it meets.
+    context = found.context_class(found, info_name=f"racines {words}", help_option_names=HELP)
     told = inspect.cleandoc(found.help or "")
     usage = " ".join([f"racines {words}", *found.collect_usage_pieces(context)])
     parts = [f"### `racines {words}`", _marked(told), f"Usage: {code(usage)}"]
