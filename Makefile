@@ -26,7 +26,7 @@ TESTS := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 pytest -n 2 --dist worksteal
 # The files that have tests of a mark: to read all others takes each process longer than some of those.
 marked = $$(grep -rlw --include="test_*.py" "mark.$(1)" tests)
 
-.PHONY: help repro studio test test-docs test-docs-quick test-thorough test-fast test-instruction-sets test-exports test-clients mutants lint types bench gpu docs docs-numbers clean
+.PHONY: help repro studio test test-docs test-docs-quick test-thorough test-fast test-instruction-sets test-exports test-clients mutants lint types bench gpu docs docs-numbers docs-reference clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' $(firstword $(MAKEFILE_LIST)) | expand -t 14
@@ -113,6 +113,9 @@ docs: $(READY) ## build the pages under docs/ into site/
 
 docs-numbers: $(READY) ## draw the figures in README, docs/ and CHANGELOG anew from the committed results
 	python -m tests.prose
+
+docs-reference: $(READY) ## draw the pages of commands and settings anew from the code
+	python -m tests.reference
 
 clean: ## remove what the pipeline and the tools made, the DVC cache included; keeps .venv
 	git clean -fdXq data models/runs envs/runs

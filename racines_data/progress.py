@@ -7,7 +7,7 @@ from rich import progress
 from rich.text import Text
 
 from racines_data.escape import visible
-from racines_data.terminal import console
+from racines_data.terminal import console, quiet
 
 
 class _Name(progress.ProgressColumn):
@@ -20,7 +20,7 @@ class _Name(progress.ProgressColumn):
 def progress_bar(shown: bool, unit: str = "", *more: progress.ProgressColumn) -> progress.Progress:
     """Return a progress bar with `more` columns behind it, hidden where stderr is no terminal.
 
-    `unit` is what is counted, in the plural.
+    `--quiet` hides it as well. `unit` is what is counted, in the plural.
     """
     drawn_on = console(err=True)
     return progress.Progress(
@@ -31,7 +31,7 @@ def progress_bar(shown: bool, unit: str = "", *more: progress.ProgressColumn) ->
         progress.TimeRemainingColumn(),
         *more,
         console=drawn_on,
-        disable=not (shown and drawn_on.is_terminal),
+        disable=not (shown and drawn_on.is_terminal) or quiet(),
     )
 
 

@@ -5,6 +5,7 @@ shown as a space. `--json` is written in ASCII.
 """
 
 import json
+import os
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -16,9 +17,32 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 
+QUIET = "RACINES_QUIET"
+"""Variable that `--quiet` sets, so that worker processes are quiet as well; 0 is as unset."""
+HUSHED = ("HF_DATASETS_DISABLE_PROGRESS_BARS", "HF_HUB_DISABLE_PROGRESS_BARS")
+
+
 def say(line: Any, err: bool = False) -> None:
-    """Print one line, on stderr with `err`."""
+    """Print one line, on stderr with `err`: a result, a warning or an error."""
     typer.echo(visible(line), err=err)
+
+
+def note(line: Any) -> None:
+    """Print one line on stderr that nobody has to read, unless `--quiet` is given."""
+    if not quiet():
+        say(line, err=True)
+
+
+def quiet() -> bool:
+    """Say whether progress and notes are left out."""
+    return os.environ.get(QUIET, "0") not in ("", "0")
+
+
+def be_quiet() -> None:
+    """Leave out progress and notes from here on, those of the libraries that we call as well."""
+    os.environ[QUIET] = "1"
+    for name in HUSHED:
+        os.environ[name] = "1"
 
 
 def say_page(page: str) -> None:

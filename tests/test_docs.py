@@ -38,8 +38,10 @@ def test_pages_build_and_their_links_hold_and_load_nothing_from_elsewhere(tmp_pa
     )
     assert done.returncode == 0, done.stdout + done.stderr
     built = {page.name: page.read_text() for page in tmp_path.glob("*.html")}
+    shown = {page.name: page.read_text() for page in tmp_path.glob("notebooks/*.html")}
     assert {page.with_suffix(".html").name for page in PAGES} <= set(built)
-    for name, text in built.items():
+    assert {f"{page.stem}.html" for page in (ROOT / "docs/notebooks").glob("*.ipynb")} == set(shown)
+    for name, text in (built | shown).items():
         assert not LOADED.search(text) and not DIAGRAM.search(text), name
         assert "Research software, not a medical device" in text, name
     assert 'id="racines_data.store.frames.FrameStore.batches"' in built["reference-data.html"]
@@ -69,10 +71,11 @@ def test_every_racines_command_takes_the_words_it_is_given(page):
     """Those that stand indented or in a block, whether they are run or not."""
     for line in command_lines(page.read_text()):
         if re.match(r"(?: {4})?racines [^`|]*$", line):
-            _parse(shlex.split(line.replace("[", " ").replace("]", " "), comments=True)[1:])
+            parse(shlex.split(line.replace("[", " ").replace("]", " "), comments=True)[1:])
 
 
-def _parse(words: list[str]) -> None:
+def parse(words: list[str]) -> None:
+    """Refuse words that `racines` does not take."""
     found, told = typer.main.get_command(app), list(words)
     while hasattr(found, "commands"):
         if words[0] in {option for each in found.params for option in each.opts}:

@@ -162,10 +162,13 @@ def sheet(
     anatomy: Annotated[str, typer.Option(help="Name of an anatomy.")] = "heart",
     anatomy_seed: Annotated[int, typer.Option(help="0 is the canonical organ.")] = 0,
     seed: opt.DrawSeed = 0,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Draw a contact sheet: every view at falling grades, and `Random` scans."""
     from racines_data.phantom import Phantom, PhantomConfig
     from racines_data.phantom.figures import contact_sheet
 
     contact_sheet(Phantom(PhantomConfig(anatomy=anatomy, anatomy_seed=anatomy_seed)), out, seed)
+    if as_json:
+        return say_json({"out": str(out)})
     say(f"wrote {out}")

@@ -66,6 +66,9 @@ Allow = Annotated[
 ]
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print the figures as JSON on stdout.")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="No progress and no notes: results, warnings, errors.")
+]
 Details = Annotated[bool, typer.Option("--details", help="Show further figures as well.")]
 Force = Annotated[bool, typer.Option("--force", help="Take the place of what is there.")]
 Resume = Annotated[

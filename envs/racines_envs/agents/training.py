@@ -21,7 +21,7 @@ from racines_data.errors import RacinesError
 from racines_data.extras import needed
 from racines_data.patients.pool import MEMORY
 from racines_data.store.frames import FrameStore, open_store
-from racines_data.terminal import say
+from racines_data.terminal import note, quiet, say
 from racines_data.world import World
 from racines_envs.agents.networks import PoseEncoder, open_encoder
 from racines_envs.agents.policy import PolicyAgent, make_actor, told_settings
@@ -209,7 +209,7 @@ class TrainingRun(ABC):
 
     def _log(self, curves: Curves, row: dict[str, float]) -> None:
         curves.row(self.frames, row)
-        if self.progress and "validation/success" in row:
+        if self.progress and "validation/success" in row and not quiet():
             say(
                 f"{self.frames:>10,} frames  success {row['validation/success']:.2f}  "
                 f"steps {row['validation/steps']:.1f}  {row['frames_per_second']:,.0f} frames/s"
@@ -310,7 +310,7 @@ def validated_in(world: Recordings) -> Recordings:
     try:
         return of_split(world, "validation")
     except RacinesError as error:
-        say(f"racines: validated from starts of split {world.settings.split!r}: {error}", err=True)
+        note(f"racines: validated from starts of split {world.settings.split!r}: {error}")
         return world
 
 

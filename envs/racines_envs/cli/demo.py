@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.terminal import say, say_json
+from racines_data.terminal import note, say, say_json
 
 
 def demo(
@@ -35,8 +35,9 @@ def demo(
     folder = out or Path("demo")
     check_folder(folder, force)
     draw, agent = drawn(patient, seed, view, tier), load_servo()
-    say(f"{draw.view}, patient {draw.patient} of the test split, {draw.tier}", err=as_json)
-    say(f"again: {draw.again}", err=as_json)
+    tell = note if as_json else say
+    tell(f"{draw.view}, patient {draw.patient} of the test split, {draw.tier}")
+    tell(f"again: {draw.again}")
     if live:
         from racines_envs.demo.live import LiveView
 

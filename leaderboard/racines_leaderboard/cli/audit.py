@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.terminal import say, say_json, say_page
+from racines_data.terminal import note, say_json, say_page
 
 if TYPE_CHECKING:
     from racines_leaderboard.audit.verdicts import Report
@@ -134,7 +134,7 @@ def _keep(results: Path, reports: list["Report"]) -> None:
     for board in sorted({report.board for report in reports}):
         those = [report for report in reports if report.board == board]
         path = keep_verdicts(results / board, kept_of(those, results))
-        say(f"racines: verdicts kept: {path}", err=True)
+        note(f"racines: verdicts kept: {path}")
 
 
 def _seal(path: Path) -> None:
@@ -146,7 +146,7 @@ def _seal(path: Path) -> None:
         record = json.loads(path.read_text())
         if KEY not in record:
             write_record(path, sealed(record))
-            say(f"racines: sealed: {path}", err=True)
+            note(f"racines: sealed: {path}")
 
 
 def determinism(
@@ -173,7 +173,7 @@ def determinism(
     def tell(outcome: Outcome) -> None:
         said = outcome.note or ("bitwise" if outcome.bitwise else f"{outcome.largest:.2g}")
         line = f"{outcome.stage}, {outcome.compared}: {said} ({outcome.seconds} s)"
-        say(f"racines: {line}", err=True)
+        note(f"racines: {line}")
 
     document = measure(stage or (), tell, out)
     if as_json:

@@ -8,7 +8,7 @@ import typer
 from racines_data.cli import options as opt
 from racines_data.config import fill, read_params, section
 from racines_data.errors import RacinesError
-from racines_data.terminal import console, say, say_json
+from racines_data.terminal import console, note, say, say_json
 
 CACHE = Path("models/runs/scores/reference")
 """What is computed of the reference alone, shared with `racines eval generator`."""
@@ -101,8 +101,8 @@ def leaderboard(
     for name, records in content.items():
         for table in board_tables(name, records, details):
             show(table, shown)
-        for note in flag_notes(results / name, records):
-            say(note)
+        for flag in flag_notes(results / name, records):
+            say(flag)
 
 
 def score_again(
@@ -127,11 +127,11 @@ def score_again(
     for folder in [scoring.find(submissions, name) for name in names]:
         record = scoring.recompute(folder, ground, results, force)
         told = f"{record['track']}/{record['name']}"
-        say(f"racines: scored again: {told}", err=True)
+        note(f"racines: scored again: {told}")
         if opened is not None:
             drawn = draw_in_secret(folder, ground, results, opened, today(), force, True)
             flags = "; ".join(drawn["flags"]) or "no flag"
-            say(f"racines: drawn in secret, round {drawn['round']}: {told}: {flags}", err=True)
+            note(f"racines: drawn in secret, round {drawn['round']}: {told}: {flags}")
     return board
 
 

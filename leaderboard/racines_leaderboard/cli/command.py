@@ -20,7 +20,8 @@ from racines_data.cli import options as opt
 from racines_data.errors import RacinesError, describe_os_error
 from racines_data.manifest import VERIFY_VARIABLE
 from racines_data.plugins import Plugins
-from racines_data.terminal import say
+from racines_data.terminal import be_quiet, quiet, say
+from racines_leaderboard.cli.everywhere import Group, with_quiet
 from racines_leaderboard.cli.examples import epilog_of, root_epilog
 from racines_leaderboard.cli.renamed import RenamingGroup
 
@@ -129,11 +130,11 @@ app = typer.Typer(
 def _assemble() -> None:
     groups = {"": app}
     for name, told in GROUPS.items():
-        groups[name] = typer.Typer(help=told, no_args_is_help=True)
+        groups[name] = typer.Typer(help=told, cls=Group, no_args_is_help=True)
         app.add_typer(groups[name], name=name)
     for words, function in COMMANDS.items():
         group, _, name = words.rpartition(" ")
-        groups[group].command(name, epilog=epilog_of(words))(resolve_name(function))
+        groups[group].command(name, epilog=epilog_of(words))(with_quiet(resolve_name(function)))
     taken = {each.name for each in (*app.registered_commands, *app.registered_groups)}
     passed_on = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
     for name, point in PLUGINS.points().items():
@@ -163,8 +164,12 @@ def root(
         bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)
     ] = False,
     verify: opt.Verify = False,
+    as_json: opt.AsJson = False,
+    hushed: opt.Quiet = False,
 ) -> None:
     """RACINES, the open benchmark for robotic cardiac ultrasound. Not a medical device."""
+    if hushed or quiet():
+        be_quiet()
     if verify:
         os.environ[VERIFY_VARIABLE] = "1"  # which worker processes have, too
     if show_version:

@@ -37,6 +37,7 @@ def sample(
     grader: opt.Grader = None,
     no_grader: opt.NoGrader = False,
     device: Device = "auto",
+    as_json: opt.AsJson = False,
 ) -> None:
     """Draw images of stratified poses into a blinded kit, a folder that must not exist.
 
@@ -56,6 +57,9 @@ def sample(
     study = Study(images, repeats, seed, split)
     with image_counter("drawing", images, hidden=False) as advance:
         kit = make_kit(out, store, systems, study, judge, advance)
+    if as_json:
+        told = {"out": str(out), "images": images, "repeats": repeats, "digest": kit.digest}
+        return say_json(told)
     say(f"{out}: {images} images and {repeats} repeats, kit {kit.digest[:12]}.")
     say(f"Give raters {out}/kit.json and {out}/images; keep {out}/key.json from them.")
 
@@ -76,6 +80,7 @@ def rate(
     ] = None,
     out: opt.OwnOut = None,
     key: Key = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Let a program answer a kit, into KIT-ratings or --out: a worked example, no expert's."""
     from racines_leaderboard.expert import raters
@@ -89,6 +94,9 @@ def rate(
     else:
         session = (raters.grader if by == "grader" else raters.oracle)(opened, truth, folder)
     done = session.progress()
+    if as_json:
+        told = {"ratings": str(session.path), "done": done.done, "total": done.total}
+        return say_json(told | {"rater": session.rater, "kind": session.kind})
     say(f"{session.path}: {done.done} of {done.total} images, rater {session.rater}.")
     say(f"{session.kind}: not an expert's ratings ({session.about}).")
 

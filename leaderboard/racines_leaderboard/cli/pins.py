@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.terminal import console, say, say_json
+from racines_data.terminal import console, note, say, say_json
 
 Board = Annotated[str, typer.Argument(help="Name of the board.")]
 
@@ -19,6 +19,7 @@ def pin(
     ] = None,
     results: opt.Results = opt.RESULTS,
     force: opt.Force = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Write what a board's records are held to: its data, judges, metrics, starts and anchors.
 
@@ -28,14 +29,18 @@ def pin(
     from racines_leaderboard.board.pinning import misfits, pin_board
 
     changes = pin_board(results, board, scores or (), force)
-    for change in changes:
-        say(change)
-    say(f"racines: board {board}: {len(changes)} fields pinned anew" if changes else
-        f"racines: board {board}: pinned so already", err=True)  # fmt: skip
-    if lines := misfits(results, board):
-        for line in lines:
-            say(f"racines: does not fit: {line}", err=True)
-        say(f"Next: racines leaderboard --board {board} --collect FOLDER --force", err=True)
+    lines = misfits(results, board)
+    if as_json:
+        say_json({"board": board, "changed": changes, "does_not_fit": lines})
+    else:
+        for change in changes:
+            say(change)
+    what = f"{len(changes)} fields pinned anew" if changes else "pinned so already"
+    note(f"racines: board {board}: {what}")
+    for line in lines:
+        say(f"racines: does not fit: {line}", err=True)
+    if lines:
+        note(f"Next: racines leaderboard --board {board} --collect FOLDER --force")
 
 
 def weightings(

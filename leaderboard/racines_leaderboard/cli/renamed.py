@@ -3,9 +3,8 @@
 from collections.abc import Iterator
 from typing import Any
 
-from typer.core import TyperGroup
-
 from racines_data.terminal import say
+from racines_leaderboard.cli.everywhere import SECTIONS, Group, handed_on
 from racines_leaderboard.cli.suggest import suggesting
 
 COMMANDS = {
@@ -63,8 +62,10 @@ def _tell(old: str, new: str) -> None:
     say(f"racines: {old} is an old name of: {new}", err=True)
 
 
-class RenamingGroup(TyperGroup):
+class RenamingGroup(Group):
     """The root of the commands: takes old names without listing them, and says what is meant."""
+
+    sections = SECTIONS
 
     def make_context(self, *args: Any, **settings: Any) -> Any:
         """Read the root's own options."""
@@ -77,5 +78,9 @@ class RenamingGroup(TyperGroup):
             return super().invoke(ctx)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command by its name of today."""
-        return super().resolve_command(ctx, renamed(args))
+        """Find the command by its name of today; it gets `--json` where that stands before it."""
+        words = renamed(args)
+        if ctx.params.get("as_json"):
+            groups = [name for name, each in self.commands.items() if hasattr(each, "commands")]
+            words = handed_on(words, groups)
+        return super().resolve_command(ctx, words)

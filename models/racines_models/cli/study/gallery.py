@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.terminal import say
+from racines_data.terminal import say, say_json
 from racines_models.cli.device import Device
 
 
@@ -21,6 +21,7 @@ def gallery(
     split: opt.Split = "test",
     seed: opt.DrawSeed = 0,
     device: Device = "auto",
+    as_json: opt.AsJson = False,
 ) -> None:
     """Draw the same held-out poses with every generator: one row a pose, the truth first."""
     from racines_data.store.frames import open_store
@@ -31,4 +32,6 @@ def gallery(
     chosen = names or [name for name in generator_names() if (runs / name).is_dir()]
     drawn = {name: load_generator(name, runs / name, device) for name in chosen}
     write_gallery(out, store, gallery_sample(store, split), drawn, seed)
+    if as_json:
+        return say_json({"out": str(out), "generators": list(drawn)})
     say(f"{out}: {', '.join(drawn)}")
