@@ -153,9 +153,7 @@ def export_envhub(
     if as_json:
         say_json(made)
     else:
-        say(
-            f"{out}: {', '.join(made['tasks'])} for policies of {format}; README.md has the commands"
-        )
+        say(f"{out}: {', '.join(made['tasks'])} as {format}; the README.md has the commands")
 
 
 def export_trace(

@@ -1,8 +1,8 @@
 """An EnvHub folder: `env.py` with the `make_env` that LeRobot asks for, and what goes with it.
 
 Beside it stand `lerobot_env_racines`, which makes the folder's tasks an environment type of
-`lerobot-eval`, `to_onnx.py`, by which a checkpoint of LeRobot becomes a policy of the agents' board,
-and what a repository of the Hub wants, `requirements.txt` and `README.md`.
+`lerobot-eval`, `to_onnx.py`, by which a checkpoint of LeRobot becomes a policy of the agents'
+board, and what a repository of the Hub wants, `requirements.txt` and `README.md`.
 """
 
 from collections.abc import Sequence

@@ -3,8 +3,8 @@
     lerobot-rgb     12 parameters, with forces; velocities in the base frame
     lerobot-task    the pose's nine numbers, as agents see them; twists in the probe's frame
 
-Exports (`racines data export`) and environments (`racines export envhub`) of one `--format` fit each
-other. Policies of `lerobot-task` come back to the agents' board as ONNX files.
+Exports (`racines data export`) and environments (`racines export envhub`) of one `--format` fit
+each other. Policies of `lerobot-task` come back to the agents' board as ONNX files.
 """
 
 import torch

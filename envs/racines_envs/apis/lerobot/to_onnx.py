@@ -129,12 +129,19 @@ def scalings_of(before: Any, after: Any, names: list[str]) -> dict[str, Scaling]
                     feature = step.features[name]
                     mode = step.norm_map.get(feature.type, "IDENTITY")
                     stats = (step.stats or {}).get(name, {})
+                    stats = {key: _shaped(value, name) for key, value in stats.items()}
                     found[name] = Scaling(getattr(mode, "value", mode), stats, step.eps, back)
             elif kind not in known or getattr(step, "rename_map", None):
                 raise Refused(f"the checkpoint's processors have a step {kind}: not known here")
     if set(found) != {*names, ACTION}:
         raise Refused(f"the checkpoint's processors scale {sorted(found)}: not {names} and action")
     return found
+
+
+def _shaped(value: Any, name: str) -> Tensor:
+    """Return a statistic as it meets (B, …) values: of an image a number a channel."""
+    number = torch.as_tensor(value, dtype=torch.float32)
+    return number.reshape(-1, 1, 1) if name == IMAGE else number
 
 
 def load(folder: Path) -> tuple[BoardPolicy, bool, Any]:
