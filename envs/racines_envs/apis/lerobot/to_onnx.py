@@ -6,8 +6,8 @@ CHECKPOINT is a folder that `lerobot-train` left, `…/checkpoints/last/pretrain
 `act` that was trained on `racines data export --format lerobot-task`. The graph takes `image`,
 uint8 (B, 128, 128), and where the policy reads a state `params`, float32 (B, 9), normalises them as
 LeRobot does, and gives `twist`, float32 (B, 6): the first action of each chunk, that is what
-`select_action` gives with `n_action_steps=1`. Run it in LeRobot's environment, with `onnx` (and
-`onnxscript` for torch before 2.9) beside it; it needs nothing of RACINES.
+`select_action` gives with `n_action_steps=1`. Run it in LeRobot's environment, with `onnx` beside
+it; it needs nothing of RACINES.
 """
 
 import argparse
