@@ -61,6 +61,9 @@ def test_ci_runs_every_test_once():
     assert [step["run"] for step in steps(read("thorough.yml")) if "run" in step] == [
         "make test-thorough"
     ]
+    assert [step["run"] for step in steps(read("exports.yml")) if "run" in step] == [
+        "make test-exports"
+    ]
     makefile = (ROOT / "Makefile").read_text()
     recipe = r"^{}: .*\n\t\$\(TESTS\) -m (.*)$"
     chosen = {

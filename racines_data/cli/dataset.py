@@ -68,7 +68,9 @@ def card(
 
 def export(
     root: Annotated[Path, typer.Argument(help="Folder of the dataset.")],
-    format: Annotated[str, typer.Option("--format", help="release, lerobot[-rgb] or minari.")],
+    format: Annotated[
+        str, typer.Option("--format", help="release, lerobot[-rgb|-task] or minari.")
+    ],
     out: opt.Out,
     config: opt.Config = "frames",
     split: opt.OneSplit = None,

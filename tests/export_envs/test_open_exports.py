@@ -20,23 +20,9 @@ from racines_data.schema import CONTROLS, PARAMETERS
 from racines_data.store.sweeps import Sweep, read_sweeps
 from racines_data.views import LABELS
 from tests.conftest import ROOT
+from tests.export_envs.running import HERE, run_in
 
-HERE = Path(__file__).parent
 pytestmark = pytest.mark.timeout(600)
-
-
-def run_in(library: str, *words: str, **variables: str) -> None:
-    """Run a script with the interpreter of a library's own environment; skip if there is none."""
-    python = ROOT / f".venv-{library}" / "bin" / "python"
-    if not python.exists():
-        pytest.skip(f"no environment {python.parents[1].name}: make test-exports makes it")
-    # Nothing of ours: neither this interpreter's path nor the hub.
-    kept = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-    environment = {**kept, "HF_HUB_OFFLINE": "1", **variables}
-    done = subprocess.run(
-        [str(python), *words], env=environment, capture_output=True, text=True, cwd=HERE
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from racines_data.geometry import Pose, geodesic, matrix_from_6d
 from racines_envs.agents.planner import cost_to_go
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.task.core import ScanCore
+from racines_envs.task.sensing import box_of
 
 STILL = 1e-5
 """Metres and radians within which a pose is the one before."""
@@ -23,9 +24,7 @@ class Steering:
 
     def __init__(self, core: ScanCore) -> None:
         """Take workspace, unit steps and the count of steps from an environment, nothing else."""
-        workspace = core.phantom.workspace
-        low, high = workspace.position_min.to(core.device), workspace.position_max.to(core.device)
-        self._centre, self._half = (high + low) / 2, (high - low) / 2
+        self._centre, self._half = (x.to(core.device) for x in box_of(core.phantom.workspace))
         self._table, self._task, self._core = core.table, core.task, core
         self._last: tuple[Pose, Tensor] | None = None
         self._refused: Tensor | None = None

@@ -141,18 +141,19 @@ def export_agent(
 def export_envhub(
     tasks: Annotated[list[str], typer.Argument(help="Views or tasks, e.g. SC PL-beating.")],
     out: opt.Out,
+    format: Annotated[
+        str, typer.Option(help="What policies see and do: lerobot-rgb or lerobot-task.")
+    ] = "lerobot-rgb",
     as_json: opt.AsJson = False,
 ) -> None:
     """Write a folder that LeRobot loads tasks from (EnvHub), to evaluate policies in them."""
-    from racines_envs.apis.envhub import write_envhub
+    from racines_envs.apis.lerobot.envhub import write_envhub
 
-    made = write_envhub(out, tasks)
+    made = write_envhub(out, tasks, format)
     if as_json:
         say_json(made)
     else:
-        say(
-            f"{out}: {', '.join(made['tasks'])}; lerobot-eval takes it as an environment of the hub"
-        )
+        say(f"{out}: {', '.join(made['tasks'])} as {format}; the README.md has the commands")
 
 
 def export_trace(

@@ -19,7 +19,7 @@ from torch import Tensor
 from torch.nn.functional import one_hot
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose, geodesic, pose_to_parameters, rotation_6d
+from racines_data.geometry import Pose, geodesic, pose_to_parameters
 from racines_data.imaging import ImageSource
 from racines_data.randomness import derive, uniform
 from racines_data.world import World
@@ -85,9 +85,7 @@ class ScanCore:
         self.robot = make_robot(robot, self.device)
         one_heart = task.tier == HEART_TIER
         self._one = phantom.target(task.view).to(self.device) if one_heart else None
-        low, high = phantom.workspace.position_min, phantom.workspace.position_max
-        self._centre = ((high + low) / 2).to(self.device)
-        self._half = ((high - low) / 2).to(self.device)
+        self._box = tuple(x.to(self.device) for x in sensing.box_of(phantom.workspace))
         self._seed(0)
         self._sensed: dict[str, Tensor] = {}
         self.state: State
@@ -378,9 +376,7 @@ class ScanCore:
         names += [] if self.encoder is None else ["features"]
         seen = {name: self._sensed[name] for name in names}
         if self.observation != "image":
-            at, turned = self.told_pose()
-            encoded = torch.cat([(at - self._centre) / self._half, rotation_6d(turned)], -1)
-            seen["params"] = encoded.clamp(-1.0, 1.0)
+            seen["params"] = sensing.encode_pose(self.told_pose(), *self._box)
             if self.robot.joints:
                 seen["joints"] = self.state.joints.float()
         if self.task.any_view:

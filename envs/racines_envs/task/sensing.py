@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose
+from racines_data.geometry import Pose, rotation_6d
 from racines_data.imaging import IMAGE_SIZE, ImageSource
-from racines_data.world import World
+from racines_data.world import Workspace, World
 
 
 class Encoder(Protocol):
@@ -81,6 +81,18 @@ class MasksSteps(Protocol):
 
     masks: bool
     """Whether it does."""
+
+
+def box_of(space: Workspace) -> tuple[Tensor, Tensor]:
+    """Return the middle of a workspace's box and half its size, (3,) m each."""
+    low, high = space.position_min, space.position_max
+    return (high + low) / 2, (high - low) / 2
+
+
+def encode_pose(pose: Pose, centre: Tensor, half: Tensor) -> Tensor:
+    """Return (B, 9): positions in a box of `box_of`, -1 to 1, then the continuous rotation."""
+    at, turned = pose
+    return torch.cat([(at - centre) / half, rotation_6d(turned)], -1).clamp(-1.0, 1.0)
 
 
 def check_drawn(images: object, count: int, source: object) -> Tensor:

@@ -4,17 +4,17 @@
     meta/stats.json                             statistics of every feature
     meta/tasks.parquet                          one task a target view
     meta/episodes/chunk-000/file-000.parquet    one row a trajectory: bounds, task, statistics
-    meta/racines.json                           source, version, digests, labels
+    meta/racines.json                           source, version, digests, labels, episodes by target
     data/chunk-000/file-000.parquet             one row a frame, whole trajectories a file
 
-Format: LeRobotDataset v3.0 (Hugging Face, lerobot 0.4). An episode is a trajectory. `timestamp` is
-seconds since its first frame. `action` is the commanded velocity at the frame. Images have one
-channel, as recorded; `view` is -1 and numbers are NaN where unknown.
+Format: LeRobotDataset v3.0 (Hugging Face, lerobot 0.4 to 0.6). An episode is a trajectory.
+`timestamp` is seconds since its first frame. `action` is the commanded velocity at the frame.
+Images have one channel, as recorded; `view` is -1 and numbers are NaN where unknown.
 """
 
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from datasets import Features, Image, List, Value
 from PIL import Image as Picture
 
 from racines_data.errors import RacinesError
+from racines_data.export.lerobot.statistics import histogram, image_statistics, statistics
 from racines_data.files import write_json
 from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import (
@@ -43,20 +44,17 @@ from racines_data.sources.base import rights_of
 from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
 from racines_data.tables import escape
 
-IMAGE = "observation.images.ultrasound"
+IMAGE, STATE, ACTION = "observation.images.ultrasound", "observation.state", "action"
 CHUNK_FILES = 1000
 FILE_MEGABYTES = 100
-QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-STRIDE = 10
-"""One frame in so many gives the statistics of images."""
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
 _FEATURES: dict[str, dict[str, Any]] = {
     name: {"dtype": dtype, "shape": shape, "names": names}
     for name, dtype, shape, names in (
         (IMAGE, "image", [IMAGE_SIZE, IMAGE_SIZE, 1], ["height", "width", "channels"]),
-        ("observation.state", "float32", [12], list(PARAMETERS)),
-        ("action", "float32", [6], list(CONTROLS)),
+        (STATE, "float32", [12], list(PARAMETERS)),
+        (ACTION, "float32", [6], list(CONTROLS)),
         ("view", "int64", [1], None),
         ("grade", "float32", [1], None),
         ("timestamp", "float32", [1], None),
@@ -71,6 +69,42 @@ _OF_PATIENTS: dict[str, dict[str, Any]] = {
 """What frames of patients have besides; and a mask, an image, where they have one."""
 
 
+def _as_recorded(sweep: Sweep) -> dict[str, np.ndarray]:
+    return {
+        STATE: float_columns(sweep.table, PARAMETERS),
+        ACTION: float_columns(sweep.table, CONTROLS),
+    }
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a policy is shown of a sweep beside images, and what it is to do."""
+
+    name: str = "lerobot"
+    """The format's."""
+    columns: Callable[[Sweep], dict[str, np.ndarray]] = _as_recorded
+    """Gives `observation.state` and `action`, float32 (T, D) each; NaN where unknown."""
+    state: tuple[str, ...] = PARAMETERS
+    """Names of the numbers of `observation.state`."""
+    action: tuple[str, ...] = CONTROLS
+    """Names of the numbers of `action`."""
+    told: str = (
+        "`observation.state` and `action` in the robot's base frame: m, rad, N, N·m; m/s, rad/s."
+    )
+    """What the dataset's README says of them."""
+
+    def features(self, channels: int) -> dict[str, Any]:
+        """Return the features of images, state and action, as `meta/info.json` has them."""
+        shape = [*_FEATURES[IMAGE]["shape"][:2], channels]
+        made = {IMAGE: _FEATURES[IMAGE] | {"shape": shape}}
+        for name, of in ((STATE, self.state), (ACTION, self.action)):
+            made[name] = {"dtype": "float32", "shape": [len(of)], "names": list(of)}
+        return made
+
+
+RECORDED = Shown()
+
+
 def export(
     root: Path,
     out: Path,
@@ -79,26 +113,26 @@ def export(
     progress: bool = False,
     config: str = "frames",
     channels: int = 1,
+    shown: Shown = RECORDED,
 ) -> dict[str, Any]:
     """Write a dataset in the LeRobot format: `LeRobotDataset(NAME, root=out)` opens it.
 
     Arguments and errors as of `registry.Exporter`, and an error where there is no commanded
     velocity. A config of patients has their columns besides, and masks as images of labels, which
-    `meta/racines.json` names by number. Images have one channel, or three equal ones. Returns
-    `out`, counts, `fps`, `splits` as ranges of episodes, and notes.
+    `meta/racines.json` names by number. Images have one channel, or three equal ones. State and
+    action are those of `shown`. Returns `out`, counts, `fps`, `splits` as ranges of episodes, and
+    notes.
     """
     manifest = config_manifest(read_manifest(root), config)
     with new_folder(out) as folder, progress_bar(progress) as bar:
         task = bar.add_task("frames", total=None)
-        features = features_of(manifest, config)
-        shape = [*features[IMAGE]["shape"][:2], channels]
-        features = features | {IMAGE: features[IMAGE] | {"shape": shape}}
-        writer = _Writer(folder, manifest_labels(manifest), features)
+        features = features_of(manifest, config) | shown.features(channels)
+        writer = _Writer(folder, manifest_labels(manifest), features, shown)
         for sweep in read_sweeps(root, split, limit, config):
             writer.add(sweep)
             bar.advance(task, len(sweep))
         writer.close()
-        missing = sum(int(np.isnan(each).any(-1).sum()) for each in writer.columns["action"])
+        missing = sum(int(np.isnan(each).any(-1).sum()) for each in writer.columns[ACTION])
         if missing == writer.frames:
             raise RacinesError(
                 f"{root}: {manifest['source']} data have no commanded velocity, hence no actions"
@@ -107,7 +141,7 @@ def export(
     note = f"{missing} of {writer.frames} frames have no commanded velocity: NaN"
     return {
         "out": str(out),
-        "format": "lerobot",
+        "format": shown.name,
         "frames": writer.frames,
         "trajectories": len(writer.episodes),
         "fps": info["fps"],
@@ -130,6 +164,7 @@ class _Writer:
     folder: Path
     labels: tuple[str, ...]
     features: dict[str, dict[str, Any]]
+    shown: Shown
     frames: int = 0
     episodes: list[dict[str, Any]] = field(default_factory=list)
     tasks: dict[str, int] = field(default_factory=dict)
@@ -146,19 +181,20 @@ class _Writer:
         """Write one trajectory as the next episode."""
         task = task_of(sweep.first("target_view"), self.labels[-1])
         index = self.tasks.setdefault(task, len(self.tasks))
-        columns = _columns(sweep, len(self.episodes), self.frames, index)
+        columns = self.shown.columns(sweep)
+        columns |= _columns(sweep, len(self.episodes), self.frames, index)
         if "patient" in self.features:
             columns["patient"] = sweep.table["patient"].to_numpy()
             columns |= {name: float_columns(sweep.table, [name])[:, 0] for name in PHASES}
         chunk, number = self._write(sweep, columns)
         own: dict[str, Any] = {}
         for name in images_of(self.features):
-            counted = _histogram(sweep.pngs(images_of(self.features)[name]), self.frames)
+            counted = histogram(sweep.pngs(images_of(self.features)[name]), self.frames)
             self.histograms.setdefault(name, []).append(counted)
-            own[name] = _image_statistics([counted], self.features[name]["shape"][2])
+            own[name] = image_statistics([counted], self.features[name]["shape"][2])
         for name, values in columns.items():
             self.columns.setdefault(name, []).append(values)
-            own[name] = _statistics([values])
+            own[name] = statistics([values])
         self.intervals.append(np.diff(sweep.table["timestamp"].to_numpy()))
         about = ("trajectory", "session", "target_view", "phantom")
         self.episodes.append(
@@ -241,8 +277,6 @@ def _columns(sweep: Sweep, episode: int, start: int, task: int) -> dict[str, np.
     table, count = sweep.table, len(sweep)
     times = table["timestamp"].to_numpy()
     return {
-        "observation.state": float_columns(table, PARAMETERS),
-        "action": float_columns(table, CONTROLS),
         "view": table["view"].fill_null(-1).to_numpy(),
         "grade": float_columns(table, ["grade"])[:, 0],
         "timestamp": (times - times[0]).astype(np.float32),
@@ -262,56 +296,6 @@ def _coloured(png: bytes) -> bytes:
 def _array(values: np.ndarray) -> pa.Array:
     flat = pa.array(values.ravel())
     return flat if values.ndim == 1 else pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
-
-
-def _histogram(pngs: Sequence[bytes], start: int) -> np.ndarray:
-    """Return (257,) int64: counts of the 256 gray levels in some images, and of these images.
-
-    Chosen are those whose rows, the first of which is `start`, are multiples of STRIDE, or one.
-    """
-    chosen = pngs[-start % STRIDE :: STRIDE] or pngs[:1]
-    counts = np.zeros(257, np.int64)
-    for png in chosen:
-        pixels = np.asarray(Picture.open(io.BytesIO(png)))
-        counts[:256] += np.bincount(pixels.ravel(), minlength=256)
-    counts[256] = len(chosen)
-    return counts
-
-
-def _statistics(parts: Sequence[np.ndarray]) -> dict[str, list[float]]:
-    """Return minimum, maximum, mean, std, quantiles and count of (T,) or (T, D) parts of a feature.
-
-    Unknown numbers (NaN) are left out; a column that has no number has zeros, as JSON has no NaN.
-    """
-    table = np.concatenate(parts)
-    table = table.reshape(len(table), -1).astype(np.float64)
-    table[:, np.isnan(table).all(0)] = 0.0
-    made = {
-        "min": np.nanmin(table, 0),
-        "max": np.nanmax(table, 0),
-        "mean": np.nanmean(table, 0),
-        "std": np.nanstd(table, 0),
-        **dict(zip(QUANTILES, np.nanquantile(table, [*QUANTILES.values()], axis=0), strict=True)),
-    }
-    return {**{key: value.tolist() for key, value in made.items()}, "count": [len(table)]}
-
-
-def _image_statistics(histograms: Sequence[np.ndarray], channels: int) -> dict[str, Any]:
-    """Return the statistics of gray levels scaled to 0-1, as LeRobot hands images out."""
-    histogram = np.sum(histograms, axis=0)
-    counts, levels = histogram[:256], np.arange(256) / 255
-    total = counts.sum()
-    mean = float((counts * levels).sum() / total)
-    seen, running = levels[counts > 0], np.cumsum(counts) / total
-    made = {
-        "min": float(seen[0]),
-        "max": float(seen[-1]),
-        "mean": mean,
-        "std": float(np.sqrt((counts * (levels - mean) ** 2).sum() / total)),
-        **{key: float(levels[np.searchsorted(running, q)]) for key, q in QUANTILES.items()},
-    }
-    alike = {key: [[[value]]] * channels for key, value in made.items()}
-    return {**alike, "count": [int(histogram[256])]}
 
 
 def _write_meta(
@@ -334,14 +318,14 @@ def _write_meta(
     }
     write_json(folder / "meta/info.json", info)
     found: dict[str, Any] = {
-        name: _image_statistics(each, writer.features[name]["shape"][2])
+        name: image_statistics(each, writer.features[name]["shape"][2])
         for name, each in writer.histograms.items()
     }
-    found |= {name: _statistics(parts) for name, parts in writer.columns.items()}
+    found |= {name: statistics(parts) for name, parts in writer.columns.items()}
     write_json(folder / "meta/stats.json", found)
     about = {key: manifest[key] for key in ("source", "version", "digest", "recipe_digest")}
     about |= {"labels": list(writer.labels), "description": describe(manifest, config)}
-    about |= rights_of(manifest)
+    about |= rights_of(manifest) | {"episodes": _aims(writer.episodes)}
     if MASK in writer.features:
         about["mask_labels"] = list(manifest["mask_labels"])
     write_json(folder / "meta/racines.json", about)
@@ -350,7 +334,7 @@ def _write_meta(
     path = folder / "meta/episodes/chunk-000/file-000.parquet"
     path.parent.mkdir(parents=True)
     pq.write_table(pa.Table.from_pylist(writer.episodes), path)
-    (folder / "README.md").write_text(_card(describe(manifest, config), info))
+    (folder / "README.md").write_text(_card(describe(manifest, config), info, writer.shown))
     return info
 
 
@@ -367,15 +351,23 @@ def _splits(episodes: list[dict[str, Any]]) -> dict[str, str]:
     return {split: f"{of[0]}:{of[-1] + 1}" for split, of in inside.items() if of}
 
 
-def _card(described: str, info: Mapping[str, Any]) -> str:
+def _aims(episodes: list[dict[str, Any]]) -> dict[str, dict[str, list[int]]]:
+    """Return the episodes of each split by target view: `--dataset.episodes` takes such a list."""
+    found: dict[str, dict[str, list[int]]] = {}
+    for each in episodes:
+        aimed = found.setdefault(each["split"], {}).setdefault(each["target_view"], [])
+        aimed.append(each["episode_index"])
+    return found
+
+
+def _card(described: str, info: Mapping[str, Any], shown: Shown) -> str:
     return (
         "---\ntags: [LeRobot, ultrasound, robotics]\ntask_categories: [robotics]\n"
         'configs:\n- config_name: default\n  data_files: "data/*/*.parquet"\n---\n'
         f"**RACINES, {escape(described)}.**\n\n"
         f"LeRobot v3.0: {info['total_episodes']} episodes, "
         f"{info['total_frames']} frames at {info['fps']} per second; splits as ranges of episodes: "
-        f"{json.dumps(info['splits'])}.\n\n`observation.state` and `action` in the robot's base "
-        "frame: m, rad, N, N·m; m/s, rad/s. Images have one channel, or three equal ones "
-        "(`--format lerobot-rgb`), which policies such as ACT want.\n\nResearch data, not for "
-        "clinical use.\n"
+        f"{json.dumps(info['splits'])}.\n\n{shown.told} Images have one channel, or three equal "
+        "ones (`--format lerobot-rgb` or `lerobot-task`), which policies such as ACT want.\n\n"
+        "Research data, not for clinical use.\n"
     )

@@ -9,8 +9,7 @@ from gymnasium.utils.env_checker import check_env
 
 from racines_data.errors import RacinesError
 from racines_data.schema import PARAMETERS
-from racines_envs.apis.envhub import write_envhub
-from racines_envs.apis.lerobot import LeRobotEnv, make_env
+from racines_envs.apis.lerobot import LeRobotEnv, make_env, write_envhub
 from racines_envs.task.tasks import get_task
 
 

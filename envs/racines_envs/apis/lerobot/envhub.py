@@ -1,0 +1,116 @@
+"""An EnvHub folder: `env.py` with the `make_env` that LeRobot asks for, and what goes with it.
+
+Beside it stand `lerobot_env_racines`, which makes the folder's tasks an environment type of
+`lerobot-eval`, `to_onnx.py`, by which a checkpoint of LeRobot becomes a policy of the agents'
+board, and what a repository of the Hub wants, `requirements.txt` and `README.md`.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from racines_data.errors import RacinesError
+from racines_data.store.sweeps import new_folder
+from racines_envs.apis.lerobot import to_onnx
+from racines_envs.apis.lerobot.formats import RECORDED, check_format, features_of
+from racines_envs.task.tasks import get_task
+
+PLUGIN = "lerobot_env_racines"
+_ENV = '''"""RACINES, robotic cardiac ultrasound, for LeRobot. Needs the package `racines`."""
+
+from racines_envs.apis.lerobot import make_env as make_racines
+
+VIEWS = {views!r}
+FORMAT = {format!r}
+
+
+def make_env(n_envs=1, use_async_envs=False, cfg=None):
+    """Return {{"racines": {{0: the first task, …}}}}."""
+    return make_racines(n_envs, use_async_envs, cfg, views=VIEWS, format=FORMAT)
+'''
+_PLUGIN = '''"""Tells LeRobot of the environment type `racines`: the tasks of the folder's `env.py`.
+
+    lerobot-eval --env.discover_packages_path=lerobot_env_racines --env.type=racines …
+"""
+
+import importlib.util
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.envs import EnvConfig, HubEnvConfig
+
+FEATURES = {features!r}
+NAMES = {names!r}
+
+
+@EnvConfig.register_subclass("racines")
+@dataclass
+class RacinesEnv(HubEnvConfig):
+    """The tasks beside this package, or with `hub_path` those of a repository of the Hub."""
+
+    fps: int = 10
+    features: dict[str, PolicyFeature] = field(
+        default_factory=lambda: {{
+            key: PolicyFeature(type=FeatureType[kind], shape=shape)
+            for key, (kind, shape) in FEATURES.items()
+        }}
+    )
+    features_map: dict[str, str] = field(default_factory=lambda: dict(NAMES))
+
+    def create_envs(self, n_envs, use_async_envs=False):
+        """Make the tasks of `env.py`."""
+        path = Path(__file__).parents[1] / "env.py"
+        spec = importlib.util.spec_from_file_location("racines_hub_env", path)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module.make_env(n_envs, use_async_envs and n_envs > 1, self)
+'''
+_README = """---
+tags: [LeRobot, ultrasound, robotics]
+---
+# RACINES, tasks for LeRobot
+
+{tasks}. Find a standard view of a simulated heart with an ultrasound probe: pictures of 128×128
+pixels (`observation.images.ultrasound`), {told}, 0.1 s a step; success is judged by the phantom.
+They fit policies trained on `racines data export --format {format}`.
+
+From this folder, in LeRobot's environment:
+
+    PYTHONPATH=. lerobot-eval --env.discover_packages_path={plugin} --env.type=racines \\
+        --policy.path=CHECKPOINT --policy.device=cpu --eval.n_episodes=20
+    python to_onnx.py CHECKPOINT policy.onnx
+
+Needs the package `racines`. Research software, not a medical device.
+"""
+_TOLD = {
+    True: "pose and force (`observation.state`), commanded velocity in the base frame (`action`)",
+    False: "pose (`observation.state`), twist in the probe's frame (`action`)",
+}
+
+
+def write_envhub(out: Path, views: Sequence[str], format: str = RECORDED) -> dict[str, Any]:
+    """Write some tasks to a new folder, with states and actions of a format (`formats`).
+
+    Raises:
+        RacinesError: no task, an unknown one, or format, or a folder that is there.
+    """
+    if not views:
+        raise RacinesError("--view: name a task, e.g. SC")
+    tasks = [get_task(view).name for view in views]
+    features = features_of(check_format(format))
+    names = {
+        "action": "action",
+        "agent_pos": "observation.state",
+        **{key: key.replace("pixels/", "observation.images.") for key in features if "/" in key},
+    }
+    told = {"tasks": ", ".join(tasks), "told": _TOLD[format == RECORDED]}
+    with new_folder(out) as folder:
+        (folder / "env.py").write_text(_ENV.format(views=tuple(tasks), format=format))
+        (folder / PLUGIN).mkdir()
+        plugin = _PLUGIN.format(features=features, names=names)
+        (folder / PLUGIN / "__init__.py").write_text(plugin)
+        (folder / "to_onnx.py").write_text(Path(to_onnx.__file__).read_text())
+        (folder / "requirements.txt").write_text("racines\n")
+        (folder / "README.md").write_text(_README.format(**told, format=format, plugin=PLUGIN))
+    return {"out": str(out), "tasks": tasks, "format": format}
