@@ -124,9 +124,9 @@ def _linked(place: Place, fields: dict[str, str]) -> tuple[Any, ...]:
     tasks = watching.tasks_of(place, asked[0])
     slider = gr.Slider(maximum=episode.steps, value=step, interactive=True)
     offered = gr.Radio(choices=list(episode.explainable), value=what)
-    agent, task, *others = asked
-    patient = gr.Number(value=others.pop(), visible=on_patients(str(task)))
-    chosen = (agent, gr.Dropdown(choices=tasks, value=task), *others, patient)
+    agent, task, number, robot, who = asked
+    patient = gr.Number(value=who, visible=on_patients(str(task)))
+    chosen = (agent, gr.Dropdown(choices=tasks, value=task), number, robot, patient)
     return *chosen, asked, slider, offered, *halves
 
 
