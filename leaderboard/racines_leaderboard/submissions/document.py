@@ -2,8 +2,7 @@
 
 The YAML is plain data, bounded, of one meaning only. Artefacts have plain names and are plain
 files, bounded, no pickle under any name. A file is opened once, without following links, and all
-that is said of it is said of that open file: what lies under its name a moment later is of no
-matter.
+that is said of it is said of that open file.
 """
 
 import contextlib
@@ -37,6 +36,8 @@ MAX_DEPTH = 12
 CONTROLS = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 """Unicode categories that cannot be seen, or that turn the text around them."""
 CHUNK = 2**20
+_WISHED = ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY")  # Windows: the last alone
+_FLAGS = sum((getattr(os, flag, 0) for flag in _WISHED), os.O_RDONLY)
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 RESERVED = re.compile(r"(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?", re.IGNORECASE)
 """Devices under Windows, whatever the ending."""
@@ -212,15 +213,10 @@ def check_name(name: object, where: str) -> str:
     return name
 
 
-_FLAGS = os.O_RDONLY
-for _flag in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"):
-    _FLAGS |= getattr(os, _flag, 0)  # Windows has the last alone, and nobody else has it
-
-
 @contextlib.contextmanager
 def opened(folder: Path, name: str, where: str, limit: int = MAX_BYTES) -> Iterator[BinaryIO]:
     """Open a regular file of a folder, no link, device or folder, of 1 to `limit` bytes."""
-    if os.name == "nt" and (folder / name).is_symlink():  # it has no flag that says so
+    if os.name == "nt" and (folder / name).is_symlink():  # no flag says so
         raise RacinesError(f"{where}: {name}: a symbolic link: put the file itself there")
     try:
         handle = os.open(folder / name, _FLAGS)
