@@ -138,7 +138,8 @@ def test_the_core_loads_steps_and_refuses_without_any_extra():
 
 
 def test_what_is_absent_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setitem(sys.modules, "captum", None)
+    for module in ("captum", "captum.attr"):
+        monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(RacinesError, match=r'a map needs captum: pip install "racines\[explain\]"'):
         needed("captum.attr", "a map")
     assert needed("json", "nothing") is import_module("json")

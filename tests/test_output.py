@@ -17,6 +17,8 @@ PACKAGES = ("racines_data", "models/racines_models", "envs/racines_envs")
 PACKAGES += ("leaderboard/racines_leaderboard",)
 FILES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 TERMINAL = "racines_data/terminal.py"
+ALONE = "envs/racines_envs/apis/lerobot/to_onnx.py"
+"""Runs in LeRobot's environment, where nothing of ours need be."""
 OWN_SCREEN = "envs/racines_envs/driving/keyboard.py"
 """`racines drive` paints its screen, cursor and colours; words on it are made visible there."""
 ECHOES = {"typer.echo", "typer.secho", "click.echo", "click.secho", "rich.print", "os.write"}
@@ -96,7 +98,7 @@ def test_only_the_terminals_module_writes_to_a_terminal():
     found = [
         f"{name}:{line}: {what}"
         for name, path in ((str(path.relative_to(ROOT)), path) for path in FILES)
-        if name != TERMINAL
+        if name not in (TERMINAL, ALONE)
         for line, what in writes(path.read_text())
         if not (what == "os.write" and name == OWN_SCREEN)
     ]
@@ -114,7 +116,9 @@ def test_who_fills_markdown_or_html_escapes_it():
 
 
 def test_one_writer_of_csv_and_one_escape_of_html():
+    # DVCLive's layout has tables of its own kind, to which a row is added at a time.
     own = {"racines_data/tables.py", "racines_data/escape.py"}
+    own.add("models/racines_models/training/curves.py")
     found = [
         f"{path.relative_to(ROOT)}:{line}"
         for path in FILES

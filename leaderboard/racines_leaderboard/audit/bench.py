@@ -237,6 +237,6 @@ class Bench:
         usual += [Path(of_patients)] if of_patients else []
         if kind == "grader":  # of patients, which an agent may go by
             own, published = GRADERS[PATIENTS]
-            usual += [runs / own.name, weights.joinpath(*published.parts[-2:])]
+            usual += [runs / own.name, *(weights.joinpath(*each.parts[-2:]) for each in published)]
         folders = [self.places.judges[kind]] if kind in self.places.judges else usual
         return [folder for folder in folders if (folder / JUDGES[kind]).is_file()]

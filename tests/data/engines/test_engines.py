@@ -100,5 +100,5 @@ def test_an_unknown_engine_is_refused():
 
 def test_without_ray_the_command_says_what_to_install(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(RacinesError, match=r"pip install 'racines\[ray\]'"):
+    with pytest.raises(RacinesError, match=r"pip install \"racines\[ray\]\""):
         open_engine("ray")

@@ -294,5 +294,5 @@ def test_the_command(moving: Path, tmp_path: Path):
     assert "exists; name a new folder" in again.stderr
     assert set(exporter_names()) >= {"release", "lerobot", "minari"}
     unknown = command(tmp_path, *words, "--format", "zarr", code=1)
-    assert "choose one of lerobot, lerobot-rgb, minari, release" in unknown.stderr
+    assert "choose one of lerobot, lerobot-rgb, lerobot-task, minari, release" in unknown.stderr
     command(tmp_path, *words, code=2)

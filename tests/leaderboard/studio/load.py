@@ -129,8 +129,9 @@ def _study(visitor: Visitor, call: Any, name: str) -> None:
 
 def _probe(visitor: Visitor, call: Any, name: str) -> None:
     task = visitor.random.choice(visitor.offered("probe_start", 0))
+    patient = visitor.random.choice(PATIENTS)
     number, truth = visitor.random.randrange(2**31), visitor.random.random() < 0.5
-    call("probe_start", task, "seed", number, "free", truth)
+    call("probe_start", task, "seed", number, "free", patient, truth)
     for step in range(1, 4):
         action = visitor.random.randrange(12)
         shown = call(f"probe_step_{action}", None, truth)[1]
@@ -151,13 +152,14 @@ def _agent(visitor: Visitor, call: Any, name: str) -> None:
     agent = visitor.random.choice(visitor.offered("agent_watch", 0)[:2])
     task = visitor.random.choice(visitor.offered("agent_watch", 1))
     number = visitor.random.randrange(4)
-    first = call("agent_watch", agent, task, number, "free")[3]
+    first = call("agent_watch", agent, task, number, "free", PATIENTS[0])[3]
     assert f"{task}-v0</b>" in first and "step <b>0</b> of" in first
     for step in (1, 2):
         shown = call("agent_show", None, step, "off")[0]
         assert f"{task}-v0</b>" in shown and f"step <b>{step}</b> of" in shown
 
 
+PATIENTS = (10_000, 10_001)
 DOINGS = {
     "boards_show": _boards,
     "data_show": _data,
