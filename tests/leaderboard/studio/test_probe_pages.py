@@ -171,7 +171,7 @@ def test_many_drive_at_once_and_each_sees_an_episode_of_its_own(address):
 
     def drive(number: int) -> list[str]:
         visitor, pages = Visitor(address, number), []
-        visitor.call("probe_start", "SC", "seed", number, "free", False)
+        visitor.call("probe_start", "SC", "seed", number, "free", 10_000, False)
         for _ in range(number % 3 + 1):
             pages = visitor.call(f"probe_step_{number}", None, False)
         return pages
@@ -187,12 +187,13 @@ def test_many_drive_at_once_and_each_sees_an_episode_of_its_own(address):
 @pytest.mark.parametrize(
     ("event", "values"),
     [
-        ("probe_start", ["../SC", "seed", 0, "free", False]),
-        ("probe_start", ["SC", "seed", 2**40, "free", False]),
-        ("probe_start", ["SC", "evaluation", 100, "free", False]),
-        ("probe_start", ["SC", "evaluation", 0, "os:path", False]),
-        ("agent_watch", ["os:system", "SC", 0, "free"]),
-        ("agent_watch", ["planner", "SC", 1000, "free"]),
+        ("probe_start", ["../SC", "seed", 0, "free", 10_000, False]),
+        ("probe_start", ["SC", "seed", 2**40, "free", 10_000, False]),
+        ("probe_start", ["SC", "evaluation", 100, "free", 10_000, False]),
+        ("probe_start", ["SC", "evaluation", 0, "os:path", 10_000, False]),
+        ("agent_watch", ["os:system", "SC", 0, "free", 10_000]),
+        ("agent_watch", ["planner", "SC", 1000, "free", 10_000]),
+        ("probe_start", ["SC-patients", "seed", 0, "free", 15_000, False]),
         ("generators_draw", [0, ["../mean"], *[0] * 12]),
         ("generators_draw", [0, [], "NaN", *[0] * 11]),
         ("generators_set", ["nominal nothing"]),
