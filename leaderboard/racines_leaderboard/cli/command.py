@@ -181,6 +181,11 @@ def main() -> None:
     """Run the command; what is refused, by us or the system, is one line on stderr, exit code 1."""
     # A plug-in named module:Class may stand in the current folder; last, so that it hides nothing.
     sys.path.append(os.getcwd())
+    # Threads of OpenMP that wait spin for long, unless told before torch loads it. On cores that
+    # other programs use too that makes short operations many times slower; not to spin at all
+    # makes them slower on quiet ones.
+    if "OMP_WAIT_POLICY" not in os.environ:
+        os.environ.setdefault("GOMP_SPINCOUNT", "1000")
     try:
         app()
     except RacinesError as error:
