@@ -1,6 +1,8 @@
 """The `racines` command as a shell sees it."""
 
 import json
+import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,7 @@ import typer.main
 from typer.testing import CliRunner
 
 from racines_leaderboard.cli import renamed
-from racines_leaderboard.cli.command import COMMANDS, GROUPS, app
+from racines_leaderboard.cli.command import COMMANDS, GROUPS, app, main
 from tests.conftest import command
 from tests.leaderboard.conftest import generator_scores, write_submission
 
@@ -92,6 +94,31 @@ def test_help_loads_no_library_that_takes_seconds(tmp_path: Path):
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
     )
     command(tmp_path, "python", "-c", code, fresh=True)
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        ({}, "1000"),  # before torch is loaded, which reads it once
+        ({"GOMP_SPINCOUNT": "7"}, "7"),
+        ({"OMP_WAIT_POLICY": "PASSIVE"}, None),
+    ],
+    ids=("by default", "the user's", "the user's policy"),
+)
+def test_waiting_threads_spin_briefly(monkeypatch, given: dict[str, str], found: str | None):
+    for name in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY"):
+        monkeypatch.setenv(name, "")  # so that what the command sets is taken back
+        monkeypatch.delenv(name)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    seen: list[str | None] = []
+    monkeypatch.setattr(
+        "racines_leaderboard.cli.command.app",
+        lambda: seen.append(os.environ.get("GOMP_SPINCOUNT")),
+    )
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    main()
+    assert seen == [found]
 
 
 def test_version(tmp_path: Path):
