@@ -8,6 +8,8 @@ import yaml
 from PIL import Image
 from scipy.spatial.transform import Rotation as Turn
 
+from racines_data.schema import Trajectory
+from racines_data.sources.table import TableSource
 from racines_data.sources.tracked.source import Recording, read_frames
 
 MATRIX = [f"m{i}{j}" for i in range(4) for j in range(4)]
@@ -109,3 +111,24 @@ def synthetic_folder(folder: Path, **columns) -> Path:
     """Write the synthetic sweep as CSV and PNG; `columns` replace or add columns."""
     poses, times, images = synthetic()
     return write_folder(folder, {**columns_of(poses, times), **columns}, images)
+
+
+ROBOT = changed(QUATERNIONS, frame="robot", segments=1)
+
+
+def source(folder: Path, mapping: dict, **config) -> TableSource:
+    write_mapping(folder, mapping)
+    return TableSource.from_config(config, [folder])
+
+
+def sweep(folder: Path, mapping: dict) -> Trajectory:
+    made = source(folder, mapping)
+    (unit,) = made.plan()
+    assert not made.report, made.report
+    return made.produce(unit)
+
+
+def check(made: Trajectory, expected: Trajectory, gray: int = 0) -> None:
+    assert np.abs(made.parameters[:, 6:] - expected.parameters[:, 6:]).max() < 1e-6
+    assert np.abs(made.timestamps - expected.timestamps).max() < 1e-9
+    assert np.abs(made.images.astype(int) - expected.images).max() <= gray

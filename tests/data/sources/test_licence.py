@@ -17,8 +17,7 @@ from racines_data.sources.phantom import PhantomSource
 from racines_data.sources.table import TableSource
 from racines_data.sources.tracked import TrackedSource
 from racines_leaderboard.cli.command import app
-from tests.data.sources.table_folder import COUNT, changed, synthetic_folder, write_mapping
-from tests.data.sources.test_table import ROBOT
+from tests.data.sources.table_folder import COUNT, ROBOT, changed, synthetic_folder, write_mapping
 from tests.data.sources.test_tracked import write_sequence
 
 

@@ -25,13 +25,15 @@ from tests.data.sources.table_folder import (
     COUNT,
     MATRIX,
     QUATERNION,
+    ROBOT,
     changed,
+    check,
     columns_of,
+    sweep,
     synthetic,
     synthetic_folder,
     write_mapping,
 )
-from tests.data.sources.test_table import ROBOT, check, sweep
 
 
 @pytest.fixture

@@ -15,13 +15,14 @@ from racines_data.sources.table import TableSource
 from racines_data.sources.table.inputs import open_folder
 from tests.data.sources.table_folder import (
     COUNT,
+    ROBOT,
     changed,
     columns_of,
     synthetic,
     synthetic_folder,
     write_mapping,
 )
-from tests.data.sources.test_table import ROBOT, write_images
+from tests.data.sources.test_table_images import write_images
 
 
 @pytest.fixture
