@@ -27,6 +27,9 @@ USED = {
 }
 """Of each tab its main control, the key that uses it, and what is there then."""
 
+FIRST = {"patients": "#patients-films img", "probe": "#probe-image img"}
+"""What is drawn when a tab opens: until then what has the focus may be replaced."""
+
 
 def reach(page: Any, at: str, words: str = "") -> None:
     """Press Tab until an element has the focus; wherever that is meanwhile, it is seen."""
@@ -47,6 +50,7 @@ def test_a_tab_and_its_main_control(visit: Visit, tab: str):
     reach(page, f"[role=tab][data-tab-id={tab}]")
     page.keyboard.press("Enter")
     page.wait_for_selector(f"[role=tab][data-tab-id={tab}][aria-selected=true]")
+    page.wait_for_selector(FIRST.get(tab, "#rc-foot"))
     settle(page)
     reach(page, control)
     page.keyboard.press(key)
