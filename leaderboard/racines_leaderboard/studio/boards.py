@@ -147,13 +147,14 @@ def tables_html(results: Path, wanted: Selection) -> str:
 
 def _table(table: Table, named: bool = True) -> str:
     """Return a table as HTML; its rows carry their system's name, to be clicked, with `named`."""
-    css = [_CSS.get(head, "") for head in table.head]
-    rows = [[_cell(content) for content in row] for row in table.rows]
+    placed = slice(0 if named else 1, None)  # what was reported has no places: nothing to head
+    css = [_CSS.get(head, "") for head in table.head[placed]]
+    rows = [[_cell(content) for content in row[placed]] for row in table.rows]
     systems = [row[1] for row in table.rows] if named else None
     notes = "".join(f"<p>{text(words, 2000)}</p>" for words in table.notes)
     return (
         f'<h2 class="rc-title">{text(table.title)}</h2>'
-        f"{html.table(table.head, rows, css, systems)}"
+        f"{html.table(table.head[placed], rows, css, systems)}"
         f'<div class="rc-note">{notes}</div>'
     )
 

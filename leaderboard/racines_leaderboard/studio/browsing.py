@@ -241,7 +241,7 @@ def parameters_html(trajectory: Trajectory, frame: int) -> str:
         shown = (scale * named[f"{quantity}_{axis}"] for axis in "xyz")
         cells = (f"{value:.2f}" if math.isfinite(value) else "–" for value in shown)
         rows.append((f"{quantity}, {unit}", *cells))
-    return table(("", *"xyz"), rows, ("rc-text", "", "", ""))
+    return table(("Quantity", *"xyz"), rows, ("rc-text", "", "", ""))
 
 
 def figures_html(trajectory: Trajectory, frame: int) -> str:

@@ -39,7 +39,7 @@ def build(place: Place) -> None:
         sights = [shown.ALL, *shown.SIGHT]
         sees = gr.Radio(sights, value=shown.ALL, label="The agent sees", min_width=300)
     tiers = gr.CheckboxGroup(list(TIERS), value=list(TIERS), label="Tier")
-    details = gr.Checkbox(False, label="Further figures")
+    details = gr.Checkbox(False, label="Further figures", elem_id="boards-details")
     tables = gr.HTML(js_on_load=ROW_CLICKED, elem_id="boards-tables")
     charts = gr.HTML(elem_id="boards-charts")
     system = gr.Dropdown([], label="Where a result comes from (or click its row)")
