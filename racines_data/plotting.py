@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 INK, MUTED, GRID = "#1f2933", "#66727f", "#e4e8ec"
 OURS, PAPER = "#4477aa", "#cc3311"
 SPLIT_COLOURS = {"train": "#24527a", "validation": "#5b92c4", "test": "#a9cbe8"}
-NO_VIEW, EDGE = "#9aa5b1", "#b8c1cb"
+NO_VIEW, EDGE = "#5a646e", "#b8c1cb"
 BLUE, ORANGE, GREEN, VERMILION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
 PURPLE, SKY, INDIGO, OLIVE = "#cc79a7", "#56b4e9", "#332288", "#999933"
 _VIEWS = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, INDIGO, OLIVE)
 """After Okabe and Ito (2008): told apart by the colour-blind too."""
-STRENGTHS = (SKY, BLUE, "#12304f")
+STRENGTH_COLOURS = (SKY, BLUE, "#12304f")
 """Of what is mild, moderate, strong."""
 YELLOW, VIOLET = "#f0e442", "#7c2bd6"
 TISSUES = {
@@ -41,8 +41,8 @@ TISSUES = {
 SAND, SAND_EDGE = "#d9c7a8", "#8c7a5b"
 """The top face of the phantom's block."""
 AXES = {"x": VERMILION, "y": GREEN, "z": BLUE}
-SHARES, LEVELS = "Blues", "cividis"
-"""Colour maps of shares of a whole, and of all else that has a size."""
+SHARES, LEVELS, SIGNED = "Blues", "cividis", "seismic"
+"""Colour maps of shares of a whole, of all else that has a size, and of what speaks for or against."""
 
 NIGHT, PANEL, LINE, PALE, WORDS = "#10161c", "#19222b", "#36434f", "#aebac5", "#edf1f4"
 """Dark pictures: ground, panels, lines, lesser words, words; as the boards' page at night."""
@@ -109,22 +109,26 @@ def colour(number: int) -> str:
     return _VIEWS[number % len(_VIEWS)]
 
 
-def show_depth(axis: "Axes", height: int, mm: float, bar: float = 20.0, ink: str = "white") -> None:
-    """Mark an image of `height` rows of `mm` each: a tick a cm of depth, longer each five, a bar.
+def show_depth(
+    axis: "Axes", height: float, mm: float, corner: tuple[float, float] | None = None,
+    bar: float = 20.0,
+) -> None:  # fmt: skip
+    """Mark a square image of `height` units of `mm` each: a tick a cm of depth, longer each five.
 
-    The bar is `bar` mm long and stands at the lower left, with its length. Depth is counted from
-    the image's upper edge.
+    A bar of `bar` mm stands at the lower left, with its length. Depth is counted from the image's
+    upper edge; where its upper left `corner` is not given, the image fills the axes.
     """
-    right, small = axis.get_xlim()[1], {"fontsize": SMALL}
+    left, top = (axis.get_xlim()[0], axis.get_ylim()[1]) if corner is None else corner
+    right, look = left + height, {"color": "white", "fontsize": SMALL}
     for cm in range(1, int(height * mm / 10.0) + 1):
-        long = 0.045 if cm % 5 == 0 else 0.02
-        row = 10.0 * cm / mm
-        axis.plot([right * (1 - long), right], [row, row], color=ink, linewidth=0.8)
+        long = height * (0.045 if cm % 5 == 0 else 0.02)
+        row = top + 10.0 * cm / mm
+        axis.plot([right - long, right], [row, row], color="white", linewidth=0.8)
         if cm % 5 == 0:
-            axis.text(right * 0.945, row, f"{cm}", color=ink, ha="right", va="center", **small)
-    y, left = 0.95 * height, 0.04 * height
-    axis.plot([left, left + bar / mm], [y, y], color=ink, linewidth=1.6)
-    axis.text(left, y - 0.02 * height, f"{bar / 10:g} cm", color=ink, va="bottom", **small)
+            axis.text(right - 1.2 * long, row, f"{cm}", ha="right", va="center", **look)
+    y, start = top + 0.95 * height, left + 0.04 * height
+    axis.plot([start, start + bar / mm], [y, y], color="white", linewidth=1.6)
+    axis.text(start, y - 0.02 * height, f"{bar / 10:g} cm", va="bottom", **look)
 
 
 def mark_depth(image: Image.Image, mm: float) -> None:
