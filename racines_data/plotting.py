@@ -42,7 +42,7 @@ SAND, SAND_EDGE = "#d9c7a8", "#8c7a5b"
 """The top face of the phantom's block."""
 AXES = {"x": VERMILION, "y": GREEN, "z": BLUE}
 SHARES, LEVELS, SIGNED = "Blues", "cividis", "seismic"
-"""Colour maps of shares of a whole, of all else that has a size, and of what speaks for or against."""
+"""Colour maps of shares of a whole, of all else that has a size, and of what is for or against."""
 
 NIGHT, PANEL, LINE, PALE, WORDS = "#10161c", "#19222b", "#36434f", "#aebac5", "#edf1f4"
 """Dark pictures: ground, panels, lines, lesser words, words; as the boards' page at night."""

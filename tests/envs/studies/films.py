@@ -24,7 +24,7 @@ from racines_data.files import write_atomic, write_json
 from racines_data.geometry import Pose
 from racines_data.patients.labels import LABELS
 from racines_data.patients.landmarks import landmarks
-from racines_data.plotting import letters, mark_depth
+from racines_data.plotting import letters
 from racines_data.randomness import derive
 from racines_envs.demo.watching import Shot, Watched, watch
 from racines_envs.evaluation.patients import PatientsConfig, StartSet
