@@ -276,10 +276,10 @@ def draw_coverage(content: dict[str, Any]) -> bytes:
         figure = Figure(figsize=(8.4, 3.4), layout="constrained")
         panels = figure.subplots(1, len(trainings), sharey=True, squeeze=False)[0]
         for axes, count in zip(panels, trainings, strict=True):
-            for kind in dict.fromkeys(row["kind"] for row in rows):
+            for number, kind in enumerate(dict.fromkeys(row["kind"] for row in rows)):
                 mine = [r for r in rows if (r["kind"], r["trainings"]) == (kind, count)]
                 units = [row["units"] for row in mine]
-                look = {"color": INK, "ls": "--"} if kind == "frames as units" else {"marker": "o"}
+                look = {"color": INK, "ls": "--"} if kind == "frames as units" else {"marker": "os"[number // 8 % 2]}
                 axes.plot(units, [r["coverage"] for r in mine], label=kind, markersize=3, **look)
             axes.axhspan(0.93, 0.97, color=MUTED, alpha=0.2, linewidth=0)
             axes.set(xscale="log", xlabel="units, n", title=f"{count} training{'s'[: count > 1]}")

@@ -110,7 +110,7 @@ def draw(content: dict[str, Any]) -> bytes:
         ):
             for name, colour in zip(names, (BLUE, VERMILION, INK), strict=False):
                 axes.plot(at, [each[name] for each in phases], color=colour, label=name)
-            axes.set(ylim=(0, None), xlabel="phase of the beat, 0 to 1", ylabel=unit)
+            axes.set(ylim=(0, None), xlabel="phase, by its number", ylabel=unit)
             axes.legend()
         if populations:
             _places(panels[3], content["measures"], populations[ALL])

@@ -42,7 +42,8 @@ def draw(
     """
     content, drawn = measured.content, {}
     with card_style():
-        drawn[""] = encode(contact_sheet(real, measured, segmentation))
+        # Of few colours the grays would take most, and outlines turn into each other.
+        drawn[""] = encode(contact_sheet(real, measured, segmentation), few=False)
         if "acceptance" in content:
             drawn["-acceptance"] = encode(acceptance_figure(real, measured))
         if "volumes" in content:
