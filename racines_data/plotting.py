@@ -51,7 +51,7 @@ PROBE, TRUTH, PATH, WARNING, BELIEF = "#6cc4f5", "#00a878", YELLOW, "#f0803c", "
 SECTOR = "#1e4a63"
 """The plane that is looked through, on the dark."""
 
-_STYLE: dict[str, Any] = {
+_STYLE = {
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
     "text.color": INK,
@@ -89,8 +89,8 @@ def card_style() -> Iterator[None]:
 
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_STYLE)
-        matplotlib.rcParams["axes.prop_cycle"] = cycler(color=_VIEWS)
+        for name, value in {**_STYLE, "axes.prop_cycle": cycler(color=_VIEWS)}.items():
+            matplotlib.rcParams[name] = value  # pyright: ignore[reportArgumentType]
         yield
 
 

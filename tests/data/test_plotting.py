@@ -62,9 +62,9 @@ def own_looks(source: str) -> Iterator[tuple[int, str]]:
                 yield value.lineno, f"colour: {name}={ast.unparse(value)}"
             if name == "cmap" and isinstance(value, ast.Constant) and value.value not in MAPS:
                 yield value.lineno, f"colour map: {value.value}"
-            sized = name in ("fontsize", "labelsize") and isinstance(value, ast.Constant)
-            if sized and isinstance(value.value, int | float) and value.value < LEAST:
-                yield value.lineno, f"letters of {value.value} points"
+            if name in ("fontsize", "labelsize") and isinstance(value, ast.Constant):
+                if isinstance(value.value, int | float) and value.value < LEAST:
+                    yield value.lineno, f"letters of {value.value} points"
 
 
 def _looks(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
@@ -81,7 +81,7 @@ def _is_colour(value: ast.expr) -> bool:
     if isinstance(value, ast.Constant) and isinstance(value.value, str):
         return value.value not in PLAIN
     numbers = isinstance(value, ast.Tuple) and len(value.elts) in (3, 4)
-    return numbers and all(isinstance(each, ast.Constant) for each in value.elts)  # type: ignore[attr-defined]
+    return numbers and all(isinstance(each, ast.Constant) for each in value.elts)
 
 
 def draws(source: str) -> bool:

@@ -279,7 +279,10 @@ def draw_coverage(content: dict[str, Any]) -> bytes:
             for number, kind in enumerate(dict.fromkeys(row["kind"] for row in rows)):
                 mine = [r for r in rows if (r["kind"], r["trainings"]) == (kind, count)]
                 units = [row["units"] for row in mine]
-                look = {"color": INK, "ls": "--"} if kind == "frames as units" else {"marker": "os"[number // 8 % 2]}
+                # Colours begin again after eight: then the marks differ.
+                look = {"marker": "os"[number // 8 % 2]}
+                if kind == "frames as units":
+                    look = {"color": INK, "ls": "--"}
                 axes.plot(units, [r["coverage"] for r in mine], label=kind, markersize=3, **look)
             axes.axhspan(0.93, 0.97, color=MUTED, alpha=0.2, linewidth=0)
             axes.set(xscale="log", xlabel="units, n", title=f"{count} training{'s'[: count > 1]}")
