@@ -62,9 +62,10 @@ def own_looks(source: str) -> Iterator[tuple[int, str]]:
                 yield value.lineno, f"colour: {name}={ast.unparse(value)}"
             if name == "cmap" and isinstance(value, ast.Constant) and value.value not in MAPS:
                 yield value.lineno, f"colour map: {value.value}"
-            if name in ("fontsize", "labelsize") and isinstance(value, ast.Constant):
-                if isinstance(value.value, int | float) and value.value < LEAST:
-                    yield value.lineno, f"letters of {value.value} points"
+            points = value.value if isinstance(value, ast.Constant) else None
+            sized = name in ("fontsize", "labelsize") and isinstance(points, int | float)
+            if sized and points < LEAST:
+                yield value.lineno, f"letters of {points} points"
 
 
 def _looks(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
@@ -80,8 +81,8 @@ def _looks(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
 def _is_colour(value: ast.expr) -> bool:
     if isinstance(value, ast.Constant) and isinstance(value.value, str):
         return value.value not in PLAIN
-    numbers = isinstance(value, ast.Tuple) and len(value.elts) in (3, 4)
-    return numbers and all(isinstance(each, ast.Constant) for each in value.elts)
+    parts = value.elts if isinstance(value, ast.Tuple) and len(value.elts) in (3, 4) else []
+    return bool(parts) and all(isinstance(each, ast.Constant) for each in parts)
 
 
 def draws(source: str) -> bool:
