@@ -63,8 +63,8 @@ def own_looks(source: str) -> Iterator[tuple[int, str]]:
             if name == "cmap" and isinstance(value, ast.Constant) and value.value not in MAPS:
                 yield value.lineno, f"colour map: {value.value}"
             points = value.value if isinstance(value, ast.Constant) else None
-            sized = name in ("fontsize", "labelsize") and isinstance(points, int | float)
-            if sized and points < LEAST:
+            sized = name in ("fontsize", "labelsize")
+            if sized and isinstance(points, int | float) and points < LEAST:
                 yield value.lineno, f"letters of {points} points"
 
 
