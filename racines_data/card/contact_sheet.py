@@ -16,25 +16,10 @@ from matplotlib.figure import Figure
 from racines_data.card import pictures
 from racines_data.card.frames import Frames, read_frames
 from racines_data.manifest import PICTURES, added_configs, measures_name, store_name
-from racines_data.plotting import MUTED, card_style, evenly
+from racines_data.plotting import MUTED, TISSUES, card_style, evenly
 
 PATIENTS = 6
 """Rows, at most."""
-COLOURS = {
-    "LV": "#d55e00",
-    "LV myocardium": "#009e73",
-    "LA": "#e69f00",
-    "RV": "#56b4e9",
-    "RV wall": "#0072b2",
-    "RA": "#332288",
-    "atrial wall": "#cc79a7",
-    "aorta": "#f0e442",
-    "vessel wall": "#999933",
-    "mitral leaflet": "#ffffff",
-    "tricuspid leaflet": "#ffffff",
-    "aortic cusp": "#ffffff",
-}
-"""Colours of labels, after Okabe and Ito (2008); what is not named stays as it was drawn."""
 STRENGTH = 0.45
 _EDGE, _STEP, _MARGIN, _HEAD, _FOOT, _GAP = 1.3, 1.34, 1.3, 0.22, 0.5, 0.16
 """Inches: edge of a frame, from one to the next, column of the names, line above, lines below, and
@@ -119,8 +104,8 @@ def coloured(
     """Return (H, W, 3) uint8: a gray frame, (H, W) uint8, with the colours of its mask's labels."""
     table, strength = np.zeros((len(labels), 3)), np.zeros((len(labels), 1))
     for number, label in enumerate(labels):
-        if label in COLOURS:
-            table[number], strength[number] = to_rgb(COLOURS[label]), STRENGTH
+        if label in TISSUES:
+            table[number], strength[number] = to_rgb(TISSUES[label]), STRENGTH
     share = strength[mask]
     return (image[..., None] * (1.0 - share) + 255.0 * table[mask] * share).round().astype(np.uint8)
 
@@ -133,11 +118,11 @@ def _best(frames: Frames, rows: np.ndarray, label: int) -> int | None:
 
 def _legend(axis: Any, labels: list[str] | tuple[str, ...], width: float, top: float) -> None:
     """Name the colours below the frames, in lines of equal steps."""
-    named = [label for label in labels if label in COLOURS]
+    named = [label for label in labels if label in TISSUES]
     across = -(-len(named) // 2)
     for number, label in enumerate(named):
         left = _MARGIN + (width - _MARGIN) / across * (number % across)
         middle = top + 0.2 * (number // across) + 0.06
-        look = {"s": 42, "marker": "s", "color": COLOURS[label], "edgecolor": MUTED, "lw": 0.5}
+        look = {"s": 42, "marker": "s", "color": TISSUES[label], "edgecolor": MUTED, "lw": 0.5}
         axis.scatter([left + 0.06], [middle], **look)
         axis.text(left + 0.16, middle, label, size=7.5, va="center")

@@ -3,6 +3,7 @@
 Here too are those of single frames: each view at several grades, and one view in many hearts.
 """
 
+import math
 import textwrap
 from collections.abc import Callable
 from functools import partial
@@ -22,9 +23,12 @@ from racines_data.card.frames import (
     read_frames,
 )
 from racines_data.card.plots import parameters_figure, shares_figure, trajectories_figure
+from racines_data.config import fill
 from racines_data.geometry import POSITION
+from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import ADDED, MULTI_PHANTOM, is_turned, store_name
-from racines_data.plotting import MUTED, card_style, encode, evenly
+from racines_data.phantom.config import ProbeConfig
+from racines_data.plotting import MUTED, SMALL, card_style, encode, evenly, show_depth
 from racines_data.views import VIEW_TITLES
 
 FOLDER = "card"
@@ -46,7 +50,9 @@ def write_pictures(final: Path, manifest: dict[str, Any]) -> None:
     """
     frames = read_frames(final / store_name("frames"), manifest)
     statistics = manifest["statistics"] = card_statistics(frames)
-    figures: dict[str, Callable[[], Figure | None]] = {"samples": partial(samples_figure, frames)}
+    figures: dict[str, Callable[[], Figure | None]] = {
+        "samples": partial(samples_figure, frames, pixel_of(manifest))
+    }
     if statistics["parameters"]:
         paper = has_paper(manifest)
         figures["parameters"] = partial(parameters_figure, frames, statistics, paper)
@@ -75,8 +81,11 @@ def draw(name: str, figure: Callable[[], Figure | None]) -> bytes | None:
     return None if made is None else encode(made, gray=gray, few=few)
 
 
-def samples_figure(frames: Frames) -> Figure:
-    """Draw a row of frames for each view, from the best grade to the worst, with their values."""
+def samples_figure(frames: Frames, pixel: float | None = None) -> Figure:
+    """Draw a row of frames for each view, from the best grade to the worst, with their values.
+
+    Where the side of a `pixel` is known, mm, the first of each row has its depth.
+    """
     rows = [
         (name, [(frames.images[row], _values(frames, row)) for row in chosen])
         for name, chosen in _sample_rows(frames)
@@ -88,16 +97,28 @@ def samples_figure(frames: Frames) -> Figure:
         top = step * number + 0.04
         axis.text(_MARGIN - 0.1, top, name, size=12, weight="bold", ha="right", va="top")
         title = textwrap.fill(VIEW_TITLES.get(name, ""), 16, break_on_hyphens=False)
-        axis.text(_MARGIN - 0.1, top + 0.24, title, size=7.5, color=MUTED, ha="right", va="top")
+        axis.text(_MARGIN - 0.1, top + 0.24, title, size=SMALL, color=MUTED, ha="right", va="top")
         for column, (image, values) in enumerate(line):
             left = _MARGIN + column * _STEP
             place(axis, image, left, top, _IMAGE)
+            if pixel is not None and column == 0:
+                show_depth(axis, _IMAGE, pixel * len(image) / _IMAGE, (left, top))
             for index, value in enumerate(values):
                 weight = "bold" if value.startswith("grade") else "normal"
                 below = top + _IMAGE + 0.03 + _LINE * index
-                look = {"size": 7.2, "weight": weight, "ha": "center", "va": "top"}
+                look = {"size": SMALL, "weight": weight, "ha": "center", "va": "top"}
                 axis.text(left + _IMAGE / 2, below, value, **look)
     return figure
+
+
+def pixel_of(manifest: dict[str, Any]) -> float | None:
+    """Return the side of a pixel of the phantom's frames, mm; None of all else."""
+    if manifest.get("source") != "phantom":
+        return None
+    settings = manifest.get("recipe", {}).get("settings", {})
+    told = settings.get("acquisition", {}).get("phantom", {}).get("probe", {})
+    probe = fill(ProbeConfig, told, "recipe.probe")
+    return 2e3 * probe.depth * math.sin(probe.half_angle) / IMAGE_SIZE
 
 
 def sheet(width: float, height: float) -> tuple[Figure, Axes]:
@@ -172,5 +193,5 @@ def hearts_figure(frames: Frames) -> Figure | None:
         left, top = number % across * (edge + gap), number // across * (edge + head) + head
         place(axis, frames.images[row], left, top, edge)
         title = f"heart {each}, grade {frames.grades[row]:.1f}"
-        axis.text(left + edge / 2, top - 0.03, title, size=7.5, ha="center", va="bottom")
+        axis.text(left + edge / 2, top - 0.03, title, size=SMALL, ha="center", va="bottom")
     return figure

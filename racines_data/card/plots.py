@@ -12,7 +12,17 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from racines_data.card.frames import CACTUS_COUNTS, GRADE_EDGES, PIXELS_UNIT, Frames, unit_of
-from racines_data.plotting import MUTED, OURS, PAPER, SPLIT_COLOURS, evenly, view_colours
+from racines_data.plotting import (
+    MUTED,
+    OURS,
+    PAPER,
+    SAND,
+    SAND_EDGE,
+    SMALL,
+    SPLIT_COLOURS,
+    evenly,
+    view_colours,
+)
 from racines_data.schema import PARAMETERS
 from racines_data.views import PAPER_STATISTICS
 
@@ -34,8 +44,9 @@ def parameters_figure(frames: Frames, statistics: dict[str, Any], paper: bool) -
         values = frames.parameters[:, PARAMETERS.index(name)]
         _parameter(axis, name, values[np.isfinite(values)], statistics["parameters"][name], paper)
         axis.set_xlabel(unit_of(name, frames.scaled), labelpad=1)
+    known = int(np.isfinite(frames.parameters).any(1).sum())
     handles = [
-        Patch(color=OURS, alpha=0.75, label="this dataset, share of frames"),
+        Patch(color=OURS, alpha=0.75, label=f"this dataset, share of {known:,} frames"),
         Line2D([], [], color=OURS, lw=1.6, label="its mean"),
     ]
     if paper:
@@ -104,13 +115,14 @@ def _classes(
     for index, name in enumerate(drawn):
         share = [100.0 * views[name][label] / totals[name] for label in labels]
         place = np.arange(len(labels)) + (index - (len(drawn) - 1) / 2) * width
-        axis.bar(place, share, width * 0.92, label=name, linewidth=0.8, **looks[name])
+        told = f"{name}, n = {totals[name]:,}"
+        axis.bar(place, share, width * 0.92, label=told, linewidth=0.8, **looks[name])
     axis.set_xticks(np.arange(len(labels)), labels)
     axis.tick_params(axis="x", length=0)
     axis.grid(False, axis="x")
     top = 1.25 * axis.get_ylim()[1]
     axis.set(ylabel="share of the split's frames, %", title="classes", ylim=(0, top))
-    axis.legend(ncols=2, loc="upper left", handlelength=1.2, columnspacing=1.2)
+    axis.legend(ncols=2, loc="upper left", handlelength=1.2, columnspacing=1.2, fontsize=SMALL)
 
 
 def _grades_by_view(axis: Axes, frames: Frames) -> None:
@@ -125,7 +137,7 @@ def _grades_by_view(axis: Axes, frames: Frames) -> None:
             base += share
     axis.legend(loc="upper right", handlelength=1.0, ncols=2, columnspacing=1.0)
     top = max(base.max() * 1.08, 1.0)
-    _label(axis, "grades by class", "share of all graded frames, %", top)
+    _label(axis, f"grades by class, n = {whole:,}", "share of all graded frames, %", top)
 
 
 def _grades_by_split(axis: Axes, grades: dict[str, dict[str, Any]]) -> None:
@@ -134,7 +146,8 @@ def _grades_by_split(axis: Axes, grades: dict[str, dict[str, Any]]) -> None:
         counts = np.array(found["counts"])
         if counts.any():
             share, colour = 100.0 * counts / counts.sum(), SPLIT_COLOURS[split]
-            axis.stairs(share, edges, color=colour, lw=1.9, label=split, baseline=None)
+            told = f"{split}, n = {counts.sum():,}"
+            axis.stairs(share, edges, color=colour, lw=1.9, label=told, baseline=None)
     axis.legend(loc="upper left")
     top = axis.get_ylim()[1] * 1.22
     _label(axis, "grades of the views, by split", "share of the split's frames of a view, %", top)
@@ -171,10 +184,12 @@ def _paths(figure: Figure, place: _Rectangle, frames: Frames, manifest: dict[str
         used[name] = colours.get(name, MUTED)
         axis.plot(*tip.T, color=used[name], lw=1.0, alpha=0.85)
     names = dict.fromkeys(name for name in (*frames.labels, *used) if name in used)
+    every = len(frames.target_views)
+    told = f"{min(every, PATHS)} of {every:,} trajectories"
     handles = [Line2D([], [], color=used[name], lw=2.2, label=name) for name in names]
     figure.legend(
         handles=handles, loc="lower center", ncols=len(handles), handlelength=1.4,
-        bbox_to_anchor=(place[0] + place[2] / 2, 0.0), title="target view",
+        bbox_to_anchor=(place[0] + place[2] / 2, 0.0), title=f"target view; {told}",
     )  # fmt: skip
     for letter in "xyz":
         getattr(axis, f"set_{letter}label")(
@@ -197,7 +212,7 @@ def block_axes(figure: Figure, place: _Rectangle, manifest: dict[str, Any], alph
         (left, near, _), (right, far, top) = block["minimum"], block["maximum"]
         corners = ((left, near), (right, near), (right, far), (left, far))
         face = 1e3 * np.array([[x, y, top] for x, y in corners])
-        look: dict[str, Any] = {"facecolor": "#d9c7a8", "edgecolor": "#8c7a5b", "alpha": alpha}
+        look: dict[str, Any] = {"facecolor": SAND, "edgecolor": SAND_EDGE, "alpha": alpha}
         axis.add_collection3d(Poly3DCollection([face], **look))
     return axis
 

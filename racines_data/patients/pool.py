@@ -16,7 +16,6 @@ from torch import Tensor
 
 from racines_data.errors import RacinesError
 from racines_data.geometry import Pose, rotate
-from racines_data.imaging import IMAGE_SIZE
 from racines_data.patients import oracle
 from racines_data.patients.bake import baked, recipe
 from racines_data.patients.chest import Chest, breathing, cover, obstacles, shadows, undeform
@@ -329,9 +328,7 @@ class Pool:
 
     def pixel_size(self, rows: Tensor) -> Tensor:
         """Return (B,) mm, the side of a pixel of rows' patients."""
-        settings = self._settings.rows(rows)
-        depth = settings.step * PROBE.samples
-        return depth * 2.0 * settings.half_angle.sin() / IMAGE_SIZE
+        return self._settings.rows(rows).pixel_size()
 
     def wrench(self, pose: Pose, velocity: Tensor | None = None) -> Tensor:
         """Return (B, 6) force, N, and torque, N·m, in the probe's axes; the skin is everyone's."""

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from racines_data.imaging import IMAGE_SIZE
 from racines_data.patients.form import Shape
 from racines_data.patients.labels import ATTENUATIONS, SOFT
 from racines_data.patients.patches import patches_of
@@ -55,6 +56,10 @@ class Settings(NamedTuple):
     def rows(self, rows: Tensor) -> "Settings":
         """Return those of (B,) rows."""
         return Settings(*(each.index_select(0, rows) for each in self))
+
+    def pixel_size(self) -> Tensor:
+        """Return (K,) mm, the side of a pixel."""
+        return self.step * PROBE.samples * 2.0 * self.half_angle.sin() / IMAGE_SIZE
 
     def to(self, device: torch.device) -> "Settings":
         """Return them on a device."""

@@ -13,27 +13,40 @@ Drawn with Pillow, in milliseconds a frame, so that driving by hand and recordin
 
 import math
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 from torch import Tensor
 
+from racines_data.imaging import IMAGE_SIZE
 from racines_data.phantom.config import ProbeConfig
+from racines_data.plotting import (
+    LINE,
+    MUTED,
+    NIGHT,
+    PALE,
+    PANEL,
+    PATH,
+    PROBE,
+    SECTOR,
+    TRUTH,
+    WARNING,
+    WORDS,
+    letters,
+    mark_depth,
+)
 from racines_envs.robots.following import ArmRobot
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
+from racines_envs.worlds.ward import Ward
 
 WIDTH, HEIGHT = 960, 540
 IMAGE = 384  # pixels, height and width of the ultrasound image in the picture
 _MARGIN, _DEEP = 0.012, 0.14
 """Where a block of unknown size ends: about the workspace, and below the top, m."""
 _BODY = 0.06  # m, length of the probe's body as drawn
-_BACK, _PANEL, _LINE, _TEXT = "#101418", "#1a2026", "#5b6670", "#e6e9ec"
-_BLOCK, _SPACE, _GOAL, _PATH, _PROBE = "#2f3942", "#7d8a96", "#4ade80", "#facc15", "#38bdf8"
-_SECTOR, _WARN, _ARM = "#1e4a63", "#f87171", "#b8c2cc"
 
 _SIDE = 286, 318
 _ABOVE, _FRONT = (IMAGE + 2, 0), (IMAGE + 290, 0)
@@ -93,15 +106,14 @@ def compose(core: ScanCore, row: int = 0, history: History | None = None) -> np.
         history = History(core.num_envs)
         history.note(core)
     steps = history[row]
-    picture = Image.new("RGB", (WIDTH, HEIGHT), _BACK)
-    gray = Image.fromarray(core.picture()[row].cpu().numpy())
-    picture.paste(gray.resize((IMAGE, IMAGE), Image.Resampling.BILINEAR), (0, 0))
+    picture = Image.new("RGB", (WIDTH, HEIGHT), NIGHT)
+    picture.paste(_ultrasound(core, row), (0, 0))
     for view, place in zip(block_views(core, row, steps), (_ABOVE, _FRONT), strict=True):
         picture.paste(view, place)
     draw = ImageDraw.Draw(picture)
     _draw_trace(draw, core, steps)
     for line, (text, colour) in enumerate(_words(core, row, steps)):
-        draw.text((12, IMAGE + 10 + 24 * line), text, colour, _font(16))
+        draw.text((12, IMAGE + 8 + 21 * line), text, colour, letters(14))
     return np.asarray(picture)
 
 
@@ -121,9 +133,24 @@ def describe(core: ScanCore, row: int, steps: Steps) -> list[str]:
     return [text for text, _ in _words(core, row, steps)]
 
 
-@cache
-def _font(size: int) -> Any:
-    return ImageFont.load_default(size)
+def _ultrasound(core: ScanCore, row: int) -> Image.Image:
+    """Return the image enlarged, with its depth where the size of a pixel is known."""
+    small = Image.fromarray(core.picture()[row].cpu().numpy())
+    gray = small.resize((IMAGE, IMAGE), Image.Resampling.BILINEAR)
+    pixel = _pixel(core, row)
+    if pixel is not None:
+        mark_depth(gray, pixel * small.width / IMAGE)
+    return gray
+
+
+def _pixel(core: ScanCore, row: int) -> float | None:
+    """Return the side of an image's pixel, mm; None of what was recorded."""
+    if isinstance(core.phantom, Ward):
+        return float(core.phantom.pool.pixel_size(core.state.case[row : row + 1])[0])
+    if core.phantom.config is None:
+        return None
+    probe = core.phantom.config.probe
+    return 2e3 * probe.depth * math.sin(probe.half_angle) / IMAGE_SIZE
 
 
 def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
@@ -135,20 +162,20 @@ def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
     refused += info.get("arm_hits", 0)
     unit = getattr(core.phantom, "unit", "mm")
     away, turned = info["position_error"] * 1e3, math.degrees(info["rotation_error"])
-    found = _GOAL if info["success"] else _TEXT
-    pressed = _WARN if force > 0.9 * task.force_limit else _TEXT
+    found = TRUTH if info["success"] else WORDS
+    pressed = WARNING if force > 0.9 * task.force_limit else WORDS
     rows = [
-        (f"{task.id}    step {info['steps']:.0f} / {task.max_steps}    {moved}", _TEXT),
+        (f"{task.id}    step {info['steps']:.0f} / {task.max_steps}    {moved}", WORDS),
         (f"true view {core.phantom.labels[int(info['view'])]}, grade {info['grade']:.1f}", found),
-        (f"p {info['probability']:.2f}    grade as {goal} {info['score']:.1f}", _TEXT),
+        (f"p {info['probability']:.2f}    grade as {goal} {info['score']:.1f}", WORDS),
         (
             f"force {force:.1f} N of {task.force_limit:.0f} N    refused steps {refused:.0f}",
             pressed,
         ),
-        (f"to nominal {away:.0f} {unit}, {turned:.0f} deg    return {info['return']:.1f}", _TEXT),
+        (f"to nominal {away:.0f} {unit}, {turned:.0f} deg    return {info['return']:.1f}", WORDS),
     ]
     if info.get("out_of_support"):
-        rows.append(("nothing was recorded near this pose", _WARN))
+        rows.append(("nothing was recorded near this pose", WARNING))
     if bool(core.state.done[row]):
         rows.append(("the episode has ended", found))
     return rows
@@ -190,7 +217,7 @@ def _view(
 ) -> Image.Image:
     """Draw block, workspace, sector, path, nominal pose and probe, projected on two axes."""
     block = _bounds(core)
-    panel = Image.new("RGB", (_SIDE[0] * zoom, _SIDE[1] * zoom), _PANEL)
+    panel = Image.new("RGB", (_SIDE[0] * zoom, _SIDE[1] * zoom), PANEL)
     draw = ImageDraw.Draw(panel)
     arm = _arm(core, row)
     corners = np.stack([block[0], block[1] + np.array([0.0, 0.0, _BODY + 0.02])])
@@ -203,27 +230,27 @@ def _view(
 
     probe = ProbeConfig() if core.phantom.config is None else core.phantom.config.probe
     pose = [x[row].cpu().numpy() for x in core.state.pose]
-    draw.rectangle(box(block), outline=_LINE, fill=_BLOCK)
-    draw.polygon(to_pixels(_fan(probe, *pose)), outline=_PROBE, fill=_SECTOR)
-    draw.rectangle(box(_workspace(core)), outline=_SPACE)
+    draw.rectangle(box(block), outline=MUTED, fill=LINE)
+    draw.polygon(to_pixels(_fan(probe, *pose)), outline=PROBE, fill=SECTOR)
+    draw.rectangle(box(_workspace(core)), outline=PALE)
     if goal:
         # Of all rows one, or one each.
         target = (x[min(row, len(x) - 1)].cpu().numpy() for x in core.target)
-        _draw_probe(draw, to_pixels, probe, *target, colour=_GOAL, width=zoom)
+        _draw_probe(draw, to_pixels, probe, *target, colour=TRUTH, width=2 * zoom)
     if len(steps.positions) > 1:
         path = to_pixels(np.array(steps.positions))
-        draw.line(path, fill=_PATH, width=2 * zoom)
-        draw.circle(path[0], 4 * zoom, fill=_PATH)
+        draw.line(path, fill=PATH, width=2 * zoom)
+        draw.circle(path[0], 4 * zoom, fill=PATH)
     if len(arm):
         links = to_pixels(arm)
-        draw.line(links, fill=_ARM, width=5 * zoom, joint="curve")
+        draw.line(links, fill=PALE, width=5 * zoom, joint="curve")
         for place in links[:-1]:
-            draw.circle(place, 4 * zoom, fill=_PANEL, outline=_ARM, width=2 * zoom)
-    _draw_probe(draw, to_pixels, probe, *pose, colour=_PROBE, width=(2 if len(arm) else 3) * zoom)
+            draw.circle(place, 4 * zoom, fill=PANEL, outline=PALE, width=2 * zoom)
+    _draw_probe(draw, to_pixels, probe, *pose, colour=PROBE, width=(2 if len(arm) else 3) * zoom)
     across, up = ("xyz"[axis] for axis in axes)
-    label, font = f"{title}    {across} to the right, {up} up", _font(13 * zoom)
-    draw.text((8 * zoom, 6 * zoom), label, _TEXT, font)
-    names = (("probe", _PROBE), ("nominal", _GOAL), ("path", _PATH), ("workspace", _SPACE))
+    label, font = f"{title}    {across} to the right, {up} up", letters(13 * zoom)
+    draw.text((8 * zoom, 6 * zoom), label, WORDS, font)
+    names = (("probe", PROBE), ("nominal", TRUTH), ("path", PATH), ("workspace", PALE))
     for index, (text, colour) in enumerate(names):
         if goal or text != "nominal":
             place = (10 + 66 * index) * zoom, (_SIDE[1] - 22) * zoom
@@ -269,16 +296,16 @@ def _draw_probe(
 def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None:
     """Draw p and g / 10 over the steps, with the thresholds of a hit."""
     left, top, right, bottom = _TRACE[0] + 44, _TRACE[1] + 30, _TRACE[2] - 44, _TRACE[3] - 28
-    draw.rectangle(_TRACE, fill=_PANEL)
-    draw.rectangle((left, top, right, bottom), outline=_LINE)
+    draw.rectangle(_TRACE, fill=PANEL)
+    draw.rectangle((left, top, right, bottom), outline=MUTED)
     count = max(20, len(steps.probabilities) - 1)
 
     def at(step: float, share: float) -> tuple[float, float]:
         return left + (right - left) * step / count, bottom - (bottom - top) * share
 
     curves = (
-        ("p", steps.probabilities, core.rewards.probability, 1.0, _PROBE),
-        ("grade", steps.grades, core.rewards.grade, 10.0, _PATH),
+        ("p", steps.probabilities, core.rewards.probability, 1.0, PROBE),
+        ("grade", steps.grades, core.rewards.grade, 10.0, PATH),
     )
     for name, values, threshold, full, colour in curves:
         _, y = at(0, threshold / full)
@@ -291,14 +318,18 @@ def _draw_trace(draw: ImageDraw.ImageDraw, core: ScanCore, steps: Steps) -> None
             draw.circle(points[-1], 3, fill=colour)
         end, anchor = (left - 6, "rm") if name == "p" else (right + 6, "lm")
         for share in (0.0, 0.5, 1.0):
-            draw.text((end, at(0, share)[1]), f"{share * full:g}", colour, _font(12), anchor=anchor)
+            draw.text(
+                (end, at(0, share)[1]), f"{share * full:g}", colour, letters(12), anchor=anchor
+            )
     title = f"as {core.task.view} by the {core.reward.judged_by}:"
-    draw.text((left, top - 20), title, _TEXT, _font(13))
-    offset = left + _font(13).getlength(title) + 10
-    draw.text((offset, top - 20), "p (left)", _PROBE, _font(13))
-    draw.text((offset + 60, top - 20), "grade (right)", _PATH, _font(13))
-    draw.text((offset + 160, top - 20), "dashed: what a hit needs", _SPACE, _font(13))
+    said, place = letters(12), float(left)
+    for text, colour in (
+        (title, WORDS), ("p (left)", PROBE), ("grade (right)", PATH),
+        ("dashed: what a hit needs", PALE),
+    ):  # fmt: skip
+        draw.text((place, top - 20), text, colour, said)
+        place += said.getlength(text) + 10
     for share in (0.0, 0.5, 0.75, 1.0):
         place = (left + (right - left) * share, bottom + 6)
         text = "steps" if share == 0.75 else f"{count * share:.0f}"
-        draw.text(place, text, _TEXT, _font(12), anchor="ma")
+        draw.text(place, text, WORDS, letters(12), anchor="ma")

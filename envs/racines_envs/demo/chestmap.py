@@ -16,14 +16,14 @@ from racines_data.patients.form import FOOT
 from racines_data.patients.heart import Heart
 from racines_data.patients.labels import AORTA, LA, LV, MYOCARDIUM, PULMONARY, RA, RV, RV_WALL
 from racines_data.patients.volume import LOW, VOXEL
-from racines_envs.demo.looks import AIM, INK, LABEL, PAPER, PROBE, SKIN, TRUE, WAY, font
+from racines_data.plotting import BLUE, GREEN, INK, PROBE, VIOLET, letters
 from racines_envs.demo.watching import Shot
 
 SIZE = 416
 _FINE = 2
 """How much finer it is drawn than shown, for smooth lines."""
 _ACROSS = 0.235  # m of the chest that is shown
-_BONE = (246, 230, 208)
+_SKIN, _BONE, _LABEL = (226, 180, 152), (246, 230, 208), (90, 58, 43)
 _HEART = (
     (LV, (178, 58, 64)), (MYOCARDIUM, (150, 44, 52)), (LA, (196, 92, 92)), (RV, (88, 92, 158)),
     (RV_WALL, (78, 80, 142)), (RA, (108, 112, 172)), (AORTA, (206, 104, 96)),
@@ -67,7 +67,7 @@ class ChestMap:
         ys, xs = np.mgrid[0:side, 0:side] + 0.5
         flat = np.stack([xs, ys], -1) - side / 2.0
         light = 1.0 - 0.16 * (np.hypot(*np.moveaxis(flat, -1, 0)) / (side / 2.0)) ** 2
-        ground = np.array(SKIN) * light[..., None]
+        ground = np.array(_SKIN) * light[..., None]
         places = 1e3 * ((flat / self._scale + self._middle) @ self._turn)  # mm, base frame
         ground = _over(ground, np.array(_BONE), 0.85 * _ribs(heart, places))
         image = Image.fromarray(ground.clip(0, 255).astype(np.uint8))
@@ -75,7 +75,7 @@ class ChestMap:
         image.paste(shape, (0, 0), cover)
         draw = ImageDraw.Draw(image)
         for words, (x, y), anchor in _PARTS:
-            draw.text((x * side, y * side), words, LABEL, font(13 * _FINE), anchor=anchor)
+            draw.text((x * side, y * side), words, _LABEL, letters(15 * _FINE), anchor=anchor)
         return image
 
     def _heart(self, voxels: np.ndarray, colours: np.ndarray) -> tuple[Image.Image, Image.Image]:
@@ -112,12 +112,12 @@ class ChestMap:
         draw = ImageDraw.Draw(image)
         way = [self._pixels(np.array(s.position))[0] for s in shots if s.step <= shot.step]
         if len(way) > 1:
-            draw.line([tuple(each) for each in way], fill=WAY, width=2 * _FINE, joint="curve")
+            draw.line([tuple(each) for each in way], fill=BLUE, width=2 * _FINE, joint="curve")
         if reveal:
             x, y = self._pixels(self._own[0])[0]
-            draw.circle((x, y), 15 * _FINE, outline=TRUE, width=3 * _FINE)
-            draw.text((x, y + 18 * _FINE), f"true {label}", TRUE, font(14 * _FINE), anchor="ma",
-                      stroke_width=_FINE, stroke_fill=INK)  # fmt: skip
+            draw.circle((x, y), 15 * _FINE, outline=GREEN, width=3 * _FINE)
+            draw.text((x, y - 18 * _FINE), f"true {label}", GREEN, letters(15 * _FINE), anchor="md",
+                      stroke_width=_FINE, stroke_fill="white")  # fmt: skip
         self._draw_probe(draw, shot)
         self._draw_aim(draw, shot)
         return image.resize((SIZE, SIZE), Image.Resampling.LANCZOS)
@@ -135,7 +135,7 @@ class ChestMap:
         radius = min(max(shot.spread * 1e-3 * self._scale, 9.0 * _FINE), SIZE * _FINE * 0.45)
         box = (x - radius, y - radius, x + radius, y + radius)
         arm = 6 * _FINE
-        for ink, width in ((PAPER, 4 * _FINE), (AIM, 2 * _FINE)):
+        for ink, width in (("white", 4 * _FINE), (VIOLET, 2 * _FINE)):
             for start in range(0, 360, 30):
                 draw.arc(box, start, start + 19, fill=ink, width=width)
             draw.line((x - arm, y, x + arm, y), fill=ink, width=width)

@@ -72,6 +72,11 @@ class Outcome:
     """That the agent was watched for."""
 
     @property
+    def pixel(self) -> float:
+        """The side of a picture's pixel, mm."""
+        return float(self.heart.settings.pixel_size()[0])
+
+    @property
     def told(self) -> dict[str, Any]:
         """The outcome as figures, for JSON."""
         last, draw = self.shots[-1], self.draw

@@ -12,26 +12,26 @@ import io
 import numpy as np
 from PIL import Image, ImageColor, ImageDraw
 
-from racines_envs.demo.chestmap import ChestMap
-from racines_envs.demo.episode import Outcome, verdict
-from racines_envs.demo.looks import (
-    AIM,
-    BACK,
-    BAD,
-    GOOD,
+from racines_data.plotting import (
+    BELIEF,
+    BLUE,
+    GREEN,
     INK,
     LINE,
-    NAME,
+    NIGHT,
     PALE,
     PANEL,
-    PAPER,
     PROBE,
-    READ,
-    TRUE,
-    WAY,
+    TRUTH,
+    VIOLET,
+    WARNING,
     WORDS,
-    font,
+    YELLOW,
+    letters,
+    mark_depth,
 )
+from racines_envs.demo.chestmap import ChestMap
+from racines_envs.demo.episode import Outcome, verdict
 from racines_envs.demo.watching import Shot
 
 SIDE, GAP, LOW = 300, 10, 128
@@ -40,34 +40,27 @@ EVERY, MILLISECONDS, HELD = 3, 160, 30
 """Steps from picture to picture, the time of each, and the pictures' worth that the end stands."""
 COLOURS, GRAYS = 128, 32
 SIGNS = (
-    BACK,
-    PANEL,
-    LINE,
-    PROBE,
-    AIM,
-    TRUE,
-    READ,
-    WAY,
-    GOOD,
-    BAD,
-    PAPER,
-    INK,
-    WORDS,
-    PALE,
-    NAME,
-)
+    NIGHT, PANEL, LINE, PROBE, VIOLET, TRUTH, GREEN, BELIEF, BLUE, WARNING, "white", INK, WORDS,
+    PALE, YELLOW,
+)  # fmt: skip
 """Colours that the film never loses."""
 
 
 def ultrasound(
-    image: np.ndarray, side: int, names: dict[str, tuple[float, float]] | None = None
-) -> Image.Image:
-    """Return a (128, 128) picture as RGB of so many pixels a side, with parts named in it."""
+    image: np.ndarray, side: int, names: dict[str, tuple[float, float]] | None = None,
+    pixel: float | None = None,
+) -> Image.Image:  # fmt: skip
+    """Return a (128, 128) picture as RGB of so many pixels a side, with parts named in it.
+
+    Where the side of a `pixel` is given, mm, the depth is marked.
+    """
     shown = Image.fromarray(image).resize((side, side), Image.Resampling.BICUBIC).convert("RGB")
+    if pixel is not None:
+        mark_depth(shown, pixel * len(image) / side)
     draw = ImageDraw.Draw(shown)
     for name, (x, y) in (names or {}).items():
-        draw.text((x * side, y * side), name, NAME, font(max(12, side // 22)), anchor="mm",
-                  stroke_width=2, stroke_fill="#000000")  # fmt: skip
+        draw.text((x * side, y * side), name, YELLOW, letters(max(12, side // 22)), anchor="mm",
+                  stroke_width=2, stroke_fill="black")  # fmt: skip
     return shown
 
 
@@ -80,24 +73,24 @@ def frame(outcome: Outcome, chest: ChestMap, shot: Shot) -> Image.Image:
     """Return one picture of the film."""
     last = shot is outcome.shots[-1]
     named = outcome.names[0] if last else None
-    sheet = _sheet(ultrasound(shot.image, SIDE, named),
+    sheet = _sheet(ultrasound(shot.image, SIDE, named, outcome.pixel),
                    chest.picture(outcome.shots, shot, outcome.draw.view, last))  # fmt: skip
     draw = ImageDraw.Draw(sheet)
     left, top = GAP, SIDE + 2 * GAP
-    draw.text((left + 8, GAP + 6), "what the probe sees", PALE, font(13))
+    draw.text((left + 8, GAP + 6), "what the probe sees", PALE, letters(12))
     if last:
         found = outcome.found
-        lines = [(verdict(outcome)[0].split(":")[0], GOOD if found else BAD)]
+        lines = [(verdict(outcome)[0].split(":")[0], TRUTH if found else WARNING)]
     else:
         lines = [(f"patient {outcome.draw.patient}, looking for {outcome.draw.view}", WORDS)]
     lines += [
         (f"step {shot.step} of at most 200, {0.1 * shot.step:.1f} s", PALE),
-        (f"it believes: {shot.believed:.0f} ± {shot.spread:.0f} mm to go", READ),
-        (f"true: {shot.distance:.0f} mm to go", TRUE),
+        (f"it believes: {shot.believed:.0f} ± {shot.spread:.0f} mm to go", BELIEF),
+        (f"true: {shot.distance:.0f} mm to go", TRUTH),
         (f"grade it reads {max(shot.read, 0.0):.1f}, true {shot.grade:.1f}", WORDS),
     ]
     for number, (words, ink) in enumerate(lines):
-        draw.text((left + 2, top + 25 * number), words, ink, font(17 if number == 0 else 15))
+        draw.text((left + 2, top + 25 * number), words, ink, letters(17 if number == 0 else 15))
     _trace(draw, outcome.shots, shot, (SIDE + 2 * GAP, top, WIDTH - GAP, HEIGHT - GAP))
     return sheet
 
@@ -105,19 +98,19 @@ def frame(outcome: Outcome, chest: ChestMap, shot: Shot) -> Image.Image:
 def ending(outcome: Outcome) -> Image.Image:
     """Return the last picture: what was declared beside what the best pose shows."""
     last, draw_ = outcome.shots[-1], outcome.draw
-    sheet = _sheet(ultrasound(last.image, SIDE, outcome.names[0]),
-                   ultrasound(outcome.own_image, SIDE, outcome.names[1]))  # fmt: skip
+    pair = zip((last.image, outcome.own_image), outcome.names, strict=True)
+    sheet = _sheet(*(ultrasound(image, SIDE, names, outcome.pixel) for image, names in pair))
     draw = ImageDraw.Draw(sheet)
     left = "the agent's picture" if outcome.declared else "the last picture"
     for words, x in ((left, GAP), (f"the best {draw_.view} of this patient", SIDE + 2 * GAP)):
-        draw.text((x + 8, GAP + 6), words, WORDS, font(14), stroke_width=2, stroke_fill="#000000")
+        draw.text((x + 8, GAP + 6), words, WORDS, letters(14), stroke_width=2, stroke_fill="black")
     head, text = verdict(outcome)
-    draw.text((GAP + 2, SIDE + 2 * GAP), head, GOOD if outcome.found else BAD, font(18))
+    draw.text((GAP + 2, SIDE + 2 * GAP), head, TRUTH if outcome.found else WARNING, letters(18))
     lines = _wrapped(draw, text, WIDTH - 2 * GAP - 4)
     for number, line in enumerate(lines[:3]):
-        draw.text((GAP + 2, SIDE + 2 * GAP + 28 + 20 * number), line, WORDS, font(14))
+        draw.text((GAP + 2, SIDE + 2 * GAP + 28 + 20 * number), line, WORDS, letters(14))
     words = "RACINES: simulated patient; research software, not a medical device"
-    draw.text((GAP + 2, HEIGHT - GAP), words, PALE, font(13), anchor="ld")
+    draw.text((GAP + 2, HEIGHT - GAP), words, PALE, letters(13), anchor="ld")
     return sheet
 
 
@@ -152,7 +145,7 @@ def _palette(frames: list[Image.Image]) -> Image.Image:
 
 
 def _sheet(left: Image.Image, right: Image.Image) -> Image.Image:
-    sheet = Image.new("RGB", (WIDTH, HEIGHT), BACK)
+    sheet = Image.new("RGB", (WIDTH, HEIGHT), NIGHT)
     for image, x in ((left, GAP), (right, SIDE + 2 * GAP)):
         sheet.paste(image.resize((SIDE, SIDE), Image.Resampling.LANCZOS), (x, GAP))
     return sheet
@@ -166,11 +159,12 @@ def _trace(
     draw.rectangle(box, fill=PANEL, outline=LINE)
     most = max(max(each.distance, each.believed) for each in shots) or 1.0
     ends, inner = max(shots[-1].step, 1), (left + 8, top + 26, right - 8, bottom - 8)
-    draw.text((left + 8, top + 5), "mm to the view:", PALE, font(13))
-    draw.text((left + 118, top + 5), "true", TRUE, font(13))
-    draw.text((left + 152, top + 5), "believed", READ, font(13))
-    draw.text((right - 8, top + 5), f"{most:.0f} mm", PALE, font(12), anchor="ra")
-    for key, ink in (("believed", READ), ("distance", TRUE)):
+    place = left + 8.0
+    for words, ink in (("mm to the view:", PALE), ("true", TRUTH), ("believed", BELIEF)):
+        draw.text((place, top + 5), words, ink, letters(13))
+        place += letters(13).getlength(words + " ")
+    draw.text((right - 8, top + 5), f"{most:.0f} mm", PALE, letters(12), anchor="ra")
+    for key, ink in (("believed", BELIEF), ("distance", TRUTH)):
         points = [
             (inner[0] + (inner[2] - inner[0]) * each.step / ends,
              inner[3] - (inner[3] - inner[1]) * getattr(each, key) / most)
@@ -186,7 +180,7 @@ def _wrapped(draw: ImageDraw.ImageDraw, text: str, width: int) -> list[str]:
     lines = [""]
     for word in text.split():
         longer = f"{lines[-1]} {word}".strip()
-        if draw.textlength(longer, font(14)) > width:
+        if draw.textlength(longer, letters(14)) > width:
             lines.append(word)
         else:
             lines[-1] = longer

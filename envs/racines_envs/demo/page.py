@@ -47,7 +47,7 @@ def _content(
             "believed": round(shot.believed, 1), "spread": round(shot.spread, 1),
             "read": round(max(shot.read, 0.0), 1), "grade": round(shot.grade, 1),
             "view": LABELS[shot.view], "title": VIEW_TITLES[LABELS[shot.view]],
-            "seen": _packed(ultrasound(shot.image, SEEN)),
+            "seen": _packed(ultrasound(shot.image, SEEN, pixel=outcome.pixel)),
             "map": _packed(chest.picture(shots, shot, draw.view, last)),
         })  # fmt: skip
     return {
@@ -57,8 +57,8 @@ def _content(
         f"{beats}. The agent has never scanned this patient.",
         "again": draw.again, "frames": frames,
         "declared": outcome.declared,
-        "last": _packed(ultrasound(shots[-1].image, SEEN, outcome.names[0])),
-        "best": _packed(ultrasound(outcome.own_image, SEEN, outcome.names[1])),
+        "last": _packed(ultrasound(shots[-1].image, SEEN, outcome.names[0], outcome.pixel)),
+        "best": _packed(ultrasound(outcome.own_image, SEEN, outcome.names[1], outcome.pixel)),
         "next": [{"command": command, "about": about} for command, about in next_commands],
     }  # fmt: skip
 

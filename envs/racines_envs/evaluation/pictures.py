@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from racines_data.files import write_atomic
-from racines_data.plotting import card_style, encode
+from racines_data.plotting import EDGE, GRID, INK, LEVELS, MUTED, card_style, encode
 from racines_envs.task.core import ScanCore
 from racines_envs.worlds.recorded.world import Recordings
 
@@ -39,7 +39,7 @@ def draw_trajectories(evaluation: Any, path: Path) -> None:
     axes.scatter(*target, marker="*", s=150, color="black", label="nominal pose")
     _frame(axes, np.concatenate([target[None], *paths]), core)
     _draw_plan(figure.add_axes((0.7, 0.12, 0.27, 0.27)), core, paths, target)
-    scale = ScalarMappable(Normalize(0.0, 1.0), "viridis")
+    scale = ScalarMappable(Normalize(0.0, 1.0), LEVELS)
     bar = figure.add_axes((0.82, 0.5, 0.02, 0.36))
     figure.colorbar(scale, cax=bar, label=f"p of {core.task.view}, by the {core.reward.judged_by}")
     milliseconds = scores["metrics"].get("latency", {}).get("value")
@@ -65,13 +65,13 @@ def save(figure: Figure, path: Path) -> None:
 
 def _draw_path(axes: Any, path: np.ndarray, probability: np.ndarray, number: int) -> None:
     segments = np.stack([path[:-1], path[1:]], 1)
-    line = Line3DCollection(segments, cmap="viridis", linewidth=2.4)
+    line = Line3DCollection(segments, cmap=LEVELS, linewidth=2.4)
     line.set_array(probability[1:])
     line.set_clim(0.0, 1.0)
     axes.add_collection3d(line)
     start, end = ("start", "end") if number == 0 else (None, None)
     axes.scatter(*path[0], marker="o", s=42, color="white", edgecolor="black", label=start)
-    colour = {"c": probability[-1:], "cmap": "viridis", "vmin": 0.0, "vmax": 1.0, "label": end}
+    colour = {"c": probability[-1:], "cmap": LEVELS, "vmin": 0.0, "vmax": 1.0, "label": end}
     axes.scatter(*path[-1:].T, marker="X", s=60, edgecolor="black", depthshade=False, **colour)
     axes.text(*path[0], f"  {number + 1}", fontsize=10, weight="bold")
 
@@ -84,11 +84,11 @@ def _frame(axes: Any, points: np.ndarray, core: ScanCore) -> None:
         top = _corners(core)[1][2]
         low[2], high[2] = points[:, 2].min() - 1.0, max(points[:, 2].max(), top) + 1.0
         x, y = np.meshgrid([low[0], high[0]], [low[1], high[1]])
-        axes.plot_surface(x, y, np.full((2, 2), top), color="0.6", alpha=0.22)
-        axes.text(high[0], low[1], top, "block's top", fontsize=8, color="0.35", ha="right")
+        axes.plot_surface(x, y, np.full((2, 2), top), color=MUTED, alpha=0.22)
+        axes.text(high[0], low[1], top, "block's top", fontsize=8, color=MUTED, ha="right")
     else:
         near = recorded[((recorded >= low) & (recorded <= high)).all(1)]
-        axes.scatter(*near.T, s=3, color="0.6", alpha=0.4, label="recorded")
+        axes.scatter(*near.T, s=3, color=MUTED, alpha=0.4, label="recorded")
         axes.set(zlim=(low[2], high[2]))
     axes.set(xlabel=f"x, {unit}", ylabel=f"y, {unit}", zlabel=f"z, {unit}")
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
@@ -102,11 +102,11 @@ def _draw_plan(axes: Any, core: ScanCore, paths: list[np.ndarray], target: np.nd
     size = (high - low)[:2]
     unit, recorded = _recorded(core)
     if recorded is None:
-        axes.add_patch(Rectangle((low[0], low[1]), *size, facecolor="0.92", edgecolor="0.4"))
+        axes.add_patch(Rectangle((low[0], low[1]), *size, facecolor=GRID, edgecolor=MUTED))
     else:
-        axes.scatter(*recorded[:, :2].T, s=1, color="0.75")
+        axes.scatter(*recorded[:, :2].T, s=1, color=EDGE)
     for number, path in enumerate(paths):
-        axes.plot(path[:, 0], path[:, 1], color="0.3", linewidth=0.9)
+        axes.plot(path[:, 0], path[:, 1], color=INK, linewidth=0.9)
         axes.text(path[0, 0], path[0, 1], str(number + 1), fontsize=7)
     axes.plot(*target[:2], "*", color="black", markersize=8)
     axes.set(xlim=(low[0] - 5, high[0] + 5), ylim=(low[1] - 5, high[1] + 5), aspect="equal")

@@ -263,7 +263,7 @@ def write_explanation(explanation: Explanation, folder: Path, pictures: int = 4)
 def draw_episode(explanation: Explanation, row: int, path: Path) -> None:
     """Draw the images of an episode over their attributions, as PNG.
 
-    Red speaks for the chosen action (or the target view), blue against; green lines are true
+    Red speaks for the chosen action (or the target view), blue against; yellow lines are true
     borders of tissues.
     """
     from racines_data.plotting import card_style, encode
@@ -275,6 +275,8 @@ def draw_episode(explanation: Explanation, row: int, path: Path) -> None:
 def _episode_figure(explanation: Explanation, row: int) -> Any:
     """Return the figure of an episode: images above, attributions below."""
     from matplotlib.figure import Figure
+
+    from racines_data.plotting import YELLOW
 
     frames, kinds = explanation.frames, list(explanation.maps)
     chosen = (frames.row == row).nonzero().squeeze(1)
@@ -293,7 +295,7 @@ def _episode_figure(explanation: Explanation, row: int) -> Any:
             _overlay(axis, image, explanation.maps[kind][index])
             if "borders" in explanation.regions:
                 borders = explanation.regions["borders"][index].cpu().numpy()
-                axis.contour(borders, [0.5], colors="lime", linewidths=0.25)
+                axis.contour(borders, [0.5], colors=YELLOW, linewidths=0.25)
             found = float(explanation.probabilities[kind][index])
             axis.set_title(f"p {found:.2f}", fontsize=8, pad=2)
     for axis, label in zip(axes[:, 0], ["image", *(TITLES[kind] for kind in kinds)], strict=True):
@@ -307,8 +309,10 @@ def _episode_figure(explanation: Explanation, row: int) -> Any:
 
 def _overlay(axis: Any, image: np.ndarray, drawn: Tensor) -> None:
     """Lay a softened attribution over an image; the strongest hundredth is opaque."""
+    from racines_data.plotting import SIGNED
+
     soft = attribution.blur(drawn.unsqueeze(0).cpu(), _SOFT)[0].numpy()
     scale = max(float(np.quantile(np.abs(soft), 0.99)), 1e-12)
     strength = np.clip(np.abs(soft) / scale, 0.0, 1.0)
     axis.imshow(image * 0.7, cmap="gray", vmin=0, vmax=255)
-    axis.imshow(soft, cmap="seismic", vmin=-scale, vmax=scale, alpha=strength**0.8)
+    axis.imshow(soft, cmap=SIGNED, vmin=-scale, vmax=scale, alpha=strength**0.8)

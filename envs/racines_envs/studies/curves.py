@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, MaxNLocator
 
 from racines_data.errors import RacinesError
-from racines_data.plotting import card_style, colour
+from racines_data.plotting import INK, MUTED, card_style, colour
 from racines_envs.evaluation.agent_specs import read_json, split_label
 from racines_envs.evaluation.pictures import save
 from racines_envs.studies.rewards import PAPER
@@ -139,8 +139,8 @@ def _draw_paper(axes: Any, panel: str, runs: list[dict[str, Any]]) -> None:
     for seen in dict.fromkeys(run["observation"] for run in fit):
         levels.setdefault(PAPER[figure][seen], []).append(seen)
     for level, seen in levels.items():
-        axes.axhline(level, linestyle="--", color="0.35", linewidth=1.0)
+        axes.axhline(level, linestyle="--", color=MUTED, linewidth=1.0)
         text = f"paper, {' and '.join(seen)}: about {level:g}"
         where = {"xycoords": ("axes fraction", "data"), "ha": "left", "va": "bottom"}
         behind = {"boxstyle": "square,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0}
-        axes.annotate(text, (0.01, level), fontsize=7.5, color="0.25", bbox=behind, **where)
+        axes.annotate(text, (0.01, level), fontsize=7.5, color=INK, bbox=behind, **where)

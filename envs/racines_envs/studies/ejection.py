@@ -31,7 +31,7 @@ from racines_data.files import write_json
 from racines_data.geometry import Pose
 from racines_data.patients.labels import LABELS
 from racines_data.patients.pool import Pool
-from racines_data.plotting import OURS, PAPER, card_style, encode
+from racines_data.plotting import MUTED, OURS, PAPER, card_style, encode
 from racines_data.randomness import derive
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.agents.protocol import Agent
@@ -359,7 +359,7 @@ def draw_ejection(report: dict[str, Any], measured: Measured, truth: Beat) -> by
     shown = {"agent's pose, judge's outlines": ("agent", "judge"),
              "planner's pose, true outlines": ("planner", "truth")}  # fmt: skip
     true = truth.fraction
-    left.plot([0, 90], [0, 90], color="#888888", linewidth=0.9)
+    left.plot([0, 90], [0, 90], color=MUTED, linewidth=0.9)
     for ink, (title, key) in zip(INKS, shown.items(), strict=True):
         found = measured[key][0].fraction
         left.plot(true, found, "o", color=ink, markersize=4, alpha=0.8, label=title)

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.plotting import card_style, colour
+from racines_data.plotting import MUTED, card_style, colour
 from racines_data.tables import escape, markdown_table
 from racines_envs.agents.protocol import Agent
 from racines_envs.evaluation.agent_specs import Run, common_view
@@ -348,7 +348,7 @@ def _scatter(axes: Any, episode: Settled, agent: str, number: int, agents: int) 
     # Episodes without the view lie apart on rows of their own below the axis, one an agent.
     height = np.where(episode.success, episode.grade, -0.6 - 0.9 * number)
     axes.scatter(episode.total, height, s=9, alpha=0.55, color=colour(number), label=agent)
-    axes.axhline(0.0, color="0.6", linewidth=0.7)
+    axes.axhline(0.0, color=MUTED, linewidth=0.7)
     axes.set_ylim(-0.9 * agents - 0.4, 10.4)
     axes.set_yticks([-0.45 - 0.45 * agents, 0, 5, 10], ["not\nseen", "0", "5", "10"])
 

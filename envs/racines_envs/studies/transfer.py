@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from scipy.stats import rankdata
 
 from racines_data.errors import RacinesError
-from racines_data.plotting import card_style
+from racines_data.plotting import LEVELS, card_style
 from racines_data.tables import escape, markdown_table
 from racines_envs.agents.rollout import rollout
 from racines_envs.evaluation.agent_specs import Run, common_view
@@ -233,7 +233,7 @@ def draw_transfer(content: dict[str, Any], path: Path) -> None:
     size = (2.6 + 1.9 * len(backends), 1.7 + 0.75 * len(agents))
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.subplots()
-    image = axes.imshow(values, cmap="cividis", vmin=0, vmax=100, aspect="auto")
+    image = axes.imshow(values, cmap=LEVELS, vmin=0, vmax=100, aspect="auto")
     for (row, column), value in np.ndenumerate(values):
         metrics = cells[agents[row]["label"], backends[column]]
         steps, grade = metrics["steps"]["value"], metrics["final_grade"]["value"]

@@ -3,7 +3,6 @@
 The report is JSON, tables for a terminal, and a picture of confusion and agreement.
 """
 
-import io
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
@@ -16,7 +15,7 @@ from rich.console import Console
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
-from racines_data.plotting import INK, MUTED, OURS, PAPER, card_style
+from racines_data.plotting import INK, MUTED, OURS, PAPER, SHARES, SMALL, card_style, encode
 from racines_data.tables import console_table
 from racines_data.terminal import shown_text
 from racines_leaderboard.expert.agreement import Answers, agreement, fleiss_metric
@@ -218,9 +217,7 @@ def _cell(metric: dict[str, Any], scale: float, digits: int) -> str:
 def write_picture(path: Path, report: dict[str, Any]) -> None:
     """Draw a report as PNG: one row a reference."""
     with card_style():
-        drawn = io.BytesIO()
-        draw(report).savefig(drawn, format="png", metadata={"Software": None})
-        write_atomic(path, drawn.getvalue())
+        write_atomic(path, encode(draw(report)))
 
 
 def draw(report: dict[str, Any]) -> Figure:
@@ -247,11 +244,11 @@ def draw(report: dict[str, Any]) -> Figure:
 def _matrix(axes: Axes, counts: Any, names: list[str], title: str, shares: bool) -> None:
     counts = np.array(counts)
     share = counts / np.maximum(counts.sum(1, keepdims=True), 1)
-    axes.imshow(share**0.5, cmap="Blues", vmin=0.0, vmax=1.1, aspect="auto")
+    axes.imshow(share**0.5, cmap=SHARES, vmin=0.0, vmax=1.1, aspect="auto")
     axes.grid(False)
     for row, column in np.argwhere(counts):
         part = f"\n{100 * share[row, column]:.0f} %" if shares else ""
-        style = {"color": "white" if share[row, column] > 0.4 else INK, "fontsize": 7.0}
+        style = {"color": "white" if share[row, column] > 0.4 else INK, "fontsize": SMALL}
         text = f"{counts[row, column]:,}{part}"
         axes.text(column, row, text, ha="center", va="center", **style)
     axes.set_xticks(range(len(names)), names)

@@ -10,6 +10,7 @@ from gradio.themes import Base
 from gradio.themes.utils import colors, sizes
 
 from racines_data.errors import RacinesError
+from racines_data.plotting import BLUE, NIGHT, PALE, SPLIT_COLOURS
 from racines_leaderboard.studio.guard import middleware
 from racines_leaderboard.studio.parts import Place
 
@@ -25,7 +26,7 @@ TABS = {
 """Modules of the tabs, and their titles, in order."""
 AT_ONCE = 4
 """Events of one kind that run at a time; the others wait in the queue."""
-ACCENT, LIGHT = "#24527a", "#2f6a9d"
+ACCENT, LIGHT = SPLIT_COLOURS["train"], BLUE
 HEAD = """<header><h1>RACINES Studio</h1>
 <p>The open benchmark for robotic cardiac ultrasound.</p></header>"""
 FOOT = """<footer><p><strong>Research software, not a medical device.</strong>
@@ -42,10 +43,10 @@ def theme() -> Base:
         font_mono=("ui-monospace", "SFMono-Regular", "Menlo", "monospace"),
     )
     return base.set(
-        body_background_fill="#f6f8f9",
-        body_background_fill_dark="#12171c",
-        body_text_color_subdued="#56626d",
-        body_text_color_subdued_dark="#9aa7b2",
+        body_background_fill="#f4f7f9",
+        body_background_fill_dark=NIGHT,
+        body_text_color_subdued="#52606d",
+        body_text_color_subdued_dark=PALE,
         block_shadow="none",
         block_label_text_weight="500",
         button_primary_background_fill=ACCENT,

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image, ImageDraw
+from PIL import Image
 
 from racines_data.geometry import Pose
 from racines_data.patients.patient import PATHOLOGIES
 from racines_data.patients.splits import SPLITS, split_of
+from racines_data.plotting import mark_depth
 from racines_data.views import VIEW_TITLES, VIEWS
 from racines_envs.task.names import BEATING
 from racines_leaderboard.studio.html import animation, table
@@ -21,8 +22,6 @@ FRAMES = 16
 """Of a beat."""
 ZOOM = 2
 """Times the image's size, so that the depth scale is sharp."""
-TICK = 20.0
-"""Millimetres between the marks of the depth scale."""
 TITLES = {
     "healthy": "healthy heart", "dilated": "dilated left ventricle",
     "hypertrophied": "hypertrophied left ventricle", "small": "small heart",
@@ -99,13 +98,10 @@ def film(images: np.ndarray, pixel: float, seconds: float) -> bytes:
 
 
 def _with_scale(image: np.ndarray, pixel: float) -> Image.Image:
-    """Return an image enlarged, with a mark at the right every 2 cm of depth, longer each 10."""
+    """Return an image enlarged, with its depth in cm at the right."""
     height, width = (ZOOM * side for side in image.shape)
     large = Image.fromarray(image).resize((width, height), Image.Resampling.BICUBIC)
-    draw = ImageDraw.Draw(large)
-    for number in range(1, int(image.shape[0] * pixel / TICK) + 1):
-        y, long = ZOOM * number * TICK / pixel, number % 5 == 0
-        draw.line([(width - (10 if long else 5), y), (width - 1, y)], fill=200)
+    mark_depth(large, pixel / ZOOM)
     return large
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from PIL import Image
 
+from racines_data.plotting import LINE, PALE, PROBE, TRUTH, WARNING, WORDS
 from racines_envs.apis.rendering import block_views
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.tasks import DECLARED
@@ -136,8 +137,7 @@ def _truth(core: Any, info: dict[str, Any]) -> tuple[str, str]:
     )
 
 
-COLOURS = {"grader": "#38bdf8", "truth": "#facc15"}
-GRID, PALE, RED = "#2f3942", "#e6e9ec", "#f87171"
+COLOURS = {"grader": PROBE, "truth": TRUTH}
 WIDE, HIGH = 360, 118
 """Of a drawing, in its own units; it is drawn as wide as its place."""
 LEFT, RIGHT, TOP, BOTTOM = 30, 350, 24, 98
@@ -204,16 +204,16 @@ def force_gauge(scene: Scene) -> str:
         return LEFT + (RIGHT - LEFT) * min(max(share, 0.0), 1.0)
 
     now, limit, peak = at(scene.force), at(scene.limit), at(scene.peak)
-    colour = RED if scene.force > 0.9 * scene.limit else "#4ade80"
+    colour = WARNING if scene.force > 0.9 * scene.limit else TRUTH
     title = f"normal force {scene.force:.1f} N"
     bar = f'<rect x="{LEFT}" y="24" height="16" width='
     drawn = [
         _words(LEFT, 16, title),
         _words(RIGHT, 16, f"peak {scene.peak:.1f} N, limit {scene.limit:.0f} N", "end"),
-        f'{bar}"{RIGHT - LEFT}" fill="{GRID}"/>',
+        f'{bar}"{RIGHT - LEFT}" fill="{LINE}"/>',
         f'{bar}"{now - LEFT:.1f}" fill="{colour}"/>',
-        _line(peak, peak, 22, 42, PALE),
-        _line(limit, limit, 20, 44, RED, 'stroke-width="2.5"'),
+        _line(peak, peak, 22, 42, WORDS),
+        _line(limit, limit, 20, 44, WARNING, 'stroke-width="2.5"'),
     ]
     force, torque = (
         ", ".join(f"{axis} {value:+.{digits}f}" for axis, value in zip("xyz", values, strict=True))
@@ -236,13 +236,13 @@ def _chart(
     drawn = [_words(LEFT, 15, title)]
     for share, anchor in ((0.0, "start"), (0.5, "middle"), (1.0, "end")):
         x, y = at(share * steps, share)
-        drawn.append(_line(LEFT, RIGHT, y, y, GRID))
+        drawn.append(_line(LEFT, RIGHT, y, y, LINE))
         drawn.append(_words(LEFT - 5, y + 4, f"{share * full:g}", "end"))
         drawn.append(_words(x, BOTTOM + 14, f"{share * steps:.0f}", anchor))
     level = at(0, needed / full)[1]
-    drawn.append(_line(LEFT, RIGHT, level, level, "#7d8a96", 'stroke-dasharray="4 4"'))
+    drawn.append(_line(LEFT, RIGHT, level, level, PALE, 'stroke-dasharray="4 4"'))
     for place, (name, values) in enumerate(curves):
-        colour = COLOURS.get(name, PALE)
+        colour = COLOURS.get(name, WORDS)
         points = [at(i, value / full) for i, value in enumerate(values)]
         path, (x, y) = " ".join(f"{x:.1f},{y:.1f}" for x, y in points), points[step]
         drawn += [

@@ -126,12 +126,14 @@ def draw_floor(content: dict[str, Any]) -> bytes:
             for axes, key in zip(row, ("fid", "kid"), strict=True):
                 ends = ("value", "low", "high")
                 value, low, high = ([each[key][end] for each in rows] for end in ends)
-                axes.fill_between(n, low, high, color=OURS, alpha=0.25, linewidth=0)
-                axes.plot(n, value, "o-", color=OURS, markersize=3.5)
+                span = {"alpha": 0.25, "linewidth": 0, "label": "range over halvings"}
+                axes.fill_between(n, low, high, color=OURS, **span)
+                axes.plot(n, value, "o-", color=OURS, markersize=3.5, label="mean")
                 axes.set_xscale("log", base=2)
                 axes.set_xticks(n, [str(each) for each in n])
                 axes.minorticks_off()
                 axes.set(title=f"{key.upper()}, {name} features", ylim=(min(0.0, *low), None))
         for axes in grid[-1]:
             axes.set_xlabel("frames of each half, n")
+        grid[0, 0].legend()
         return encode(figure)

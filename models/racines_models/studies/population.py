@@ -157,8 +157,9 @@ def draw(content: Mapping[str, Any]) -> bytes:
                         [place - 0.4, place + 0.4], mean - 2 * deviation, mean + 2 * deviation,
                         color=PAPER, alpha=0.25, linewidth=0,
                     )  # fmt: skip
-            axes.set_xticks(range(len(groups)), list(groups), rotation=35, ha="right")
-            axes.set(title=f"{name}, {UNITS[name]}")
+            told = [f"{group}, n = {found['n']}" for group, found in groups.items()]
+            axes.set_xticks(range(len(groups)), told, rotation=35, ha="right")
+            axes.set(title=name, ylabel=UNITS[name])
         figure.suptitle(
             "simulated patients; shaded: healthy women and men, mean ± 2 SD (Lang 2015)"
         )

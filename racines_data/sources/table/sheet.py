@@ -19,10 +19,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
-from racines_data.plotting import INK, MUTED, OURS, PAPER, card_style, encode, evenly
+from racines_data.plotting import AXES, INK, MUTED, OURS, PAPER, card_style, encode, evenly
 from racines_data.sources.table.inspecting import SHOWN, Inspection
 
-_AXES = {"x": "#d55e00", "y": "#009e73", "z": "#0072b2"}
 _Rectangle = tuple[float, float, float, float]
 _Place = Callable[[float, float, float, float], _Rectangle]
 _NAMES = {"x": "right of the image", "y": "out of it", "z": "along the beam"}
@@ -95,7 +94,7 @@ def _path(figure: Figure, place: _Rectangle, made: Inspection) -> None:
     axis.plot(*tips.T, color=MUTED, lw=1.2)
     for row in evenly(len(poses), _TRIADS):
         start = 1e3 * poses[row, :3, 3]
-        for number, colour in enumerate(_AXES.values()):
+        for number, colour in enumerate(AXES.values()):
             end = start + 0.16 * span * poses[row, :3, number]
             axis.plot(*np.stack([start, end]).T, color=colour, lw=1.8)
     axis.scatter(*tips[:1].T, color=INK, s=22)
@@ -108,7 +107,7 @@ def _path(figure: Figure, place: _Rectangle, made: Inspection) -> None:
     axis.locator_params(nbins=5)
     told = _NAMES if made.imaged else dict.fromkeys("xyz", "of what is tracked")
     for number, (letter, text) in enumerate(told.items()):
-        down, colour = 0.91 - 0.045 * number, _AXES[letter]
+        down, colour = 0.91 - 0.045 * number, AXES[letter]
         axis.text2D(-0.03, down, f"{letter}: {text}", transform=axis.transAxes, color=colour)
     axis.text2D(-0.03, 0.77, "• first row", transform=axis.transAxes, color=INK)
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from racines_data.card.contact_sheet import COLOURS, PATIENTS, STRENGTH, coloured, sheet_figure
+from racines_data.card.contact_sheet import PATIENTS, STRENGTH, coloured, sheet_figure
 from racines_data.card.frames import Frames
 from racines_data.patients import LABELS
+from racines_data.plotting import TISSUES
 from racines_data.views import LABELS as VIEW_LABELS
 
 
@@ -69,6 +70,6 @@ def test_a_mask_colours_what_it_names():
     made = coloured(image, mask, LABELS)
     assert made.dtype == np.uint8 and (made[mask == 0] == 100).all()
     for label in ("LV", "LA"):
-        wanted = 100 * (1 - STRENGTH) + 255 * STRENGTH * np.array(to_rgb(COLOURS[label]))
+        wanted = 100 * (1 - STRENGTH) + 255 * STRENGTH * np.array(to_rgb(TISSUES[label]))
         assert np.abs(made[mask == LABELS.index(label)] - wanted).max() <= 0.5
-    assert set(COLOURS) <= set(LABELS)
+    assert set(TISSUES) <= set(LABELS)

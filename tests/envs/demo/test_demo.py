@@ -7,11 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from PIL import Image, ImageSequence
+from PIL import Image, ImageColor, ImageSequence
 from rich.console import Console
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
+from racines_data.plotting import GREEN, PROBE, TRUTH, VIOLET
 from racines_envs.demo import episode, film, run
 from racines_envs.demo.chestmap import ChestMap
 from racines_envs.demo.live import LiveView
@@ -80,9 +81,8 @@ def test_the_film_is_of_every_third_step_and_the_end(made: tuple[episode.Outcome
         moving.seek(1)
         shown = moving.convert("RGB")
     colours = {colour for _, colour in shown.getcolors(1 << 20) or []}
-    assert {(0x38, 0xBD, 0xF8), (0x22, 0xC5, 0x5E), (0x7C, 0x2B, 0xD6)} <= colours, (
-        "probe, truth and belief keep their colours"
-    )
+    signs = {ImageColor.getrgb(each) for each in (PROBE, TRUTH, GREEN, VIOLET)}
+    assert signs <= colours, "probe, truth and belief keep their colours"
 
 
 def test_the_tracked_film_is_small_and_of_the_middle_of_the_found():

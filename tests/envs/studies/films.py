@@ -17,13 +17,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import polars as pl
 import torch
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 from torch import Tensor
 
 from racines_data.files import write_atomic, write_json
 from racines_data.geometry import Pose
 from racines_data.patients.labels import LABELS
 from racines_data.patients.landmarks import landmarks
+from racines_data.plotting import letters
 from racines_data.randomness import derive
 from racines_envs.demo.watching import Shot, Watched, watch
 from racines_envs.evaluation.patients import PatientsConfig, StartSet
@@ -45,7 +46,7 @@ MILLISECONDS = 160
 SEEN = {"apex": "LV apex", "lv": "LV", "septum": "septum", "la": "LA", "ra": "RA"}
 """Landmarks that a failure is told by, and their names."""
 BACK, INK, FAINT, TRUE, READ = 12, 235, 110, 255, 150
-FONT, SMALL = ImageFont.load_default(13), ImageFont.load_default(11)
+FONT, SMALL = letters(12), letters(11)
 
 
 class Episode(NamedTuple):

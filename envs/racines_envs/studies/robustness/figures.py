@@ -5,13 +5,11 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from racines_data.escape import visible
-from racines_data.plotting import MUTED, card_style, encode
+from racines_data.plotting import MUTED, STRENGTH_COLOURS, card_style, encode
 from racines_envs.studies.robustness.disturbances import DISTURBANCES, STRENGTHS
 from racines_envs.studies.robustness.run import NOTHING, RANKED, changes
 from racines_models.statistics import LEVEL
 
-INKS = ("#56b4e9", "#0072b2", "#12304f")
-"""Mild, moderate, strong."""
 APART = 0.22
 """Between the strengths of a disturbance, as a share of its line."""
 
@@ -30,9 +28,13 @@ def draw_robustness(document: dict[str, Any]) -> bytes:
                 continue
             height = line + APART * (level - 1)
             ends = [100 * change[key] for key in ("low", "high") if change[key] is not None]
-            axis.plot(ends, [height] * len(ends), color=INKS[level], linewidth=2.4, alpha=0.6)
+            axis.plot(
+                ends, [height] * len(ends), color=STRENGTH_COLOURS[level], linewidth=2.4, alpha=0.6
+            )
             label = STRENGTHS[level] if line == 0 else None
-            axis.plot(100 * change["value"], height, "o", color=INKS[level], label=label)
+            axis.plot(
+                100 * change["value"], height, "o", color=STRENGTH_COLOURS[level], label=label
+            )
     axis.set_yticks(range(len(rows)), [_title(name) for name, _ in rows])
     axis.set_ylim(len(rows) - 0.4, -0.6)
     axis.set_xlabel("change of the share found and declared, percentage points")

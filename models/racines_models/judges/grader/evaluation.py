@@ -11,7 +11,17 @@ from matplotlib.figure import Figure
 
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic, write_json
-from racines_data.plotting import INK, MUTED, OURS, PAPER, card_style, encode, view_colours
+from racines_data.plotting import (
+    INK,
+    MUTED,
+    OURS,
+    PAPER,
+    SHARES,
+    SMALL,
+    card_style,
+    encode,
+    view_colours,
+)
 from racines_data.store.frames import FrameStore
 from racines_models.judges.grader.model import CONFIG, Grader, read_config
 from racines_models.judges.grader.report import Examination, calibrate, examine, reliability
@@ -77,7 +87,7 @@ def confusion_figure(examined: Examination) -> Figure:
     share = counts / np.maximum(counts.sum(1, keepdims=True), 1)
     figure = Figure(figsize=(1.6 + 0.75 * len(names), 1.4 + 0.62 * len(names)), layout="tight")
     axes = figure.subplots()
-    axes.imshow(share**0.5, cmap="Blues", vmin=0.0, vmax=1.1, aspect="auto")
+    axes.imshow(share**0.5, cmap=SHARES, vmin=0.0, vmax=1.1, aspect="auto")
     axes.grid(False)
     for row, column in np.ndindex(*counts.shape):
         if counts[row, column]:
@@ -87,7 +97,8 @@ def confusion_figure(examined: Examination) -> Figure:
     axes.set_xticks(range(len(names)), names)
     axes.set_yticks(range(len(names)), names)
     accuracy = content["metrics"]["view_accuracy"]["value"]
-    title = f"Views, {content['split']} split: {100 * accuracy:.2f} % right"
+    n = counts.sum()
+    title = f"Views, {content['split']} split: {100 * accuracy:.2f} % right, n = {n:,}"
     axes.set(xlabel="label given", ylabel="true label", title=title)
     return figure
 
@@ -109,7 +120,8 @@ def reliability_figure(examined: Examination) -> Figure:
         label = f"{name}: ECE {100 * content['calibration'][key]['value']:.2f} %"
         upper.plot(x, y, color=colour, marker=marker, markersize=4, linewidth=1.2, label=label)
         lower.step(x, table.frames[filled], color=colour, where="mid", linewidth=1.2)
-    title = f"Calibration, {content['split']} split"
+    n = int((frames.views >= 0).sum())
+    title = f"Calibration, {content['split']} split, n = {n:,}"
     upper.set(ylabel="accuracy", ylim=(0.0, 1.02), title=title)
     upper.legend(loc="upper left")
     lower.set(yscale="log", ylabel="frames", xlabel="confidence, mean of a bin")
@@ -127,10 +139,11 @@ def grades_figure(examined: Examination) -> Figure:
     for axes, name in zip(panels, names, strict=False):
         chosen = (frames.views == grader.labels.index(name)) & frames.grades.isfinite()
         pair = frames.grades[chosen].numpy(), reading.grades[chosen].numpy()
-        axes.hist2d(*pair, 40, (GRADES, GRADES), cmap="Blues", norm=LogNorm(vmin=0.3), cmin=1)
+        axes.hist2d(*pair, 40, (GRADES, GRADES), cmap=SHARES, norm=LogNorm(vmin=0.3), cmin=1)
         axes.plot(GRADES, GRADES, color=MUTED, linewidth=0.8, linestyle=":")
         mae, bias = (content["grades"][name][key]["value"] for key in ("mae", "bias"))
-        axes.set(title=f"{name}: MAE {mae:.2f}, bias {bias:+.2f}", aspect="equal")
+        axes.set_title(f"{name}, n = {len(pair[0]):,}: MAE {mae:.2f}, bias {bias:+.2f}", size=8.5)
+        axes.set_aspect("equal")
     for axes in panels[max(len(names) - columns, 0) : len(names)]:
         axes.tick_params(labelbottom=True)  # the lowest of each column
     for axes in panels[len(names) :]:
@@ -152,6 +165,9 @@ def views_figure(examined: Examination) -> Figure:
         _intervals(axes, figures, view_colours(labels), title)
     panels[1].set_xlim(left=0.0)
     panels[2].axvline(0.0, color=MUTED, linewidth=0.8)
+    panels[0].set_xlabel("share right")
+    for axes in panels[1:]:
+        axes.set_xlabel("grades, 0 to 10")
     return figure
 
 
@@ -161,7 +177,7 @@ def _intervals(axes: Axes, figures: dict[str, Any], colours: dict[str, str], tit
         if low is not None:
             axes.plot([low, high], [row, row], color=colours[name], linewidth=2.2)
         axes.plot(value, row, "o", color=colours[name], markersize=5)
-        above = {"xytext": (0, 5), "textcoords": "offset points", "ha": "center", "fontsize": 7}
+        above = {"xytext": (0, 5), "textcoords": "offset points", "ha": "center", "fontsize": SMALL}
         axes.annotate(f"{value:.3f}", (value, row), **above)
     axes.set_yticks(range(len(figures)), list(figures))
     axes.set(ylim=(len(figures) - 0.5, -0.7), title=title)

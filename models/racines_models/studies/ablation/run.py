@@ -330,7 +330,7 @@ def draw_ablation(content: dict[str, Any]) -> bytes:
             place = (row["kid"] + above[i], i)
             axes.annotate(f" {row['change']:+.3f}", place, va="center", fontsize=7.5)
         axes.axvline(base["kid"], color=PAPER, linewidth=1.2)
-        axes.set_title(f"full phantom {base['kid']:.3f}", color=PAPER)
+        axes.set_title(f"full phantom {base['kid']:.3f}; bars: range over the halves", color=PAPER)
         axes.grid(visible=False, axis="y")
         axes.margins(x=0.09)
         figures = f"KID to real {content['view']} frames, n = {content['n']}"

@@ -268,7 +268,7 @@ def draw_coverage(content: dict[str, Any]) -> bytes:
     """Return a PNG of coverage against the number of units, one panel for each of trainings."""
     from matplotlib.figure import Figure
 
-    from racines_data.plotting import card_style, encode
+    from racines_data.plotting import INK, MUTED, SMALL, card_style, encode
 
     with card_style():
         rows = content["rows"]
@@ -276,17 +276,20 @@ def draw_coverage(content: dict[str, Any]) -> bytes:
         figure = Figure(figsize=(8.4, 3.4), layout="constrained")
         panels = figure.subplots(1, len(trainings), sharey=True, squeeze=False)[0]
         for axes, count in zip(panels, trainings, strict=True):
-            for kind in dict.fromkeys(row["kind"] for row in rows):
+            for number, kind in enumerate(dict.fromkeys(row["kind"] for row in rows)):
                 mine = [r for r in rows if (r["kind"], r["trainings"]) == (kind, count)]
                 units = [row["units"] for row in mine]
-                style = "k--" if kind == "frames as units" else "o-"
-                axes.plot(units, [r["coverage"] for r in mine], style, label=kind, markersize=3)
-            axes.axhspan(0.93, 0.97, color="0.5", alpha=0.2, linewidth=0)
-            axes.set(xscale="log", xlabel="units", title=f"{count} training{'s'[: count > 1]}")
+                # Colours begin again after eight: then the marks differ.
+                look = {"marker": "os"[number // 8 % 2]}
+                if kind == "frames as units":
+                    look = {"color": INK, "ls": "--"}
+                axes.plot(units, [r["coverage"] for r in mine], label=kind, markersize=3, **look)
+            axes.axhspan(0.93, 0.97, color=MUTED, alpha=0.2, linewidth=0)
+            axes.set(xscale="log", xlabel="units, n", title=f"{count} training{'s'[: count > 1]}")
             ticks = sorted({row["units"] for row in rows})
             axes.set_xticks(ticks, [str(each) for each in ticks])
             axes.minorticks_off()
-        panels[0].set_ylabel("intervals that hold the value")
+        panels[0].set_ylabel("share of intervals that hold the value")
         lines, names = panels[-1].get_legend_handles_labels()
-        figure.legend(lines, names, fontsize=6, loc="outside right center")
+        figure.legend(lines, names, fontsize=SMALL, loc="outside right center")
         return encode(figure)

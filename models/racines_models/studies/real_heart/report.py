@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from racines_data.errors import RacinesError
-from racines_data.plotting import INK, OURS, PAPER, card_style, encode
+from racines_data.plotting import BLUE, INK, OURS, PAPER, VERMILION, card_style, encode
 from racines_models.provenance import code_version
 from racines_models.studies.real_heart.measures import UNITS, Phase, heart_measures, phase_table
 
@@ -108,19 +108,20 @@ def draw(content: dict[str, Any]) -> bytes:
             (panels[1], ("length", "diameter"), "mm"),
             (panels[2], ("septum", "wall"), "mm"),
         ):
-            for name, colour in zip(names, (OURS, PAPER, INK), strict=False):
+            for name, colour in zip(names, (BLUE, VERMILION, INK), strict=False):
                 axes.plot(at, [each[name] for each in phases], color=colour, label=name)
-            axes.set(ylim=(0, None), xlabel="phase", ylabel=unit)
+            axes.set(ylim=(0, None), xlabel="phase, by its number", ylabel=unit)
             axes.legend()
         if populations:
-            _places(panels[3], content["measures"])
+            _places(panels[3], content["measures"], populations[ALL])
         return encode(figure)
 
 
-def _places(axes: Any, measures: dict[str, Any]) -> None:
+def _places(axes: Any, measures: dict[str, Any], everyone: dict[str, Any]) -> None:
     told = {name: row["deviations"] for name, row in measures.items() if "deviations" in row}
     place = np.arange(len(told))[::-1]
     axes.axvspan(-2, 2, color=OURS, alpha=0.15, linewidth=0)
     axes.plot(list(told.values()), place, "o", color=PAPER, markersize=4)
     axes.set_yticks(place, list(told))
-    axes.set(xlabel="from the population's mean, SD", title="one real heart, all patients")
+    n = max(each["n"] for each in everyone.values())
+    axes.set(xlabel="from the population's mean, SD", title=f"one real heart, {n} patients")

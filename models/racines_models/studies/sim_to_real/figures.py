@@ -6,9 +6,21 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from torch import Tensor
 
-from racines_data.plotting import INK, MUTED, OURS, PAPER, card_style, encode
+from racines_data.plotting import (
+    GREEN,
+    INK,
+    MUTED,
+    NO_VIEW,
+    OURS,
+    PAPER,
+    SMALL,
+    TISSUES,
+    card_style,
+    encode,
+)
 from racines_models.judges.segmentation.model import SegmentationJudge
 from racines_models.sample import evenly
 from racines_models.studies.realism.patients import LISTS, UNLISTED, list_of
@@ -16,9 +28,8 @@ from racines_models.studies.sim_to_real.controls import CONTROLS
 from racines_models.studies.sim_to_real.frames import RealEcho
 from racines_models.studies.sim_to_real.report import Measured
 
-COLOURS = {"tuning": "#9aa5b1", "reporting": OURS, "unlisted": "#009e73"}
-OUTLINES = {1: "#e69f00", 2: "#56b4e9", 3: "#cc79a7"}
-"""LV, myocardium, LA."""
+COLOURS = {"tuning": NO_VIEW, "reporting": OURS, "unlisted": GREEN}
+OUTLINES = {1: TISSUES["LV"], 2: TISSUES["LV myocardium"], 3: TISSUES["LA"]}
 COLUMNS = 8
 
 
@@ -31,7 +42,8 @@ def draw(
     """
     content, drawn = measured.content, {}
     with card_style():
-        drawn[""] = encode(contact_sheet(real, measured, segmentation))
+        # Of few colours the grays would take most, and outlines turn into each other.
+        drawn[""] = encode(contact_sheet(real, measured, segmentation), few=False)
         if "acceptance" in content:
             drawn["-acceptance"] = encode(acceptance_figure(real, measured))
         if "volumes" in content:
@@ -70,11 +82,12 @@ def _shares(axes: Axes, acceptance: dict[str, Any]) -> None:
 def _turns(axes: Axes, real: RealEcho, measured: Measured) -> None:
     called, bins = measured.answers.turns, measured.content["rotation"]["bins"]
     assert real.rotation is not None and called is not None
-    axes.scatter(real.rotation.angle, called.probability, 3, MUTED, linewidths=0, label="a frame")
+    each = f"a frame, n = {len(called.probability)}"
+    axes.scatter(real.rotation.angle, called.probability, 3, MUTED, linewidths=0, label=each)
     seen = [each for each in bins if each["frames"]]
     middle = [(each["from"] + each["to"]) / 2 for each in seen]
     share = [each["called_a4c"] for each in seen]
-    axes.plot(middle, share, "o-", color=PAPER, markersize=3.5, label="share called A4C")
+    axes.plot(middle, share, "o-", color=PAPER, markersize=3.5, label="share called A4C, by turn")
     axes.set_xticks(range(-180, 181, 60))
     axes.set(ylim=(-0.02, 1.02), ylabel="probability of A4C", xlabel="turn from A4C, degrees")
     axes.set_title(f"one heart, {measured.content['rotation']['turns']} turns about the apex")
@@ -98,8 +111,11 @@ def ejection_figure(volumes: dict[str, Any]) -> Figure:
         for key in ("lower_limit", "bias", "upper_limit"):
             if key in fraction:
                 style = "-" if key == "bias" else "--"
-                right.axhline(fraction[key]["value"], color=PAPER, linewidth=0.9, linestyle=style)
-        right.set(xlabel="mean of both, %", ylabel="judge less cardiologists, %")
+                line = fraction[key]
+                right.axhline(line["value"], color=PAPER, linewidth=0.9, linestyle=style)
+                if line["low"] is not None:
+                    right.axhspan(line["low"], line["high"], color=PAPER, alpha=0.12, linewidth=0)
+        right.set(xlabel="mean of both, %", ylabel="judge less cardiologists, % points")
         right.set_title(
             "{patients} patients; {not_seen} not seen, {impossible} impossible".format(**fraction)
         )
@@ -132,9 +148,13 @@ def contact_sheet(
     for line, row in zip(grid, rows, strict=True):
         for axes, tile in zip(line, row, strict=False):
             axes.imshow(tile.image.numpy(), cmap="gray", vmin=0, vmax=255)
-            axes.set_title(tile.title, fontsize=6.5, fontweight="normal")
+            axes.set_title(tile.title, fontsize=SMALL, fontweight="normal")
             _outline(axes, tile.theirs, "dashed")
             _outline(axes, tile.ours, "solid")
+    names = zip(("LV", "LV myocardium", "LA"), OUTLINES.values(), strict=True)
+    handles = [Line2D([], [], color=colour, label=name) for name, colour in names]
+    told = "outlines: whole the judge's, dashed the cardiologists'; figure: probability of A4C"
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, title=told)
     return figure
 
 

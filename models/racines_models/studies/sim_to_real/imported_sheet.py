@@ -27,7 +27,8 @@ def _figure(measured: Imported) -> Figure:
     for axis, row in zip(axes, shown, strict=False):
         axis.imshow(measured.images[row].numpy(), cmap="gray", vmin=0, vmax=255)
         axis.set_title(measured.called[row] if measured.called else "", fontsize=8, pad=2)
-    figure.suptitle("called so by a grader of simulated patients", fontsize=9)
+    of = f"{len(shown)} of {len(measured.images)} frames"
+    figure.suptitle(f"called so by a grader of simulated patients; {of}", fontsize=9)
     return figure
 
 
