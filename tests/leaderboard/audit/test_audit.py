@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from racines_data.files import sha256_file
 from racines_data.store.frames import open_store
 from racines_leaderboard.audit.bench import Bench, Places
-from racines_leaderboard.audit.numbers import HALF, compare_numbers
+from racines_leaderboard.audit.numbers import BITWISE, HALF, compare_numbers
 from racines_leaderboard.audit.roads import Road
 from racines_leaderboard.audit.run import audit, retrain
 from racines_leaderboard.audit.verdicts import FAILS, HOLDS, UNKNOWN, Report
@@ -237,6 +237,20 @@ def test_a_half_precision_copy_speaks_against_what_it_can_tell(key, number, move
     made = {"metrics": {key: metric}}
     found = {each.subject: each.verdict for each in compare_numbers(record, made, HALF)}
     assert found.pop(f"metrics.{key}.{number}") == verdict
+    assert set(found.values()) == {HOLDS}
+
+
+@pytest.mark.parametrize(
+    ("number", "moved", "verdict"),
+    [("low", 3e-14, HOLDS), ("high", -2e-13, HOLDS), ("low", 1e-6, FAILS), ("value", 3e-14, FAILS)],
+)
+def test_only_the_ends_of_intervals_are_rounded_where_bits_are_equal(number, moved, verdict):
+    metric = {"value": 40.5, "low": 37.25, "high": 44.75, "n": 300, "settings": {}}
+    said = metric | {number: metric[number] + moved}
+    record = {"track": "agents", "scores": {"metrics": {"position_error": said}}}
+    made = {"metrics": {"position_error": metric}}
+    found = {each.subject: each.verdict for each in compare_numbers(record, made, BITWISE)}
+    assert found.pop(f"metrics.position_error.{number}") == verdict
     assert set(found.values()) == {HOLDS}
 
 
