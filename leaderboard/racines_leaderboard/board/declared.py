@@ -48,6 +48,17 @@ def declared_columns(records: Sequence[Record]) -> list[tuple[str, list[str]]]:
     return [(head, cells) for head, cells in columns if {*cells} != {NONE}]
 
 
+CSV_DECLARED = tuple(f"training_{key}" for key in ("seeds", *FIGURES))
+"""Heads of the same columns in a CSV file."""
+
+
+def declared_cells(record: Record) -> tuple[Any, ...]:
+    """Return what stands in a record's line of `CSV_DECLARED`: figures as numbers."""
+    told = declared(record)
+    seeds = " ".join(map(str, told.get("seeds", ()))) or None
+    return (seeds, *(told.get(key) for key in FIGURES))
+
+
 def declared_note(records: Sequence[Record]) -> str:
     """Return the budgets in the words of those who submitted; empty where nobody said one."""
     names: dict[str, list[str]] = defaultdict(list)

@@ -1,11 +1,18 @@
 """What a submission declares of its training: beside the row, in its words, and of no weight."""
 
 import copy
+import csv
+import io
 
 import pytest
 
-from racines_leaderboard.board.declared import declared, declared_columns, declared_note
-from racines_leaderboard.board.table import board_tables, plain
+from racines_leaderboard.board.declared import (
+    CSV_DECLARED,
+    declared,
+    declared_columns,
+    declared_note,
+)
+from racines_leaderboard.board.table import board_csv, board_tables, plain
 from racines_leaderboard.records.tracks import TRACKS
 from tests.leaderboard.conftest import generator_scores
 
@@ -49,6 +56,20 @@ def test_nothing_ranks_by_it(change: dict):
     places = [[row[:4] for row in board_tables("b", each)[0].rows] for each in (content, other)]
     assert places[0] == places[1]
     assert plain(content)["generators"][0]["training"]["images"] == 24000
+
+
+def test_a_csv_file_has_the_same_figures_and_no_formula():
+    content = {track.name: [] for track in TRACKS}
+    content["generators"] = [record("one", seeds=[0, 1]), record("floor", trained=False)]
+    content["generators"].append(record("two", training={"images": "=1+1", "hours": -0.5}))
+    lines = list(csv.DictReader(io.StringIO(board_csv({"b": content}))))
+    told = {line["name"]: [line[head] for head in CSV_DECLARED] for line in lines}
+    assert CSV_DECLARED == ("training_seeds", "training_images", "training_steps", "training_hours")
+    assert told == {
+        "one": ["0 1", "24000", "", "0.5"],
+        "floor": ["", "", "", ""],
+        "two": ["3", "'=1+1", "", "-0.5"],
+    }
 
 
 def test_the_table_of_details_does_not_repeat_it():
