@@ -1,5 +1,6 @@
 """The workflows: nothing of a pull request's head is run, and every command in them exists."""
 
+import json
 import re
 import shlex
 from typing import Any
@@ -98,6 +99,17 @@ def test_submissions_are_data_to_the_base_branchs_code():
                 assert re.match(r"racines submit |for folder|name=|diff -rq", line.strip()), line
     text = "\n".join(step.get("run", "") for step in steps(workflow))
     assert "--check" in text and "--recompute" in text and "GITHUB_STEP_SUMMARY" in text
+
+
+def test_submissions_of_every_track_are_looked_at():
+    schemas = ROOT / "leaderboard/racines_leaderboard/schemas"
+    schema = json.loads((schemas / "submission.json").read_text())
+    tracks = set(schema["properties"]["track"]["enum"])
+    text = (FOLDER / "submission.yml").read_text()
+    (looped,) = re.findall(r"/{([a-z,-]+)}/", text)
+    (named,) = re.findall(r"\^\(([a-z|-]+)\)/", text)
+    assert set(looped.split(",")) == set(named.split("|")) == tracks
+    assert {path.name for path in (ROOT / "leaderboard/submissions").iterdir()} <= tracks
 
 
 def commands() -> list[str]:

@@ -21,6 +21,7 @@ from racines_leaderboard.board.collect import Record, basis_of
 from racines_leaderboard.records.schema import read_json
 from racines_leaderboard.records.tracks import HELD_OUT, MOTION
 from racines_leaderboard.submissions.confined.session import Limits
+from racines_models.published.places import published
 from racines_models.sample import Sample, take_sample
 from racines_models.scores import scoring
 from racines_models.scores.on_patients import PatientScoresConfig
@@ -230,13 +231,17 @@ class Bench:
         return next((f for f in folders if sha256 == sha256_file(f / JUDGES[kind])), None)
 
     def judge_folders(self, kind: str) -> list[Path]:
-        """Return where judges of a kind lie: the one given, or else those of the usual places."""
+        """Return where judges of a kind lie: the one given, or else those of the usual places.
+
+        Published ones are also those of the checkout, or of the wheel, whose code runs.
+        """
         runs, weights = self.places.runs, self.places.weights
         of_patients = getattr(self.patient_scores, kind, None)
-        usual = [runs / kind, weights / kind]
+        usual = [runs / kind, published(weights / kind)]
         usual += [Path(of_patients)] if of_patients else []
         if kind == "grader":  # of patients, which an agent may go by
-            own, published = GRADERS[PATIENTS]
-            usual += [runs / own.name, *(weights.joinpath(*each.parts[-2:]) for each in published)]
-        folders = [self.places.judges[kind]] if kind in self.places.judges else usual
-        return [folder for folder in folders if (folder / JUDGES[kind]).is_file()]
+            own, folders = GRADERS[PATIENTS]
+            copies = (published(weights.joinpath(*each.parts[-2:])) for each in folders)
+            usual += [runs / own.name, *copies]
+        places = [self.places.judges[kind]] if kind in self.places.judges else usual
+        return [folder for folder in places if (folder / JUDGES[kind]).is_file()]

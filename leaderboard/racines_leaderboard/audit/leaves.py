@@ -36,6 +36,8 @@ OF_TRAININGS = (
     r"(\..+)?"
 )
 """Those that differ where some of the trainings were made again; the evidence tells them."""
+OF_METRIC = re.compile(r"(metrics|by_(?:seed|pathology|stratum)\.[^.]+)\.([^.]+)\..+")
+"""A leaf of a metric: of which group it is, and of which metric."""
 MISSING = object()
 
 
@@ -74,13 +76,15 @@ def compare_leaves(
     if "extractors" in here and record["scores"].get("extractors"):
         del here["extractors"]  # those that it names are not here
     apart, equal = [], 0
-    unmade = set(record["scores"]["metrics"]) - set(made["metrics"])
+    # Whether a metric that was not made again speaks against a record, its numbers tell.
+    unmade = {_metric(place) for place in claimed} - {_metric(place) for place in here}
     for place in dict.fromkeys((*claimed, *here)):
-        metric = place.split(".")[1] if place.startswith("metrics.") else None
+        group, metric = _metric(place)
         stated, found = claimed.get(place, MISSING), here.get(place, MISSING)
-        if _elsewhere(place, partly, stated) or (metric in unmade) or (metric in added):
+        if _elsewhere(place, partly, stated) or (group, metric) in unmade or metric in added:
             continue
-        if same(stated, found, bounds.get(metric or place.partition(".")[0], 0.0)):
+        part = metric if group == "metrics" else place.partition(".")[0]
+        if same(stated, found, bounds.get(part, 0.0)):
             equal += 1
         else:
             apart.append((place, stated, found))
@@ -91,6 +95,12 @@ def compare_leaves(
         yield fails(f"scores.{place}", why, *(None if x is MISSING else x for x in (stated, found)))
     if not apart:
         yield holds("scores", f"{equal} further leaves are as they are when it is made again")
+
+
+def _metric(place: str) -> tuple[str, str]:
+    """Return the group and the name of the metric that a leaf is of; both empty for others."""
+    found = OF_METRIC.fullmatch(place)
+    return (found[1], found[2]) if found else ("", "")
 
 
 def _elsewhere(place: str, partly: bool, stated: Any) -> bool:

@@ -1,10 +1,11 @@
 """The commands that would verify what an audit could not."""
 
+import re
 import shlex
 from collections.abc import Iterator
 
 from racines_leaderboard.audit import weights
-from racines_leaderboard.audit.bench import KINDS, Bench
+from racines_leaderboard.audit.bench import JUDGES, KINDS, Bench
 from racines_leaderboard.audit.verdicts import RETRAINABLE, Report
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.tracks import (
@@ -19,6 +20,8 @@ from racines_leaderboard.records.verdicts import NOT_VERIFIED
 from racines_models.registry import PATIENTS
 
 TRAIN = "racines train"
+NAMED = ("grader", "pose")
+"""Judges whose folder an option names."""
 
 
 def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Iterator[str]:
@@ -40,9 +43,11 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
         if record["track"] == TURN_GENERATORS.name:  # of nobody's recipe: recorded
             make = "racines data import FOLDER --source rotation --set split=gap"
         yield f"{make} --out {data}"
-    for extractor in KINDS:
-        if f"extractors.{extractor}" in subjects:
-            yield f"{TRAIN} {KINDS[extractor]} {settings} --data {data}"
+    absent = _absent_judges(record, subjects)
+    for kind, sha256 in absent.items():
+        # One that a board is pinned to was published with it: another training is another judge.
+        if bench.pinned(record["track"], kind) != sha256:
+            yield f"{TRAIN} {kind} {settings} --data {data}"
     if weights.submitted(record) and any(each.startswith("weights.") for each in subjects):
         folder = weights.submission_of(record, bench)
         yield f"racines submit {shlex.quote(str(folder))} --fetch"
@@ -58,7 +63,20 @@ def remedies(record: Record, bench: Bench, report: Report, quick: bool) -> Itera
         yield f"racines leaderboard --recompute {record['track']}/{record['name']} --secret"
         return
     anew = {"reproduced", "trainings"} & subjects
-    yield f"{audit} --retrain" if anew and not quick else audit
+    audit = f"{audit} --retrain" if anew and not quick else audit
+    named = [kind for kind in absent if kind in NAMED]
+    options = "".join(f" --{kind} FOLDER" for kind in named)
+    # Of a record that somebody else wrote: a line to copy has what looks like a digest alone.
+    hashes = ((kind, absent[kind]) for kind in named if re.fullmatch(r"[0-9a-f]{64}", absent[kind]))
+    files = "; ".join(f"{JUDGES[kind]} of sha256 {sha256}" for kind, sha256 in hashes)
+    yield f"{audit}{options}  # {files}" if files else f"{audit}{options}"
+
+
+def _absent_judges(record: Record, subjects: set[str]) -> dict[str, str]:
+    """Return the sha256 of each judge that a record names and nothing here has, by its kind."""
+    named = record["scores"].get("extractors", {})
+    open_here = (each for each in KINDS if f"extractors.{each}" in subjects)
+    return {KINDS[each]: str(named[each].get("sha256")) for each in open_here}
 
 
 def _settings(bench: Bench) -> str:

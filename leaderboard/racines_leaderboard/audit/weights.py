@@ -12,6 +12,7 @@ from racines_envs.evaluation.patients import run_name
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
 from racines_leaderboard.board.collect import Record, basis_of
+from racines_leaderboard.board.trained import read_told, training_of
 from racines_leaderboard.records.tracks import (
     HELD_OUT,
     MOTION,
@@ -82,22 +83,7 @@ def hours_of(record: Record, bench: Bench) -> float | None:
     stated = ((record["submission"] or {}).get("training") or {}).get("hours")
     if stated is not None:
         return stated
-    seconds = None
-    for name in ("config.json", "metrics.json"):  # published weights of generators, and all others
-        told = _read(run_of(record, bench) / name)
-        training = told.get("training")
-        inside = training.get("seconds", seconds) if isinstance(training, dict) else seconds
-        seconds = told.get("seconds", inside)
-    return None if seconds is None else seconds / 3600
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """Return what a JSON file says; nothing where there is none that can be read."""
-    try:
-        told = json.loads(path.read_text())
-    except (OSError, ValueError):
-        return {}
-    return told if isinstance(told, dict) else {}
+    return training_of(run_of(record, bench)).get("hours")
 
 
 def has_weights(folder: Path, claimed: dict[str, str]) -> bool:
@@ -184,7 +170,7 @@ def published(record: Record, bench: Bench) -> dict[str, Any] | None:
 
 def data_of(folder: Path) -> str | None:
     """Return the recipe digest of what the weights in a folder were trained on, if it is told."""
-    content = _read(folder / "config.json")
+    content = read_told(folder / "config.json")
     data = content.get("data") or content.get("dataset") or content.get("environment") or {}
     return (data.get("phantom") or data).get("recipe_digest")
 

@@ -13,7 +13,13 @@ from rich.table import Table as RichTable
 
 from racines_data.tables import console_table, csv_table, escape, markdown_table
 from racines_data.terminal import shown_text
-from racines_leaderboard.board.declared import declared, declared_columns, declared_note
+from racines_leaderboard.board.declared import (
+    CSV_DECLARED,
+    declared,
+    declared_cells,
+    declared_columns,
+    declared_note,
+)
 from racines_leaderboard.board.rank import (
     SCORE,
     Ranked,
@@ -114,6 +120,7 @@ CSV_HEAD = (
     *("board", "track", "task", "place", "name", "tier", "method", "figure"),
     *_OF_METRIC,
     *_STANDING,
+    *CSV_DECLARED,
 )
 
 
@@ -131,11 +138,11 @@ def board_csv(contents: dict[str, dict[str, list[Record]]]) -> str:
                     method = (record["submission"] or {}).get("method")
                     about = (board, track.name, task, place, record["name"], record["tier"], method)
                     stands = (standing.why or None, standing.trainings, standing.units)
-                    score = score_metric(record)
+                    score, training = score_metric(record), declared_cells(record)
                     figures = {"score": score} if score is not None else {}
                     lines += [
                         (*about, figure, *(metric.get(key) for key in _OF_METRIC), *stands,
-                         verdict_of(record) or None, level_of(metric))
+                         verdict_of(record) or None, level_of(metric), *training)
                         for figure, metric in (figures | record["scores"]["metrics"]).items()
                     ]  # fmt: skip
     return csv_table(CSV_HEAD, lines)

@@ -1,5 +1,6 @@
 """The audit: what was left alone holds, and each way of tampering is caught by name."""
 
+import copy
 import json
 import shutil
 from pathlib import Path
@@ -9,9 +10,11 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from racines_data.files import sha256_file
 from racines_data.store.frames import open_store
 from racines_leaderboard.audit.bench import Bench, Places
-from racines_leaderboard.audit.numbers import HALF, compare_numbers
+from racines_leaderboard.audit.numbers import BITWISE, HALF, compare_numbers
+from racines_leaderboard.audit.roads import Road
 from racines_leaderboard.audit.run import audit, retrain
 from racines_leaderboard.audit.verdicts import FAILS, HOLDS, UNKNOWN, Report
 from racines_leaderboard.cli.command import app
@@ -19,6 +22,7 @@ from racines_leaderboard.records.schema import check, sealed
 from racines_leaderboard.records.verdicts import NOT_VERIFIED
 from racines_models.exchange.onnx.generator import OnnxGenerator
 from racines_models.exchange.predictions.file import Task, write_predictions
+from racines_models.published.places import CHECKOUT, WEIGHTS
 from racines_models.sample import take_sample
 from racines_models.scores.scoring import score
 from tests.leaderboard.audit.conftest import SUBMISSIONS, record_a_trace
@@ -151,6 +155,42 @@ def test_the_graders_that_had_a_say_are_those_that_an_agents_record_names(climbe
     assert said["metrics.success_true"].reason == "the grader that it goes by is not here"
 
 
+def test_a_grader_that_is_not_here_leaves_open_what_rests_on_it(guided):
+    """Elsewhere than in a clone: what only the grader could tell is open, and a remedy names it."""
+    record = json.loads(guided.read_text())
+    record["scores"]["extractors"].pop("guide")  # as of an agent that goes by none
+    guided.write_text(json.dumps(sealed(record)))
+    bench, scores = Bench("tiny", Places()), copy.deepcopy(record["scores"])
+    for metrics in (scores["metrics"], *scores["by_seed"].values()):
+        del metrics["success_grader"]
+    del scores["extractors"]
+    road = Road("no weights", "it learns nothing", lambda: scores)
+    Path("models/runs/grader").rename("elsewhere")
+    report = audit(guided, bench, find=lambda record, bench: road)
+    assert report.verdict == NOT_VERIFIED and not failing(report)
+    sha256 = record["scores"]["extractors"]["grader"]["sha256"]
+    audit_it = "racines audit agents/hill-climber --board tiny"
+    named = f"grader.safetensors of sha256 {sha256}"
+    assert report.remedies == (f"{audit_it} --grader FOLDER  # {named}",)
+    said = {each.subject: each.verdict for each in report.verdicts}
+    for group in ("metrics", "by_seed.0"):
+        assert said[f"{group}.success_grader"] == UNKNOWN
+
+    record["scores"]["by_seed"]["0"]["final_grade"]["settings"]["level"] = 0.9
+    record["scores"]["extractors"]["grader"]["sha256"] = "ab" * 32
+    guided.write_text(json.dumps(sealed(record)))
+    report = audit(guided, bench, find=lambda record, bench: road)
+    wrong = {"extractors.grader", "scores.by_seed.0.final_grade.settings.level"}
+    assert wrong <= failing(report) and not report.remedies
+
+
+def test_a_published_grader_is_found_from_any_folder(ground):
+    bench, published = Bench("tiny", Places()), CHECKOUT / WEIGHTS / "grader"
+    sha256 = sha256_file(published / "grader.safetensors")
+    assert bench.judge("grader", sha256) == published
+    assert bench.judge("grader", "ab" * 32) is None
+
+
 def test_an_interval_made_with_another_n(drawn, steered):
     store = open_store("data/racines")
     fewer = CONFIG.__class__(samples=8, resamples=20, speed=False)
@@ -197,6 +237,20 @@ def test_a_half_precision_copy_speaks_against_what_it_can_tell(key, number, move
     made = {"metrics": {key: metric}}
     found = {each.subject: each.verdict for each in compare_numbers(record, made, HALF)}
     assert found.pop(f"metrics.{key}.{number}") == verdict
+    assert set(found.values()) == {HOLDS}
+
+
+@pytest.mark.parametrize(
+    ("number", "moved", "verdict"),
+    [("low", 3e-14, HOLDS), ("high", -2e-13, HOLDS), ("low", 1e-6, FAILS), ("value", 3e-14, FAILS)],
+)
+def test_only_the_ends_of_intervals_are_rounded_where_bits_are_equal(number, moved, verdict):
+    metric = {"value": 40.5, "low": 37.25, "high": 44.75, "n": 300, "settings": {}}
+    said = metric | {number: metric[number] + moved}
+    record = {"track": "agents", "scores": {"metrics": {"position_error": said}}}
+    made = {"metrics": {"position_error": metric}}
+    found = {each.subject: each.verdict for each in compare_numbers(record, made, BITWISE)}
+    assert found.pop(f"metrics.position_error.{number}") == verdict
     assert set(found.values()) == {HOLDS}
 
 
