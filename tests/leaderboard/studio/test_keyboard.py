@@ -15,8 +15,10 @@ MOST = 120
 FOCUS = """([at, words]) => {
   const element = document.activeElement, drawn = getComputedStyle(element);
   const there = element.matches(at) && element.textContent.trim().startsWith(words);
-  return [there, drawn.outlineStyle !== 'none' && parseFloat(drawn.outlineWidth) >= 2];
+  const nowhere = element === document.body;
+  return [there, nowhere || drawn.outlineStyle !== 'none' && parseFloat(drawn.outlineWidth) >= 2];
 }"""
+"""Nothing has the focus behind the last element, and where Tab closes a list that was open."""
 USED = {
     "leaderboards": ("#boards-details input", "Space", "#boards-tables th:has-text('MS-SSIM')"),
     "patients": ("#patients-next", "Enter", "#patients-films img"),
