@@ -103,6 +103,8 @@ def _follows(key: str, metric: dict[str, Any], figures: Figures, runs: int) -> I
     for part, wanted in (("units", found.units), ("trainings", found.trainings)):
         yield equal(f"{subject}.{part}", said.get(part), wanted, "its own count")
     yield equal(f"{subject}.interval", said.get("interval"), found.method, "how it was made")
+    level = None if found.low is None else found.level
+    yield equal(f"{subject}.level", said.get("level"), level, "what such intervals cover")
     trained = 1 if OF_TRUE_FRAMES.fullmatch(key) else runs
     yield equal(f"{subject}.runs", found.trainings, trained, "the trainings that were scored")
 

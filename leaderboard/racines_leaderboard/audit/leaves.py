@@ -32,7 +32,7 @@ ELSEWHERE = (
 )
 """Leaves of scores that have a check of their own."""
 OF_TRAININGS = (
-    r"runs|(seeds|trainings|explained)(\..+)?|(metrics|by_(seed|pathology|stratum)\.[^.]+)\.[^.]+\.settings\.(interval|units|trainings|trajectories|by_set)"
+    r"runs|(seeds|trainings|explained)(\..+)?|(metrics|by_(seed|pathology|stratum)\.[^.]+)\.[^.]+\.settings\.(interval|level|units|trainings|trajectories|by_set)"
     r"(\..+)?"
 )
 """Those that differ where some of the trainings were made again; the evidence tells them."""

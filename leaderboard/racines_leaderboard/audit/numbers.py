@@ -107,6 +107,8 @@ def _counts(
         return moving.counts(record, bench)
     store = bench.data_for(record)
     if store is None:
+        if bench.settings is None:
+            return {}
         most = bench.scores.samples
         reason = f"at most {most:,} frames are scored; how many show a view, the data would tell"
         return {key: (min(metric["n"], most), reason) for key, metric in metrics.items()}
@@ -147,6 +149,8 @@ def _episodes(record: Record, place: str, metrics: dict[str, Any]) -> dict[str, 
     counts: dict[str, tuple[int, str]] = dict.fromkeys(metrics, (n, "episodes from the start sets"))
     for key in counts.keys() & {"steps", "steps_median"}:
         counts[key] = (successes, "episodes with true success")
+        if record["scores"].get("runs", 1) > 1:
+            del counts[key]  # that of the training with the fewest successes: the evidence tells
     return counts
 
 
