@@ -59,4 +59,5 @@ def _told(node: dict[str, Any]) -> str:
 def check(page: Any) -> None:
     """Ask of a page what is asked of all."""
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "cut off"
-    assert findings(page) == []
+    found = findings(page)
+    assert not found, "\n".join(found)
