@@ -14,8 +14,8 @@ from racines_leaderboard.studio.worlds import FIRST_PATIENT, PATIENTS_OFFERED
 
 INTRODUCTION = note(
     "Simulated patients, each from one seed: body, heart, ribs, tissue, heartbeat. Every view is "
-    "drawn where it shows best, over one beat with the breath held. Marks at the right are 2 cm "
-    f"of depth apart; the long ones 10 cm. Patients by split: {PATIENTS_OFFERED}."
+    "drawn where it shows best, over one beat with the breath held. Marks at the right are a "
+    f"centimetre of depth apart. Patients by split: {PATIENTS_OFFERED}."
 )
 
 
