@@ -25,6 +25,8 @@ NAMES = [page.name for page in PAGES]
 LOADED = re.compile(r'<(?:script|img|iframe|source|link)\b[^>]*(?:src|href)="(https?:)?//[^"]*"')
 DIAGRAM = re.compile(r'class="mermaid"')
 """What would make the theme fetch a library of another host."""
+SOURCE = re.compile(r'href="(?!https?:)[^"#]+\.(?:md|ipynb)[#"]')
+"""A link to a page's source, which is not on the site."""
 
 
 @pytest.mark.slow
@@ -44,6 +46,7 @@ def test_pages_build_and_their_links_hold_and_load_nothing_from_elsewhere(tmp_pa
     for name, text in (built | shown).items():
         assert not LOADED.search(text) and not DIAGRAM.search(text), name
         assert "Research software, not a medical device" in text, name
+        assert not SOURCE.findall(text), name
     assert 'id="racines_data.store.frames.FrameStore.batches"' in built["reference-data.html"]
 
 
