@@ -5,8 +5,10 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 import torch
+from PIL import ImageColor
 
 from racines_data.errors import RacinesError
+from racines_data.plotting import TRUTH
 from racines_envs.agents.planner import PlannerAgent
 from racines_envs.task.starts import evaluation_seeds
 from racines_envs.worlds.making import make_core
@@ -93,7 +95,7 @@ def test_hidden_truth_is_nowhere(phantom):
     assert hidden.truth is None and [curve.name for curve in hidden.curves] == ["grader"]
     assert "true view" not in scenes.image_panel(hidden)
     assert "true view" in scenes.image_panel(shown)
-    green = (0x4A, 0xDE, 0x80)
+    green = ImageColor.getrgb(TRUTH)
     assert green in set(shown.above.getdata()) and green not in set(hidden.above.getdata())
 
 
