@@ -22,6 +22,9 @@ SHOWN = {
 """Tabs, and what is there once each shows something."""
 PAINTED = 2000.0
 """Milliseconds from the request to the first words: what the Studio promises."""
+QUICK = "Patients"
+"""The tab that `.ci/run` asks; the others are asked each week."""
+TABS = [pytest.param(tab, marks=[pytest.mark.thorough] * (tab != QUICK)) for tab in SHOWN]
 sizes = pytest.mark.parametrize("size", SIZES, ids=["desktop", "phone"])
 
 
@@ -37,7 +40,7 @@ def test_boards_and_where_a_result_comes_from(visit: Visit, size: tuple[int, int
 
 
 @sizes
-@pytest.mark.parametrize("tab", SHOWN)
+@pytest.mark.parametrize("tab", TABS)
 def test_a_tab(visit: Visit, tab: str, size: tuple[int, int]):
     page = visit(*size)
     open_tab(page, tab)
@@ -46,6 +49,7 @@ def test_a_tab(visit: Visit, tab: str, size: tuple[int, int]):
     check(page)
 
 
+@pytest.mark.thorough
 @sizes
 def test_an_image_to_rate(visit: Visit, size: tuple[int, int]):
     page = visit(*size)
@@ -57,6 +61,7 @@ def test_an_image_to_rate(visit: Visit, size: tuple[int, int]):
     check(page)
 
 
+@pytest.mark.thorough
 @sizes
 def test_an_agent_that_is_watched(visit: Visit, size: tuple[int, int]):
     page = visit(*size)

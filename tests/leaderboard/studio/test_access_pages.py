@@ -16,7 +16,8 @@ from tests.leaderboard.studio.conftest import BROWSER_PATIENCE
 pytest.importorskip("axe_playwright_python", reason="needs axe (extra dev)")
 pytestmark = pytest.mark.docs
 sizes = pytest.mark.parametrize("size", SIZES, ids=["desktop", "phone"])
-schemes = pytest.mark.parametrize("scheme", ["light", "dark"])
+night = pytest.param("dark", marks=pytest.mark.thorough)
+schemes = pytest.mark.parametrize("scheme", ["light", night])
 DOCUMENTS = ("index", "first-hour", "settings", "notebooks/data")
 """The home page, two tutorials, of which one is a notebook, and a page of the reference."""
 Look = Callable[[Path, tuple[int, int], str], Any]

@@ -44,7 +44,10 @@ def reach(page: Any, at: str, words: str = "") -> None:
     raise AssertionError(f"Tab does not lead to {at} {words}")
 
 
-@pytest.mark.parametrize("tab", USED)
+@pytest.mark.parametrize(
+    "tab",
+    [pytest.param(tab, marks=[pytest.mark.thorough] * (tab != "leaderboards")) for tab in USED],
+)
 def test_a_tab_and_its_main_control(visit: Visit, tab: str):
     control, key, then = USED[tab]
     page = visit()
@@ -59,6 +62,7 @@ def test_a_tab_and_its_main_control(visit: Visit, tab: str):
     page.wait_for_selector(then)
 
 
+@pytest.mark.thorough
 def test_a_sitting_begins_with_a_name_that_is_typed(visit: Visit):
     page = visit()
     reach(page, "[role=tab][data-tab-id=study]")
