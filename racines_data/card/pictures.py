@@ -3,7 +3,6 @@
 Here too are those of single frames: each view at several grades, and one view in many hearts.
 """
 
-import math
 import textwrap
 from collections.abc import Callable
 from functools import partial
@@ -25,7 +24,6 @@ from racines_data.card.frames import (
 from racines_data.card.plots import parameters_figure, shares_figure, trajectories_figure
 from racines_data.config import fill
 from racines_data.geometry import POSITION
-from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import ADDED, MULTI_PHANTOM, is_turned, store_name
 from racines_data.phantom.config import ProbeConfig
 from racines_data.plotting import MUTED, SMALL, card_style, encode, evenly, show_depth
@@ -117,8 +115,7 @@ def pixel_of(manifest: dict[str, Any]) -> float | None:
         return None
     settings = manifest.get("recipe", {}).get("settings", {})
     told = settings.get("acquisition", {}).get("phantom", {}).get("probe", {})
-    probe = fill(ProbeConfig, told, "recipe.probe")
-    return 2e3 * probe.depth * math.sin(probe.half_angle) / IMAGE_SIZE
+    return 1e3 * fill(ProbeConfig, told, "recipe.probe").pixel_size
 
 
 def sheet(width: float, height: float) -> tuple[Figure, Axes]:

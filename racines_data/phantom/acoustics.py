@@ -303,7 +303,7 @@ def gaussian_matrix(size: int, sigma: float, reach: float | None = None) -> Tens
 
 def pixel_grid(probe: ProbeConfig) -> tuple[Tensor, Tensor]:
     """Return the lateral and axial coordinates, m, of the (128, 128) pixel centres (float64)."""
-    pixel = 2.0 * probe.depth * math.sin(probe.half_angle) / IMAGE_SIZE
+    pixel = probe.pixel_size
     place = torch.arange(IMAGE_SIZE, dtype=torch.float64)
     rows, columns = torch.meshgrid(place, place, indexing="ij")
     return (columns - (IMAGE_SIZE - 1) / 2) * pixel, (rows + 0.5) * pixel

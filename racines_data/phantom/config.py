@@ -3,12 +3,14 @@
 With it, what one seed of the population makes of a configuration, and the one of a dataset.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
+from racines_data.imaging import IMAGE_SIZE
 from racines_data.manifest import MULTI_PHANTOM
 from racines_data.randomness import sample_seeds, uniform
 
@@ -80,6 +82,11 @@ class ProbeConfig:
     """Echoes that bounced in the layers under the probe, dB below myocardium at the face."""
     noise: float = -50.0
     """Electronic noise at the face, dB below myocardium; TGC lifts it with depth."""
+
+    @property
+    def pixel_size(self) -> float:
+        """The side of a picture's pixel, m."""
+        return 2.0 * self.depth * math.sin(self.half_angle) / IMAGE_SIZE
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """Pictures of the phantom for people: the contact sheet of the views."""
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -24,14 +23,13 @@ def contact_sheet(phantom: Phantom, out: Path, seed: int = 0) -> None:
     titles = VIEW_TITLES | {name: title for name, title in phantom.titles.items() if title}
     count = len(phantom.labels)
     figure = Figure(figsize=(COLUMNS * 1.75 + 1.2, count * 1.62 + 0.5))
-    probe = phantom.config.probe
-    width = 2e3 * probe.depth * math.sin(probe.half_angle)
+    pixel = 1e3 * phantom.config.probe.pixel_size
     axes = figure.subplots(count, COLUMNS, squeeze=False)
     for row, name in zip(axes, phantom.labels, strict=True):
         for axis, image, grade in zip(row, *_samples(phantom, name, seed), strict=True):
             axis.imshow(image, cmap="gray", vmin=0, vmax=255)
             if axis is row[0]:
-                show_depth(axis, image.shape[0], width / image.shape[1])
+                show_depth(axis, image.shape[0], pixel)
             axis.set_axis_off()
             label = "Random" if name == RANDOM else f"grade {grade:.1f}"
             axis.set_title(label, fontsize=9, fontweight="normal", loc="center", pad=2)

@@ -20,7 +20,6 @@ import torch
 from PIL import Image, ImageDraw
 from torch import Tensor
 
-from racines_data.imaging import IMAGE_SIZE
 from racines_data.phantom.config import ProbeConfig
 from racines_data.plotting import (
     LINE,
@@ -149,8 +148,7 @@ def _pixel(core: ScanCore, row: int) -> float | None:
         return float(core.phantom.pool.pixel_size(core.state.case[row : row + 1])[0])
     if core.phantom.config is None:
         return None
-    probe = core.phantom.config.probe
-    return 2e3 * probe.depth * math.sin(probe.half_angle) / IMAGE_SIZE
+    return 1e3 * core.phantom.config.probe.pixel_size
 
 
 def _words(core: ScanCore, row: int, steps: Steps) -> list[tuple[str, str]]:
