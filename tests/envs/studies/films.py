@@ -24,7 +24,7 @@ from racines_data.files import write_atomic, write_json
 from racines_data.geometry import Pose
 from racines_data.patients.labels import LABELS
 from racines_data.patients.landmarks import landmarks
-from racines_data.plotting import letters
+from racines_data.plotting import letters, mark_depth
 from racines_data.randomness import derive
 from racines_envs.demo.watching import Shot, Watched, watch
 from racines_envs.evaluation.patients import PatientsConfig, StartSet
@@ -95,11 +95,14 @@ def run(episodes: list[Episode], split: str) -> tuple[ScanCore, list[list[Shot]]
     return core, watch(core, agent, seeds, case)
 
 
-def film(episode: Episode, shots: list[Shot], own: np.ndarray, found: bool) -> bytes:
-    """Return a GIF: every other step, then the end beside the patient's own view."""
+def film(episode: Episode, shots: list[Shot], own: np.ndarray, found: bool, mm: float) -> bytes:
+    """Return a GIF: every other step, then the end beside the patient's own view.
+
+    `mm` is the side of an image's pixel.
+    """
     steps = [shot for shot in shots if shot.step % EVERY == 0 or shot.ended]
-    frames = [frame(episode, shots, shot) for shot in steps]
-    frames.append(ending(episode, shots[-1], own, found))
+    frames = [frame(episode, shots, shot, mm) for shot in steps]
+    frames.append(ending(episode, shots[-1], own, found, mm))
     gray = [Image.fromarray(_few(np.asarray(each))) for each in frames]
     times = [MILLISECONDS] * (len(gray) - 1) + [MILLISECONDS * HELD]
     buffer = io.BytesIO()
@@ -114,9 +117,15 @@ def _few(picture: np.ndarray) -> np.ndarray:
     return (np.round(picture / width) * width).astype(np.uint8)
 
 
-def _sheet(image: np.ndarray) -> tuple[Image.Image, ImageDraw.ImageDraw]:
+def _marked(image: np.ndarray, side: int, mm: float) -> Image.Image:
+    picture = Image.fromarray(image).resize((side, side), Image.Resampling.BICUBIC)
+    mark_depth(picture, mm * len(image) / side)
+    return picture
+
+
+def _sheet(image: np.ndarray, mm: float) -> tuple[Image.Image, ImageDraw.ImageDraw]:
     sheet = Image.new("L", (WIDTH, HEIGHT), BACK)
-    sheet.paste(Image.fromarray(image).resize((SIDE, SIDE), Image.Resampling.BICUBIC), (0, 0))
+    sheet.paste(_marked(image, SIDE, mm), (0, 0))
     return sheet, ImageDraw.Draw(sheet)
 
 
@@ -125,9 +134,9 @@ def _write(draw: ImageDraw.ImageDraw, lines: list[str], top: int, left: int = SI
         draw.text((left, top + 19 * number), line, INK, FONT)
 
 
-def frame(episode: Episode, shots: list[Shot], shot: Shot) -> Image.Image:
+def frame(episode: Episode, shots: list[Shot], shot: Shot, mm: float) -> Image.Image:
     """Return one picture: the image, what is true and believed in words, and both grades so far."""
-    sheet, draw = _sheet(shot.image)
+    sheet, draw = _sheet(shot.image, mm)
     lines = [
         f"{episode.title}: patient {episode.patient}",
         f"step {shot.step} of {shots[-1].step}, {0.1 * shot.step:.1f} s",
@@ -154,16 +163,15 @@ def frame(episode: Episode, shots: list[Shot], shot: Shot) -> Image.Image:
     return sheet
 
 
-def ending(episode: Episode, shot: Shot, own: np.ndarray, found: bool) -> Image.Image:
+def ending(episode: Episode, shot: Shot, own: np.ndarray, found: bool, mm: float) -> Image.Image:
     """Return the last picture: the image that was declared beside the patient's own view."""
-    sheet, draw = _sheet(shot.image)
+    sheet, draw = _sheet(shot.image, mm)
     side = WIDTH - SIDE - 16
-    second = Image.fromarray(own).resize((side, side), Image.Resampling.BICUBIC)
-    sheet.paste(second, (SIDE + 16, 0))
-    draw.text((6, 4), f"declared: {'found' if found else 'wrong'}", INK, FONT)
-    draw.text((SIDE + 22, 4), "this patient's own A4C", INK, FONT)
+    sheet.paste(_marked(own, side, mm), (SIDE + 16, 0))
+    _write(draw, ["declared:", "found" if found else "wrong"], 4, 6)
+    _write(draw, ["the patient's", "own A4C"], 4, SIDE + 22)
     told = f"{shot.distance:.0f} mm apart, grade {shot.grade:.1f}, read {shot.read:.1f}"
-    draw.text((6, SIDE - 20), told, INK, FONT)
+    draw.text((6, SIDE - 18), told, INK, SMALL)
     return sheet
 
 
@@ -229,12 +237,17 @@ def make(episodes: list[Episode], split: str, images: Path) -> dict[str, Any]:
     """
     core, shots = run(episodes, split)
     info, own = core.info(view_error=False), own_views(core)
+    ward = core.phantom
+    assert isinstance(ward, Ward)
+    sides = ward.pool.pixel_size(core.state.case).tolist()
     rows, told = [], {}
     for row, (episode, each) in enumerate(zip(episodes, shots, strict=True)):
         last, found = each[-1], bool((info["success"] & info["declared"].bool())[row])
         if abs(last.distance - episode.distance) > SAME:
             raise ValueError(f"{episode}: ends {last.distance} mm away")
-        write_atomic(images / f"servo-{episode.title}.gif", film(episode, each, own[row], found))
+        write_atomic(
+            images / f"servo-{episode.title}.gif", film(episode, each, own[row], found, sides[row])
+        )
         rows.append([
             episode.title, str(episode.patient), str(last.step), f"{last.distance:.1f} mm",
             f"{last.believed:.1f} mm", f"{last.grade:.1f}", f"{last.read:.1f}",

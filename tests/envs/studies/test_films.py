@@ -109,7 +109,7 @@ def test_a_film_shows_every_other_step_and_the_end():
     picture = np.zeros((128, 128), np.uint8)
     shots = [films.Shot(picture + 10 * i, i, i / 2, 9.0, 3.0, 1.0, i == 5) for i in range(6)]
     episode = films.Episode("found-1", 10_000, 0, 9.0)
-    with Image.open(io.BytesIO(films.film(episode, shots, picture + 200, True))) as film:
+    with Image.open(io.BytesIO(films.film(episode, shots, picture + 200, True, 1.3))) as film:
         assert film.n_frames == 5, "0, 2, 4, the end, and the end beside the patient's own view"
         film.seek(4)
         last = np.asarray(film.convert("L"))
