@@ -98,6 +98,11 @@ def is_file(spec: str) -> bool:
     return Path(spec).suffix.lower() in FILES
 
 
+def is_predictions(spec: str) -> bool:
+    """Return whether a spec is a file of images that were drawn elsewhere, by its ending."""
+    return Path(spec).suffix.lower() == ".parquet"
+
+
 def run_folder(spec: str, folder: Path | str | None = None, tier: str | None = None) -> Path:
     """Return the run's folder of a name or class: the one given, else that of its tier.
 

@@ -108,14 +108,15 @@ def _of_artefacts(folder: Path, ground: Ground) -> Made:
 
 def _ground(record: Record, bench: Bench) -> Ground:
     """Return the board's ground with the judges that a record names, where they are here."""
-    places = bench.places
+    places, on_patients = bench.places, record["track"] == PATIENT_GENERATORS.name
     return Ground(
         bench.board,
         bench.settings or {},
         bench.data,
         grader=_judge(record, bench, "grader"),
         pose=_judge(record, bench, "pose"),
-        cache=places.runs / "scores" / "reference",
+        # What a former run has kept of patients is not looked at: they are scanned anew.
+        cache=None if on_patients else places.runs / "scores" / "reference",
         limits=places.limits,
     )
 

@@ -20,7 +20,7 @@ from racines_leaderboard.records.tracks import (
     PATIENT_GENERATORS,
 )
 from racines_leaderboard.submissions.document import files_of, rescored
-from racines_models.exchange.predictions.file import Predictions
+from racines_models.exchange.predictions.file import Predictions, metadata_of
 from racines_models.provenance import weights_sha256
 from racines_models.registry import PATIENTS
 
@@ -190,7 +190,13 @@ def check_content(record: Record, bench: Bench) -> Iterator[Verdict]:
 
 
 def _predictions(subject: str, path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
-    dataset, store = record["scores"]["dataset"], bench.data_for(record)
+    dataset = record["scores"]["dataset"]
+    if record["track"] == PATIENT_GENERATORS.name:
+        metadata, reason = metadata_of(path), "drawn of the patients that the record names"
+        for key, told in (("dataset", "digest"), ("split", "split"), ("sample", "sample")):
+            yield equal(f"{subject}.{key}", dataset.get(told), metadata[key], reason)
+        return
+    store = bench.data_for(record)
     if store is None:
         yield unknown(f"{subject}.dataset", bench.no_data)
         return

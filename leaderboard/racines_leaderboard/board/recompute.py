@@ -12,6 +12,7 @@ from racines_data.config import fill, section
 from racines_data.errors import RacinesError
 from racines_data.manifest import added_configs, config_manifest, read_manifest
 from racines_data.patients.splits import split_of
+from racines_data.store.asked import AskedStore, asked_digest
 from racines_data.store.frames import FrameStore, open_store
 from racines_envs.agents.trace import TraceAgent
 from racines_envs.cli.settings import phantom_config
@@ -25,7 +26,14 @@ from racines_envs.worlds.making import (
 )
 from racines_leaderboard.board.collect import Record, record_of, write_records
 from racines_leaderboard.records.schema import check
-from racines_leaderboard.records.tracks import GENERATORS, MOTION, PATIENT_AGENTS, TRACK, TRACKS
+from racines_leaderboard.records.tracks import (
+    GENERATORS,
+    MOTION,
+    PATIENT_AGENTS,
+    PATIENT_GENERATORS,
+    TRACK,
+    TRACKS,
+)
 from racines_leaderboard.submissions.confined import session as confined
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_leaderboard.submissions.document import YAML, files_of, find_submission, rescored
@@ -34,6 +42,9 @@ from racines_leaderboard.submissions.probe import probe
 from racines_models.exchange.predictions.file import Predictions
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
+from racines_models.judges.segmentation.model import SegmentationJudge
+from racines_models.scores.features import InceptionFeatures
+from racines_models.scores.on_patients import Judges, PatientScoresConfig, score_on_patients
 from racines_models.scores.scoring import Scores, ScoresConfig, score
 from racines_models.statistics import Evidence
 from racines_models.trackerless.scoring import MotionScoresConfig, asked, score_motion
@@ -72,7 +83,7 @@ def find(submissions: Path, name: str) -> Path:
     folders = [submissions / track / bare for track, bare in names.items() if "/" not in bare]
     found = [folder for folder in folders if (folder / YAML).is_file()]
     if len(found) != 1:
-        where = f"in both tracks of {submissions}: give TRACK/NAME"
+        where = f"on several tracks in {submissions}: give TRACK/NAME"
         raise RacinesError(f"{name!r}: {where if found else f'no submission in {submissions}'}")
     return found[0]
 
@@ -125,7 +136,11 @@ def recompute_scores(
     if probing:
         _try_contract(folder, document, ground)
     paths = [folder / artefact["path"] for artefact in artefacts]
-    makers = {GENERATORS.name: _generator_scores, MOTION.name: _motion_scores}
+    makers = {
+        GENERATORS.name: _generator_scores,
+        PATIENT_GENERATORS.name: _scores_of_adapting,
+        MOTION.name: _motion_scores,
+    }
     make = makers.get(document["track"], agent_scores)
     scores = make(document, artefacts[0]["kind"], paths, ground)
     return document, scores | {"weights": {each["path"]: each["sha256"] for each in artefacts}}
@@ -158,6 +173,10 @@ def _try_contract(folder: Path, document: dict[str, Any], ground: Ground) -> Non
         store = open_store(ground.data)
         _check_data(document, store.manifest, str(ground.data))
         probe(folder, document, store, ground.limits)
+        return
+    if document["track"] == PATIENT_GENERATORS.name:
+        asked = _asked(document, ground)
+        probe(folder, document, asked, ground.limits)
         return
     if document["track"] == MOTION.name:
         return  # its file was looked into
@@ -197,6 +216,37 @@ def _generator_scores(
     scores = score_on(ground, store, config, opened, document["name"])
     scores["dataset"]["board"] = ground.board
     return scores
+
+
+def _asked(document: dict[str, Any], ground: Ground) -> AskedStore:
+    """Return what a ground asks of patients, for which a submission has to be made."""
+    config = _on_scouts(ground)
+    recipe = asked_digest(config.split, config.patients, config.seed)
+    told = {"digest": recipe, "recipe_digest": recipe}
+    _check_data(document, told, f"what board {ground.board} asks of patients")
+    return AskedStore(config.split, config.patients, config.seed, ground.cache)
+
+
+def _on_scouts(ground: Ground) -> PatientScoresConfig:
+    settings = section(ground.settings, "patient_scores")
+    return fill(PatientScoresConfig, settings, "patient_scores")
+
+
+def _scores_of_adapting(
+    document: dict[str, Any], kind: str, paths: Sequence[Path], ground: Ground
+) -> dict[str, Any]:
+    """Return the scores of images that were drawn of patients, one file a training."""
+    config, asked = _on_scouts(ground), _asked(document, ground)
+    sources = [Predictions(path, asked, config.split) for path in paths]
+    judges = Judges(
+        PoseRegressor.load(config.pose, "cpu"),
+        SegmentationJudge.load(config.segmentation, "cpu"),
+        InceptionFeatures("cpu"),
+    )
+    made = score_on_patients(sources, asked, config, document["name"], judges)
+    ground.keep(made)
+    made.content["dataset"]["board"] = ground.board
+    return made.content
 
 
 def _motion_scores(

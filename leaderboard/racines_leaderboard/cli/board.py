@@ -62,6 +62,7 @@ def leaderboard(
     from racines_leaderboard.board.web.page import write_html
     from racines_leaderboard.fresh.flags import flag_notes
 
+    asked = board
     if params is not None:
         board = _board_of(params, board)
     if collect:
@@ -73,14 +74,14 @@ def leaderboard(
         results_of.collect(collect, results, submissions, board, others, force)
     if secret is not None and not recompute:
         raise typer.BadParameter("--secret goes with --recompute: name what is to be drawn")
+    names = [board] if board else results_of.boards(results)
     if recompute:
-        board = score_again(
-            recompute, board, params, data, no_grader, results, submissions, unconfined, force,
+        names = score_again(
+            recompute, asked, params, data, no_grader, results, submissions, unconfined, force,
             secret,
         )  # fmt: skip
-    names = [board] if board else results_of.boards(results)
     if not set(names) <= set(results_of.boards(results)) or not names:
-        raise RacinesError(f"{results}: no results of {board or 'any board'}")
+        raise RacinesError(f"{results}: no results of {' and '.join(names) or 'any board'}")
     if markdown is not None:
         write_page(markdown, results)
     if html is not None:
@@ -108,23 +109,25 @@ def leaderboard(
 def score_again(
     names: list[str], board: str | None, params: Path | None, data: Path, no_grader: bool,
     results: Path, submissions: Path, unconfined: bool, force: bool, secret: Path | None,
-) -> str:  # fmt: skip
-    """Score submissions again on the board that settings name, and in secret; return the board."""
+) -> list[str]:  # fmt: skip
+    """Score submissions again on boards that settings make, and in secret; return the boards."""
     from racines_leaderboard.board import recompute as scoring
+    from racines_leaderboard.board.belonging import board_of
     from racines_leaderboard.cli.secret import today
     from racines_leaderboard.fresh import draw_in_secret, read_secret
     from racines_leaderboard.submissions.confined.session import Limits
     from racines_models.scores.scoring import ScoresConfig
 
-    settings = params or Path("params.yaml")
-    board = _board_of(settings, board)
-    told = fill(ScoresConfig, section(read_params(settings), "scores"), "scores")
+    settings = read_params(params or Path("params.yaml"))
+    told = fill(ScoresConfig, section(settings, "scores"), "scores")
     grader, pose = None if no_grader else Path(told.grader), Path(told.pose)
     pose = pose if pose.is_dir() else None
     limits = Limits(unconfined=unconfined)
-    ground = scoring.Ground(board, read_params(settings), data, grader, pose, CACHE, limits)
-    opened = None if secret is None else read_secret(secret, results, board)
-    for folder in [scoring.find(submissions, name) for name in names]:
+    folders = [scoring.find(submissions, name) for name in names]
+    boards = [board_of(folder, settings, board) for folder in folders]
+    for folder, board in zip(folders, boards, strict=True):
+        ground = scoring.Ground(board, settings, data, grader, pose, CACHE, limits)
+        opened = None if secret is None else read_secret(secret, results, board)
         record = scoring.recompute(folder, ground, results, force)
         told = f"{record['track']}/{record['name']}"
         note(f"racines: scored again: {told}")
@@ -132,13 +135,16 @@ def score_again(
             drawn = draw_in_secret(folder, ground, results, opened, today(), force, True)
             flags = "; ".join(drawn["flags"]) or "no flag"
             note(f"racines: drawn in secret, round {drawn['round']}: {told}: {flags}")
-    return board
+    return list(dict.fromkeys(boards))
 
 
 def _board_of(params: Path, board: str | None) -> str:
-    named = read_params(params).get("board")
+    """Return the board that was asked for, if a params file makes it; the main one if none was."""
+    values = read_params(params)
+    named = values.get("board")
     if not isinstance(named, str):
         raise RacinesError(f"{params}: board: expected the name of a board")
-    if board not in (None, named):
-        raise RacinesError(f"--board {board} differs from {named!r}, the board of {params}")
-    return named
+    made = (named, *values.get("patient_boards", ()))
+    if board not in (None, *made):
+        raise RacinesError(f"--board {board} differs from {', '.join(made)}, made by {params}")
+    return board or named

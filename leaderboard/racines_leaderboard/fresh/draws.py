@@ -75,7 +75,11 @@ def draw_in_secret(
     weights = {each["path"]: each["sha256"] for each in artefacts}
     record = _record_of(document, weights, results, ground.board)
     if (draws := DRAWS.get(document["track"])) is None:
-        raise RacinesError(f"{folder}: nothing of track {document['track']} is drawn in secret")
+        why = MADE_BEFORE.get(kind, "there is no secret world for it")
+        raise RacinesError(
+            f"{folder}: nothing of track {document['track']} is drawn in secret: {why}: leave out "
+            "--secret"
+        )
     content: dict[str, Any] = {
         "schema": SCHEMA, "board": ground.board, "track": document["track"],
         "name": document["name"], "round": secret.round, "commitment": secret.commitment,

@@ -69,8 +69,8 @@ REMEDY = (
 GENERATORS, AGENTS, ON_PATIENTS = "generators", "agents", "patient-agents"
 ADAPTING, MOTION = "patient-generators", "motion"
 ALL = (GENERATORS, AGENTS, ON_PATIENTS, ADAPTING, MOTION)
-SEVERAL = "generator", "motion"
-"""Kinds of which there may be several, the trainings of one method."""
+SEVERAL = {"generator": ALL, "motion": ALL, "predictions": (ADAPTING,)}
+"""Kinds of which there may be several, the trainings of one method, and the tracks where."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Kind:
 
 
 KINDS = {
-    "predictions": Kind(".parquet", (GENERATORS,), "images of the test poses", True),
+    "predictions": Kind(".parquet", (GENERATORS, ADAPTING), "images of the test poses", True),
     "generator": Kind(".onnx", (GENERATORS,), "a network that draws", True),
     "policy": Kind(".onnx", (AGENTS, ON_PATIENTS), "a network that steers", True),
     "trace": Kind(".json", (AGENTS,), "the actions of every episode", True),
@@ -154,10 +154,11 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
             f"{where}: dataset.digest: missing: the content or recipe digest of the data"
         )
     kinds = [each["kind"] for each in rescored(document)]
-    if len(set(kinds)) > 1 or (len(kinds) > 1 and kinds[0] not in SEVERAL):
+    several = len(kinds) > 1 and document["track"] not in SEVERAL.get(kinds[0], ())
+    if len(set(kinds)) > 1 or several:
         raise RacinesError(
             f"{where}: artefacts: {', '.join(kinds)}: give one that is scored again; only "
-            "generators and motions may be several, the seeds of one method"
+            "generators, motions and predictions of patients may be several, the seeds of a method"
         )
     merged, tier = any("adapter" in each for each in document["artefacts"]), document["tier"]
     if tier == "recomputed" and not kinds:

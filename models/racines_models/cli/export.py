@@ -7,10 +7,14 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_data.cli.options import check_ending, given, read_settings
+from racines_data.errors import RacinesError
 from racines_models.cli.device import Device
 
 if TYPE_CHECKING:
     from racines_models.exchange.predictions.file import Task
+
+REFERENCE = Path("models/runs/scores/reference")
+"""Where what is known of the frames alone is kept; as `racines eval generator` does."""
 
 
 def export_generator(
@@ -52,6 +56,8 @@ def export_weights(
 
 def export_poses(
     out: opt.OutFile,
+    tier: opt.Tier = None,
+    patients: opt.Patients = None,
     data: opt.Data = opt.DATA,
     split: opt.OneSplit = None,
     samples: opt.Samples = None,
@@ -59,15 +65,30 @@ def export_poses(
     profile: opt.Profile = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Write the poses that generators are scored on, for a program outside to draw."""
+    """Write the poses that generators are scored on, for a program outside to draw.
+
+    With --tier patients they are those asked of --patients of the split, and OUT-scouts.parquet has
+    the scout of each.
+    """
     from racines_models.cli.output import tell
     from racines_models.exchange.predictions.file import POSES, write_poses
+    from racines_models.exchange.predictions.scouts import write_scouts
+    from racines_models.registry import on_patients
 
     check_ending(out, ".parquet")
-    task = _task(data, split, samples, params, profile)
-    rows = write_poses(out, task)
-    made = {"out": str(out), "rows": rows, **task.metadata(POSES)}
-    tell(made, as_json, f"{out}: {rows} rows")
+    if on_patients(tier):
+        task = _asked_task(data, samples, split, patients, params, profile, as_json)
+        scouts = out.with_name(f"{out.stem}-scouts.parquet")
+        rows, frames = write_poses(out, task), write_scouts(scouts, task)
+        made = {"scouts": str(scouts), "frames": frames}
+        lines = [f"{out}: {rows} rows", f"{scouts}: {frames} rows"]
+    else:
+        _check_no_patients(patients)
+        task = _task(data, split, samples, params, profile)
+        rows, made = write_poses(out, task), {}
+        lines = [f"{out}: {rows} rows"]
+    made = {"out": str(out), "rows": rows, **task.metadata(POSES), **made}
+    tell(made, as_json, *lines)
 
 
 def export_predictions(
@@ -75,6 +96,8 @@ def export_predictions(
         str, typer.Argument(help="A registered generator, module:Class, FILE.onnx or FILE.parquet.")
     ],
     out: opt.OutFile,
+    tier: opt.Tier = None,
+    patients: opt.Patients = None,
     data: opt.Data = opt.DATA,
     run: opt.Trained = None,
     split: opt.OneSplit = None,
@@ -85,15 +108,23 @@ def export_predictions(
     device: Device = "auto",
     as_json: opt.AsJson = False,
 ) -> None:
-    """Draw the poses that generators are scored on and write the images to a file."""
+    """Draw the poses that generators are scored on and write the images to a file.
+
+    With --tier patients a generator is shown the scout of each of --patients of the split first.
+    """
     from racines_data.progress import image_counter
     from racines_models.cli.output import tell
     from racines_models.exchange.predictions.file import PREDICTIONS, write_predictions
-    from racines_models.registry import open_generator
+    from racines_models.registry import on_patients, open_generator
 
     check_ending(out, ".parquet")
-    task = _task(data, split, samples, params, profile)
-    generator: Any = open_generator(name, run, device, store=task.store, split=task.split)
+    if on_patients(tier):
+        task = _asked_task(data, samples, split, patients, params, profile, as_json)
+        generator: Any = _adapting(name, run, device, task, read_settings(params, profile))
+    else:
+        _check_no_patients(patients)
+        task = _task(data, split, samples, params, profile)
+        generator = open_generator(name, run, device, store=task.store, split=task.split)
     total = len(task.sample.frames.index) * len(task.seeds)
     with image_counter(f"drawing {generator.name}", total, hidden=as_json) as advance:
         rows = write_predictions(out, task, generator, generator.name, text, advance)
@@ -116,3 +147,52 @@ def _task(
     store = open_store(data)
     sample = take_sample(store, config.split, config.samples)
     return Task(store, sample, config.split, tuple(config.seeds))
+
+
+def _asked_task(
+    data: Path, samples: int | None, split: str | None, patients: int | None,
+    params: Path | None, profile: str | None, hidden: bool,
+) -> "Task":  # fmt: skip
+    """Return what is asked of patients, by the settings and what the command line gives."""
+    from racines_data.config import fill, section
+    from racines_data.progress import progress_bar
+    from racines_data.store.asked import AskedStore
+    from racines_models.exchange.predictions.file import Task
+    from racines_models.scores.on_patients import PatientScoresConfig, asked_sample
+
+    for option, there in (("--data", data != opt.DATA), ("--samples", samples)):
+        if there:
+            raise RacinesError(f"{option} is not for --tier patients: leave it out")
+    settings = section(read_settings(params, profile), "patient_scores")
+    settings |= given(split=split, patients=patients)
+    config = fill(PatientScoresConfig, settings, "patient_scores")
+    with progress_bar(not hidden, "patients") as bar:
+        task, cache = bar.add_task("scouts", total=config.patients), REFERENCE
+        asked = AskedStore(
+            config.split, config.patients, config.seed, cache, lambda n: bar.advance(task, n)
+        )
+    return Task(asked, asked_sample(asked), config.split, (config.seed,))
+
+
+def _adapting(
+    name: str, run: Path | None, device: str, task: "Task", values: dict[str, Any]
+) -> Any:
+    """Return a generator, the first training alone, as it draws what is asked of patients."""
+    from racines_data.config import section
+    from racines_models.registry import PATIENTS, generator_class, is_predictions, run_folder
+    from racines_models.scores.on_patients import OnPatients, check_named, open_for_patients
+
+    assert task.asked is not None
+    check_named(name)
+    if is_predictions(name):
+        return open_for_patients(name, run, asked=task.asked)[0]
+    title = generator_class(name).name
+    folder = run_folder(name, run, PATIENTS)
+    own = section(values, "patient_generators").get(title)
+    made = open_for_patients(name, folder, device=device, settings=own)[0]
+    return OnPatients(made, task.asked, title)
+
+
+def _check_no_patients(patients: int | None) -> None:
+    if patients:
+        raise RacinesError("--patients needs --tier patients")

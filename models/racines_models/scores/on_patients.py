@@ -21,6 +21,7 @@ from racines_data.imaging import ImageSource
 from racines_data.patients.scouts import POSES, check_asked, strata_names
 from racines_data.randomness import derive
 from racines_data.store.asked import AskedStore
+from racines_data.store.frames import Batch
 from racines_models.adapting import adapted
 from racines_models.contract import declared
 from racines_models.generators.noise_ceiling import NoiseCeiling
@@ -28,8 +29,15 @@ from racines_models.judges.pose.regressor import PoseRegressor
 from racines_models.judges.segmentation.model import SegmentationJudge
 from racines_models.protocol import Adapting
 from racines_models.provenance import code_version, dataset_card, environment
-from racines_models.registry import generator_class, is_file, open_runs, run_folder
-from racines_models.sample import DRAW, Progress, Sample, check_drawn
+from racines_models.registry import (
+    generator_class,
+    is_file,
+    is_predictions,
+    open_generator,
+    open_runs,
+    run_folder,
+)
+from racines_models.sample import DRAW, FrameSource, Progress, Sample, check_drawn
 from racines_models.scores.features import Extractor, Remembered
 from racines_models.scores.scorer import Scorer, ScoresConfig, plain
 from racines_models.scores.scoring import SCHEMA, Scores
@@ -77,31 +85,50 @@ class Judges:
     features: Extractor
 
 
+class OnPatients:
+    """A generator that finds what it draws by the frame: it adapts to whom the frame is of."""
+
+    def __init__(self, generator: Any, asked: AskedStore, name: str):
+        """Draw what is asked of patients with a generator of any kind."""
+        self.generator, self.asked, self.name = generator, asked, name
+        told = declared(generator)
+        self.stochastic, self.conditional = told.stochastic, told.conditional
+
+    def draw_frames(self, frames: Batch, seed: int) -> Tensor:
+        """Return the (P · 32, 128, 128) images of all that is asked, in order."""
+        assert len(frames.index) == len(self.asked)
+        return draw_patients(self.generator, self.asked, seed)[0]
+
+
 def check_named(spec: str) -> None:
-    """Refuse a file, which draws poses and has no method to adapt."""
-    if is_file(spec):
+    """Refuse a network in a file, which has no method to adapt."""
+    if is_file(spec) and not is_predictions(spec):
         raise RacinesError(
-            f"{spec}: a file draws poses and cannot adapt to a patient: name a generator"
+            f"{spec}: an ONNX file draws poses and cannot adapt to a patient: name a generator, or "
+            "give the images that it drew, FILE.parquet (racines export poses --tier patients)"
         )
 
 
 def open_for_patients(
     spec: str, folder: Path | None, published: Sequence[Path] = (), device: str = "cpu",
-    settings: dict[str, Any] | None = None,
+    settings: dict[str, Any] | None = None, asked: AskedStore | None = None,
 ) -> list[Any]:  # fmt: skip
     """Return the trainings of a generator for patients; what is not trained needs no run.
 
     Args:
-        spec: a registered generator, or `module:Class`.
+        spec: a registered generator, `module:Class`, or `FILE.parquet`, images drawn elsewhere.
         folder: of the run; None: that of the name.
         published: folders of further trainings.
         device: where it draws.
         settings: of one that is not trained.
+        asked: of a file: what it has to be drawn of.
 
     Raises:
-        RacinesError: unknown, absent or refused, by name; or a file, which cannot adapt.
+        RacinesError: unknown, absent or refused, by name; or an ONNX file, which cannot adapt.
     """
     check_named(spec)
+    if is_predictions(spec):
+        return [open_generator(spec, folder, store=asked)]
     cls: Any = generator_class(spec)
     if cls is NoiseCeiling:
         return [SeenAgain()]
@@ -123,6 +150,8 @@ def draw_patients(generator: Any, asked: AskedStore, seed: int) -> tuple[Tensor,
     """
     if isinstance(generator, SeenAgain):
         return asked.again.flatten(0, 1), 0.0
+    if isinstance(generator, FrameSource):
+        return check_drawn(generator.draw_frames(asked_sample(asked).frames, seed)), 0.0
     parts, seconds, patients = [], 0.0, asked.patients or []
     for place, patient in enumerate(patients):
         own = int(derive(torch.tensor(seed), DRAW, patient))
@@ -138,17 +167,28 @@ def draw_patients(generator: Any, asked: AskedStore, seed: int) -> tuple[Tensor,
     return check_drawn(torch.cat(parts)), seconds / len(patients)
 
 
+def asked_sample(asked: AskedStore) -> Sample:
+    """Return all that is asked, in order; its units are patients."""
+    everything = torch.arange(len(asked))
+    return Sample(asked.take(everything), asked.units(everything))
+
+
 def score_on_patients(
     generators: Sequence[Any], asked: AskedStore, config: PatientScoresConfig, name: str,
     judges: Judges, device: str = "cpu", progress: Callable[[int], None] | None = None,
 ) -> Scores:  # fmt: skip
     """Score a generator, one or several trainings of it, on what is asked of patients.
 
+    Each training draws with a seed of its own; files are of one, that of the poses they were given.
+
     Raises:
         RacinesError: as `draw_patients`.
     """
     began = time.perf_counter()
-    pairs = [draw_patients(each, asked, config.seed + k) for k, each in enumerate(generators)]
+    pairs = [
+        draw_patients(each, asked, config.seed + (0 if isinstance(each, FrameSource) else training))
+        for training, each in enumerate(generators)
+    ]
     drawn = [images for images, _ in pairs]
     features = Remembered(judges.features)
     looked = Judges(judges.pose, judges.segmentation, features)
@@ -172,7 +212,7 @@ def score_on_patients(
         "schema": SCHEMA, "generator": name, "dataset": card, "seeds": [config.seed],
         "runs": len(generators),
         "trained": any(_trained(each) for each in generators),
-        "adapts": adapts,
+        **({} if isinstance(generators[0], FrameSource) else {"adapts": adapts}),
         "metrics": metrics, "by_stratum": strata,
         "extractors": {
             "inception": features.settings, "pose": judges.pose.settings,

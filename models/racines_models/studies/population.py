@@ -29,6 +29,17 @@ UNITS = {
     "left_atrium": "mm", "la_volume": "mL", "right": "mm", "root": "mm",
 }  # fmt: skip
 """Measures and their units, by the names that `study real-heart` knows, too."""
+TITLES = {
+    "lv_diameter_ed": "LV across, end diastole", "lv_diameter_es": "LV across, end systole",
+    "lv_length_ed": "LV length", "lv_shortening": "descent of the base", "septum_ed": "septum",
+    "wall_ed": "posterior wall", "septum_thickening": "septum thickens",
+    "wall_thickening": "posterior wall thickens", "lv_edv": "LV volume, end diastole",
+    "lv_esv": "LV volume, end systole", "lv_ef": "LV ejection fraction",
+    "rv_edv": "RV volume, end diastole", "rv_esv": "RV volume, end systole",
+    "rv_ef": "RV ejection fraction", "left_atrium": "LA, front to back",
+    "la_volume": "LA volume, greatest", "right": "RV across the base", "root": "aortic root",
+}  # fmt: skip
+"""Measures as people read them."""
 NORMS: dict[str, dict[str, tuple[float, float]]] = {
     "lv_diameter_ed": {"women": (45.0, 3.6), "men": (50.2, 4.1)},
     "lv_diameter_es": {"women": (28.2, 3.3), "men": (32.4, 3.7)},
@@ -115,20 +126,30 @@ def _described(values: Sequence[float]) -> dict[str, float | None]:
     return {"mean": float(found.mean()), "sd": deviation, "low": found.min(), "high": found.max()}
 
 
-def table_of(content: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return head and rows of a report's table: healthy people beside norms, then pathologies."""
-    groups, norms = content["groups"], content["norms"]
+Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
+
+
+def tables_of(content: Mapping[str, Any]) -> list[Table]:
+    """Return head and rows of a report's tables: healthy people beside norms, and pathologies."""
+    groups = content["groups"]
+    healthy = [name for name in groups if name in SEXES]
+    others = [name for name in groups if name not in SEXES]
+    return [_table_of(content, names) for names in (healthy, others) if names]
+
+
+def _table_of(content: Mapping[str, Any], names: Sequence[str]) -> Table:
+    groups, norms = {name: content["groups"][name] for name in names}, content["norms"]
     head, rows = ["measure"], []
     for name, group in groups.items():
         head.append(f"{name}, n = {group['n']}")
         if name in SEXES:
             head.append(f"{name}, norm")
     for measure_name, unit in content["units"].items():
-        cells = [f"{measure_name}, {unit}"]
+        cells = [f"{TITLES[measure_name]}, {unit}"]
         for name, group in groups.items():
             each = group[measure_name]
             told = _told(each["mean"], each["sd"])
-            cells.append(f"{told} ({each['low']:.0f} to {each['high']:.0f})")
+            cells.append(f"{told}\n{each['low']:.0f} to {each['high']:.0f}")
             if name in SEXES:
                 norm = norms.get(measure_name, {}).get(name)
                 cells.append(_told(*norm) if norm else "–")
@@ -159,7 +180,7 @@ def draw(content: Mapping[str, Any]) -> bytes:
                     )  # fmt: skip
             told = [f"{group}, n = {found['n']}" for group, found in groups.items()]
             axes.set_xticks(range(len(groups)), told, rotation=35, ha="right")
-            axes.set(title=name, ylabel=UNITS[name])
+            axes.set(title=TITLES[name], ylabel=UNITS[name])
         figure.suptitle(
             "simulated patients; shaded: healthy women and men, mean ± 2 SD (Lang 2015)"
         )

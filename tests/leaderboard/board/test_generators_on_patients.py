@@ -1,18 +1,22 @@
 """Generators on boards of patients: scored by scouts, pinned, ranked, and audited."""
 
+import hashlib
 import json
 import shutil
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 import torch
 import yaml
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
-from racines_data.patients.scouts import POSES
+from racines_data.patients.scouts import FRAMES, POSES
+from racines_data.records import encode_png
 from racines_data.store.asked import AskedStore
 from racines_leaderboard.audit import adapting
+from racines_leaderboard.board import recompute
 from racines_leaderboard.board.collect import read_board, read_scores
 from racines_leaderboard.board.rank import rankings
 from racines_leaderboard.board.standing import is_bound
@@ -63,7 +67,7 @@ def made(tmp_path_factory) -> Path:
 
 def coarse(patch: pytest.MonkeyPatch) -> None:
     """Put block means in the place of Inception."""
-    for module in (features, scoring, adapting):
+    for module in (features, scoring, adapting, recompute):
         patch.setattr(module, "InceptionFeatures", Coarse)
 
 
@@ -225,3 +229,114 @@ def test_a_scout_that_is_too_short_is_refused(board):
     )
     with pytest.raises(RacinesError, match="has 7 frames and adapt needs 8"):
         draw_patients(generator, asked, 0)
+
+
+def exported(*words: str) -> Path:
+    """Return the file that `racines export WORDS --tier patients` writes."""
+    out = Path("drawn") / f"{len(list(Path('drawn').glob('*')))}.parquet"
+    racines("export", *words, "--out", str(out), "--tier", "patients")
+    return out
+
+
+def test_poses_and_scouts_are_all_that_a_program_outside_needs(board):
+    poses = pq.read_table(exported("poses"))
+    scouts = pq.read_table(Path("drawn/0-scouts.parquet"))
+    asked = AskedStore("validation", 2, 0, Path("models/runs/scores/reference"))
+    assert poses["sample"].to_pylist() == list(range(2 * POSES))
+    for table, length in ((poses, POSES), (scouts, FRAMES)):
+        whose = [patient for patient in asked.patients or () for _ in range(length)]
+        assert table["patient"].to_pylist() == whose
+        assert table.schema.metadata[b"racines.dataset"].decode() == asked.digest
+    assert torch.equal(torch.tensor(poses["position_x"].to_pylist()), asked.parameters[:, 6])
+    first = asked.scout_parameters[1, 0]
+    assert scouts["rotation_z"][FRAMES].as_py() == float(first[11])
+    assert scouts["image"][FRAMES].as_py() == encode_png(asked.scouts[1, 0].numpy())
+    # Retrieval by a program of its own: whoever has both files can adapt.
+    again = exported("predictions", "nearest-pose")
+    told = pq.read_table(again)
+    assert told["sample"].to_pylist() == poses["sample"].to_pylist()
+    own = {scouts["image"][row].as_py() for row in range(FRAMES)}
+    assert all(told["image"][row].as_py() in own for row in range(POSES))
+
+
+@pytest.mark.parametrize("name", ["nearest-pose", "scout-attention", "noise-ceiling", "mean-image"])
+def test_images_drawn_elsewhere_are_scored_as_their_generator_is(board, name):
+    by_name, _ = read_scores(SCORES / f"{name}.json")
+    path = exported("predictions", name)
+    racines("eval", "generator", str(path), "--tier", "patients", "--out", "elsewhere")
+    scores, track = read_scores(Path(f"elsewhere/{name}.json"))
+    assert track.name == PATIENT_GENERATORS.name and "adapts" not in scores
+    metrics = dict(by_name["metrics"])
+    metrics.pop("seconds_to_adapt", None)
+    assert scores["metrics"] == metrics and scores["by_stratum"] == by_name["by_stratum"]
+    assert scores["weights"] == {path.name: hashlib.sha256(path.read_bytes()).hexdigest()}
+
+
+def handed_in(paths: list[Path], **changes) -> Path:
+    """Hand images of patients in, one file a training; return the folder of the submission."""
+    folder = Path("mine")
+    folder.mkdir()
+    artefacts = []
+    for path in paths:
+        content = path.read_bytes()
+        (folder / path.name).write_bytes(content)
+        sha256 = hashlib.sha256(content).hexdigest()
+        entry = {"kind": "predictions", "path": path.name, "sha256": sha256, "size": len(content)}
+        artefacts.append(entry)
+    digest = pq.read_schema(paths[0]).metadata[b"racines.dataset"].decode()
+    document = {
+        "schema": "racines.submission/2", "name": "mine", "track": PATIENT_GENERATORS.name,
+        "authors": ["Somebody"], "method": "retrieval", "description": "Nearest frames.",
+        "licence": "Apache-2.0", "tier": "recomputed",
+        "dataset": {"source": "phantom", "version": "2.0.0", "digest": digest}, "seeds": [0],
+        "code": {"url": "https://example.org/mine", "commit": "0a1b2c3"},
+        "training": {"budget": "none", "hardware": "a core"}, "artefacts": artefacts,
+    }  # fmt: skip
+    (folder / "submission.yaml").write_text(yaml.safe_dump(document | changes))
+    return folder
+
+
+def test_images_handed_in_are_scored_again_ranked_and_audited(board):
+    paths = [exported("predictions", "nearest-pose", "--text", str(each)) for each in range(3)]
+    folder = handed_in(paths)
+    said = racines("submit", str(folder), "--recompute", "--params", "params.yaml")
+    assert "sound (mine, patient-generators)" in said
+    record = json.loads((RESULTS / "patients/patient-generators/mine.json").read_text())
+    retrieval, _ = read_scores(SCORES / "nearest-pose.json")
+    assert record["tier"] == "recomputed" and record["scores"]["runs"] == 3
+    for key in ("ssim", "psnr", "kid", "dice", "pose_error_mm"):
+        value = retrieval["metrics"][key]["value"]
+        assert record["scores"]["metrics"][key]["value"] == pytest.approx(value, abs=1e-9)
+    records = read_board(RESULTS, "patients")[PATIENT_GENERATORS.name]
+    (mine,) = (each for each in rankings(PATIENT_GENERATORS, records)
+               if each.record["name"] == "mine")  # fmt: skip
+    assert mine.place == 1, "three trainings, and no bound"
+    report = json.loads(racines("audit", "mine", "--board", "patients", "--json"))["reports"][0]
+    assert report["verdict"] == "holds", report
+    again = ("leaderboard", "--recompute", "mine", "--params", "params.yaml", "--board", "mini")
+    done = CliRunner().invoke(app, list(again))
+    assert "differs from 'patients'" in str(done.exception)
+    done = CliRunner().invoke(app, [*again[:-1], "patients", "--secret", "nonce.json"])
+    assert done.exit_code != 0
+
+
+def test_images_of_others_are_refused(board):
+    path = exported("predictions", "nearest-pose", "--patients", "1")
+    folder = handed_in([path])
+    words = ("submit", str(folder), "--recompute", "--params", "params.yaml")
+    done = CliRunner().invoke(app, list(words))
+    assert "mine: dataset.digest" in str(done.exception)
+    assert "what board patients asks of patients" in str(done.exception)
+    Path("params.yaml").write_text(yaml.safe_dump(SETTINGS | {"patient_boards": []}))
+    done = CliRunner().invoke(app, ["leaderboard", "--recompute", "mine"])
+    assert "which these settings do not make (patient_boards: none)" in str(done.exception)
+    for words, message in (
+        (("export", "poses", "--patients", "2", "--out", "a.parquet"), "needs --tier patients"),
+        (("export", "poses", "--tier", "patients", "--samples", "9", "--out", "a.parquet"),
+         "--samples is not for --tier patients"),
+        (("export", "predictions", "a.onnx", "--tier", "patients", "--out", "a.parquet"),
+         "cannot adapt to a patient"),
+        (("eval", "generator", str(path), "--tier", "patients"), "this one is"),
+    ):  # fmt: skip
+        done = CliRunner().invoke(app, list(words))
+        assert done.exit_code != 0 and message in str(done.exception), words

@@ -6,7 +6,7 @@ from typer.testing import CliRunner
 from racines_data.errors import RacinesError
 from racines_data.patients import PATIENTS_VERSION, draw_patient
 from racines_leaderboard.cli.command import app
-from racines_models.studies.population import NORMS, SEXES, UNITS, groups_of, table_of
+from racines_models.studies.population import NORMS, SEXES, TITLES, UNITS, groups_of, tables_of
 from racines_models.studies.real_heart.measures import UNITS as REAL
 from racines_models.studies.real_heart.report import read_population
 
@@ -54,9 +54,11 @@ def test_groups_are_of_the_healthy_by_sex_and_of_each_pathology():
     assert groups["women"]["n"] == 2 and groups["women"]["lv_edv"]["mean"] == 2.0
     assert groups["women"]["lv_edv"]["sd"] == pytest.approx(2**0.5)
     assert groups["dilated"]["lv_edv"] == {"mean": 9.0, "sd": None, "low": 9.0, "high": 9.0}
-    head, table = table_of({"groups": groups, "norms": NORMS, "units": UNITS})
-    assert head == ("measure", "women, n = 2", "women, norm", "dilated, n = 1")
-    assert table[0] == ("lv_diameter_ed, mm", "2.0 ± 1.4 (1 to 3)", "45.0 ± 3.6", "9.0 (9 to 9)")
+    (head, healthy), others = tables_of({"groups": groups, "norms": NORMS, "units": UNITS})
+    assert head == ("measure", "women, n = 2", "women, norm")
+    assert healthy[0] == ("LV across, end diastole, mm", "2.0 ± 1.4\n1 to 3", "45.0 ± 3.6")
+    assert others[0] == ("measure", "dilated, n = 1") and others[1][0][1] == "9.0\n9 to 9"
+    assert set(TITLES) == set(UNITS)
     assert all(set(norm) == set(SEXES) for norm in NORMS.values()) and set(NORMS) <= set(UNITS)
 
 

@@ -21,7 +21,7 @@ def evaluate_on_patients(
     """Score a generator on patients; write NAME.json, .parquet and .png, and tell the figures.
 
     Args:
-        name: of a registered generator, or `module:Class`.
+        name: of a registered generator, `module:Class`, or a file of predictions.
         chosen: settings that the command line gives.
         values: all settings.
         run: folder of the run; None: that of the name.
@@ -35,7 +35,13 @@ def evaluate_on_patients(
     from racines_models.cli.output import metrics_table, tell
     from racines_models.judges.pose.regressor import PoseRegressor
     from racines_models.judges.segmentation.model import SegmentationJudge
-    from racines_models.registry import PATIENTS, generator_class, run_folder, weights_of
+    from racines_models.registry import (
+        PATIENTS,
+        generator_class,
+        is_predictions,
+        run_folder,
+        weights_of,
+    )
     from racines_models.scores.features import InceptionFeatures
     from racines_models.scores.on_patients import (
         Judges,
@@ -50,10 +56,14 @@ def evaluate_on_patients(
     check_named(name)
     config = fill(PatientScoresConfig, section(values, "patient_scores") | chosen, "patient_scores")
     tier_board = PATIENTS if PATIENTS in values.get("patient_boards", ()) else None
-    folder = run_folder(name, run, PATIENTS)
-    further = published_seeds(tier_board, folder) if run is None else []
-    own = section(values, "patient_generators").get(generator_class(name).name)
-    generators = open_for_patients(name, folder, further, device, own)
+    drawn_elsewhere = is_predictions(name)
+    folder = run if drawn_elsewhere else run_folder(name, run, PATIENTS)
+    further = published_seeds(tier_board, folder) if folder is not None and run is None else []
+    generators: list[Any] = []
+    if not drawn_elsewhere:
+        # Before anybody is scanned: what is not there is told at once.
+        own = section(values, "patient_generators").get(generator_class(name).name)
+        generators = open_for_patients(name, folder, further, device, own)
     pose = PoseRegressor.load(config.pose, device)
     outlines = SegmentationJudge.load(config.segmentation, device)
     judges = Judges(pose, outlines, InceptionFeatures(device))
@@ -64,13 +74,15 @@ def evaluate_on_patients(
         asked = AskedStore(
             config.split, config.patients, config.seed, cache, lambda n: bar.advance(task, n)
         )
+        if drawn_elsewhere:
+            generators = open_for_patients(name, folder, asked=asked)
+        title = generators[0].name if drawn_elsewhere else generator_class(name).name
         total = 2 * len(asked)
-        drawn = bar.add_task(f"scoring {name}, images", total=total)
-        title = generator_class(name).name
+        drawn = bar.add_task(f"scoring {title}, images", total=total)
         scores = score_on_patients(
             generators, asked, config, title, judges, device, lambda n: bar.advance(drawn, n)
         )
-    there = (folder / "config.json").is_file()
+    there = folder is None or (folder / "config.json").is_file()
     weights = weights_of(name, folder, further) if there else None
     content: dict[str, Any] = {**scores.content, "weights": weights or None}
     content["dataset"]["board"] = tier_board

@@ -31,12 +31,11 @@ def population(
         content = survey(split, patients, lambda done: bar.update(task, completed=done))
     write_json(out.with_suffix(".json"), content)
     write_atomic(out.with_suffix(".png"), draw(content))
-    tell(content, as_json, _table(content), f"{out}.json, {out}.png")
+    tell(content, as_json, *_tables(content), f"{out}.json, {out}.png")
 
 
-def _table(content: dict[str, Any]) -> "Table":
+def _tables(content: dict[str, Any]) -> "list[Table]":
     from racines_data.tables import console_table
-    from racines_models.studies.population import table_of
+    from racines_models.studies.population import tables_of
 
-    head, rows = table_of(content)
-    return console_table(head, rows, "mean ± SD (range)")
+    return [console_table(*each, "mean ± SD, range") for each in tables_of(content)]

@@ -11,6 +11,7 @@ import json
 import os
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from racines_data.randomness import derive
 from racines_data.records import encode_png
 from racines_data.schema import PARAMETERS
 from racines_data.sources.images import check_png
+from racines_data.store.asked import AskedStore
 from racines_data.store.frames import Batch, FrameStore
 from racines_models.contract import ContractError, check_range, declared
 from racines_models.exchange.naming import check_name, check_size
@@ -47,6 +49,7 @@ GROUP = 256
 
 IDS = [pa.field("sample", pa.int64(), False), pa.field("seed", pa.int64(), False)]
 NOISE_SEED = pa.field("noise_seed", pa.int64(), False)
+PATIENT = pa.field("patient", pa.int64(), False)
 POSE_COLUMNS = pa.schema([*IDS, NOISE_SEED, *(pa.field(name, pa.float32()) for name in PARAMETERS)])
 PREDICTION_COLUMNS = pa.schema([*IDS, pa.field("image", pa.binary(), False)])
 
@@ -71,6 +74,11 @@ class Task:
     split: str
     seeds: tuple[int, ...]
 
+    @property
+    def asked(self) -> AskedStore | None:
+        """The store, where the frames are what is asked of patients; else None."""
+        return self.store if isinstance(self.store, AskedStore) else None
+
     def metadata(self, schema: str) -> dict[str, str]:
         """Return what names dataset and frames in a file's metadata."""
         manifest = self.store.manifest
@@ -89,14 +97,17 @@ def write_poses(path: Path, task: Task) -> int:
     """Write the poses that an outside program draws; return the number of rows.
 
     `noise_seed` is the seed that a generator of ours gets for the sample: a hash of seed and row.
+    Of poses asked of patients `patient` is whose each is.
     """
-    frames = task.sample.frames
+    frames, asked = task.sample.frames, task.asked
+    schema = POSE_COLUMNS if asked is None else POSE_COLUMNS.insert(len(IDS), PATIENT)
 
     def columns(seed: int) -> list[Any]:
         noise = derive(torch.full_like(frames.index, seed), DRAW, frames.index)
-        return [noise.numpy(), *frames.parameters.numpy().T]
+        whose = [] if asked is None else [asked.units(frames.index)]
+        return [*whose, noise.numpy(), *frames.parameters.numpy().T]
 
-    return _write(path, POSE_COLUMNS, task.metadata(POSES), task, columns)
+    return _write(path, schema, task.metadata(POSES), task, columns)
 
 
 def write_predictions(
@@ -135,24 +146,28 @@ def _write(
     columns: Callable[[int], list[Any]],
 ) -> int:
     """Write the rows of each seed, with the `columns` behind sample and seed."""
-    schema = schema.with_metadata({f"racines.{key}": value for key, value in metadata.items()})
     index = task.sample.frames.index.numpy()
-    aside = path.with_name(f".{path.name}.part")
-    try:
-        with naming(path), _writer(aside, schema) as writer:
-            for seed in task.seeds:
-                values = [index, np.full(len(index), seed), *columns(seed)]
-                table = pa.table([pa.array(each) for each in values], schema=schema)
-                writer.write_table(table, row_group_size=GROUP)
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
+    with writing(path, schema, metadata) as writer:
+        for seed in task.seeds:
+            values = [index, np.full(len(index), seed), *columns(seed)]
+            table = pa.table([pa.array(each) for each in values], schema=writer.schema)
+            writer.write_table(table, row_group_size=GROUP)
     return len(index) * len(task.seeds)
 
 
-def _writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    return pq.ParquetWriter(path, schema, compression="zstd", use_dictionary=False)
+@contextmanager
+def writing(path: Path, schema: pa.Schema, metadata: dict[str, str]) -> Iterator[pq.ParquetWriter]:
+    """Write a Parquet file with `racines.` metadata, which takes its place once it is whole."""
+    schema = schema.with_metadata({f"racines.{key}": value for key, value in metadata.items()})
+    aside = path.with_name(f".{path.name}.part")
+    try:
+        with naming(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with pq.ParquetWriter(aside, schema, compression="zstd", use_dictionary=False) as file:
+                yield file
+        os.replace(aside, path)
+    finally:
+        aside.unlink(missing_ok=True)
 
 
 class Predictions:
@@ -271,6 +286,19 @@ class Predictions:
                 samples, seeds = (columns[name].to_numpy() for name in ("sample", "seed"))
                 yield row, samples, seeds, _png_of(columns["image"])
                 row += len(batch)
+
+
+def metadata_of(path: Path) -> dict[str, str]:
+    """Return what a predictions file says that it was made for, without its images.
+
+    Raises:
+        RacinesError: not such a file, or too large.
+    """
+    check_size(path, MAX_BYTES)
+    try:
+        return _read_metadata(pq.read_schema(path).metadata or {}, path)
+    except (OSError, pa.ArrowException) as error:
+        raise RacinesError(f"{path}: not readable as Parquet: {error}") from error
 
 
 def _png_of(column: Any) -> Any:
