@@ -74,6 +74,7 @@ class SeenAgain:
     """The bound: what the patient's own heart shows at the same poses, seen a second time."""
 
     name = NoiseCeiling.name
+    stochastic, conditional = False, True
 
 
 @dataclass(frozen=True)
