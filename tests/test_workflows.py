@@ -112,6 +112,16 @@ def test_submissions_of_every_track_are_looked_at():
     assert {path.name for path in (ROOT / "leaderboard/submissions").iterdir()} <= tracks
 
 
+def test_submissions_are_scored_by_settings_that_make_their_boards():
+    text = (FOLDER / "submission.yml").read_text()
+    special = re.findall(r"\[\[ \$name == ([a-z*/-]+) \]\] && ground=\(--params (\S+)", text)
+    assert dict(special).keys() == {"patient-*", "motion/*"}
+    for pattern, params in special:
+        settings = yaml.safe_load((ROOT / params.rstrip(")")).read_text())
+        made = {settings["board"], *settings.get("patient_boards", ())}
+        assert made & {"patients", "beating"} if "patient" in pattern else "trackerless" in made
+
+
 def commands() -> list[str]:
     runs = [step.get("run", "") for path in WORKFLOWS for step in steps(read(path.name))]
     return [found for run in runs for found in re.findall(r"racines [a-z][^;|>\n]*", run)]
