@@ -27,7 +27,7 @@ from racines_envs.worlds.making import (
 from racines_leaderboard.board.collect import Record, record_of, write_records
 from racines_leaderboard.records.schema import check
 from racines_leaderboard.records.tracks import (
-    GENERATORS,
+    HELD_OUT,
     MOTION,
     PATIENT_AGENTS,
     PATIENT_GENERATORS,
@@ -136,8 +136,7 @@ def recompute_scores(
     if probing:
         _try_contract(folder, document, ground)
     paths = [folder / artefact["path"] for artefact in artefacts]
-    makers = {
-        GENERATORS.name: _generator_scores,
+    makers = dict.fromkeys(HELD_OUT, _generator_scores) | {
         PATIENT_GENERATORS.name: _scores_of_adapting,
         MOTION.name: _motion_scores,
     }
@@ -169,7 +168,7 @@ def rescorable(folder: Path, ground: Ground) -> tuple[dict[str, Any], list[dict[
 
 def _try_contract(folder: Path, document: dict[str, Any], ground: Ground) -> None:
     """Try the contract on a board's own data, or at the starts of its own view."""
-    if document["track"] == GENERATORS.name:
+    if document["track"] in HELD_OUT:
         store = open_store(ground.data)
         _check_data(document, store.manifest, str(ground.data))
         probe(folder, document, store, ground.limits)
@@ -211,6 +210,9 @@ def _generator_scores(
     document: dict[str, Any], kind: str, paths: Sequence[Path], ground: Ground
 ) -> dict[str, Any]:
     store = open_store(ground.data)
+    if store.turns is not None:
+        # Of turns nothing is labelled, and where the heart lies is not known.
+        ground = dataclasses.replace(ground, grader=None, pose=None)
     config = fill(ScoresConfig, section(ground.settings, "scores"), "scores")
     opened = open_sources(document, kind, paths, ground, store, config.split)
     scores = score_on(ground, store, config, opened, document["name"])

@@ -67,8 +67,8 @@ REMEDY = (
 )
 
 GENERATORS, AGENTS, ON_PATIENTS = "generators", "agents", "patient-agents"
-ADAPTING, MOTION = "patient-generators", "motion"
-ALL = (GENERATORS, AGENTS, ON_PATIENTS, ADAPTING, MOTION)
+ADAPTING, TURNS, MOTION = "patient-generators", "turn-generators", "motion"
+ALL = (GENERATORS, AGENTS, ON_PATIENTS, ADAPTING, TURNS, MOTION)
 SEVERAL = {"generator": ALL, "motion": ALL, "predictions": (ADAPTING,)}
 """Kinds of which there may be several, the trainings of one method, and the tracks where."""
 
@@ -85,8 +85,10 @@ class Kind:
 
 
 KINDS = {
-    "predictions": Kind(".parquet", (GENERATORS, ADAPTING), "images of the test poses", True),
-    "generator": Kind(".onnx", (GENERATORS,), "a network that draws", True),
+    "predictions": Kind(
+        ".parquet", (GENERATORS, ADAPTING, TURNS), "images of the test poses", True
+    ),
+    "generator": Kind(".onnx", (GENERATORS, TURNS), "a network that draws", True),
     "policy": Kind(".onnx", (AGENTS, ON_PATIENTS), "a network that steers", True),
     "trace": Kind(".json", (AGENTS,), "the actions of every episode", True),
     "motion": Kind(".parquet", (MOTION,), "the motion of every test sweep", True),

@@ -58,7 +58,9 @@ POSES, STARTS = 11, 64
 FRAMES = 64
 """Frames whose poses are shuffled."""
 PLACES = {
-    "generators": (Path("models/runs"), Path("models/weights")),
+    **dict.fromkeys(
+        ("generators", "turn-generators"), (Path("models/runs"), Path("models/weights"))
+    ),
     "patient-generators": (Path("models/runs/patients"), Path("models/weights/patients")),
     **dict.fromkeys(("agents", "patient-agents"), (Path("envs/runs"), Path("envs/weights"))),
 }

@@ -4,18 +4,22 @@ import json
 import shutil
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 import yaml
+from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.board.collect import read_board, read_scores
 from racines_leaderboard.board.rank import rankings
 from racines_leaderboard.board.standing import is_bound
+from racines_leaderboard.cli.command import app
 from racines_leaderboard.records.ranges import check_possible, range_of
 from racines_leaderboard.records.tracks import GENERATORS, TURN_GENERATORS, track_of
 from racines_models.scores import features, scoring
 from tests.data.sources.rotation_folder import write_rotation
 from tests.leaderboard.called import racines
+from tests.leaderboard.handed_in import inbox, submitted
 from tests.models.scores.test_scores import Coarse
 
 BOUND = "racines_models.generators.neighbouring_frame:Generator"
@@ -136,3 +140,30 @@ def test_an_audit_without_the_recording_names_the_import(board, monkeypatch):
     shutil.rmtree("turns")
     said = racines("audit", "vae-gan", "--board", "turned", "--json", code=3)
     assert "racines data import FOLDER --source rotation" in said
+
+
+def test_images_of_turns_are_handed_in_scored_again_and_audited(board, monkeypatch):
+    coarse(monkeypatch)
+    path = inbox(board, "in") / "drawn.parquet"
+    words = "nearest-pose", "--data", "turns", "--params", "params.yaml", "--out", str(path)
+    racines("export", "predictions", *words)
+    told = pq.read_schema(path).metadata
+    digest, version = (told[b"racines." + key].decode() for key in (b"dataset", b"version"))
+    dataset = {"source": "rotation", "version": version, "digest": digest}
+    about = {"track": TURN_GENERATORS.name, "dataset": dataset}
+    submitted(board, "predictions", path, digest, **about)
+    racines("leaderboard", "--recompute", "mine", "--params", "params.yaml", "--data", "turns")
+    record = json.loads((RESULTS / "turned/turn-generators/mine.json").read_text())
+    by_name, _ = read_scores(SCORES / "nearest-pose.json")
+    assert record["tier"] == "recomputed"
+    # A file draws each pose once a seed: how its drawings differ is not told.
+    metrics = {key: each for key, each in by_name["metrics"].items() if key != "diversity"}
+    assert record["scores"]["metrics"] == metrics
+    assert set(record["scores"]["extractors"]) == {"inception"}
+    words = "--board", "turned", "--data", "turns", "--json"
+    (report,) = json.loads(racines("audit", "mine", *words, code=3))["reports"]
+    wrong = {each["subject"] for each in report["verdicts"] if each["verdict"] == "does not hold"}
+    assert not wrong and report["counts"]["does not hold"] == 0
+    secret = ("--secret", "nonce.json", "--recompute", "mine", "--params", "params.yaml")
+    done = CliRunner().invoke(app, ["leaderboard", *secret, "--data", "turns"])
+    assert done.exit_code != 0
