@@ -85,9 +85,7 @@ class Kind:
 
 
 KINDS = {
-    "predictions": Kind(
-        ".parquet", (GENERATORS, ADAPTING, TURNS), "images of the test poses", True
-    ),
+    "predictions": Kind(".parquet", (GENERATORS, ADAPTING, TURNS), "images of test poses", True),
     "generator": Kind(".onnx", (GENERATORS, TURNS), "a network that draws", True),
     "policy": Kind(".onnx", (AGENTS, ON_PATIENTS), "a network that steers", True),
     "trace": Kind(".json", (AGENTS,), "the actions of every episode", True),

@@ -162,7 +162,7 @@ def test_what_cannot_be_scored_again_says_why(ground, tmp_path):
     for track in ("generators", "agents"):
         adapter = {"kind": "adapter", "adapter": "racines_envs.agents.ppo:PPOAgent"}
         write_submission(submissions / track / "mine", adapter, track=track)
-    with pytest.raises(RacinesError, match="'mine': in both tracks"):
+    with pytest.raises(RacinesError, match="'mine': on several tracks"):
         find(submissions, "mine")
     with pytest.raises(RacinesError, match="no submission"):
         find(submissions, "../generators/mine")
