@@ -46,7 +46,9 @@ def test_a_published_floor_goes_to_its_poses_and_declares(name):
 
 
 @pytest.mark.parametrize("folder", runs(patients=True), ids=lambda folder: folder.name)
-@pytest.mark.parametrize("seed", ["", "seed-1", "seed-2"])
+@pytest.mark.parametrize(
+    "seed", ["", *(pytest.param(f"seed-{n}", marks=pytest.mark.thorough) for n in (1, 2))]
+)
 def test_a_published_policy_finds_most_train_patients_views(folder, seed):
     agent = load_agent(read(folder)["agent"], folder / seed)
     assert "/" not in read(folder / seed)["config"]["store"].removeprefix("envs/runs/")

@@ -86,6 +86,7 @@ def test_what_has_no_ejection_fraction_is_refused(tmp_path):
         CliRunner().invoke(app, words, catch_exceptions=False)
 
 
+@pytest.mark.thorough
 def test_a_study_that_was_killed_goes_on_training_by_training(tmp_path, monkeypatch):
     judge, keep = SegmentationJudge.load(JUDGE), tmp_path / "parts.json"
     config = EjectionConfig(patients=2, chunk=1)

@@ -259,7 +259,10 @@ def test_poses_and_scouts_are_all_that_a_program_outside_needs(board):
     assert all(told["image"][row].as_py() in own for row in range(POSES))
 
 
-@pytest.mark.parametrize("name", ["nearest-pose", "scout-attention", "noise-ceiling", "mean-image"])
+@pytest.mark.parametrize(
+    "name",
+    ["scout-attention", *(pytest.param(name, marks=pytest.mark.thorough) for name in NAMES[:3])],
+)
 def test_images_drawn_elsewhere_are_scored_as_their_generator_is(board, name):
     by_name, _ = read_scores(SCORES / f"{name}.json")
     path = exported("predictions", name)

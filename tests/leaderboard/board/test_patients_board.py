@@ -135,6 +135,7 @@ def test_what_is_changed_afterwards_does_not_hold(board, place, value):
     assert said["reports"][0]["verdict"] == "does not hold"
 
 
+@pytest.mark.thorough
 def test_what_an_agent_goes_by_is_pinned_by_its_hash(board):
     """The hill-climber climbs the opinion of the grader of patients."""
     guide = Path("models/weights/phantom-patients/grader")

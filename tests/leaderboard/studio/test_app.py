@@ -37,6 +37,7 @@ def test_no_part_of_the_page_takes_a_file(served: str):
     assert not config.get("share_url") and config["analytics_enabled"] is False
 
 
+@pytest.mark.thorough
 def test_many_visitors_at_once(served: str):
     """Each does one of six things, however long it takes: so each thing is done by two."""
     told = run(served, sessions=12, turns=1)

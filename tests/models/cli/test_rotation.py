@@ -20,7 +20,9 @@ scores: {samples: 30, speed: false}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["nearest-pose", "scene-field"])
+@pytest.mark.parametrize(
+    "name", ["nearest-pose", pytest.param("scene-field", marks=pytest.mark.thorough)]
+)
 def test_import_train_and_score(tmp_path: Path, name: str):
     write_rotation(tmp_path / "heart", turns=36)
     (tmp_path / "params.yaml").write_text(PARAMS)
