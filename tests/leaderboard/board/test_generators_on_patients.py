@@ -21,6 +21,8 @@ from racines_leaderboard.board.collect import read_board, read_scores
 from racines_leaderboard.board.rank import rankings
 from racines_leaderboard.board.standing import is_bound
 from racines_leaderboard.cli.command import app
+from racines_leaderboard.fresh.draws import draw_in_secret
+from racines_leaderboard.fresh.rounds import Secret, commit
 from racines_leaderboard.records.schema import sealed
 from racines_leaderboard.records.tracks import PATIENT_GENERATORS
 from racines_models.generators.nearest_pose import NearestPose
@@ -320,8 +322,12 @@ def test_images_handed_in_are_scored_again_ranked_and_audited(board):
     again = ("leaderboard", "--recompute", "mine", "--params", "params.yaml", "--board", "mini")
     done = CliRunner().invoke(app, list(again))
     assert "differs from 'patients'" in str(done.exception)
-    done = CliRunner().invoke(app, [*again[:-1], "patients", "--secret", "nonce.json"])
-    assert done.exit_code != 0
+    secret = Secret("patients", 1, hashlib.sha256(b"a nonce").digest())
+    commit(RESULTS, "patients", secret.nonce, "2026-11-26", Path("nonce.json"))
+    ground = recompute.Ground("patients", SETTINGS, cache=Path("models/runs/scores/reference"))
+    place = Path("leaderboard/submissions/patient-generators/mine")
+    with pytest.raises(RacinesError, match="is drawn in secret: images are no program"):
+        draw_in_secret(place, ground, RESULTS, secret, "2026-11-26")
 
 
 def test_images_of_others_are_refused(board):

@@ -17,6 +17,7 @@ from racines_envs.agents.onnx.policy import OnnxPolicyAgent
 from racines_envs.evaluation.patients import PatientsConfig, StartSet, evaluate_patients
 from racines_envs.worlds.making import patients_recipe
 from racines_leaderboard.board import recompute as recomputing
+from racines_leaderboard.board.belonging import board_of
 from racines_leaderboard.board.collect import collect, read_board, read_scores
 from racines_leaderboard.board.rank import rankings
 from racines_leaderboard.board.recompute import Ground, recompute
@@ -190,6 +191,9 @@ def test_a_policy_handed_in_is_scored_on_patients(board):
     about = {"track": "patient-agents", "dataset": dataset}
     folder = submitted(board, "policy", path, recipe["recipe_digest"], **about)
     settings = SETTINGS | {"patient_agents": {}}
+    assert board_of(folder, settings) == "patients"
+    with pytest.raises(RacinesError, match=r"do not make \(patient_boards: beating\)"):
+        board_of(folder, settings | {"patient_boards": ["beating"]})
     record = recompute(folder, Ground("patients", settings, grader=None), RESULTS)
     assert record["track"] == "patient-agents" and record["tier"] == "recomputed"
     assert record["scores"]["metrics"]["success_declared"]["n"] == 6
@@ -200,6 +204,7 @@ def test_a_policy_handed_in_is_scored_on_patients(board):
     moving = sound_policy(inbox(board, "other") / "policy.onnx", view="A4C-beating")
     about |= {"name": "other"}
     other = submitted(board, "policy", moving, recipe["recipe_digest"], **about)
+    assert board_of(other, settings) == "beating"
     with pytest.raises(RacinesError, match=r"other: dataset\.digest: .*; the world of board beat"):
         recompute(other, Ground("beating", settings, grader=None), RESULTS)
 

@@ -1,5 +1,6 @@
 """Generators on recorded turns on a board: pinned between floor and bound, ranked, never mixed."""
 
+import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -7,13 +8,14 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.board.collect import read_board, read_scores
 from racines_leaderboard.board.rank import rankings
+from racines_leaderboard.board.recompute import Ground
 from racines_leaderboard.board.standing import is_bound
-from racines_leaderboard.cli.command import app
+from racines_leaderboard.fresh.draws import draw_in_secret
+from racines_leaderboard.fresh.rounds import Secret, commit
 from racines_leaderboard.records.ranges import check_possible, range_of
 from racines_leaderboard.records.tracks import GENERATORS, TURN_GENERATORS, track_of
 from racines_models.scores import features, scoring
@@ -164,6 +166,9 @@ def test_images_of_turns_are_handed_in_scored_again_and_audited(board, monkeypat
     (report,) = json.loads(racines("audit", "mine", *words, code=3))["reports"]
     wrong = {each["subject"] for each in report["verdicts"] if each["verdict"] == "does not hold"}
     assert not wrong and report["counts"]["does not hold"] == 0
-    secret = ("--secret", "nonce.json", "--recompute", "mine", "--params", "params.yaml")
-    done = CliRunner().invoke(app, ["leaderboard", *secret, "--data", "turns"])
-    assert done.exit_code != 0
+    secret = Secret("turned", 1, hashlib.sha256(b"a nonce").digest())
+    commit(RESULTS, "turned", secret.nonce, "2026-11-26", board / "nonce.json")
+    ground = Ground("turned", SETTINGS, Path("turns"), grader=None)
+    folder = Path("leaderboard/submissions/turn-generators/mine")
+    with pytest.raises(RacinesError, match="turn-generators is drawn in secret: images are no"):
+        draw_in_secret(folder, ground, RESULTS, secret, "2026-11-26")

@@ -31,8 +31,9 @@ def evaluate_on_patients(
         as_json: whether figures are printed as JSON.
     """
     from racines_data.progress import progress_bar
-    from racines_data.store.asked import AskedStore
+    from racines_data.store.asked import AskedStore, asked_digest
     from racines_models.cli.output import metrics_table, tell
+    from racines_models.exchange.predictions.file import check_made_for, metadata_of
     from racines_models.judges.pose.regressor import PoseRegressor
     from racines_models.judges.segmentation.model import SegmentationJudge
     from racines_models.registry import (
@@ -60,8 +61,11 @@ def evaluate_on_patients(
     folder = run if drawn_elsewhere else run_folder(name, run, PATIENTS)
     further = published_seeds(tier_board, folder) if folder is not None and run is None else []
     generators: list[Any] = []
-    if not drawn_elsewhere:
-        # Before anybody is scanned: what is not there is told at once.
+    # Before anybody is scanned: what is not there, or of others, is told at once.
+    if drawn_elsewhere:
+        recipe = asked_digest(config.split, config.patients, config.seed)
+        check_made_for(Path(name), recipe, metadata_of(Path(name)))
+    else:
         own = section(values, "patient_generators").get(generator_class(name).name)
         generators = open_for_patients(name, folder, further, device, own)
     pose = PoseRegressor.load(config.pose, device)

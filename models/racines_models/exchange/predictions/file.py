@@ -96,8 +96,8 @@ class Task:
 def write_poses(path: Path, task: Task) -> int:
     """Write the poses that an outside program draws; return the number of rows.
 
-    `noise_seed` is the seed that a generator of ours gets for the sample: a hash of seed and row.
-    Of poses asked of patients `patient` is whose each is.
+    `noise_seed` is a hash of seed and row: of one heart the seed that a generator of ours gets for
+    the sample. Of poses asked of patients `patient` is whose each is.
     """
     frames, asked = task.sample.frames, task.asked
     schema = POSE_COLUMNS if asked is None else POSE_COLUMNS.insert(len(IDS), PATIENT)
@@ -194,12 +194,8 @@ class Predictions:
         self.stochastic, self.conditional = (says[self.metadata.get(key)] for key in FLAGS)
         """What the file declares: whether the seed, and whether the pose, changes the image."""
         self.sha256 = sha256_file(self.path)
-        told, digest = self.metadata, store.manifest["digest"]
-        if told["dataset"] != digest:
-            raise RacinesError(
-                f"{self.path}: made for dataset {told['dataset'][:80]!r}, this one is {digest!r}: "
-                "draw the poses that `racines export poses` writes of this dataset"
-            )
+        told = self.metadata
+        check_made_for(self.path, store.manifest["digest"], told)
         if split not in (None, told["split"]):
             raise RacinesError(
                 f"{self.path}: made for split {told['split'][:80]!r}, not {split!r}: "
@@ -286,6 +282,15 @@ class Predictions:
                 samples, seeds = (columns[name].to_numpy() for name in ("sample", "seed"))
                 yield row, samples, seeds, _png_of(columns["image"])
                 row += len(batch)
+
+
+def check_made_for(path: Path, digest: str, told: dict[str, str]) -> None:
+    """Check that a file was made for the dataset of a digest, by its metadata."""
+    if told["dataset"] != digest:
+        raise RacinesError(
+            f"{path}: made for dataset {told['dataset'][:80]!r}, this one is {digest!r}: "
+            "draw the poses that `racines export poses` writes of this dataset"
+        )
 
 
 def metadata_of(path: Path) -> dict[str, str]:
