@@ -29,6 +29,16 @@ def resolve_device(device: torch.device | str) -> str:
     return device
 
 
+def has_bfloat16(device: torch.device | str) -> bool:
+    """Return whether a device has units for bfloat16; a CPU without them takes ten times float32's.
+
+    Those are AVX512_BF16 (AMD since Zen 4) or AMX (Intel since Sapphire Rapids).
+    """
+    if torch.device(device).type == "cpu":
+        return torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
+    return torch.cuda.is_bf16_supported()
+
+
 def on_device(config: C) -> C:
     """Return a config with what its `device` stands for; raises as `resolve_device`."""
     settings: Any = config

@@ -4,6 +4,10 @@ Kernels are chosen by shape, so that all rows are taken in chunks of one size. W
 oneDNN's convolutions treat every place alike; MKL's matrix products do not: the last rows, or the
 columns of a narrow layer, take code that rounds otherwise (by 1e-7 of the value, on AVX-512 and on
 AVX2). Dense layers therefore multiply each row on its own here.
+
+Convolutions in bfloat16 are oneDNN's own where the processor has units for it. Elsewhere its
+stand-in is ten times slower than float32, so that its sums are taken in float32 kernels here: of
+numbers rounded to bfloat16, whose products are exact, and rounded once at the end, as the units do.
 """
 
 from collections.abc import Callable
@@ -12,8 +16,10 @@ from typing import Any, TypeVar, cast
 
 import torch
 from torch import Tensor
-from torch.nn.functional import linear, pad
+from torch.nn.functional import conv2d, linear, pad
 from torch.overrides import TorchFunctionMode
+
+from racines_models.devices import has_bfloat16
 
 SIZE = {"cpu": 8, "cuda": 256}
 """Rows per call by device type. Eight is also the fastest for most generators on a CPU, whose
@@ -38,7 +44,7 @@ def in_fixed_batches(function: Callable[..., Result], *inputs: Tensor, size: int
     # The copy is aligned as any other batch is, also where the inputs are part of a tensor.
     padded = [torch.cat([x, x.new_ones(1).expand(short, *x.shape[1:])]) for x in inputs]
     chunks = zip(*(x.split(size) for x in padded), strict=True)
-    with _DenseRowByRow() if kind == "cpu" else nullcontext():
+    with _OnCPU() if kind == "cpu" else nullcontext():
         parts: list[Any] = [function(*chunk) for chunk in chunks]
     if isinstance(parts[0], Tensor):
         return cast(Result, torch.cat(parts)[:count])
@@ -46,13 +52,31 @@ def in_fixed_batches(function: Callable[..., Result], *inputs: Tensor, size: int
     return cast(Result, tuple(torch.cat(column)[:count] for column in columns))
 
 
-class _DenseRowByRow(TorchFunctionMode):
-    """While it is on, every dense layer takes its rows one by one."""
+class _OnCPU(TorchFunctionMode):
+    """While it is on, dense layers take their rows one by one, and bfloat16 is not emulated."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._own: dict[Any, Any] = {linear: _dense}
+        if not has_bfloat16("cpu"):
+            self._own[conv2d] = _convolve
 
     def __torch_function__(
         self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None
     ) -> Any:
-        return (_dense if func is linear else func)(*args, **(kwargs or {}))
+        return self._own.get(func, func)(*args, **(kwargs or {}))
+
+
+def _convolve(
+    x: Tensor, weight: Tensor, bias: Tensor | None = None, *more: Any, **named: Any
+) -> Tensor:
+    """Return what `conv2d` returns in bfloat16, by float32 kernels; in other types itself."""
+    on = torch.is_autocast_enabled("cpu")
+    if (torch.get_autocast_dtype("cpu") if on else x.dtype) != torch.bfloat16:
+        return conv2d(x, weight, bias, *more, **named)
+    parts = [None if t is None else t.to(torch.bfloat16).float() for t in (x, weight, bias)]
+    with torch.autocast("cpu", enabled=False):
+        return conv2d(*cast(Any, parts), *more, **named).to(torch.bfloat16)
 
 
 def _dense(x: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:

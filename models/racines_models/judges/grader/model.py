@@ -74,7 +74,8 @@ class GraderConfig(Augmentation):
     strong: StrongAugmentation = field(default_factory=StrongAugmentation)
     """What goes beyond the simulator, for real frames; no part of it is on."""
     bf16: bool = True
-    """Train and grade in bfloat16 autocast (twice as fast on recent CPUs)."""
+    """Grade in bfloat16 autocast, and train so where the processor has units for it (twice as
+    fast); where it has none, training is in float32, and grading rounds as those units do."""
     ema: float = 0.0
     """Decay of the averaged weights that are kept; 0, none, as the rate ends at zero anyway."""
     checkpoint_seconds: float = 30.0

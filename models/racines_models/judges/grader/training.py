@@ -18,7 +18,7 @@ from torch.optim import AdamW, Optimizer
 from racines_data.errors import RacinesError
 from racines_data.randomness import derive
 from racines_data.store.frames import Batch, FrameStore
-from racines_models.devices import resolve_device
+from racines_models.devices import has_bfloat16, resolve_device
 from racines_models.judges.grader.evaluation import write_report
 from racines_models.judges.grader.model import Grader, GraderConfig
 from racines_models.judges.grader.report import calibrate
@@ -87,7 +87,7 @@ class JudgeLearner(Course):
         settings = Training(
             images=self.steps * self.batch_size,
             batch_size=self.batch_size,
-            precision="bf16" if self.config.bf16 else "fp32",
+            precision="bf16" if self.config.bf16 and has_bfloat16(run.device) else "fp32",
             ema=self.config.ema,
             log_every=LOG_STEPS * self.batch_size,
             checkpoint_every=self.batch_size,

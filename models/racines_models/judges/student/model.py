@@ -45,7 +45,7 @@ class StudentConfig(Augmentation):
     grade_weight: float = 0.5
     """Weight of the smooth L1 loss on the teacher's grade."""
     bf16: bool = True
-    """Train in bfloat16 autocast and grade in bfloat16."""
+    """Grade in bfloat16; train in bfloat16 autocast where the processor has units for it."""
     ema: float = 0.0
     """Decay of the averaged weights that are kept; 0, none, as the rate ends at zero anyway."""
     checkpoint_seconds: float = 30.0

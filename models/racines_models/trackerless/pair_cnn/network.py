@@ -24,7 +24,6 @@ class PairTraining(Training):
 
     images: int = 80_000
     batch_size: int = 64
-    precision: str = "bf16"
     schedule: str = "cosine"
     warmup_images: int = 6_400
     gradient_clip: float = 1.0

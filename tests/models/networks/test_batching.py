@@ -1,0 +1,64 @@
+"""Bfloat16 on processors without units for it: sums by float32 kernels, rounded as theirs are."""
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from racines_models.networks import batching
+from racines_models.networks.batching import in_fixed_batches
+
+ULP = 2.0**-7
+"""Of bfloat16, relative: two sums that round to neighbours lie so far apart."""
+
+
+@pytest.fixture
+def network() -> nn.Module:
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        return nn.Sequential(
+            nn.Conv2d(1, 8, 3, 2, 1), nn.ReLU(), nn.Conv2d(8, 8, 3, padding=1, groups=2)
+        )
+
+
+@pytest.fixture
+def images() -> Tensor:
+    return torch.randn(11, 1, 32, 32, generator=torch.Generator().manual_seed(1))
+
+
+@pytest.fixture(params=[True, False], ids=["autocast", "weights"])
+def answer(request, network, monkeypatch):
+    """Ask a network in bfloat16, on a processor with or without units for it."""
+    cast = request.param
+    asked = network if cast else network.to(torch.bfloat16)
+
+    def answered(images: Tensor, units: bool) -> Tensor:
+        monkeypatch.setattr(batching, "has_bfloat16", lambda _: units)
+
+        def layer(batch: Tensor) -> Tensor:
+            with torch.autocast("cpu", torch.bfloat16, enabled=cast):
+                return asked(batch if cast else batch.to(torch.bfloat16))
+
+        with torch.no_grad():
+            return in_fixed_batches(layer, images)
+
+    return answered
+
+
+def test_float32_sums_round_as_bfloat16_units_do(answer, images):
+    own, theirs = answer(images, units=False), answer(images, units=True)
+    assert own.dtype == theirs.dtype == torch.bfloat16
+    apart = (own.float() - theirs.float()).abs() / theirs.float().abs().clamp_min(0.1)
+    assert apart.max() <= 2 * ULP  # one layer's neighbours, summed up by the next
+    assert (own == theirs).float().mean() > 0.99
+
+
+def test_rows_ignore_their_batch_without_units_too(answer, images):
+    whole = answer(images, units=False)
+    alone = torch.cat([answer(images[row : row + 1], units=False) for row in range(len(images))])
+    assert torch.equal(whole, alone)
+
+
+def test_float32_stays_float32(network, images, monkeypatch):
+    monkeypatch.setattr(batching, "has_bfloat16", lambda _: False)
+    with torch.no_grad():
+        assert torch.equal(in_fixed_batches(network, images[:8]), network(images[:8]))
