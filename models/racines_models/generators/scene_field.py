@@ -26,8 +26,8 @@ PICKS = 21
 """Random stream: which voxel of four gets a point's gradient."""
 SURVEY = 1_500
 """Training frames whose beams say where voxels are needed."""
-CHUNK = 8
-"""Images decoded at a time: their grids fit a CPU's caches."""
+CHUNK = {"cpu": 8}
+"""Images decoded at a time by device type, else all: their grids fit a CPU's caches."""
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,8 @@ class SceneField(NetworkGenerator[SceneFieldConfig]):
         inputs = fine, coarse, probe.directions(pose), self.net("place")(pose, beat)
         if torch.compiler.is_exporting():  # a loop over parts would fix the number of images
             return probe.image(nets["decoder"](*inputs))
-        parts = zip(*(each.split(CHUNK) for each in inputs), strict=True)
+        size = CHUNK.get(parameters.device.type, max(1, len(parameters)))
+        parts = zip(*(each.split(size) for each in inputs), strict=True)
         return torch.cat([probe.image(nets["decoder"](*part)) for part in parts])
 
     @property

@@ -1,5 +1,7 @@
 """The device against the CPU: canonical frames, the oracle's truth, and the rewards of episodes."""
 
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -8,6 +10,8 @@ from racines_data.geometry import parameters_to_pose
 from racines_data.patients import Pool
 from racines_data.phantom import Phantom
 from racines_data.validate.canonical import compare
+from racines_envs.agents.policy import make_actor
+from racines_envs.agents.ppo import PPOAgent, PPOConfig
 from racines_envs.task.actions import ACTIONS
 from racines_envs.worlds.making import make_core
 from racines_leaderboard.determinism.processors import POSES, SCENES, read_record
@@ -18,15 +22,26 @@ FIRST = 10_000
 
 
 def correctness(device: str, sizes: Sizes) -> dict[str, Any]:
-    """Return greatest differences; `levels` and `reward` are those of all that was compared."""
+    """Return greatest differences; `levels` and `reward` are those of all that was compared.
+
+    Of the phantom, a sample on the edge of two voxels may fall on either side, as between any two
+    processors; pixels more than one gray level apart are counted. Patients lie on a grid of
+    integers, where that cannot be.
+    """
     scenes, truth = _phantoms(device, sizes)
     scenes |= _patients(device, sizes)
     episodes = {reward: _episodes(device, sizes, reward) for reward in ("oracle", "shaped")}
+    hearts = [scenes[name]["levels"] for name in ("patients", "beating") if name in scenes]
+    blocks = [each for name, each in scenes.items() if name in SCENES]
     return {
         "levels": max(each["levels"] for each in scenes.values()),
+        "patients_levels": max(hearts) if hearts else None,
+        "phantom_share": sum(x["beyond_one"] for x in blocks) / sum(x["pixels"] for x in blocks),
+        "holds": all(each["holds"] for each in scenes.values()),
         "reward": max(each["reward"] for each in episodes.values()),
         "scenes": scenes,
         "truth": truth,
+        "graph": _graphs(device),
         "episodes": episodes,
     }
 
@@ -84,6 +99,34 @@ def _patients(device: str, sizes: Sizes) -> dict[str, Any]:
         here = one.render(pose, rows, None if phase is None else phase.double(), seeds)
         frames[name] = _difference(here, there)
     return frames
+
+
+def _graphs(device: str) -> dict[str, float] | None:
+    """Return how far weights lie apart that PPO learned by a captured graph and step by step."""
+    if not device.startswith("cuda"):
+        return None
+    learned = []
+    for graph in (True, False):
+        config = PPOConfig(
+            observation="params", envs=64, update_every=512, frames=2048, minibatch=128, epochs=4,
+            validate_every=1 << 40, validation_starts=1, device=device, cuda_graph=graph,
+        )  # fmt: skip
+        with tempfile.TemporaryDirectory() as folder:
+            agent = PPOAgent.train(config, Path(folder), progress=False)
+        learned.append(torch.cat([x.detach().flatten().cpu() for x in agent.actor.parameters()]))
+    fresh = torch.cat([x.flatten() for x in _fresh(device)])
+    return {
+        "apart": float((learned[0] - learned[1]).abs().max()),
+        "moved": float((learned[1] - fresh).abs().max()),
+    }
+
+
+def _fresh(device: str) -> list[torch.Tensor]:
+    """Return the weights of an actor that has yet to learn, as a training of seed 0 draws them."""
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        actor = make_actor(PPOConfig(observation="params", device=device))
+    return [each.detach() for each in actor.parameters()]
 
 
 def _episodes(device: str, sizes: Sizes, reward: str) -> dict[str, Any]:

@@ -21,9 +21,23 @@ PACKAGES = ("torch", "torchrl", "tensordict", "gymnasium", "numpy")
 DONE, UNDER_WAY, FAILED = "done", "under way", "failed"
 NOT_MEASURED = "not measured"
 ROWS = (
-    ("frames against the CPU, gray levels", "correctness", "levels", "≤ 1", ",.0f"),
+    (
+        "frames of patients against the CPU, gray levels",
+        "correctness",
+        "patients_levels",
+        "≤ 1",
+        ",.0f",
+    ),
+    (
+        "the phantom's pixels more than a gray level apart",
+        "correctness",
+        "phantom_share",
+        "",
+        ".4%",
+    ),
     ("rewards against the CPU", "correctness", "reward", "≤ 0.001", ".2g"),
     ("frames/s, renderer", "render", "frames_per_second", "≥ 100,000", ",.0f"),
+    ("frames/s, renderer of patients", "hearts", "frames_per_second", "", ",.0f"),
     ("steps/s, image, student's reward", "images", "steps_per_second", "≥ 70,000", ",.0f"),
     ("steps/s, pose, oracle's reward", "params", "steps_per_second", "≥ 1,000,000", ",.0f"),
     ("steps/s, PPO from the image", "ppo", "steps_per_second", "≥ 32,000", ",.0f"),

@@ -16,14 +16,14 @@ class Sizes:
     rows: int = 256
     """Rows of the episodes that both devices play, and their steps."""
     steps: int = 100
-    render: tuple[int, ...] = (64, 512, 2048)
+    render: tuple[int, ...] = (64, 2048, 8192)
     images: tuple[int, ...] = (512, 2048, 8192)
     params: tuple[int, ...] = (4096, 32768, 131072, 524288)
     seconds: float = 4.0
     """At least so long each batch size is timed."""
     ppo: tuple[tuple[int, int], ...] = ((1024, 8192), (4096, 32768))
     """Environments, and steps between updates, of the PPO that is timed."""
-    updates: int = 6
+    updates: int = 12
     ppo_minibatch: int = 4096
     views: tuple[str, ...] = ("SC", "A4C", "PL", "PSAV", "PSMV")
     """Of the paper's own agent."""

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from racines_data.geometry import Pose
+from racines_data.patients import Pool
 from racines_data.phantom import shared_phantom
 from racines_data.randomness import sample_seeds
 from racines_data.views import VIEWS
@@ -17,6 +18,7 @@ from racines_envs.agents.ppo import PPOAgent, PPOConfig
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import ScanCore
 from racines_envs.worlds.making import make_core
+from tests.benchmarks.gpu.correctness import FIRST
 from tests.benchmarks.gpu.sizes import Sizes
 
 STUDENT = str(Path(__file__).parents[3] / "models/weights/student")
@@ -33,6 +35,23 @@ def render(device: str, sizes: Sizes, late: Callable[[], bool]) -> dict[str, Any
         pose = Pose(*(torch.cat(parts).to(device)[rows] for parts in zip(*targets, strict=True)))
         seeds = sample_seeds(0, count).to(device)
         return lambda: phantom.render(pose, seeds)
+
+    return _best(drawing, sizes.render, "frames_per_second", device, sizes, late)
+
+
+def hearts(device: str, sizes: Sizes, late: Callable[[], bool]) -> dict[str, Any]:
+    """Time the renderer of patients at their nominal poses, which `correctness` has baked."""
+    if not sizes.hearts:
+        return {}
+    pool = Pool(range(FIRST, FIRST + sizes.hearts), device)
+
+    def drawing(count: int) -> Callable[[], object]:
+        rows = torch.arange(count, device=device) % sizes.hearts
+        targets = pool.targets(rows)
+        each, views = torch.arange(count, device=device), torch.arange(count, device=device) % 5
+        pose = type(targets)(*(part[each, views] for part in targets))
+        seeds = sample_seeds(0, count).to(device)
+        return lambda: pool.render(pose, rows, None, seeds)
 
     return _best(drawing, sizes.render, "frames_per_second", device, sizes, late)
 
