@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 import torch
 
+from racines_models.training.curves import Curves
 from tests.benchmarks.gpu import document, training
+from tests.benchmarks.gpu.sizes import TINY
 from tests.conftest import ROOT
 
 gpu = importlib.import_module("tests.benchmarks.gpu.__main__")
@@ -39,7 +41,7 @@ def test_what_is_measured_is_kept_and_not_measured_again(tmp_path: Path, monkeyp
     assert found["episodes"]["oracle"]["rows_apart"] == found["truth"]["views_apart"] == 0
     assert content["parts"]["params"]["figures"]["by_batch"].keys() == {"2", "4"}
     rows = {row[0]: row[1] for row in content["tables"]["gpu"]["rows"]}
-    assert rows["frames against the CPU, gray levels"] == "0"
+    assert rows["the phantom's pixels more than a gray level apart"] == "0.0000 %"
     assert rows["success of the paper's agent, SC"] == "not measured"
     before = (tmp_path / "gpu.json").read_text()
 
@@ -78,6 +80,24 @@ def test_parts_stop_in_time_go_on_and_do_not_hinder_others(tmp_path: Path, monke
     assert run(tmp_path, budget="10s") == 0 and not given  # no time for anything
     assert run(tmp_path, "--parts", "agent-SC", budget="1m") == 0
     assert [name for name, _ in given] == ["agent-SC"]
+
+
+def test_a_training_under_way_tells_how_far_it_is(tmp_path: Path, monkeypatch):
+    def stopped(words: list[str], log: Path, seconds: float) -> bool:
+        with Curves(Path(words[words.index("--out") + 1])) as curves:
+            for frames, success in ((250_000, 0.1), (500_000, 0.2), (1_000_000, 0.4)):
+                curves.row(
+                    frames, {"validation/success": success, "validation/return": frames / 1e4}
+                )
+                curves.row(frames, {"validation/steps": 150.0, "frames_per_second": 5_000.0})
+        return False
+
+    monkeypatch.setattr(training, "run", stopped)
+    done, figures = training.agent("SC", "cpu", TINY, tmp_path, 1.0)
+    assert not done and figures["frames"] == 1_000_000 and figures["success"] == 0.4
+    assert [row["validation/success"] for row in figures["history"]] == [0.1, 0.2, 0.4]
+    told = document.curve({"agent-SC": {"figures": figures}})["rows"]
+    assert told == [["250,000", "25", "10 %", "150"], ["1,000,000", "100", "40 %", "150"]]
 
 
 def test_another_machines_file_is_refused_and_so_is_no_device(tmp_path: Path, capsys):

@@ -61,8 +61,8 @@ from racines_data.world import Truth, Workspace
 MEMORY = 2_000_000_000
 """Bytes that a pool's voxels may take by default: 100 hearts."""
 CHUNK = {"cpu": 16, "cuda": 1024}
-"""Rows rendered at once by device type, else 64: sixteen fit the caches of a CPU, and a GPU draws a
-thousand in little more time than one."""
+"""Rows rendered at once by device type, else 64: sixteen fit the caches of a CPU, and on
+a GPU the launches of kernels bound a smaller batch."""
 
 
 class Pool:

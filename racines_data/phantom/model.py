@@ -21,7 +21,7 @@ from racines_data.world import Truth, Workspace, World
 
 CHUNK = {"cuda": 2048}
 """Frames rendered at once by device type, else 64: bounds the memory of the polar grids (about 1 MB
-a frame). A GPU draws so many in little more time than one."""
+a frame). On a GPU the launches of its kernels bound a smaller batch."""
 CACHED = {"cpu": 16}
 """Frames whose polar grids are worked on at once by device type, else the chunk: sixteen fit the
 caches of a CPU, two threads included. The coupling of a chunk is computed at once all the same,

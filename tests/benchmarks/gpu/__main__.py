@@ -96,7 +96,8 @@ def parts(device: str, sizes: Any, work: Path, end: float) -> dict[str, tuple[Pa
         return time.monotonic() > end - KEPT
 
     found: dict[str, tuple[Part, float]] = {"correctness": (at_once(correctness), 1.0)}
-    for speed in (speeds.render, speeds.hearts, speeds.images, speeds.params, speeds.ppo):
+    hearts = [speeds.hearts] if sizes.hearts else []
+    for speed in (speeds.render, *hearts, speeds.images, speeds.params, speeds.ppo):
         found[speed.__name__] = at_once(speed, late), 1.0
     for view in sizes.views:
         found[f"agent-{view}"] = partial(training.agent, view, device, sizes, work), 1 - GENERATORS

@@ -18,6 +18,7 @@ from racines_models.provenance import code_version, environment
 
 SCHEMA = json.loads(Path(__file__).with_name("schema.json").read_text())
 PACKAGES = ("torch", "torchrl", "tensordict", "gymnasium", "numpy")
+MILLION = 1_000_000
 DONE, UNDER_WAY, FAILED = "done", "under way", "failed"
 NOT_MEASURED = "not measured"
 ROWS = (
@@ -163,7 +164,7 @@ def whole(
         "hardware": hardware,
         "tiny": tiny,
         "parts": parts,
-        "tables": {"gpu": table(parts)},
+        "tables": {"gpu": table(parts), "agent": curve(parts)},
     }
 
 
@@ -178,6 +179,27 @@ def table(parts: dict[str, dict[str, Any]]) -> dict[str, Any]:
     rows = []
     for what, part, name, aim, form in ROWS:
         figure = parts.get(part, {}).get("figures", {}).get(name)
-        shown = NOT_MEASURED if figure is None else format(figure, form)
+        shown = NOT_MEASURED if figure is None else format(figure, form).replace("%", " %")
         rows.append([what, shown, aim])
     return {"columns": ["", "one GPU", "aim"], "right": 1, "rows": rows}
+
+
+def curve(parts: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return the validations of the paper's agent on SC, about one a million steps and the last."""
+    history = parts.get("agent-SC", {}).get("figures", {}).get("history", [])
+    shown, reached = [], 0
+    for number, row in enumerate(history):
+        if row["frames"] >= reached or number == len(history) - 1:
+            shown.append(row)
+            reached = (row["frames"] // MILLION + 1) * MILLION
+    rows = [
+        [
+            format(row["frames"], ",.0f"),
+            format(row["validation/return"], ",.0f"),
+            format(row["validation/success"], ".0%").replace("%", " %"),
+            format(row["validation/steps"], ",.0f"),
+        ]
+        for row in shown
+    ]
+    columns = ["environment steps", "return, by the grader", "true success", "steps an episode"]
+    return {"columns": columns, "right": 0, "rows": rows}

@@ -41,8 +41,6 @@ def render(device: str, sizes: Sizes, late: Callable[[], bool]) -> dict[str, Any
 
 def hearts(device: str, sizes: Sizes, late: Callable[[], bool]) -> dict[str, Any]:
     """Time the renderer of patients at their nominal poses, which `correctness` has baked."""
-    if not sizes.hearts:
-        return {}
     pool = Pool(range(FIRST, FIRST + sizes.hearts), device)
 
     def drawing(count: int) -> Callable[[], object]:

@@ -50,7 +50,19 @@ def agent(view: str, device: str, sizes: Sizes, work: Path, left: float) -> tupl
     seen = told.get("validation", {})
     figures = {"frames": told.get("step"), "frames_per_second": told.get("frames_per_second")}
     figures |= {name: seen.get(name) for name in ("success", "steps", "return")}
+    figures["history"] = _validations(out) or None
     return False, {name: value for name, value in figures.items() if value is not None}
+
+
+def _validations(out: Path) -> list[dict[str, float]]:
+    """Return the validations of a run under way, as a finished run's metrics hold them."""
+    rows: dict[int, dict[str, float]] = {}
+    for path in sorted((out / "dvclive/plots/metrics/validation").glob("*.tsv")):
+        for line in path.read_text().splitlines()[1:]:
+            step, value = line.split("\t")
+            row = rows.setdefault(int(step), {"frames": int(step)})
+            row[f"validation/{path.stem}"] = float(value)
+    return [rows[step] for step in sorted(rows)]
 
 
 def data(device: str, sizes: Sizes, work: Path, left: float) -> tuple[bool, dict]:
