@@ -309,6 +309,10 @@ def _report(content: dict[str, Any], done: dict[str, dict[str, Any]]) -> dict[st
     return {**content, "base": base, "ablation": sorted(rows, key=lambda row: -row["change"])}
 
 
+PLATE = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
+"""Behind a figure, where the line of the full phantom crosses it."""
+
+
 def draw_ablation(content: dict[str, Any]) -> bytes:
     """Return a PNG of the KID of each variant, with the range of its change over the halves."""
     from matplotlib.figure import Figure
@@ -328,7 +332,7 @@ def draw_ablation(content: dict[str, Any]) -> bytes:
         axes.barh(names, kid, 0.66, xerr=[below, above], color=colours, error_kw=thin)
         for i, row in enumerate(rows):
             place = (row["kid"] + above[i], i)
-            axes.annotate(f" {row['change']:+.3f}", place, va="center", fontsize=7.5)
+            axes.annotate(f" {row['change']:+.3f}", place, va="center", fontsize=7.5, bbox=PLATE)
         axes.axvline(base["kid"], color=PAPER, linewidth=1.2)
         axes.set_title(f"full phantom {base['kid']:.3f}; bars: range over the halves", color=PAPER)
         axes.grid(visible=False, axis="y")
