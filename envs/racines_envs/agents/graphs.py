@@ -16,9 +16,9 @@ Step = Callable[["TensorDictBase"], "TensorDictBase"]
 def replayed(step: Step, rows: int, device: str) -> Step:
     """Return a step that on CUDA replays a graph of itself where it gets `rows` rows.
 
-    Elsewhere, and on batches of another size, it is the step itself. Shapes, networks and optimiser
-    stay the same objects from then on, learning rates are tensors (`set_rate`), and the step never
-    waits for the device.
+    Elsewhere, and on batches of another size, it is the step itself. Networks and optimiser have to
+    stay the same objects from then on, learning rates to be tensors (`set_rate`), and the step must
+    not wait for the device; tensordict does so once before each replay.
     """
     if not device.startswith("cuda"):
         return step

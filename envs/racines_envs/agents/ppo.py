@@ -36,7 +36,7 @@ class PPOConfig(TrainingConfig):
     entropy: float = 0.01
     """Weight of the entropy bonus."""
     cuda_graph: bool = True
-    """On CUDA, replay a gradient step as one graph (see `graphs.py`); no matter on a CPU."""
+    """On CUDA, replay a gradient step as one graph (see `graphs.py`); without effect on a CPU."""
 
 
 TOLD = ("loss_objective", "loss_critic", "entropy", "kl_approx")

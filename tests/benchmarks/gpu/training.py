@@ -58,7 +58,9 @@ def _validations(out: Path) -> list[dict[str, float]]:
     """Return the validations of a run under way, as a finished run's metrics hold them."""
     rows: dict[int, dict[str, float]] = {}
     for path in sorted((out / "dvclive/plots/metrics/validation").glob("*.tsv")):
-        for line in path.read_text().splitlines()[1:]:
+        for line in path.read_text().splitlines(keepends=True)[1:]:
+            if not line.endswith("\n"):  # torn by a kill
+                continue
             step, value = line.split("\t")
             row = rows.setdefault(int(step), {"frames": int(step)})
             row[f"validation/{path.stem}"] = float(value)

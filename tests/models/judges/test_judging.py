@@ -228,3 +228,24 @@ def test_each_target_has_a_scale_of_its_own():
     raw = torch.rand(2, 9)
     position = raw[:, :3] * network.std[:3] + network.mean[:3]
     assert torch.allclose(network.pose(raw).position, position)
+
+
+@pytest.mark.parametrize(("units", "precision"), [(False, "fp32"), (True, "bf16")])
+def test_training_is_in_bfloat16_where_there_are_units_for_it(
+    store, tmp_path, monkeypatch, units, precision
+):
+    class Stopped(Exception):
+        pass
+
+    told = []
+
+    def train(learner, data, settings, *more):
+        told.append(settings.precision)
+        raise Stopped
+
+    monkeypatch.setattr(grader_training, "has_bfloat16", lambda _: units)
+    monkeypatch.setattr(grader_training, "train", train)
+    for config in (GraderConfig(width=0.125), GraderConfig(width=0.125, bf16=False)):
+        with pytest.raises(Stopped):
+            grader_training.train_grader(store, config, Run(tmp_path, 0))
+    assert told == [precision, "fp32"]

@@ -3,6 +3,7 @@
 import pytest
 import torch
 from torch import Tensor, nn
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from racines_models.networks import batching
 from racines_models.networks.batching import in_fixed_batches
@@ -62,3 +63,23 @@ def test_float32_stays_float32(network, images, monkeypatch):
     monkeypatch.setattr(batching, "has_bfloat16", lambda _: False)
     with torch.no_grad():
         assert torch.equal(in_fixed_batches(network, images[:8]), network(images[:8]))
+
+
+class Convolutions(TorchDispatchMode):
+    """Notes the types in which kernels convolve."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.types: set[torch.dtype] = set()
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        if func is torch.ops.aten.convolution.default:
+            self.types.add(args[0].dtype)
+        return func(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize(("units", "kind"), [(False, torch.float32), (True, torch.bfloat16)])
+def test_kernels_are_those_that_the_processor_has_units_for(answer, images, units, kind):
+    with Convolutions() as seen:
+        answer(images, units=units)
+    assert seen.types == {kind}
