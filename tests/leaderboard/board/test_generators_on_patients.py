@@ -5,10 +5,12 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import torch
 import yaml
+from PIL import Image
 from typer.testing import CliRunner
 
 from racines_data.errors import RacinesError
@@ -27,6 +29,7 @@ from racines_leaderboard.records.schema import sealed
 from racines_leaderboard.records.tracks import PATIENT_GENERATORS
 from racines_models.generators.nearest_pose import NearestPose
 from racines_models.scores import features, scoring
+from racines_models.scores.adapted_sheet import EDGE, GAP, HEAD, STEP
 from racines_models.scores.on_patients import draw_patients, open_for_patients
 from tests.conftest import ROOT
 from tests.leaderboard.called import racines
@@ -47,6 +50,7 @@ SETTINGS = {
     },
 }  # fmt: skip
 RESULTS, SCORES = Path("leaderboard/results"), Path("models/runs/scores/patients")
+DPI = 110
 NAMES = ("mean-image", "noise-ceiling", "nearest-pose", "scout-attention")
 
 
@@ -97,6 +101,19 @@ def test_scores_say_who_adapts_and_how_well_by_stratum(board):
     near = [told["nearest-pose"][0]["by_stratum"][key]["ssim"]["value"]
             for key in ("0-5 mm", "15-20 mm")]  # fmt: skip
     assert near[0] > near[1], "retrieval is worse the further off"
+
+
+def test_the_picture_differs_in_what_is_drawn_alone(board):
+    pictures = [np.asarray(Image.open(SCORES / f"{name}.png")) for name in NAMES[1:3]]
+    assert pictures[0].shape == pictures[1].shape and pictures[0].ndim == 2
+    differs = (pictures[0] != pictures[1]).any(1)
+    for patient in range(2):
+        top = HEAD + patient * (3 * STEP + GAP)
+        scout, true, drawn = (
+            differs[round(DPI * (top + row * STEP)) : round(DPI * (top + row * STEP + EDGE))]
+            for row in range(3)
+        )
+        assert not scout.any() and not true.any() and drawn[DPI // 10 :].any()
 
 
 def test_anchors_stand_at_their_ends_and_bounds_without_a_place(board):

@@ -1,17 +1,9 @@
 """What `racines eval generator --tier patients` does."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from racines_data.config import fill, section
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-    from racines_data.store.asked import AskedStore
-
-SHOWN, COLUMNS = 4, 8
-"""Patients in the picture, and images of each in a row."""
 
 
 def evaluate_on_patients(
@@ -43,6 +35,7 @@ def evaluate_on_patients(
         run_folder,
         weights_of,
     )
+    from racines_models.scores.adapted_sheet import write_adapted
     from racines_models.scores.features import InceptionFeatures
     from racines_models.scores.on_patients import (
         Judges,
@@ -92,23 +85,10 @@ def evaluate_on_patients(
     content["dataset"]["board"] = tier_board
     written = out / f"{title}.json"
     content = write_scores(written, content, scores.evidence, force)
-    write_sheet(out / f"{title}.png", asked, scores.images)
+    write_adapted(out / f"{title}.png", asked, scores.images)
     tables = [metrics_table(f"{title}, {config.split} patients", content["metrics"])]
     tables += [
         metrics_table(f"{title}, {stratum} from the scout", found)
         for stratum, found in content["by_stratum"].items()
     ]
     tell(content, as_json, *tables, f"{written}, .parquet, .png")
-
-
-def write_sheet(path: Path, asked: "AskedStore", drawn: "Tensor") -> None:
-    """Write three rows a patient: frames of the scout, true frames near to far, and drawn ones."""
-    from racines_data.patients.scouts import FRAMES, POSES
-    from racines_models.pictures import write_strip
-    from racines_models.sample import evenly
-
-    rows, some = [], evenly(POSES, COLUMNS)
-    for place in range(min(SHOWN, len(asked.trajectories))):
-        rows.append(asked.scouts[place][evenly(FRAMES, COLUMNS)])
-        rows += [images[place * POSES + some] for images in (asked.images, drawn)]
-    write_strip(path, rows)
