@@ -361,8 +361,9 @@ class BehaviourCloningAgent(LearningAgent):
 
     @classmethod
     def _learn(
-        cls, config: Any, run: Run, phantom: WorldLike, grader: JudgeLike, data: Any
-    ) -> Self:
+        cls, config: Any, run: Run, phantom: WorldLike, grader: JudgeLike, data: Any,
+        engine: Any = None,
+    ) -> Self:  # fmt: skip
         """Learn the split `train` and keep the weights of least loss on `validation`."""
         store = open_store(data) if data is None or isinstance(data, (str, Path)) else data
         with seeded(run.seed, config.threads):

@@ -17,12 +17,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import torch
 
+from racines_data.engines import Engine
 from racines_data.errors import RacinesError
 from racines_data.extras import needed
 from racines_data.patients.pool import MEMORY
 from racines_data.store.frames import FrameStore, open_store
 from racines_data.terminal import note, quiet, say
 from racines_data.world import World
+from racines_envs.agents.gathering import gathered
 from racines_envs.agents.networks import PoseEncoder, open_encoder
 from racines_envs.agents.policy import PolicyAgent, make_actor, told_settings
 from racines_envs.agents.rollout import rollout
@@ -80,6 +82,8 @@ class TrainingConfig:
     """Environment steps in all; rounded up to whole updates."""
     envs: int = 64
     """Environments side by side."""
+    collectors: int = 1
+    """Groups of environments that act each by themselves, on workers with `--engine ray`."""
     update_every: int = 2_048
     """Environment steps between updates, a multiple of `envs`."""
     gamma: float = 0.97
@@ -120,6 +124,11 @@ class TrainingRun(ABC):
                 f"agents.{cls.name}.update_every is {config.update_every}: give a multiple of envs "
                 f"({config.envs})"
             )
+        if config.collectors < 1 or config.envs % config.collectors:
+            raise RacinesError(
+                f"agents.{cls.name}.collectors is {config.collectors}: give a divisor of envs "
+                f"({config.envs})"
+            )
         needed("torchrl", f"training {cls.name}")
         self.folder, self.seed, self.progress = folder, seed, progress
         self.cls, self.config = cls, cast(Any, config)
@@ -142,10 +151,14 @@ class TrainingRun(ABC):
         self.frames, self.seconds, self.best, self.history = 0, 0.0, (-1.0, 0.0), []
         identity = settings_identity(cls.name, config, seed, self.encoder)
         identity |= environment_identity(config, self.where["phantom"], grader, data)
+        self.identity, self.given = identity, (phantom, grader, data)
         self.checkpoint = Checkpoint(folder, identity)
 
-    def run(self, resume: bool | None) -> Any:
-        """Act, update, validate, checkpoint, until all frames are seen; return the agent."""
+    def run(self, resume: bool | None, engine: Engine | None = None) -> Any:
+        """Act, update, validate, checkpoint, until all frames are seen; return the agent.
+
+        Several `collectors` act on the `engine`, or here.
+        """
         with warnings.catch_warnings(), seeded(self.seed, self.config.threads):
             warnings.simplefilter("ignore")
             self._build()
@@ -157,7 +170,7 @@ class TrainingRun(ABC):
             if state is not None:
                 self._restore(state)
             if self.frames < self.config.frames:
-                self._loop()
+                self._loop(engine)
             return self._finish()
 
     def _build(self) -> None:
@@ -174,18 +187,17 @@ class TrainingRun(ABC):
     def _update(self, batch: "TensorDictBase") -> dict[str, float]:
         """Learn from a batch (envs, steps) of experience; return figures for the curves."""
 
-    def _loop(self) -> None:
-        """Gather and learn until `frames` is what the config says."""
-        from torchrl.collectors import Collector
+    @property
+    def starts(self) -> int:
+        """The seed of the first environment's episodes, from here on."""
+        return self.seed * 1_000_003 + self.frames
 
+    def _loop(self, engine: Engine | None) -> None:
+        """Gather and learn until `frames` is what the config says."""
         config, began = self.config, time.perf_counter() - self.seconds
         every = config.validate_every
         with Curves(self.folder, self.frames) as curves:
-            self.env.set_seed(self.seed * 1_000_003 + self.frames)
-            size = config.update_every
-            left = -(-(config.frames - self.frames) // size) * size
-            collector = Collector(self.env, self.policy, frames_per_batch=size, total_frames=left)
-            for batch in collector:
+            for batch in self._experience() if config.collectors == 1 else gathered(self, engine):
                 row, last = self._update(batch) | finished(batch), self.frames // every
                 self.frames += batch.numel()
                 self.seconds = time.perf_counter() - began
@@ -193,6 +205,20 @@ class TrainingRun(ABC):
                 if self.frames >= config.frames or self.frames // every > last:
                     row |= self._validate()
                 self._log(curves, row)
+                if self.frames >= config.frames:
+                    return
+
+    def _experience(self) -> Iterator["TensorDictBase"]:
+        """Yield batches (envs, steps) of what all environments do here."""
+        from torchrl.collectors import Collector
+
+        self.env.set_seed(self.starts)
+        size = self.config.update_every
+        left = -(-(self.config.frames - self.frames) // size) * size
+        collector = Collector(self.env, self.policy, frames_per_batch=size, total_frames=left)
+        try:
+            yield from collector
+        finally:
             collector.shutdown()
 
     def _validate(self) -> dict[str, float]:
@@ -252,7 +278,8 @@ class LearningAgent(PolicyAgent):
     def train(
         cls, config: Any, run_dir: Path, *, seed: int = 0, phantom: WorldLike = None,
         grader: JudgeLike = None, data: FrameStore | Path | str | None = None,
-        resume: bool | None = None, progress: bool = True, **where: Any,
+        resume: bool | None = None, progress: bool = True, engine: Engine | None = None,
+        **where: Any,
     ) -> Self:  # fmt: skip
         """Train and save the policy that validated best.
 
@@ -266,6 +293,7 @@ class LearningAgent(PolicyAgent):
             resume: True: go on from the last checkpoint, which must be there; False: start anew;
                 None: go on if there is a checkpoint of this very run.
             progress: Tell how far it is.
+            engine: Where several `collectors` act; None: here.
             where: Taken for the protocol's sake; nothing more is known.
 
         Raises:
@@ -274,14 +302,15 @@ class LearningAgent(PolicyAgent):
         """
         config = on_device(config)
         run = Run(Path(run_dir), seed, config.device, resume, progress)
-        return cls._learn(config, run, phantom, grader, data)
+        return cls._learn(config, run, phantom, grader, data, engine)
 
     @classmethod
     def _learn(
-        cls, config: Any, run: Run, phantom: WorldLike, grader: JudgeLike, data: Any
-    ) -> Self:
+        cls, config: Any, run: Run, phantom: WorldLike, grader: JudgeLike, data: Any,
+        engine: Engine | None = None,
+    ) -> Self:  # fmt: skip
         where = (run.folder, run.seed, phantom, grader, run.progress, data)
-        return cls.Learner(cls, config, *where).run(run.resume)
+        return cls.Learner(cls, config, *where).run(run.resume, engine)
 
 
 def worlds(config: TrainingConfig, phantom: WorldLike) -> tuple[World, World]:

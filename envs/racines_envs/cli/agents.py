@@ -57,7 +57,8 @@ def train_agent(
     With --env replay:FOLDER in the recorded frames of a dataset, from starts of its train split,
     into envs/runs/<run>-replay-<folder>-<view>; --set then also takes the settings of the replay.
     With `repeats: N` in its entry, N seeds: the first in that folder, seed n in its seed-<n>; with
-    --engine ray beside each other, in folders that all nodes see.
+    --engine ray beside each other, in folders that all nodes see. With several `collectors` in the
+    settings it is these that --engine ray spreads, and seeds follow each other.
     """
     from racines_data.config import fill
     from racines_envs.agents import agent_class
@@ -98,6 +99,8 @@ def train_agent(
         return read_json(one.folder / "metrics.json")
 
     with spread(engine, address, getattr(config, "device", None)) as pool:
+        if getattr(config, "collectors", 1) > 1:
+            where["engine"], pool = pool, None
         train_seeds(fit, run, entry.repeats, pool)
     metrics = (folder / "metrics.json").read_text()
     say_page(metrics if as_json else f"settings, metrics and policy, if any, are in {folder}")

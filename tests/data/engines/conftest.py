@@ -16,6 +16,8 @@ def cluster() -> Iterator[None]:
     import ray
 
     os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_DEDUP_LOGS": "0"}
+    # Ray's workers are polite (15): beside the other tests they would hardly run.
+    os.environ["RAY_worker_niceness"] = "0"
     ray.init(
         "local", num_cpus=2, object_store_memory=STORE, include_dashboard=False,
         log_to_driver=False, logging_level="ERROR",

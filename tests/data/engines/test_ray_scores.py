@@ -134,3 +134,16 @@ def test_trainings_are_equal(engine: RayEngine, tmp_path: Path):
     assert set(here) == {"policy.safetensors", "seed-4/policy.safetensors"} and here == there
     seeds = json.loads((tmp_path / "ray" / "metrics.json").read_text())["seeds"]
     assert list(seeds) == ["3", "4"]
+
+
+def test_experience_is_equal(engine: RayEngine, tmp_path: Path):
+    config = PPOConfig(
+        frames=512, update_every=256, envs=8, epochs=1, validation_starts=4, collectors=2
+    )
+    for name, by in {"here": None, "ray": engine}.items():
+        where = {"phantom": FakePhantom(), "progress": False, "engine": by}
+        PPOAgent.train(config, tmp_path / name, seed=3, **where)
+    here, there = (
+        (tmp_path / name / "policy.safetensors").read_bytes() for name in ("here", "ray")
+    )
+    assert here == there
