@@ -27,7 +27,7 @@ def write_adapted(path: Path, asked: AskedStore, drawn: Tensor) -> None:
         asked: patients, their scouts and the true frames.
         drawn: (P · 32, 128, 128) uint8, in the order of `asked`.
     """
-    some, patients = evenly(POSES, COLUMNS), asked.patients[:SHOWN]
+    some, patients = evenly(POSES, COLUMNS), (asked.patients or [])[:SHOWN]
     height = HEAD + len(patients) * (3 * STEP + GAP)
     with card_style():
         figure, axis = sheet(MARGIN + COLUMNS * STEP, height)

@@ -16,11 +16,11 @@ def cluster() -> Iterator[None]:
     import ray
 
     os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_DEDUP_LOGS": "0"}
-    # Ray's workers are polite (15): beside the other tests they would hardly run.
-    os.environ["RAY_worker_niceness"] = "0"
     ray.init(
         "local", num_cpus=2, object_store_memory=STORE, include_dashboard=False,
         log_to_driver=False, logging_level="ERROR",
+        # Beside the other tests, workers as polite as Ray makes them would hardly run.
+        _system_config={"worker_niceness": 0},
     )  # fmt: skip
     yield
     ray.shutdown()
