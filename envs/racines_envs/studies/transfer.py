@@ -245,7 +245,9 @@ def draw_transfer(content: dict[str, Any], path: Path) -> None:
     names = [f"{a['label']}{place}" for a, place in zip(agents, places, strict=True)]
     axes.set_yticks(range(len(agents)), names)
     axes.grid(visible=False)
-    axes.set(xlabel="evaluated in", title=f"True success on {content['view']}")
+    starts = content["start_set"]
+    count = starts["starts"] * len(starts["seeds"])
+    axes.set(xlabel="evaluated in", title=f"True success on {content['view']}, n = {count} starts")
     figure.colorbar(image, label="true success, %")
     save(figure, path)
 
