@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from scipy import stats
 from torch import Tensor
 
 from racines_data.errors import RacinesError
@@ -136,12 +135,20 @@ def measure(
         else:
             metrics[name] = figure_of(what.statistic, [], told(what))
     for name in MIDDLES:
-        middles = [
-            lambda keep, row=row: float(stats.trim_mean(row[keep], 0.25)) for row in values[name]
-        ]
+        middles = [lambda keep, row=row: interquartile_mean(row[keep]) for row in values[name]]
         kept = evidence.add_set(f"{name}_iqm", set_replicates(middles, units))
         tell(f"{name}_iqm", kept, METRICS[name]._replace(unit=None))
     return metrics, evidence
+
+
+def interquartile_mean(values: np.ndarray) -> float:
+    """Return the mean of (N,) values without a quarter, rounded down, at either end.
+
+    The same bits as `scipy.stats.trim_mean`, whose checks take most of its time on so few values.
+    """
+    aside = len(values) // 4
+    kept = slice(aside, len(values) - aside)
+    return float(np.partition(values, (kept.start, kept.stop - 1))[kept].mean())
 
 
 def patient_values(trainings: Sequence[Mapping[str, np.ndarray]]) -> Values:

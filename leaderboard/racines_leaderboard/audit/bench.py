@@ -17,9 +17,9 @@ from racines_envs.evaluation.patients import PatientsConfig
 from racines_envs.evaluation.run import EvaluationConfig
 from racines_envs.task.names import PATIENTS
 from racines_envs.worlds.backends import GRADERS
-from racines_leaderboard.board.collect import Record, basis_of
+from racines_leaderboard.board.collect import Record, basis_of, read_record
 from racines_leaderboard.records.schema import read_json
-from racines_leaderboard.records.tracks import HELD_OUT, MOTION
+from racines_leaderboard.records.tracks import HELD_OUT, MOTION, TRACK
 from racines_leaderboard.submissions.confined.session import Limits
 from racines_models.published.places import published
 from racines_models.sample import Sample, take_sample
@@ -77,6 +77,23 @@ class Bench:
         self.no_settings = f"no settings of board {board} here: give --params"
         self.no_data = f"no dataset of its recipe in {places.data}, nor beside it"
         self._sweeps: dict[tuple[str, str], SweepSet | None] = {}
+        self._records: dict[Path, tuple[tuple[int, int, int], Record | None]] = {}
+
+    def peers(self, path: Path) -> list[Record]:
+        """Return the sound records beside one, each read once for as long as its file stays."""
+        others = (other for other in sorted(path.parent.glob("*.json")) if other != path)
+        return [record for record in map(self._beside, others) if record is not None]
+
+    def _beside(self, path: Path) -> Record | None:
+        about = path.stat()
+        state = about.st_ino, about.st_size, about.st_mtime_ns
+        if self._records.get(path, (None,))[0] != state:
+            try:
+                record = read_record(path, self.board, TRACK[path.parent.name])
+            except RacinesError:
+                record = None
+            self._records[path] = state, record
+        return self._records[path][1]
 
     @functools.cached_property
     def settings(self) -> dict[str, Any] | None:

@@ -186,8 +186,7 @@ def _check(path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
         yield from moving.scored_on(record, bench)
     else:
         yield from claims.task(record, bench)
-    others = [_read(other, bench) for other in sorted(path.parent.glob("*.json")) if other != path]
-    peers = [other for other in others if not isinstance(other, Report)]
+    peers = bench.peers(path)
     yield from claims.judges(record, bench, peers)
     yield from claims.beyond_truth(record, peers)
     yield from weights.check_weights(record, bench)

@@ -11,7 +11,13 @@ from scipy import stats
 from racines_data.errors import RacinesError
 from racines_data.files import sha256_file
 from racines_envs.agents.rollout import Episodes
-from racines_envs.evaluation.measures import METRICS, episode_values, measure, measure_by_seed
+from racines_envs.evaluation.measures import (
+    METRICS,
+    episode_values,
+    interquartile_mean,
+    measure,
+    measure_by_seed,
+)
 from racines_envs.evaluation.run import EvaluationConfig, evaluate, write_evaluation
 from racines_leaderboard.records.ranges import range_of
 from racines_leaderboard.records.schema import read_json
@@ -97,6 +103,13 @@ def test_trainings_are_kept_apart_and_widen_what_is_not_known():
     low, high = (measure(each)[0]["final_grade"] for each in apart)
     assert high["value"] - high["low"] > 2 * (low["value"] - low["low"])
     assert alone["final_grade"]["settings"]["trainings"] == 1
+
+
+def test_the_interquartile_mean_is_scipys_to_the_last_bit():
+    draw = np.random.default_rng(0)
+    for count in range(1, 120):
+        for values in (draw.normal(size=count), np.round(draw.normal(size=count)) * 7.1):
+            assert interquartile_mean(values) == stats.trim_mean(values, 0.25)
 
 
 def test_all_succeed_none_does_and_one_training_does_not():
