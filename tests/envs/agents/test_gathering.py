@@ -2,14 +2,17 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from racines_data.errors import RacinesError
 from racines_envs.agents import gathering
+from racines_envs.agents.dqn import DQNAgent, DQNConfig
 from racines_envs.agents.gathering import gathered
 from racines_envs.agents.ppo import PPOAgent, PPOConfig, _Training
+from racines_envs.agents.sac import SACAgent, SACConfig
 from tests.envs.fakes import FakePhantom
 
 SMALL = {"frames": 512, "update_every": 256, "envs": 8, "epochs": 1, "validation_starts": 4}
@@ -50,6 +53,17 @@ def test_what_a_process_holds_changes_nothing(tmp_path: Path):
         ends.append((tmp_path / place / "policy.safetensors").read_bytes())
         assert json.loads((tmp_path / place / "metrics.json").read_text())["frames"] == 512
     assert ends[0] == ends[1] == ends[2]
+
+
+@pytest.mark.parametrize(("agent", "settings"), [(DQNAgent, DQNConfig), (SACAgent, SACConfig)])
+def test_what_keeps_experience_gathers_it_so_too(agent: Any, settings: Any, tmp_path: Path):
+    for place in ("one", "other"):
+        config = settings(
+            frames=512, update_every=256, envs=8, warmup=256, validation_starts=4, collectors=2
+        )
+        agent.train(config, tmp_path / place, seed=1, phantom=FakePhantom(), progress=False)
+    files = [tmp_path / place / "policy.safetensors" for place in ("one", "other")]
+    assert files[0].read_bytes() == files[1].read_bytes()
 
 
 def test_a_group_acts_by_the_weights_of_its_turn(tmp_path: Path):
