@@ -213,7 +213,7 @@ def measure(part: Part, folder: Path) -> dict[str, Any]:
 def main(out: Path, *names: str) -> None:
     """Measure the parts, or those whose names begin so, and write them after each."""
     document: dict[str, Any] = json.loads(out.read_text()) if out.is_file() else {}
-    kept = document.get("figures", {}).get("parts", {})
+    kept = document.get("parts", {})
     with tempfile.TemporaryDirectory() as folder:
         for name, part in PARTS.items():
             if names and not name.startswith(names):
@@ -240,7 +240,7 @@ def document_of(parts: dict[str, Any]) -> dict[str, Any]:
         "command": "OMP_NUM_THREADS=1 python -m tests.benchmarks.growth docs/results/growth.json",
         "machine": f"{where['cpu']}, one thread, torch {where['torch']}, beside other work",
         "source": "measured once",
-        "figures": {"parts": parts},
+        "parts": parts,
         "tables": {"growth": {"columns": columns, "right": 1, "rows": rows}},
     }
 

@@ -72,7 +72,7 @@ def main() -> None:
         "command": f"OMP_NUM_THREADS=1 python -m tests.benchmarks.trainer {out}",
         "machine": f"{where['cpu']}, one thread, torch {where['torch']}",
         "source": "measured once",
-        "figures": figures,
+        "parts": figures,
         "tables": {"ways": ways_table(figures), "shares": shares_table(figures)},
     })  # fmt: skip
 
