@@ -168,28 +168,12 @@ def timed() -> Iterator[Seconds]:
 
 def ways_table(figures: dict[str, Any]) -> dict[str, Any]:
     """Return the table of images a second."""
-    columns = [
-        "generator",
-        "float32, images/s",
-        "bfloat16",
-        "compiled",
-        "compiling, s: first, again",
-    ]
+    columns = ["generator", "float32, images/s", "bfloat16", "compiled"]
     rows = []
     for name in NAMES:
-        own = figures[name]
-        rates = {way: own[way]["images_per_second"] for way in WAYS}
-        compiled = own["compiled"]
-        cold = [compiled[f"preparation_seconds{when}"] for when in ("", "_again")]
+        rates = {way: figures[name][way]["images_per_second"] for way in WAYS}
         times = [f"{rates[way]:.1f} ({rates[way] / rates['float32']:.2f} ×)" for way in WAYS][1:]
-        rows.append(
-            [
-                f"`{name}`",
-                f"{rates['float32']:.1f}",
-                *times,
-                " – ".join(f"{each:.0f}" for each in sorted(cold)),
-            ]
-        )
+        rows.append([f"`{name}`", f"{rates['float32']:.1f}", *times])
     return {"columns": columns, "right": 1, "rows": rows}
 
 
