@@ -11,7 +11,7 @@ and the update waits for all of them, so that every engine gives the same number
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -23,12 +23,32 @@ from racines_data.randomness import derive
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
-    from racines_envs.agents.training import TrainingRun
-
 HELD = ("state", "score", "_sensed", "_env_seed", "_episode")
 """Attributes of a core in which its rows' episodes are."""
 _ACTS = 31
-_made: dict[str, "TrainingRun"] = {}  # what this process gathers for, built once
+_made: dict[str, "Gathering"] = {}  # what this process gathers for, built once
+
+
+class Gathering(Protocol):
+    """A training that gathers so: a `TrainingRun`."""
+
+    config: Any
+    cls: Any
+    seed: int
+    frames: int
+    identity: dict[str, Any]
+    given: tuple[Any, Any, Any]
+    env: Any
+    policy: Any
+
+    @property
+    def starts(self) -> int:
+        """The seed of the first environment's episodes, from here on."""
+        ...
+
+    def _build(self) -> None:
+        """Make environments and policy."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -37,8 +57,9 @@ class Site:
 
     name: str
     """Tells the trainings apart for which a process has gathered."""
-    learner: type["TrainingRun"]
-    agent: type
+    learner: Any
+    """The class of the training."""
+    agent: Any
     config: Any
     """Of one group."""
     seed: int
@@ -66,7 +87,7 @@ class Held(NamedTuple):
     """What the policy sees next, (rows,)."""
 
 
-def gathered(run: "TrainingRun", engine: Engine | None) -> Iterator["TensorDictBase"]:
+def gathered(run: Gathering, engine: Engine | None) -> Iterator["TensorDictBase"]:
     """Yield batches (envs, steps) of a training's experience, without end.
 
     Args:
@@ -122,7 +143,7 @@ def gather(site: Site, turn: Turn) -> tuple["TensorDictBase", Held]:
     return batch, Held(core, seen)
 
 
-def _learner(site: Site) -> "TrainingRun":
+def _learner(site: Site) -> Gathering:
     """Return the training as it is built in this process, with environments for one group."""
     if site.name not in _made:
         phantom, grader, data = site.given

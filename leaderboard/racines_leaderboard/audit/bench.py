@@ -85,7 +85,10 @@ class Bench:
         return [record for record in map(self._beside, others) if record is not None]
 
     def _beside(self, path: Path) -> Record | None:
-        about = path.stat()
+        try:
+            about = path.stat()
+        except FileNotFoundError:  # it went while the folder was read
+            return None
         state = about.st_ino, about.st_size, about.st_mtime_ns
         if self._records.get(path, (None,))[0] != state:
             try:

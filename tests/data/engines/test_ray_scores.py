@@ -136,7 +136,15 @@ def test_trainings_are_equal(engine: RayEngine, tmp_path: Path):
     assert list(seeds) == ["3", "4"]
 
 
-def test_experience_is_equal(engine: RayEngine, tmp_path: Path):
+def test_experience_is_equal(engine: RayEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    turns: list[int] = []
+    given = engine.map
+
+    def counted(work: Any, state: Any, tasks: Any, *told: Any) -> Any:
+        turns.append(len(tasks))
+        return given(work, state, tasks, *told)
+
+    monkeypatch.setattr(engine, "map", counted)
     config = PPOConfig(
         frames=512, update_every=256, envs=8, epochs=1, validation_starts=4, collectors=2
     )
@@ -146,4 +154,4 @@ def test_experience_is_equal(engine: RayEngine, tmp_path: Path):
     here, there = (
         (tmp_path / name / "policy.safetensors").read_bytes() for name in ("here", "ray")
     )
-    assert here == there
+    assert here == there and turns == [2, 2], "two turns of two groups, on the workers"

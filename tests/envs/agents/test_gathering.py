@@ -1,25 +1,35 @@
 """Experience gathered by groups of environments."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 import torch
+from typer.testing import CliRunner
 
+from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_envs.agents import gathering
 from racines_envs.agents.dqn import DQNAgent, DQNConfig
 from racines_envs.agents.gathering import gathered
 from racines_envs.agents.ppo import PPOAgent, PPOConfig, _Training
 from racines_envs.agents.sac import SACAgent, SACConfig
+from racines_leaderboard.cli.command import app
 from tests.envs.fakes import FakePhantom
 
-SMALL = {"frames": 512, "update_every": 256, "envs": 8, "epochs": 1, "validation_starts": 4}
+SMALL: dict[str, Any] = {
+    "frames": 512,
+    "update_every": 256,
+    "envs": 8,
+    "epochs": 1,
+    "validation_starts": 4,
+}
 
 
-def run_of(folder: Path, **settings: object) -> _Training:
-    config = PPOConfig(**(SMALL | settings))  # type: ignore[arg-type]
+def run_of(folder: Path, **settings: Any) -> _Training:
+    config = PPOConfig(**SMALL | settings)
     run = _Training(PPOAgent, config, folder, 3, FakePhantom(), None, False)
     with torch.random.fork_rng():
         torch.manual_seed(3)
@@ -75,6 +85,29 @@ def test_a_group_acts_by_the_weights_of_its_turn(tmp_path: Path):
             weight.zero_()
         [*run.actor.parameters()][-1][5] = 50.0  # the bias of an action's logit
     assert (next(turns)["action"] == 5).all()
+
+
+class Noting(LocalEngine):
+    """Tells what it was given to do."""
+
+    done: ClassVar[list[tuple[Any, int]]] = []
+
+    def map(self, work: Any, state: Any, tasks: Any, *told: Any, **more: Any) -> Iterator[Any]:
+        tasks = list(tasks)
+        self.done.append((work, len(tasks)))
+        return super().map(work, state, tasks, *told, **more)
+
+
+def test_the_command_gives_turns_and_not_seeds_to_its_engine(tmp_path: Path, monkeypatch: Any):
+    monkeypatch.chdir(tmp_path)
+    Noting.done.clear()
+    settings = ["--set", "collectors=2", "--set", "update_every=256", "--set", "envs=8"]
+    settings += ["--frames", "512", "--reward", "oracle", "--set", "validation_starts=4"]
+    called = ["train", "agent", "ppo", *settings, "--engine", f"{__name__}:Noting", "--json"]
+    told = CliRunner().invoke(app, called)
+    assert told.exit_code == 0, told.output
+    assert Noting.done == [(gathering.gather, 2)] * 2
+    assert json.loads(Path("envs/runs/ppo/metrics.json").read_text())["frames"] == 512
 
 
 def test_groups_are_of_one_size(tmp_path: Path):
