@@ -46,6 +46,7 @@ from racines_models.scores.scoring import score
 from tests.conftest import ROOT
 
 BOARD, LIKE = "phantom-default", "ppo"
+RECORDS = (10, 100, 1_000, 10_000)
 ROUNDS, ENOUGH = 5, 30.0
 """Runs of a size, and CPU seconds after which no further one is begun."""
 Part = Callable[[Path], Iterator[tuple[int, Callable[[], object]]]]
@@ -97,22 +98,24 @@ def of_evaluate(folder: Path) -> Iterator[tuple[int, Callable[[], object]]]:
 
 def of_audit(folder: Path) -> Iterator[tuple[int, Callable[[], object]]]:
     """Records whose claims are checked, no number made again."""
-    for count in (10, 30, 100, 300):
+    for count in (10, 30, 100, 300, 1_000):
         place = board(folder, count)
         yield count, lambda place=place: checked(place)
 
 
 def of_read(folder: Path) -> Iterator[tuple[int, Callable[[], object]]]:
     """Records of a board: read, held to their evidence, and put between the anchors."""
-    for count in (10, 100, 1_000):
+    for count in RECORDS:
         place = board(folder, count)
         yield count, lambda place=place: read_board(place, BOARD)
 
 
 def of_rank(folder: Path) -> Iterator[tuple[int, Callable[[], object]]]:
     """Records of a board whose every pair is compared for a place, and drawn as tables."""
-    for count in (100, 300, 1_000):
-        content = read_board(board(folder, count), BOARD)
+    content = read_board(board(folder, RECORDS[-1]), BOARD)
+    agents = content["agents"]
+    for count in RECORDS[1:]:
+        content = content | {"agents": agents[:count]}
         yield count, lambda content=content: drawn(content)
 
 

@@ -62,7 +62,7 @@ def read_evidence(
                 raise RacinesError(f"{beside}: has no figures of {name}; score it again")
             continue
         figures = evidence.figures[name]
-        trainings = len(figures.replicates().whole)
+        trainings = figures.trainings
         if scores.get("runs", trainings) != trainings:
             raise RacinesError(
                 f"{path}: runs: {scores['runs']}; {beside.name} has {name} of {trainings} "
@@ -79,15 +79,18 @@ def read_evidence(
 
 def _check_figures(path: Path, name: str, metric: Any, figures: Figures) -> None:
     """Refuse a metric whose value or interval is not that of its figures."""
+    told = {key: (metric or {}).get(key) for key in ("value", "low", "high", "n")}
     # Cut at what the metric can be, or, where whoever scored it did not, as it is.
-    found = [figures.interval(*range_of(name)), figures.interval()]
-    for key in ("value", "low", "high", "n"):
-        told, wanted = (metric or {}).get(key), [getattr(each, key) for each in found]
-        if not any(_same(told, each) for each in wanted):
-            raise RacinesError(
-                f"{path}: metrics.{name}.{key}: {told}; its evidence has {wanted[0]}; score it "
-                "again"
-            )
+    found = figures.interval(*range_of(name))
+    differing = [key for key in told if not _same(told[key], getattr(found, key))]
+    if differing:
+        uncut = figures.interval()
+        differing = [key for key in differing if not _same(told[key], getattr(uncut, key))]
+    for key in differing[:1]:
+        raise RacinesError(
+            f"{path}: metrics.{name}.{key}: {told[key]}; its evidence has {getattr(found, key)}; "
+            "score it again"
+        )
 
 
 def _same(a: float | None, b: float | None) -> bool:
@@ -115,7 +118,7 @@ def items_of(evidence: Evidence | None, track: Track) -> str | None:
 def distinct_trainings(evidence: Evidence) -> int:
     """Return how many trainings differ from each other in any figure: a copy is none of its own."""
     figures = evidence.figures.values()
-    count = max((len(each.replicates().whole) for each in figures), default=0)
+    count = max((each.trainings for each in figures), default=0)
     seen = set()
     for training in range(count):
         parts = []

@@ -10,7 +10,13 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from racines_leaderboard.board.standing import UNPINNED, Standing, is_bound, standing_of
+from racines_leaderboard.board.standing import (
+    UNPINNED,
+    Standing,
+    ahead_of_each,
+    is_bound,
+    standing_of,
+)
 from racines_leaderboard.records.robustness import PREFIX as DISTURBED
 from racines_leaderboard.records.tracks import Column, Track
 
@@ -116,11 +122,9 @@ def rank(track: Track, records: list[Record]) -> list[Ranked]:
         return (float("inf") if score is None else -score.value), record["name"]
 
     ordered = sorted(records, key=order)
-    standings = [standing_of(record) for record in ordered]
-    placed = [standing for standing in standings if not standing.why]
+    ahead = iter(ahead_of_each([each for each in map(standing_of, ordered) if not each.why]))
     return [
-        Ranked(None if own.why else 1 + sum(each.ahead_of(own) for each in placed), record)
-        for own, record in zip(standings, ordered, strict=True)
+        Ranked(None if standing_of(record).why else 1 + next(ahead), record) for record in ordered
     ]
 
 

@@ -4,6 +4,7 @@ The score is the mean of the ranked metrics, each put on the line from 0 at one 
 other. Both are values in the board's file, so a score depends on its own record and that file.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from racines_models.statistics.intervals import (
     difference,
     interval,
 )
+from racines_models.statistics.stacked import Stacked
 
 Record = dict[str, Any]
 UNPINNED = "no anchors"
@@ -56,6 +58,22 @@ class Standing:
             return False
         low = difference(self.replicates, other.replicates, "score difference").low
         return low is not None and low > 0
+
+
+def ahead_of_each(standings: Sequence[Standing]) -> list[int]:
+    """Return how many of the others are ahead of each, as `Standing.ahead_of` says of two.
+
+    Raises:
+        ValueError: their scores do not rest on the same units.
+    """
+    ahead = [0] * len(standings)
+    known = [i for i, each in enumerate(standings) if each.replicates is not None]
+    known.sort(key=lambda i: -standings[i].replicates.value)  # type: ignore[union-attr]
+    stack = Stacked.of([standings[i].replicates for i in known])  # type: ignore[misc]
+    for place, i in enumerate(known):
+        higher = slice(0, int(np.searchsorted(-stack.value, -stack.value[place])))
+        ahead[i] = int((stack.lows(higher, place) > 0).sum())
+    return ahead
 
 
 def is_bound(record: Record) -> bool:

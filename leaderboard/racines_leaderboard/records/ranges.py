@@ -4,6 +4,7 @@ This is no proof that a value is true, which recomputing alone gives; it is what
 computation can return, whatever it was given.
 """
 
+import functools
 import math
 import re
 from collections.abc import Iterator
@@ -40,6 +41,7 @@ RANGES = {
     r"(ms_)?ssim|ssim_(neighbour|train)": (-1.0, 1.0),
     r"psnr(_neighbour|_train)?": (0.0, 100.0),
     r"score": (-math.inf, 1.0),
+    r"return(_iqm)?": (-math.inf, math.inf),
     # Unbiased, so below 0 by chance: by about 2 k / n, with k the kernel of an image with itself.
     r"kid(_neighbour|_train)?": (-0.1, math.inf),
     r"kid_grader": (-1.0, math.inf),
@@ -50,15 +52,21 @@ SYMMETRIC = re.compile(r"kid(_grader|_neighbour|_train)?")
 
 def range_of(name: str) -> tuple[float, float]:
     """Return the least and the most that a metric can be; a plug-in's by what it declares."""
-    for pattern, ends in RANGES.items():
-        if re.fullmatch(pattern, name):
-            return ends
+    if (own := _own_range(name)) is not None:
+        return own
     from racines_models.scores.plugin import installed_metrics
 
     for metric in installed_metrics():
         if metric.name == name:
             return metric.minimum, metric.maximum
     return -math.inf, math.inf
+
+
+@functools.lru_cache(4096)
+def _own_range(name: str) -> tuple[float, float] | None:
+    """Return the range of a metric that is not a plug-in's."""
+    matching = (ends for pattern, ends in RANGES.items() if re.fullmatch(pattern, name))
+    return next(matching, None)
 
 
 def faults(name: str, metric: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -24,9 +24,11 @@ bytes.
 """
 
 import io
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -90,6 +92,13 @@ class Figures:
             return mean_replicates(values, units)
         found = median_replicates(values, units)
         return replace(found, n=found.n * len(self._units()) // len(units))
+
+    @property
+    def trainings(self) -> int:
+        """How many trainings there are."""
+        kept = self.values if self.whole is None else self.whole.whole
+        assert kept is not None
+        return len(kept)
 
     def interval(self, minimum: float = -np.inf, maximum: float = np.inf) -> Interval:
         """Return the metric's value and interval, cut at the least and the most it can be."""
@@ -218,9 +227,11 @@ class Evidence:
             raise RacinesError(f"{path}: not readable as Parquet: {error}") from error
         if dict(table.schema) != SCHEMA:
             raise RacinesError(f"{path}: columns {dict(table.schema)}; expected {SCHEMA}")
-        parts = table.partition_by("metric", maintain_order=True)
+        evidence = cls()
         try:
-            return cls({part["metric"][0]: _figures(part) for part in parts})
+            for part in _parts(table):
+                evidence._keep(*_figures(part))
+            return evidence
         except (ValueError, TypeError) as error:
             raise RacinesError(f"{path}: damaged: {error}; score it again") from error
 
@@ -250,8 +261,19 @@ def write_scores(
 
 def _table(metric: str, figures: Figures) -> pl.DataFrame:
     """Return the rows of one metric."""
-    columns: dict[str, Any]
     named: dict[str, Any] = {"metric": metric, "statistic": figures.statistic}
+    columns = named | _columns(figures)
+    columns["value"] = pl.Series(columns["value"]).fill_nan(None)
+    table = pl.select([pl.lit(each).alias(key) for key, each in columns.items()])
+    return table.select(*SCHEMA).cast(SCHEMA)  # type: ignore[arg-type]
+
+
+def _columns(figures: Figures) -> dict[str, Any]:
+    """Return the columns of one metric's rows, each an array or what all rows hold.
+
+    A value is NaN where there is no measurement.
+    """
+    columns: dict[str, Any]
     if (of_set := figures.whole) is not None:
         values = np.column_stack([of_set.whole, of_set.without])
         trainings, blocks = values.shape
@@ -266,35 +288,69 @@ def _table(metric: str, figures: Figures) -> pl.DataFrame:
         columns = {"draw": draw, "block": None}
         columns |= {"item": np.tile(figures.items, trainings * draws)}
         columns |= {"unit": np.tile(figures._units(), trainings * draws)}
-    columns |= {"training": training, "value": pl.Series(values.ravel()).fill_nan(None)}
+    columns |= {"training": training, "value": values.ravel()}
     for key in ENDS:
         end = getattr(figures, key)
         columns[key] = float(end) if np.isfinite(end) else None
-    table = pl.select([pl.lit(each).alias(key) for key, each in (named | columns).items()])
-    return table.select(*SCHEMA).cast(SCHEMA)  # type: ignore[arg-type]
+    return columns
 
 
-def _figures(table: pl.DataFrame) -> Figures:
-    """Return the figures of one metric's rows.
+class _Column(NamedTuple):
+    """Rows of a column: their values, and where there is none."""
+
+    values: np.ndarray
+    absent: np.ndarray
+
+    def rows(self, start: int, stop: int) -> "_Column":
+        return _Column(self.values[start:stop], self.absent[start:stop])
+
+    def holds(self, expected: Any) -> bool:
+        """Return whether the rows are as expected: absent for None, and for NaN."""
+        if expected is None:
+            return bool(self.absent.all())
+        wanted = np.broadcast_to(expected, self.values.shape)
+        absent = np.isnan(wanted) if wanted.dtype.kind == "f" else np.zeros(wanted.shape, bool)
+        same = (self.values == wanted) | absent
+        return bool(same.all()) and np.array_equal(self.absent, absent)
+
+
+def _parts(table: pl.DataFrame) -> Iterator[dict[str, _Column]]:
+    """Give the rows of each metric by column; of arrays, since tables are slow in small parts."""
+    columns = {}
+    for key, each in zip(SCHEMA, table.to_arrow().combine_chunks().columns, strict=True):
+        filled = each.fill_null("" if SCHEMA[key] == pl.String else 0)
+        arrays = (of.to_numpy(zero_copy_only=False) for of in (filled, each.is_null()))
+        columns[key] = _Column(*arrays)
+    names = columns["metric"].values
+    ends = [*(np.flatnonzero(names[1:] != names[:-1]) + 1), len(names)] if len(names) else []
+    for start, stop in itertools.pairwise([0, *ends]):
+        yield {key: each.rows(start, stop) for key, each in columns.items()}
+
+
+def _figures(part: dict[str, _Column]) -> tuple[str, Figures]:
+    """Return the name and the figures of one metric's rows.
 
     Raises:
         ValueError: rows that are missing, doubled or out of order.
     """
-    metric, statistic = table["metric"][0], table["statistic"][0]
-    if statistic not in STATISTICS or table["statistic"].n_unique() > 1:
+    metric, statistic = (str(part[key].values[0]) for key in ("metric", "statistic"))
+    if statistic not in STATISTICS:
         raise ValueError(f"{metric}: statistic {statistic!r}, not one of {STATISTICS}")
-    trainings = 1 + int(table["training"].to_numpy().max())
-    ends = {key: table[key][0] for key in ENDS if table[key][0] is not None}
+    trainings = 1 + int(part["training"].values.max())
+    ends = {key: float(part[key].values[0]) for key in ENDS if not part[key].absent[0]}
+    values = np.where(part["value"].absent, np.nan, part["value"].values)
     if statistic == "set":
-        values = table["value"].to_numpy().reshape(trainings, -1)
-        replicates = Replicates(values[:, 0], values[:, 1:], table["unit"][0], table["item"][0])
-        figures = Figures(statistic, whole=replicates, **ends)
+        values = values.reshape(trainings, -1)
+        units, n = (int(part[key].values[0]) for key in ("unit", "item"))
+        figures = Figures(
+            statistic, whole=Replicates(values[:, 0], values[:, 1:], units, n), **ends
+        )
     else:
-        draws = 1 + int(table["draw"].to_numpy().max())
-        values = table["value"].fill_null(np.nan).to_numpy().reshape(trainings, draws, -1)
-        first = table.head(values.shape[2])
-        items, units = (first[key].to_numpy() for key in ("item", "unit"))
+        draws = 1 + int(part["draw"].values.max())
+        values = values.reshape(trainings, draws, -1)
+        items, units = (part[key].values[: values.shape[2]] for key in ("item", "unit"))
         figures = Figures(statistic, values, items, units, **ends)
-    if not _table(metric, figures).equals(table):
+    expected = {"metric": metric, "statistic": statistic} | _columns(figures)
+    if not all(part[key].holds(each) for key, each in expected.items()):
         raise ValueError(f"{metric}: rows are missing, doubled or out of order")
-    return figures
+    return metric, figures

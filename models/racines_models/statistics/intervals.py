@@ -24,6 +24,7 @@ a score made of them.
 The spread that a training has because units are few is part of both; it is taken off the second.
 """
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -129,11 +130,24 @@ def median_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS)
     # What is to be left out, and what of a sparse metric cannot be, is the same for its mean.
     means, blocks = mean_replicates(values, units, most), blocks_of(units, most)
     present = np.isfinite(values)
-    kept = [blocks != block for block in _used(present @ np.eye(blocks.max() + 1)[blocks])]
-    rows = [np.where(shown, row, np.nan) for row, shown in zip(values, present, strict=True)]
-    whole = np.array([np.nanmedian(row) for row in rows])
-    without = np.array([[np.nanmedian(row[keep]) for keep in kept] for row in rows])
-    return _checked(whole, without.reshape(len(rows), -1), means.units, means.n)
+    used = _used(present @ np.eye(blocks.max() + 1)[blocks])
+    pairs = zip(values, present, strict=True)
+    found = [_medians(row[shown], blocks[shown], used) for row, shown in pairs]
+    whole, without = zip(*found, strict=True)
+    return _checked(np.array(whole), np.stack(without), means.units, means.n)
+
+
+def _medians(values: np.ndarray, blocks: np.ndarray, used: np.ndarray) -> tuple[Any, np.ndarray]:
+    """Return the median of (N,) values, and with each of the blocks in use left out.
+
+    As NumPy's, to the last bit; the values are sorted once, for all blocks.
+    """
+    order = np.argsort(values, kind="stable")
+    values, blocks = values[order], blocks[order]
+    kept = [values, *(values[blocks != block] for block in used)]
+    middles = np.array([(each[(len(each) - 1) // 2], each[len(each) // 2]) for each in kept])
+    medians = np.where(middles[:, 0] == middles[:, 1], middles[:, 0], middles.sum(1) / 2)
+    return medians[0], medians[1:]
 
 
 def _used(counts: np.ndarray) -> np.ndarray:
@@ -208,12 +222,12 @@ def rate_interval(hits: np.ndarray, units: np.ndarray) -> Interval:
     of_units = None
     if len(pseudo) > 1:
         error = float(pseudo.var(ddof=1)) / len(pseudo)
-        t = float(stats.t.ppf(0.5 + LEVEL / 2, len(pseudo) - 1))
+        t = students_t(len(pseudo) - 1)
         of_units = _wilson_reach(value, value * (1.0 - value) / error, t) if error else (0.0, 0.0)
-    variance, freedom = _variance_of_trainings(replicates)
+    variance, freedom = variance_of_trainings(replicates)
     of_trainings = (0.0, 0.0)
     if variance:
-        t = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
+        t = students_t(freedom)
         below, above = _wilson_reach(value, value * (1.0 - value) / variance, t)
         # Trainings are no trials: near 1 they may spread as far to that side as to the other.
         of_trainings = max(below, t * np.sqrt(variance)), max(above, t * np.sqrt(variance))
@@ -262,12 +276,12 @@ def difference(first: Replicates, second: Replicates, kind: str = "difference") 
         first.units,
         min(first.n, second.n),
     )
-    trained = [pair for pair in map(_variance_of_trainings, (first, second)) if pair[1]]
+    trained = [pair for pair in map(variance_of_trainings, (first, second)) if pair[1]]
     variance = sum(each for each, _ in trained)
     # Welch's degrees of freedom: the two methods' trainings need not spread alike.
     squares = sum(each**2 / freedom for each, freedom in trained)
     freedom = variance**2 / squares if squares else 1.0
-    spread = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * np.sqrt(variance)
+    spread = students_t(freedom) * np.sqrt(variance)
     spread = float(spread), float(spread)
     return _joined(apart, kind, _of_units(apart), spread, "paired pseudo-values")
 
@@ -310,14 +324,30 @@ def _of_units(replicates: Replicates) -> tuple[float, float] | None:
     error = float(pseudo.std(ddof=1)) / np.sqrt(count)
     if error <= 1e-12 * max(1.0, abs(replicates.value)):
         return 0.0, 0.0
-    t = float(stats.t.ppf(0.5 + LEVEL / 2, count - 1))
-    skewness = float(stats.skew(pseudo, bias=False)) / np.sqrt(count) if count > 2 else 0.0
+    t = students_t(count - 1)
+    skewness = skewness_of(pseudo) / np.sqrt(count) if count > 2 else 0.0
     if count >= FEW:
         return error * _hall(t, skewness), -error * _hall(-t, skewness)
     # Few units rarely hold the far end of a tail: they look less skewed than what they come from.
     skewness *= 1.0 + 4.0 / count
     reaches = error * _hall(t, skewness), -error * _hall(-t, skewness)
     return max(reaches[0], error * t), max(reaches[1], error * t)
+
+
+@functools.lru_cache(4096)
+def students_t(freedom: float) -> float:
+    """Return how many standard errors Student's t interval reaches to either side."""
+    return float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
+
+
+def skewness_of(values: np.ndarray) -> float:
+    """Return the adjusted skewness of (N,) values, three or more that are not all equal.
+
+    scipy's, to the last bit, without its checks of every call: a board asks for tens of thousands.
+    """
+    count, about = len(values), values - values.mean()
+    second, third = np.square(about).mean(), (np.square(about) * about).mean()
+    return float(((count - 1.0) * count) ** 0.5 / (count - 2.0) * third / second**1.5)
 
 
 def _hall(x: float, g: float) -> float:
@@ -327,11 +357,11 @@ def _hall(x: float, g: float) -> float:
 
 def _of_trainings(replicates: Replicates) -> float:
     """Return the half-width over trainings."""
-    variance, freedom = _variance_of_trainings(replicates)
-    return float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * np.sqrt(variance) if freedom else 0.0
+    variance, freedom = variance_of_trainings(replicates)
+    return students_t(freedom) * np.sqrt(variance) if freedom else 0.0
 
 
-def _variance_of_trainings(replicates: Replicates) -> tuple[float, int]:
+def variance_of_trainings(replicates: Replicates) -> tuple[float, int]:
     """Return the variance of the mean over trainings, less what few units add; its freedom."""
     count = len(replicates.whole)
     if count < 2:
