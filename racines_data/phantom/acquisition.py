@@ -23,10 +23,9 @@ from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PhantomConfig
 from racines_data.phantom.model import Phantom
 from racines_data.phantom.pacing import (
-    ATTEMPTS,
     FREE,
-    CannotFollow,
     check_followed,
+    first_followed,
     hurry_of,
     paced,
 )
@@ -85,6 +84,7 @@ class PlannedSweep(NamedTuple):
 
 _AGAIN = 0xA26
 """Keeps sweeps that are drawn in place of another apart from all else that its seed draws."""
+_REMEDIES = {"time": "raise data.phantom.shortest", "calm": "lower data.phantom.tremor"}
 DWELL = 0.53  # share of a trajectory's frames in which the view is held
 
 
@@ -123,21 +123,24 @@ def make_sweep(
     Where an arm cannot follow it, others are drawn.
 
     Raises:
-        CannotFollow: none of them either.
+        RacinesError: none of them either.
     """
     limits = limits_of(phantom.workspace, phantom.surface_height, phantom.config)
-    for attempt in range(ATTEMPTS):
-        draw = Draw(derive(seed, _AGAIN, attempt) if attempt else seed)
+
+    def drawn(attempt: int) -> PlannedSweep:
+        draw = again(seed, attempt)
         if target == RANDOM:
             points, shares = random_points(phantom.wander, phantom.surface_height, draw)
         else:
             points, shares = _view_points(phantom, target, draw)
-        try:
-            return follow(points, shares, limits, config, session, length, draw)
-        except CannotFollow:
-            if attempt == ATTEMPTS - 1:
-                raise
-    raise AssertionError("unreachable")
+        return follow(points, shares, limits, config, session, length, draw)
+
+    return first_followed(drawn, "data.phantom.robot", _REMEDIES)
+
+
+def again(seed: Tensor, attempt: int) -> "Draw":
+    """Return the draws of an attempt at a sweep; the first is what is drawn for a free probe."""
+    return Draw(derive(seed, _AGAIN, attempt) if attempt else seed)
 
 
 def follow(
@@ -159,7 +162,7 @@ def follow(
     if config.robot != FREE:
 
         def poses(shares: Tensor) -> Pose:
-            return _pose(_limit(_minimum_jerk(points, shares, length), limits))
+            return pose_at(_limit(_minimum_jerk(points, shares, length), limits))
 
         hurry = hurry_of(config.robot, config.rate)
         shares = paced(shares, hurry, length, poses)
@@ -167,9 +170,9 @@ def follow(
     shaky = smooth + _tremor(length, config, draw) * (0.8 + 0.25 * (session % 3))
     shaky = _limit(shaky, limits)
     if hurry is not None:
-        check_followed(_pose(shaky), hurry)
+        check_followed(pose_at(shaky), hurry)
     times = torch.arange(length, dtype=torch.float64) / config.rate
-    return PlannedSweep(_pose(shaky), _velocity(shaky, config), _velocity(smooth, config), times)
+    return PlannedSweep(pose_at(shaky), _velocity(shaky, config), _velocity(smooth, config), times)
 
 
 class Draw:
@@ -194,7 +197,8 @@ def coordinates(pose: Pose) -> Tensor:
     return torch.cat([pose.position, lean, angles[:, 1:]], -1)
 
 
-def _pose(path: Tensor) -> Pose:
+def pose_at(path: Tensor) -> Pose:
+    """Return the poses of (T, 6) coordinates."""
     angles = path[:, 3:] + path.new_tensor([math.pi, 0.0, 0.0])
     return Pose(path[:, :3].contiguous(), euler_to_matrix(angles))
 
@@ -294,7 +298,7 @@ def _limit(path: Tensor, limits: Limits) -> Tensor:
 def _velocity(path: Tensor, config: AcquisitionConfig) -> Tensor:
     """Differentiate a (T, 6) path; angular part as the base-frame rotation rate."""
     rate = torch.gradient(path, dim=0)[0] * config.rate
-    rotation = _pose(path).rotation
+    rotation = pose_at(path).rotation
     step = torch.gradient(rotation, dim=0)[0] * config.rate
     skew = (step.unsqueeze(-2) * rotation.unsqueeze(-3)).sum(-1)  # dR Rᵀ
     spin = torch.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], -1)

@@ -34,17 +34,19 @@ from racines_data.patients.pool import Pool
 from racines_data.patients.splits import SPLITS, check_split, seeds_of
 from racines_data.phantom.acquisition import (
     AcquisitionConfig,
-    Draw,
     PlannedSweep,
+    again,
     around,
     coordinates,
     follow,
     limits_of,
+    pose_at,
     random_points,
     record,
     sweep_points,
 )
 from racines_data.phantom.config import PhantomConfig
+from racines_data.phantom.pacing import FREE, first_followed, joint_count, joints_of
 from racines_data.phantom.saved import provenance
 from racines_data.randomness import derive, sample_seeds, uniform
 from racines_data.schema import Trajectory
@@ -62,6 +64,9 @@ _X, _Y, _Z, _RX, _RY, _TURN = np.mean([*MIDDLES.values()], axis=0).tolist()
 WANDER = _X, _Y, _TURN
 """Place, x and y, m, and turn, rad, about which a random scan wanders: between the views."""
 OPERATORS = 3
+WAY = 17
+"""Places on the way to a view, from which one in an arm's reach is chosen."""
+_REMEDIES = {"time": "raise frames_per_sweep"}
 _STREAM, _BEGAN = 0x9A71, 11
 
 CARD = SourceCard(
@@ -103,6 +108,8 @@ class PatientsConfig:
     """Draws the sweeps."""
     phantom: str = ""
     """Folder or name of a heart of one's own that all of them have; none if empty."""
+    robot: str = FREE
+    """An arm, within whose limits every sweep stays; it needs some 40 frames a sweep."""
 
 
 @dataclass(frozen=True)
@@ -152,6 +159,8 @@ class PatientsSource:
             raise RacinesError(f"{where}: no patient: set train, validation or test")
         if source.config.phantom:
             open_heart(source.config.phantom)
+        if source.config.robot != FREE:  # an unknown one is told before the first sweep
+            joint_count(source.config.robot)
         return source
 
     def _own(self) -> dict[str, Any] | None:
@@ -190,6 +199,8 @@ class PatientsSource:
         del acquisition["phantom"], acquisition["frames"], acquisition["seed"]
         settings = dataclasses.asdict(self.config)
         del settings["phantom"]  # by its content, wherever its folder lies
+        if self.config.robot == FREE:  # it came later
+            del settings["robot"]
         own = self._own()
         return {
             "patients": PATIENTS_VERSION,
@@ -213,7 +224,7 @@ class PatientsSource:
         assert isinstance(unit, PatientUnit)
         pool = _pool(unit.patient, self.beating, self.config.phantom)
         seed = derive(sample_seeds(self.config.seed, 1), _STREAM, unit.patient, unit.index)
-        sweep = _sweep(pool, unit, seed)
+        sweep = _sweep(pool, unit, seed, self.config.robot, f"data.{self.name}.robot")
         rows, phase = torch.zeros(unit.frames, dtype=torch.int64), torch.zeros(unit.frames, 2)
         times, phase = sweep.times, phase.double()
         if self.beating:
@@ -273,19 +284,47 @@ def _pool(patient: int, beating: bool, phantom: str) -> Pool:
     return make_pool([patient], beating=beating, phantom=phantom)
 
 
-def _sweep(pool: Pool, unit: PatientUnit, seed: Tensor) -> PlannedSweep:
-    """Draw one sweep over the one patient of a pool from a (1,) seed."""
-    draw = Draw(seed)
-    if unit.target_view == RANDOM:
-        points, shares = random_points(WANDER, SURFACE, draw)
-    else:
-        nominal = pool.targets(torch.zeros(1, dtype=torch.int64))
-        target = coordinates(Pose(*(part[0] for part in nominal)))[VIEWS.index(unit.target_view)]
-        touch = around(_middle(unit.target_view), START, draw)
-        touch[:, 2] = target[2]
-        points, shares = sweep_points(touch, touch[0], target, SURFACE, draw)
-    limits = limits_of(pool.workspace, SURFACE, PhantomConfig())
-    return follow(points, shares, limits, SWEEPS, unit.patient % OPERATORS, unit.frames, draw)
+def _sweep(pool: Pool, unit: PatientUnit, seed: Tensor, robot: str, field: str) -> PlannedSweep:
+    """Draw one sweep over the one patient of a pool from a (1,) seed.
+
+    Where an arm cannot follow it, others are drawn.
+
+    Raises:
+        RacinesError: none of them either.
+    """
+    limits, operator = limits_of(pool.workspace, SURFACE, PhantomConfig()), unit.patient % OPERATORS
+    config = dataclasses.replace(SWEEPS, robot=robot)
+
+    def drawn(attempt: int) -> PlannedSweep:
+        draw = again(seed, attempt)
+        if unit.target_view == RANDOM:
+            points, shares = random_points(WANDER, SURFACE, draw)
+        else:
+            nominal = pool.targets(torch.zeros(1, dtype=torch.int64))
+            each = coordinates(Pose(*(part[0] for part in nominal)))
+            target = each[VIEWS.index(unit.target_view)]
+            touch = around(_middle(unit.target_view), START, draw)
+            touch[:, 2] = target[2]
+            if robot != FREE:
+                target = _in_reach(robot, touch[0], target, attempt)
+            points, shares = sweep_points(touch, touch[0], target, SURFACE, draw)
+        return follow(points, shares, limits, config, operator, unit.frames, draw)
+
+    sought = f"{field}: patient {unit.patient}, {unit.target_view}"
+    return first_followed(drawn, sought, _REMEDIES)
+
+
+def _in_reach(robot: str, start: Tensor, target: Tensor, attempt: int) -> Tensor:
+    """Return the farthest of the (6,) coordinates on the way to a target that an arm reaches.
+
+    One view in a hundred is out of reach. Sweeps that aim at it end short of it, by what they
+    overshoot, a fifth of their way, and by more with every attempt, since they swing about their
+    aim.
+    """
+    shares = torch.linspace(0.0, 1.0, WAY).to(target)
+    way = torch.lerp(target, start.to(target), shares.unsqueeze(1))
+    short = int(joints_of(robot)(pose_at(way)).isfinite().all(1).long().argmax())
+    return way[min(short + WAY // 5 + attempt, WAY - 1)] if short else target
 
 
 def _middle(view: str) -> Tensor:

@@ -11,12 +11,10 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from racines_data.config import fill
 from racines_data.errors import RacinesError
-from racines_data.geometry import Pose
 from racines_data.manifest import MULTI_PHANTOM
 from racines_data.phantom.acquisition import (
     AcquisitionConfig,
@@ -28,7 +26,7 @@ from racines_data.phantom.acquisition import (
 from racines_data.phantom.anatomy import anatomy_views
 from racines_data.phantom.config import PHANTOM_VERSION, PhantomConfig, heart_config
 from racines_data.phantom.model import shared_phantom
-from racines_data.phantom.pacing import FREE, hurry_of
+from racines_data.phantom.pacing import FREE, joint_count
 from racines_data.phantom.saved import provenance
 from racines_data.randomness import derive, sample_seeds
 from racines_data.schema import Trajectory
@@ -108,7 +106,7 @@ class PhantomSource:
                 f"shortest; got {settings.frames}, {settings.shortest}, {settings.longest}"
             )
         if settings.robot != FREE:  # an unknown one is told before the first sweep
-            hurry_of(settings.robot, settings.rate)(Pose(torch.zeros(0, 3), torch.zeros(0, 3, 3)))
+            joint_count(settings.robot)
         return cls(settings)
 
     def recipe(self) -> dict[str, Any]:

@@ -6,7 +6,8 @@
 Format: Minari's `arrow` storage (Farama Foundation, minari 0.5). An episode is a trajectory of T
 frames, hence T-1 steps:
 
-    observation   o_0   o_1   …   o_T-1     image (1, 128, 128) uint8, params (12,) float32
+    observation   o_0   o_1   …   o_T-1     image (1, 128, 128) uint8, params (12,) float32, and of
+                                            sweeps for an arm its joints (J,) float32, rad
     action          a_0   a_1   …           commanded velocity at the frame before the move
     reward          r_0   r_1   …           the task's `oracle` reward for coming to o_t+1
     termination     0     0     …           1 where the hits in a row reach what ends the task
@@ -50,6 +51,7 @@ from racines_data.manifest import (
     read_manifest,
 )
 from racines_data.phantom.config import PhantomConfig, recorded_phantom
+from racines_data.phantom.pacing import FREE, joint_count, recorded_joints, recorded_robot
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS, PHASES
@@ -82,13 +84,14 @@ def export(
     labels, major = manifest_labels(manifest), manifest["version"].split(".")[0]
     written: dict[str, dict[str, int]] = {}
     aims: dict[str, Counter[str]] = {}
-    missing = frames = 0
+    missing, frames, robot = 0, 0, recorded_robot(manifest, config)
     with new_folder(out) as folder, progress_bar(progress) as bar:
         task = bar.add_task("frames", total=None)
         for sweep in read_sweeps(root, split, limit, config):
             name = f"racines/{manifest['source']}-{sweep.split}-v{major}"
             counts = written.setdefault(name, {"episodes": 0, "steps": 0})
-            missing += _write_episode(folder / name / "data", counts["episodes"], sweep, labels)
+            place = folder / name / "data"
+            missing += _write_episode(place, counts["episodes"], sweep, labels, robot)
             counts["episodes"] += 1
             counts["steps"] += len(sweep) - 1
             aims.setdefault(name, Counter()).update([sweep.first("target_view")])
@@ -102,11 +105,11 @@ def export(
         for name, counts in written.items():
             common = [view for view, _ in aims[name].most_common()]
             if config in ADDED:
-                spec = patients_spec(config, name.split("-")[-2], common)
+                spec = patients_spec(config, name.split("-")[-2], common, robot)
             else:
-                spec = env_spec(manifest, common)
-            told = _description(manifest, config)
-            _write_metadata(folder / name / "data", name, manifest, counts, spec, told)
+                spec = env_spec(manifest, common, robot)
+            told = _description(manifest, config, robot)
+            _write_metadata(folder / name / "data", name, manifest, counts, spec, told, robot)
         about = {"description": f"RACINES: {describe(manifest, config)}"}
         (folder / "racines" / "namespace_metadata.json").write_text(json.dumps(about))
     return {
@@ -119,7 +122,9 @@ def export(
     }
 
 
-def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ...]) -> int:
+def _write_episode(
+    data: Path, episode: int, sweep: Sweep, labels: tuple[str, ...], robot: str
+) -> int:
     """Write one episode; return how many of its steps have no commanded velocity."""
     table, count = sweep.table, len(sweep)
     target = sweep.first("target_view")
@@ -129,6 +134,9 @@ def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ..
     aim = None if target == labels[-1] else labels.index(target)  # a random scan has no target
     rewards, ended = judge_steps(views, grades, aim, declared="patient" in table.column_names)
     images, parameters = sweep.images().reshape(count, -1), float_columns(table, PARAMETERS)
+    observations = {"image": _fixed(images), "params": _fixed(parameters)}
+    if robot != FREE:
+        observations["joints"] = _fixed(recorded_joints(parameters, robot))
     infos = {
         "view": pa.array(views),
         "grade": pa.array(grades),
@@ -141,7 +149,7 @@ def _write_episode(data: Path, episode: int, sweep: Sweep, labels: tuple[str, ..
         infos["mask"] = _fixed(masks.reshape(count, -1))
     batch = pa.RecordBatch.from_pydict(
         {
-            "observations": _struct({"image": _fixed(images), "params": _fixed(parameters)}),
+            "observations": _struct(observations),
             "actions": _fixed(actions),  # the last one leads nowhere; Minari drops it
             "rewards": np.append(rewards, 0.0),
             "terminations": np.append(ended, False),
@@ -191,7 +199,7 @@ def judge_steps(
     return torch.where(known[1:] & known[:-1], paid, 0.0).double().numpy(), ended
 
 
-def env_spec(manifest: Mapping[str, Any], views: Sequence[str]) -> str | None:
+def env_spec(manifest: Mapping[str, Any], views: Sequence[str], robot: str = FREE) -> str | None:
     """Return the JSON of Gymnasium's spec of a dataset's task; None where there is none.
 
     The first of `views` that an organ registers is the target. There is none for recordings, nor
@@ -202,6 +210,8 @@ def env_spec(manifest: Mapping[str, Any], views: Sequence[str]) -> str | None:
     except RacinesError:
         return None
     kwargs: dict[str, Any] = {"observation": "multimodal", "reward": "oracle"}
+    if robot != FREE:
+        kwargs["robot"] = robot
     if phantom != PhantomConfig(anatomy=phantom.anatomy):
         kwargs["phantom"] = dataclasses.asdict(phantom)
     for view in views:
@@ -212,13 +222,14 @@ def env_spec(manifest: Mapping[str, Any], views: Sequence[str]) -> str | None:
     return None
 
 
-def patients_spec(tier: str, split: str, views: Sequence[str]) -> str | None:
+def patients_spec(tier: str, split: str, views: Sequence[str], robot: str = FREE) -> str | None:
     """Return the spec of the task on patients at which most sweeps aim, on those of the split."""
     for view in views:
         name = task_id(view, tier=tier)
         if name in gymnasium.registry:
             spec = gymnasium.spec(name)
             own = {"observation": "multimodal", "reward": "oracle", "split": split}
+            own |= {"robot": robot} if robot != FREE else {}
             return dataclasses.replace(spec, kwargs={**spec.kwargs, **own}).to_json()
     return None
 
@@ -238,11 +249,14 @@ def _write_metadata(
     counts: Mapping[str, int],
     spec: str | None,
     told: str,
+    robot: str,
 ) -> None:
     image = _box((1, IMAGE_SIZE, IMAGE_SIZE), 0, 255, "uint8")
     params = _box((len(PARAMETERS),), -np.inf, np.inf, "float32")
     action = _box((len(CONTROLS),), -np.inf, np.inf, "float32")
     spaces = {"type": "Dict", "subspaces": {"image": image, "params": params}}
+    if robot != FREE:
+        spaces["subspaces"]["joints"] = _box((joint_count(robot),), -np.inf, np.inf, "float32")
     size = sum(path.stat().st_size for path in data.rglob("*") if path.is_file())
     metadata = {
         "dataset_id": name,
@@ -265,7 +279,7 @@ def _write_metadata(
     (data / "metadata.json").write_text(json.dumps(metadata))
 
 
-def _description(manifest: Mapping[str, Any], config: str) -> str:
+def _description(manifest: Mapping[str, Any], config: str, robot: str) -> str:
     labels = _numbered(manifest_labels(manifest))
     if config in ADDED:
         task = f"racines/<target view>-{config}-v0"
@@ -274,9 +288,10 @@ def _description(manifest: Mapping[str, Any], config: str) -> str:
             more += f", mask (128 rows of 128: {_numbered(masks)})"
     else:
         task, more = "racines/<target view>-v0", ""
+    joints = "" if robot == FREE else f" joints: those of a {robot}, rad;"
     return (
         f"RACINES, {describe(manifest, config)}. "
-        "Observation: image (1, 128, 128), 8-bit gray, unchanged; "
+        f"Observation: image (1, 128, 128), 8-bit gray, unchanged;{joints} "
         f"params: {', '.join(PARAMETERS)} (N, N·m, m, rad; robot base frame; NaN where unknown). "
         "Action: the commanded velocity at the frame before the step (m/s, rad/s; base frame). "
         f"Reward and termination: those of the task {task} with reward 'oracle', "

@@ -88,18 +88,23 @@ class ArmRobot:
         away = (reach >= SINGULAR) | (reach >= self.kinematics.reach(joints))
         return later, there & slow & away & self._allows(later)
 
-    def hurry(self, pose: Pose, rate: float) -> Tensor:
-        """Return (T - 1,) of T poses, `rate` a second: the share of its speed that a move takes.
+    def angles(self, pose: Pose) -> Tensor:
+        """Return the (T, J) joints to which the arm comes from home for each of T poses.
 
-        Joints are those to which the arm comes from home; inf from or to where it cannot be, or is
-        too close to a singularity.
+        NaN where it cannot be, or is too close to a singularity.
         """
         home = self._home.expand(len(pose.position), self.joints)
         joints, there = self.kinematics.solve(pose, home, FROM_HOME)
         there &= self._allows(joints) & (self.kinematics.reach(joints) >= SINGULAR)
-        turned = joints.diff(dim=0).abs() * rate * STEP_SECONDS
-        share = (turned / self.step).amax(1)
-        return share.where(there[1:] & there[:-1], torch.inf)
+        return joints.where(there.unsqueeze(1), torch.nan)
+
+    def hurry(self, pose: Pose, rate: float) -> Tensor:
+        """Return (T - 1,) of T poses, `rate` a second: the share of its speed that a move takes.
+
+        Of joints as `angles` has them; inf from or to where the arm cannot be.
+        """
+        turned = self.angles(pose).diff(dim=0).abs() * rate * STEP_SECONDS
+        return (turned / self.step).amax(1).nan_to_num(torch.inf)
 
     def _allows(self, joints: Tensor) -> Tensor:
         return ((joints >= self._low) & (joints <= self._high)).all(1)
@@ -114,6 +119,15 @@ def hurry(robot: str, pose: Pose, rate: float) -> Tensor:
         RacinesError: no such arm, or `pytorch_kinematics` is not installed.
     """
     return _shared_robot(robot).hurry(pose, rate)
+
+
+def angles(robot: str, pose: Pose) -> Tensor:
+    """Return (T, J) joints, rad, of an arm at T poses; see `ArmRobot.angles`.
+
+    Raises:
+        RacinesError: as `hurry`.
+    """
+    return _shared_robot(robot).angles(pose)
 
 
 @cache

@@ -9,7 +9,8 @@
 
 Format: LeRobotDataset v3.0 (Hugging Face, lerobot 0.4 to 0.6). An episode is a trajectory.
 `timestamp` is seconds since its first frame. `action` is the commanded velocity at the frame.
-Images have one channel, as recorded; `view` is -1 and numbers are NaN where unknown.
+Images have one channel, as recorded; `view` is -1 and numbers are NaN where unknown. Sweeps that
+were drawn for an arm have its `observation.joints`, rad, besides.
 """
 
 import io
@@ -37,6 +38,7 @@ from racines_data.manifest import (
     manifest_labels,
     read_manifest,
 )
+from racines_data.phantom.pacing import FREE, joint_count, recorded_joints, recorded_robot
 from racines_data.progress import progress_bar
 from racines_data.records import float_columns
 from racines_data.schema import CONTROLS, PARAMETERS, PHASES, SPLITS
@@ -61,7 +63,7 @@ _FEATURES: dict[str, dict[str, Any]] = {
         *((name, "int64", [1], None) for name in _INDICES),
     )
 }
-MASK = "observation.images.mask"
+MASK, JOINTS = "observation.images.mask", "observation.joints"
 _OF_PATIENTS: dict[str, dict[str, Any]] = {
     "patient": {"dtype": "int64", "shape": [1], "names": None},
     **{name: {"dtype": "float32", "shape": [1], "names": None} for name in PHASES},
@@ -126,8 +128,9 @@ def export(
     manifest = config_manifest(read_manifest(root), config)
     with new_folder(out) as folder, progress_bar(progress) as bar:
         task = bar.add_task("frames", total=None)
-        features = features_of(manifest, config) | shown.features(channels)
-        writer = _Writer(folder, manifest_labels(manifest), features, shown)
+        robot = recorded_robot(manifest, config)
+        features = features_of(manifest, config) | shown.features(channels) | _joints(robot)
+        writer = _Writer(folder, manifest_labels(manifest), features, shown, robot)
         for sweep in read_sweeps(root, split, limit, config):
             writer.add(sweep)
             bar.advance(task, len(sweep))
@@ -165,6 +168,7 @@ class _Writer:
     labels: tuple[str, ...]
     features: dict[str, dict[str, Any]]
     shown: Shown
+    robot: str
     frames: int = 0
     episodes: list[dict[str, Any]] = field(default_factory=list)
     tasks: dict[str, int] = field(default_factory=dict)
@@ -182,6 +186,8 @@ class _Writer:
         task = task_of(sweep.first("target_view"), self.labels[-1])
         index = self.tasks.setdefault(task, len(self.tasks))
         columns = self.shown.columns(sweep)
+        if JOINTS in self.features:
+            columns[JOINTS] = recorded_joints(float_columns(sweep.table, PARAMETERS), self.robot)
         columns |= _columns(sweep, len(self.episodes), self.frames, index)
         if "patient" in self.features:
             columns["patient"] = sweep.table["patient"].to_numpy()
@@ -257,6 +263,15 @@ def features_of(manifest: Mapping[str, Any], config: str) -> dict[str, dict[str,
     return {**_FEATURES, **_OF_PATIENTS, **masked}
 
 
+def _joints(robot: str) -> dict[str, dict[str, Any]]:
+    """Return the feature of an arm's joints; none of a free probe."""
+    if robot == FREE:
+        return {}
+    count = joint_count(robot)
+    names = [f"joint_{number}" for number in range(1, count + 1)]
+    return {JOINTS: {"dtype": "float32", "shape": [count], "names": names}}
+
+
 def images_of(features: Mapping[str, Any]) -> dict[str, str]:
     """Return the image features, each with the column that it is."""
     return {name: column for name, column in ((IMAGE, "image"), (MASK, "mask")) if name in features}
@@ -303,7 +318,7 @@ def _write_meta(
 ) -> dict[str, Any]:
     info = {
         "codebase_version": "v3.0",
-        "robot_type": f"racines-{manifest['source']}",
+        "robot_type": f"racines-{manifest['source']}" if writer.robot == FREE else writer.robot,
         "total_episodes": len(writer.episodes),
         "total_frames": writer.frames,
         "total_tasks": len(writer.tasks),

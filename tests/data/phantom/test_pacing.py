@@ -52,7 +52,7 @@ def test_moves_get_the_time_that_they_need():
 
 def test_a_sweep_that_is_too_short_or_out_of_reach_is_refused():
     shares = torch.tensor([0.5, 0.5])
-    with pytest.raises(CannotFollow, match=r"a sweep of 41 frames takes the arm \d\d: raise"):
+    with pytest.raises(CannotFollow, match=r"a sweep of 41 frames takes the arm \d\d$"):
         paced(shares, rail, LENGTH, along(0.0, 2.0, 0.0))
     with pytest.raises(CannotFollow, match="leads where the arm cannot be"):
         paced(shares, rail, LENGTH, along(0.0, -0.1, 0.0))
