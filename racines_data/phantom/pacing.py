@@ -93,6 +93,7 @@ def first_followed(draw: Callable[[int], Sweep], field: str, remedies: Mapping[s
         RacinesError: none of them, with the field that names the arm and the remedy of what the
             last one lacked.
     """
+    last = CannotFollow("no sweep was drawn")
     for attempt in range(ATTEMPTS):
         try:
             return draw(attempt)

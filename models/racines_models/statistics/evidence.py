@@ -337,7 +337,8 @@ def _figures(part: dict[str, _Column]) -> tuple[str, Figures]:
     if statistic not in STATISTICS:
         raise ValueError(f"{metric}: statistic {statistic!r}, not one of {STATISTICS}")
     trainings = 1 + int(part["training"].values.max())
-    ends = {key: float(part[key].values[0]) for key in ENDS if not part[key].absent[0]}
+    shown = [key for key in ENDS if not part[key].absent[0]]
+    ends: dict[str, Any] = {key: float(part[key].values[0]) for key in shown}
     values = np.where(part["value"].absent, np.nan, part["value"].values)
     if statistic == "set":
         values = values.reshape(trainings, -1)
