@@ -11,6 +11,7 @@ from racines_data.plugins import Plugins
 from racines_data.store.frames import FrameStore
 from racines_models.protocol import Generator
 from racines_models.provenance import weights_sha256
+from racines_models.published.places import WEIGHTS, own_or_published
 from racines_models.training.checkpoint import repeat_folders
 
 GENERATORS = Plugins(
@@ -110,6 +111,15 @@ def run_folder(spec: str, folder: Path | str | None = None, tier: str | None = N
     """
     usual = RUNS / PATIENTS if on_patients(tier) else RUNS
     return usual / generator_class(spec).name if folder is None else Path(folder)
+
+
+def weights_folder(spec: str, folder: Path | str | None = None) -> Path:
+    """Return where the weights of a generator on patients lie, by its name or class.
+
+    In the folder given; or else in its run, if it was trained here, or published.
+    """
+    own = run_folder(spec, folder, PATIENTS)
+    return own if folder else own_or_published(own, WEIGHTS / PATIENTS / own.name, "config.json")
 
 
 def on_patients(tier: str | None) -> bool:

@@ -2,13 +2,20 @@
 
 import sys
 import textwrap
+from pathlib import Path
 
 import pytest
 import torch
 
 from racines_data.errors import RacinesError
 from racines_models.protocol import Run
-from racines_models.registry import generator_class, generator_names, load_generator
+from racines_models.published.places import CHECKOUT
+from racines_models.registry import (
+    generator_class,
+    generator_names,
+    load_generator,
+    weights_folder,
+)
 from tests.plugins.packages import install
 
 THIRD_PARTY = '''
@@ -100,3 +107,18 @@ def _message(call) -> str:
     with pytest.raises(RacinesError) as caught:
         call()
     return str(caught.value)
+
+
+def test_weights_of_a_generator_on_patients_are_its_runs_or_the_published_ones(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    found = weights_folder("scout-attention")
+    assert found == CHECKOUT / "models/weights/patients/scout-attention"
+    assert "using the published" in capsys.readouterr().err
+    own = Path("models/runs/patients/scout-attention")
+    own.mkdir(parents=True)
+    (own / "config.json").write_text("{}")
+    assert weights_folder("scout-attention") == own
+    assert weights_folder("scout-attention", "elsewhere") == Path("elsewhere")
+    assert weights_folder("nearest-pose") == Path("models/runs/patients/nearest-pose"), "no weights"

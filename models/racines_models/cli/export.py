@@ -179,7 +179,7 @@ def _adapting(
 ) -> Any:
     """Return a generator, the first training alone, as it draws what is asked of patients."""
     from racines_data.config import section
-    from racines_models.registry import PATIENTS, generator_class, is_predictions, run_folder
+    from racines_models.registry import generator_class, is_predictions, weights_folder
     from racines_models.scores.on_patients import OnPatients, check_named, open_for_patients
 
     assert task.asked is not None
@@ -187,7 +187,7 @@ def _adapting(
     if is_predictions(name):
         return open_for_patients(name, run, asked=task.asked)[0]
     title = generator_class(name).name
-    folder = run_folder(name, run, PATIENTS)
+    folder = weights_folder(name, run)
     own = section(values, "patient_generators").get(title)
     made = open_for_patients(name, folder, device=device, settings=own)[0]
     return OnPatients(made, task.asked, title)

@@ -16,7 +16,7 @@ def evaluate_on_patients(
         name: of a registered generator, `module:Class`, or a file of predictions.
         chosen: settings that the command line gives.
         values: all settings.
-        run: folder of the run; None: that of the name.
+        run: folder of the run; None: that of the name, trained here or published.
         out: folder to write.
         device: where features are computed and images drawn.
         force: whether another result is replaced.
@@ -32,7 +32,7 @@ def evaluate_on_patients(
         PATIENTS,
         generator_class,
         is_predictions,
-        run_folder,
+        weights_folder,
         weights_of,
     )
     from racines_models.scores.adapted_sheet import write_adapted
@@ -51,7 +51,7 @@ def evaluate_on_patients(
     config = fill(PatientScoresConfig, section(values, "patient_scores") | chosen, "patient_scores")
     tier_board = PATIENTS if PATIENTS in values.get("patient_boards", ()) else None
     drawn_elsewhere = is_predictions(name)
-    folder = run if drawn_elsewhere else run_folder(name, run, PATIENTS)
+    folder = run if drawn_elsewhere else weights_folder(name, run)
     further = published_seeds(tier_board, folder) if folder is not None and run is None else []
     generators: list[Any] = []
     # Before anybody is scanned: what is not there, or of others, is told at once.
