@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from racines_data.files import write_json
+from racines_data.files import write_atomic
 from racines_models.statistics import Evidence
 from racines_models.statistics.intervals import difference
 
@@ -69,7 +69,7 @@ def main(split: str, folder: Path) -> None:
     """Write both tables of a split."""
     document = json.loads(RESULT.read_text())
     document["tables"] |= {split: table(folder), f"{split}_difference": leads(folder)}
-    write_json(RESULT, document)
+    write_atomic(RESULT, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
 
 
 if __name__ == "__main__":
