@@ -9,7 +9,7 @@ import torch
 
 from racines_data.errors import RacinesError
 from racines_models.protocol import Run
-from racines_models.published.places import CHECKOUT
+from racines_models.published import places
 from racines_models.registry import (
     generator_class,
     generator_names,
@@ -113,8 +113,9 @@ def test_weights_of_a_generator_on_patients_are_its_runs_or_the_published_ones(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
+    places._tell.cache_clear()  # it is said once a process, and another test may have asked
     found = weights_folder("scout-attention")
-    assert found == CHECKOUT / "models/weights/patients/scout-attention"
+    assert found == places.CHECKOUT / "models/weights/patients/scout-attention"
     assert "using the published" in capsys.readouterr().err
     own = Path("models/runs/patients/scout-attention")
     own.mkdir(parents=True)

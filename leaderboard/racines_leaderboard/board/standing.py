@@ -67,10 +67,10 @@ def ahead_of_each(standings: Sequence[Standing]) -> list[int]:
         ValueError: their scores do not rest on the same units.
     """
     ahead = [0] * len(standings)
-    known = [i for i, each in enumerate(standings) if each.replicates is not None]
-    known.sort(key=lambda i: -standings[i].replicates.value)  # type: ignore[union-attr]
-    stack = Stacked.of([standings[i].replicates for i in known])  # type: ignore[misc]
-    for place, i in enumerate(known):
+    known = [(i, own) for i, each in enumerate(standings) if (own := each.replicates) is not None]
+    known.sort(key=lambda each: -each[1].value)
+    stack = Stacked.of([own for _, own in known])
+    for place, (i, _) in enumerate(known):
         higher = slice(0, int(np.searchsorted(-stack.value, -stack.value[place])))
         ahead[i] = int((stack.lows(higher, place) > 0).sum())
     return ahead

@@ -9,19 +9,23 @@ from pathlib import Path
 import torch
 
 from racines_data.files import write_json
-from racines_data.geometry import parameters_to_pose
+from racines_data.geometry import Pose, parameters_to_pose
+from racines_data.patients import Pool
+from racines_data.patients.splits import seeds_of
 from racines_data.phantom.acquisition import AcquisitionConfig, make_sweep
 from racines_data.phantom.model import shared_phantom
 from racines_data.phantom.pacing import FREE
 from racines_data.randomness import derive, sample_seeds
 from racines_data.sources.patients import SWEEPS, PatientsSource
 from racines_data.sources.phantom import PhantomSource
-from racines_envs.robots.following import hurry
+from racines_data.views import VIEWS
+from racines_envs.robots.following import angles, hurry
 from racines_envs.robots.ur5e import UR5E
 from racines_models.provenance import environment
 
 RESULT = Path(__file__).parents[3] / "docs/results/arm-sweeps.json"
-PATIENTS = 10
+PATIENTS, LOOKED_AT = 10, 40
+"""Validation patients who are scanned, and whose views' nominal poses are looked at."""
 FULL = AcquisitionConfig(frames=6000, shortest=90, longest=150)
 
 
@@ -51,6 +55,15 @@ def hurries_of_patients(robot: str) -> torch.Tensor:
     return torch.cat(found)
 
 
+def out_of_reach() -> int:
+    """Return how many nominal poses of the five views the arm cannot take, of `LOOKED_AT`."""
+    count, row = 0, torch.zeros(1, dtype=torch.int64)
+    for seed in seeds_of("validation")[:LOOKED_AT]:
+        nominal = Pose(*(part[0] for part in Pool([seed]).targets(row)))
+        count += int((~angles(UR5E.name, nominal).isfinite().all(1)).sum())
+    return count
+
+
 def main() -> None:
     """Measure, and write."""
     free, arm = hurries(FULL), hurries(replace(FULL, robot=UR5E.name))
@@ -67,6 +80,8 @@ def main() -> None:
             "free_missed_percent": missed_percent(free),
             "arm_missed": int((~(arm <= 1.0)).sum()),
             "fastest_percent": round(100.0 * float(arm.max())),
+            "views": LOOKED_AT * len(VIEWS),
+            "views_out_of_reach": out_of_reach(),
             "patients": PATIENTS,
             "patient_moves": len(apart),
             "patient_free_missed_percent": missed_percent(apart),
