@@ -295,14 +295,14 @@ def _sweep(pool: Pool, unit: PatientUnit, seed: Tensor, robot: str, field: str) 
     limits, operator = limits_of(pool.workspace, SURFACE, PhantomConfig()), unit.patient % OPERATORS
     config = dataclasses.replace(SWEEPS, robot=robot)
     nominal = pool.targets(torch.zeros(1, dtype=torch.int64))
-    aims = dict(zip(VIEWS, coordinates(Pose(*(part[0] for part in nominal))), strict=True))
+    aims = coordinates(Pose(*(part[0] for part in nominal)))
 
     def drawn(attempt: int) -> PlannedSweep:
         draw = again(seed, attempt)
         if unit.target_view == RANDOM:
             points, shares = random_points(WANDER, SURFACE, draw)
         else:
-            target = aims[unit.target_view]
+            target = aims[VIEWS.index(unit.target_view)]
             touch = around(_middle(unit.target_view), START, draw)
             touch[:, 2] = target[2]
             if robot != FREE:
