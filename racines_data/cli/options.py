@@ -5,6 +5,8 @@ params file, a packaged profile, and these options. What `--device` takes stands
 `racines_models.cli.device`, which knows the devices of this machine.
 """
 
+import fnmatch
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +14,7 @@ import typer
 import yaml
 
 from racines_data.config import read_params
+from racines_data.errors import RacinesError
 
 DATA = Path("data/racines")
 GRADER, POSE = Path("models/runs/grader"), Path("models/runs/pose")
@@ -152,6 +155,24 @@ def overrides(pairs: list[str] | None) -> dict[str, Any]:
             raise typer.BadParameter(f"{pair!r}: write NAME=VALUE", param_hint="--set")
         values[name] = yaml.safe_load(value)
     return values
+
+
+def matching(names: Sequence[str], known: Sequence[str], where: str) -> list[str]:
+    """Return names, patterns (`ppo-*`) replaced by those of the known that match; each once.
+
+    Raises:
+        RacinesError: a pattern that matches none of them, or no name.
+    """
+    found: dict[str, None] = {}
+    for name in names:
+        pattern = any(sign in name for sign in "*?[")
+        own = fnmatch.filter(known, name) if pattern else [name]
+        if not own:
+            raise RacinesError(
+                f"{name}: matches nothing of {where}: it has {', '.join(known) or 'no entries'}"
+            )
+        found |= dict.fromkeys(own)
+    return list(found)
 
 
 def seed_of(settings: dict[str, Any], seed: int | None) -> int:

@@ -9,8 +9,8 @@ depends on nothing else, so that every engine gives the same. A new engine is on
 entry point of the group `racines.engines`.
 """
 
-from collections.abc import Callable, Iterable, Iterator
-from typing import Any, Protocol, Self, TypeVar
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 
 from racines_data.errors import RacinesError
 from racines_data.plugins import Plugins
@@ -59,6 +59,27 @@ class Engine(Protocol):
 
         Raises:
             RacinesError: a task refused its input, or workers died of it.
+        """
+        ...
+
+
+@runtime_checkable
+class Trials(Protocol):
+    """What an engine may have besides: tasks of hours, told of as they end, in any order."""
+
+    def trials(
+        self,
+        work: Callable[[State, Task], Result],
+        state: State,
+        tasks: Sequence[Task],
+        told: Callable[[int, Result], None],
+        threads: int | None = 1,
+        remedy: str = "",
+    ) -> None:
+        """Run `work(state, task)` of each task; `told` gets its number and result.
+
+        Raises:
+            RacinesError: as `Engine.map`, once the other tasks are done.
         """
         ...
 

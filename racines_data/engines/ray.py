@@ -12,7 +12,7 @@ import os
 import pickle
 import socket
 import uuid
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Self
 
 from racines_data.engines import Result, State, Task
@@ -82,15 +82,8 @@ class RayEngine:
         remedy: str = "",
     ) -> Iterator[Result]:
         """Yield results in order, as `Engine.map`; each task has as many CPUs as threads."""
-        import torch
-
-        count = threads or torch.get_num_threads()
-        call = Call(uuid.uuid4().hex, count, os.getcwd(), versions())
-        # By value where a script itself, `__main__`, defines it: workers have another.
-        content = self._ray.cloudpickle.dumps((work, state))
-        self._check_store(len(content))
+        call, content, cpus = self._call(work, state, threads)
         shared, ray = self._ray.put(content), self._ray
-        cpus = min(count, max(int(node.get("CPU", 1)) for node in self._nodes()))
         # Ray would begin a task anew without end where memory is short: here it is counted.
         remote = ray.remote(num_cpus=cpus, max_retries=0)(_run)
 
@@ -99,6 +92,34 @@ class RayEngine:
 
         room = self.size if self._workers else self.size * (1 + WAITING)
         yield from self._in_order(begin, tasks, max(1, room // cpus), remedy)
+
+    def trials(
+        self,
+        work: Callable[[State, Task], Result],
+        state: State,
+        tasks: Sequence[Task],
+        told: Callable[[int, Result], None],
+        threads: int | None = 1,
+        remedy: str = "",
+    ) -> None:
+        """Run each task as a trial of Ray Tune, as `Trials.trials`; its dashboard shows them."""
+        from racines_data.engines.tune import run_trials
+
+        call, content, cpus = self._call(work, state, threads)
+        room = max(1, self.size // cpus) if self._workers else None
+        packed = [self._ray.cloudpickle.dumps(task) for task in tasks]
+        run_trials(call, content, packed, told, cpus, room, TRIES, remedy)
+
+    def _call(self, work: Any, state: Any, threads: int | None) -> tuple[Call, bytes, int]:
+        """Return what tasks have in common, (work, state) pickled, and the CPUs of a task."""
+        import torch
+
+        count = threads or torch.get_num_threads()
+        # By value where a script itself, `__main__`, defines it: workers have another.
+        content = self._ray.cloudpickle.dumps((work, state))
+        self._check_store(len(content))
+        cpus = min(count, max(int(node.get("CPU", 1)) for node in self._nodes()))
+        return Call(uuid.uuid4().hex, count, os.getcwd(), versions()), content, cpus
 
     def _in_order(
         self, begin: Callable[[bytes], Any], tasks: Iterable[Any], room: int, remedy: str

@@ -1,15 +1,15 @@
-"""The commands `racines train agent` and `racines eval agent`. Heavy imports stand inside."""
+"""The command `racines eval agent`. Heavy imports stand inside."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from racines_data.cli import options as opt
-from racines_data.cli.options import given, overrides, read_settings, seed_of
+from racines_data.cli.options import given, overrides, read_settings
 from racines_data.errors import RacinesError
-from racines_data.terminal import say, say_json, say_page
+from racines_data.terminal import say, say_json
 from racines_envs.cli.settings import (
     Agent,
     Env,
@@ -22,88 +22,6 @@ from racines_envs.cli.settings import (
 )
 from racines_envs.task.names import HEART_TIER, tier_of
 from racines_models.cli.device import OneDevice
-
-
-def train_agent(
-    agent: Agent = "ppo",
-    view: opt.View = None,
-    tier: Tier = None,
-    env: Env = None,
-    goal: Goal = None,
-    observation: opt.Observation = None,
-    reward: opt.Reward = None,
-    backend: opt.Backend = None,
-    generator: opt.Generator = None,
-    grader: opt.Grader = None,
-    encoder: Annotated[
-        str | None, typer.Option(help="What looks at images: a folder, or pose.")
-    ] = None,
-    data: opt.OtherData = None,
-    frames: Annotated[int | None, typer.Option(help="Environment steps.")] = None,
-    device: OneDevice = None,
-    seed: opt.Seed = None,
-    name: Name = None,
-    out: opt.OwnOut = None,
-    resume: opt.Resume = None,
-    settings: opt.Set = None,
-    params: opt.Params = None,
-    profile: opt.Profile = None,
-    engine: opt.Engine = "local",
-    address: opt.Address = None,
-    as_json: opt.AsJson = False,
-) -> None:
-    """Train an agent into envs/runs/<run>, or --out; options override the settings.
-
-    With --env replay:FOLDER in the recorded frames of a dataset, from starts of its train split,
-    into envs/runs/<run>-replay-<folder>-<view>; --set then also takes the settings of the replay.
-    With `repeats: N` in its entry, N seeds: the first in that folder, seed n in its seed-<n>; with
-    --engine ray beside each other, in folders that all nodes see. With several `collectors` in the
-    settings it is these that --engine ray spreads, and seeds follow each other.
-    """
-    from racines_data.config import fill
-    from racines_envs.agents import agent_class
-    from racines_envs.evaluation.agent_specs import find_entry, read_json
-    from racines_models.cli.device import spread
-    from racines_models.protocol import Run
-    from racines_models.training.checkpoint import train_seeds
-
-    values = read_settings(params, profile)
-    entry = find_entry(values, agent, name)
-    cls = agent_class(entry.agent)
-    phantom, more = phantom_config(values), overrides(settings)
-    if goal and not env:
-        raise RacinesError("--goal needs --env replay:FOLDER")
-    if env:
-        where_to = view or (None if goal or "goal" in more else entry.view)
-        phantom, more, label = open_env(env, values, where_to, given(goal=goal) | more, device)
-        entry = entry if name else replace(entry, name=f"{entry.name}-{label}")
-        view, backend = phantom.aim.view, "replay"
-    # What learns no view of its own, as a floor, may still learn on a tier.
-    known = {each.name for each in fields(cls.Config)}
-    wanted = {"tier": tier} if "tier" in known else {"view": on_tier(view, tier)}
-    if env:
-        wanted = {"view": view} if "view" in known else {}
-        backend = backend if "backend" in known else None
-    chosen = given(
-        **wanted, observation=observation, reward=reward, backend=backend, generator=generator,
-        grader=grader, encoder=encoder, frames=frames, device=device,
-    ) | more  # fmt: skip
-    config: Any = fill(cls.Config, entry.settings | chosen, entry.where)
-    folder = out or entry.folder
-    where = {"phantom": phantom, "data": data}
-    run = Run(folder, seed_of(values, seed), resume=resume, progress=not as_json)
-
-    def fit(one: Run) -> dict[str, Any]:
-        told = {"seed": one.seed, "resume": one.resume, "progress": one.progress}
-        cls.train(config, one.folder, **told, **where)
-        return read_json(one.folder / "metrics.json")
-
-    with spread(engine, address, getattr(config, "device", None)) as pool:
-        if getattr(config, "collectors", 1) > 1:
-            where["engine"], pool = pool, None
-        train_seeds(fit, run, entry.repeats, pool)
-    metrics = (folder / "metrics.json").read_text()
-    say_page(metrics if as_json else f"settings, metrics and policy, if any, are in {folder}")
 
 
 def evaluate_agent(

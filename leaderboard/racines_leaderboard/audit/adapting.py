@@ -27,7 +27,7 @@ from racines_models.scores.on_patients import (
 )
 from racines_models.scores.scoring import Scores
 from racines_models.statistics import Figures
-from racines_models.training.checkpoint import train_seeds
+from racines_models.training.sets import train_seeds
 
 JUDGES = "pose", "segmentation"
 """Who judge generators on patients."""

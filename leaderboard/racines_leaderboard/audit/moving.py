@@ -20,7 +20,7 @@ from racines_models.trackerless.scoring import (
     score_motion,
 )
 from racines_models.trackerless.sweeps import Sweep, SweepSet, digest_of
-from racines_models.training.checkpoint import train_seeds
+from racines_models.training.sets import train_seeds
 
 
 def scored_on(record: Record, bench: Bench) -> Iterator[Verdict]:

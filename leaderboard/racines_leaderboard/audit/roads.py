@@ -36,8 +36,9 @@ from racines_models.registry import generator_class, open_generator, open_runs, 
 from racines_models.scores.scoring import ScoresConfig
 from racines_models.statistics import Evidence
 from racines_models.trackerless.protocol import estimator_class
-from racines_models.training.checkpoint import PREFIX, train_seeds
+from racines_models.training.checkpoint import PREFIX
 from racines_models.training.published import published_seeds
+from racines_models.training.sets import train_seeds
 
 FIRST = "first training"
 

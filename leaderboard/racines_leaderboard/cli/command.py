@@ -56,7 +56,7 @@ COMMANDS = {
     "train motion": "racines_models.cli.train.motion:train_motion",
     "train encoder": "racines_envs.cli.encoder:train_encoder",
     "train generator": "racines_models.cli.train.generator:train_generator",
-    "train agent": "racines_envs.cli.agents:train_agent",
+    "train agent": "racines_envs.cli.training:train_agent",
     "eval generator": "racines_models.cli.evaluate.generator:eval_generator",
     "eval grader": "racines_models.cli.evaluate.grader:eval_grader",
     "eval motion": "racines_models.cli.evaluate.motion:evaluate_motion",

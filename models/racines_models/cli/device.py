@@ -23,9 +23,11 @@ OneDevice = Annotated[str | None, typer.Option("--device", help=_HELP, callback=
 
 
 def spread(
-    engine: str, address: str | None, device: str | None = None
+    engine: str, address: str | None, device: str | None = None, workers: int | None = None
 ) -> "AbstractContextManager[Engine | None]":
     """Return the engine that a command was given; None, within it, stands for this process.
+
+    Of `local` that is where no more than one worker is asked for.
 
     Raises:
         RacinesError: as `open_engine`, or a device that workers have not.
@@ -33,9 +35,9 @@ def spread(
     from racines_data.engines import LOCAL, open_engine
     from racines_data.errors import RacinesError
 
-    opened = open_engine(engine, address)
+    opened = open_engine(engine, address, workers)
     if engine == LOCAL:
-        return nullcontext()
+        return opened if (workers or 1) > 1 else nullcontext()
     if device not in (None, "cpu"):
         raise RacinesError(f"--engine {engine} works on CPUs: give --device cpu, not {device}")
     return opened

@@ -1,12 +1,18 @@
 """What the commands print: JSON where it is asked for, else lines and tables."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.table import Table
 
 from racines_data.tables import console_table
-from racines_data.terminal import console, say, say_json
+from racines_data.terminal import console, note, say, say_json
+
+if TYPE_CHECKING:
+    from racines_data.errors import RacinesError
+    from racines_models.protocol import Run
+    from racines_models.training.sets import Training
 
 
 def tell(content: dict[str, Any], as_json: bool, *shown: str | Table) -> None:
@@ -19,6 +25,31 @@ def tell(content: dict[str, Any], as_json: bool, *shown: str | Table) -> None:
             say(each)
         else:
             console().print(each)
+
+
+def told_of(
+    trainings: Sequence["Training"],
+) -> "Callable[[Run, dict[str, Any] | RacinesError], None]":
+    """Return what notes of each run of a set that it ended, and how many there are."""
+    count, total = 0, sum(each.repeats for each in trainings)
+
+    def told(run: "Run", metrics: "dict[str, Any] | RacinesError") -> None:
+        nonlocal count
+        count += 1
+        ended = "done" if isinstance(metrics, dict) else "refused"
+        note(f"racines: {run.folder}: seed {run.seed} {ended} ({count} of {total})")
+
+    return told
+
+
+def tell_trained(
+    trainings: Sequence["Training"], metrics: Sequence[dict[str, Any]], as_json: bool,
+    words: Callable[[dict[str, Any]], str],
+) -> None:  # fmt: skip
+    """Print what trainings ended with: of one its metrics, of several each by its folder."""
+    pairs = [(str(each.run.folder), own) for each, own in zip(trainings, metrics, strict=True)]
+    content = {"out": pairs[0][0], **pairs[0][1]} if len(pairs) == 1 else {"trained": dict(pairs)}
+    tell(content, as_json, *(f"{folder}: {words(own)}" for folder, own in pairs))
 
 
 def ranged(metric: dict[str, Any]) -> str:

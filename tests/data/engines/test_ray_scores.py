@@ -25,7 +25,7 @@ from racines_models.protocol import Run
 from racines_models.provenance import same_result
 from racines_models.scores import scoring
 from racines_models.scores.scoring import ScoresConfig, score
-from racines_models.training.checkpoint import train_seeds
+from racines_models.training.sets import train_seeds
 from tests.conftest import ROOT
 from tests.data.build.test_build import files
 from tests.data.engines.tasks import DyingAgent

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 from safetensors.torch import load_file, save_file
 from typer.testing import CliRunner
 
@@ -25,7 +26,7 @@ from racines_leaderboard.cli.command import app
 from racines_leaderboard.records.schema import read_json
 from racines_models.protocol import Run
 from racines_models.statistics import Evidence
-from racines_models.training.checkpoint import train_seeds
+from racines_models.training.sets import train_seeds
 from tests.envs.fakes import FakePhantom
 from tests.leaderboard.graphs import sound_policy
 
@@ -240,6 +241,15 @@ def test_the_commands_train_several_go_on_after_a_kill_and_score_them(
     command("train", "agent", "pl", "--seed", "1", "--out", "alone", "--json")
     alone = (tmp_path / "alone" / POLICY).read_bytes()
     assert alone == (folder / f"seed-1/{POLICY}").read_bytes(), "as with that seed alone"
+
+    params = yaml.safe_load(TINY)
+    params["agents"] |= {"pl-2": params["agents"]["pl"] | {"repeats": 1}, "other": {}}
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
+    both = command("train", "agent", "pl*", "--out", "both", "--json")
+    assert [*json.loads(both.stdout)["trained"]] == ["both/pl", "both/pl-2"]
+    for place in ("pl", "pl-2", "pl/seed-1"):
+        own = folder / ("seed-1" if place.endswith("1") else "")
+        assert (tmp_path / "both" / place / POLICY).read_bytes() == (own / POLICY).read_bytes()
 
     place = tmp_path / "envs/weights/tiny/pl"
     shutil.move(folder / "seed-1", place / "seed-1")

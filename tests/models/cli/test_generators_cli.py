@@ -93,6 +93,31 @@ def test_class_in_the_current_folder_and_exit_code(here):
     assert "mine has no 'Yours'" in done.stderr and "Traceback" not in done.stderr
 
 
+def test_several_are_a_set_two_at_a_time_and_one_goes_on_after_a_refusal(here):
+    (here / "runs").mkdir()
+    (here / "runs/vae-gan").touch()  # where a folder has to be
+    words = ("*", "--out", "runs", "--workers", "2", "--device", "cpu")
+    done = command(here, "racines", "train", "generator", *words, code=1)
+    assert "1 of 3 trainings were refused: runs/vae-gan: " in done.stderr
+    assert "runs/mean-image: seed 4 done (" in done.stderr and "Traceback" not in done.stderr
+    before = (here / "runs/nearest-pose/model.safetensors").stat()
+    (here / "runs/vae-gan").unlink()
+    told = invoke("*", "--out", "runs", "--device", "cpu")["trained"]
+    assert [*told] == ["runs/mean-image", "runs/nearest-pose", "runs/vae-gan"]
+    assert told["runs/nearest-pose"]["images"] == 50
+    assert (here / "runs/nearest-pose/model.safetensors").stat() == before, "it was done"
+    assert load_generator("vae-gan", here / "runs/vae-gan").card.seed == 4
+
+
+def test_a_pattern_of_nothing_and_several_in_shared_processes_are_refused(here):
+    with pytest.raises(
+        RacinesError, match=r"flow\*: matches nothing of generators: it has mean-im"
+    ):
+        invoke("mean-image", "flow*")
+    with pytest.raises(RacinesError, match="--processes: one generator, here"):
+        invoke("*", "--processes", "2")
+
+
 @pytest.mark.slow
 def test_two_processes_share_the_work(here):
     words = ("train", "generator", "vae-gan", "--processes", "2", "--device", "cpu", "--json")

@@ -28,7 +28,7 @@ from racines_models.trackerless.pair_cnn.training import (
 )
 from racines_models.trackerless.scoring import MotionScoresConfig, estimate_all, score_motion
 from racines_models.trackerless.sweeps import SweepSet
-from racines_models.training.checkpoint import train_seeds
+from racines_models.training.sets import train_seeds
 from racines_models.weights import publish
 from tests.models.trackerless.sweeping import SweptStore
 

@@ -11,7 +11,8 @@ from racines_models.protocol import Run
 from racines_models.registry import open_runs, weights_of
 from racines_models.sample import Sample
 from racines_models.scores.scoring import Scorer, ScoresConfig, take_turns
-from racines_models.training.checkpoint import repeat_folders, train_seeds
+from racines_models.training.checkpoint import repeat_folders
+from racines_models.training.sets import train_seeds
 
 
 class Fits:

@@ -32,7 +32,7 @@ def train_motion(
     from racines_models.protocol import Run
     from racines_models.trackerless.protocol import estimator_class, run_folder
     from racines_models.trackerless.sweeps import SweepSet
-    from racines_models.training.checkpoint import train_seeds
+    from racines_models.training.sets import train_seeds
 
     cls = estimator_class(name)
     if not cls.trained:
