@@ -1,6 +1,7 @@
 """What is asked of generators on patients: scouts, and the frames at the poses to be drawn."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from racines_data.digest import recipe_digest
+from racines_data.engines import Engine
+from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.files import write_once
 from racines_data.geometry import parameters_to_pose
@@ -47,9 +50,11 @@ class AskedStore(MadeStore):
 
     def __init__(
         self, split: str, patients: int | tuple[int, ...], seed: int, cache: Path | None = None,
-        progress: Callable[[int], None] | None = None,
+        progress: Callable[[int], None] | None = None, engine: Engine | None = None,
     ) -> None:  # fmt: skip
         """Scan patients of a split, or read what a former run left in the folder `cache`.
+
+        An `engine`, started, scans a patient a task; None: this process.
 
         Raises:
             RacinesError: an unknown split, a patient of another, or more than it has.
@@ -58,8 +63,8 @@ class AskedStore(MadeStore):
         seeds = _chosen(split, patients)
         digest = asked_digest(split, patients, seed)
         parts = []
-        for each in seeds:
-            parts.append(_scanned(each, seed, cache))
+        for part in _scanned(seeds, seed, cache, engine or LocalEngine()):
+            parts.append(part)
             if progress is not None:
                 progress(1)
         held = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
@@ -104,12 +109,33 @@ def _chosen(split: str, patients: int | tuple[int, ...]) -> tuple[int, ...]:
     return tuple(known[:patients])
 
 
-def _scanned(patient: int, seed: int, cache: Path | None) -> dict[str, Tensor]:
-    """Return what is asked of one patient, with a first axis of 1."""
+def _scanned(
+    patients: tuple[int, ...], seed: int, cache: Path | None, engine: Engine
+) -> Iterator[dict[str, Tensor]]:
+    """Yield what is asked of each patient, with a first axis of 1."""
+    paths = [None if cache is None else cache / _shard(patient, seed) for patient in patients]
+    pairs = list(zip(patients, paths, strict=True))
+    missing = [patient for patient, path in pairs if path is None or not path.is_file()]
+    made = engine.map(_scan, seed, missing, threads=None, remedy="to go on")
+    for patient, path in pairs:
+        if patient not in missing:
+            assert path is not None
+            yield read_shard(path, (*Scouted._fields, "views", "grades", *_LYING))
+            continue
+        held = next(made)
+        if path is not None:
+            content = {name: each.contiguous() for name, each in held.items()}
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_once(path, partial(save_file, content))
+        yield held
+
+
+def _shard(patient: int, seed: int) -> str:
     told = {"world": PATIENTS_VERSION, "scouts": SCOUTS_VERSION, "patient": patient, "seed": seed}
-    path = None if cache is None else cache / f"{patient}-{recipe_digest(told)[:16]}.safetensors"
-    if path is not None and path.is_file():
-        return read_shard(path, (*Scouted._fields, "views", "grades", *_LYING))
+    return f"{patient}-{recipe_digest(told)[:16]}.safetensors"
+
+
+def _scan(seed: int, patient: int) -> dict[str, Tensor]:
     pool = Pool([patient])
     found = scout(pool, seed)
     rows = torch.zeros(POSES, dtype=torch.int64)
@@ -117,9 +143,6 @@ def _scanned(patient: int, seed: int, cache: Path | None) -> dict[str, Tensor]:
     lies = pool.hearts[0].placement
     where = columns(lies.axes, lies.origin, torch.zeros(3))
     held = found._asdict() | {"views": truth.view[None], "grades": truth.grade[None]}
-    held |= {name: torch.tensor([value], dtype=torch.float64) for name, value in where.items()}
-    if path is not None:
-        content = {name: each.contiguous() for name, each in held.items()}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_once(path, lambda part: save_file(content, part))
-    return held
+    return held | {
+        name: torch.tensor([value], dtype=torch.float64) for name, value in where.items()
+    }

@@ -16,6 +16,8 @@ import torch
 from torch import Tensor
 
 from racines_data.config import fill
+from racines_data.engines import Engine
+from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.imaging import ImageSource
 from racines_data.patients.scouts import POSES, check_asked, strata_names
@@ -41,6 +43,12 @@ from racines_models.sample import DRAW, FrameSource, Progress, Sample, check_dra
 from racines_models.scores.features import Extractor, Remembered
 from racines_models.scores.scorer import Scorer, ScoresConfig, plain
 from racines_models.scores.scoring import SCHEMA, Scores
+from racines_models.scores.spread import (
+    SpreadExtractor,
+    SpreadOutlines,
+    SpreadPose,
+    can_be_sent,
+)
 
 NOTES = [
     "FID is biased upwards by small n: compare only figures of equal n, extractor and patients.",
@@ -142,8 +150,12 @@ def open_for_patients(
     return list(open_runs(spec, folder, published, device=device))
 
 
-def draw_patients(generator: Any, asked: AskedStore, seed: int) -> tuple[Tensor, float]:
+def draw_patients(
+    generator: Any, asked: AskedStore, seed: int, engine: Engine | None = None
+) -> tuple[Tensor, float]:
     """Return the (P · 32, 128, 128) images that a generator draws, and mean seconds to adapt.
+
+    An `engine`, started, has a patient a task, if the generator can be sent to workers.
 
     Raises:
         RacinesError: a scout that it cannot adapt to, poses of another patient, or images that
@@ -153,19 +165,40 @@ def draw_patients(generator: Any, asked: AskedStore, seed: int) -> tuple[Tensor,
         return asked.again.flatten(0, 1), 0.0
     if isinstance(generator, FrameSource):
         return check_drawn(generator.draw_frames(asked_sample(asked).frames, seed)), 0.0
-    parts, seconds, patients = [], 0.0, asked.patients or []
-    for place, patient in enumerate(patients):
-        own = int(derive(torch.tensor(seed), DRAW, patient))
-        rows = slice(place * POSES, (place + 1) * POSES)
-        began = time.perf_counter()
-        source: ImageSource = adapted(
-            generator, asked.scouts[place], asked.scout_parameters[place], own
+    tasks = [
+        Asked(
+            patient, int(derive(torch.tensor(seed), DRAW, patient)), asked.scouts[place],
+            asked.scout_parameters[place], asked.parameters[place * POSES : (place + 1) * POSES],
         )
-        seconds += time.perf_counter() - began
-        check_asked(patient, asked.scout_parameters[place], asked.parameters[rows])
-        seeds = derive(torch.tensor(own), torch.arange(POSES))
-        parts.append(source.generate(asked.parameters[rows], seeds).cpu())
-    return check_drawn(torch.cat(parts)), seconds / len(patients)
+        for place, patient in enumerate(asked.patients or [])
+    ]  # fmt: skip
+    pool = engine if engine is not None and can_be_sent(generator) else LocalEngine()
+    made = list(pool.map(_draw_patient, generator, tasks, threads=None))
+    seconds = sum(each for _, each in made)
+    return check_drawn(torch.cat([images for images, _ in made])), seconds / len(tasks)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of a generator about one patient."""
+
+    patient: int
+    seed: int
+    scout: Tensor
+    """(64, 128, 128) uint8."""
+    scout_parameters: Tensor
+    """(64, 12) float32."""
+    parameters: Tensor
+    """(32, 12) float32, to be drawn."""
+
+
+def _draw_patient(generator: Any, task: Asked) -> tuple[Tensor, float]:
+    began = time.perf_counter()
+    source: ImageSource = adapted(generator, task.scout, task.scout_parameters, task.seed)
+    seconds = time.perf_counter() - began
+    check_asked(task.patient, task.scout_parameters, task.parameters)
+    seeds = derive(torch.tensor(task.seed), torch.arange(POSES))
+    return source.generate(task.parameters, seeds).cpu(), seconds
 
 
 def asked_sample(asked: AskedStore) -> Sample:
@@ -177,19 +210,28 @@ def asked_sample(asked: AskedStore) -> Sample:
 def score_on_patients(
     generators: Sequence[Any], asked: AskedStore, config: PatientScoresConfig, name: str,
     judges: Judges, device: str = "cpu", progress: Callable[[int], None] | None = None,
+    engine: Engine | None = None,
 ) -> Scores:  # fmt: skip
     """Score a generator, one or several trainings of it, on what is asked of patients.
 
-    Each training draws with a seed of its own; files are of one, that of the poses they were given.
+    An `engine`, started, adapts, draws and judges; None: this process. Each training draws with a
+    seed of its own; files are of one, that of the poses they were given.
 
     Raises:
         RacinesError: as `draw_patients`.
     """
     began = time.perf_counter()
     pairs = [
-        draw_patients(each, asked, config.seed + (0 if isinstance(each, FrameSource) else training))
+        draw_patients(
+            each, asked, config.seed + (0 if isinstance(each, FrameSource) else training), engine
+        )
         for training, each in enumerate(generators)
     ]
+    if engine is not None:
+        judges = Judges(
+            SpreadPose(judges.pose, engine), SpreadOutlines(judges.segmentation, engine),
+            SpreadExtractor(judges.features, engine),
+        )  # fmt: skip
     drawn = [images for images, _ in pairs]
     features = Remembered(judges.features)
     looked = Judges(judges.pose, judges.segmentation, features)

@@ -18,6 +18,7 @@ from racines_data.randomness import derive
 from racines_data.store.frames import Batch
 from racines_models.judges.grader.model import Grader
 from racines_models.judges.pose.regressor import PoseRegressor
+from racines_models.judges.segmentation.model import SegmentationJudge
 from racines_models.sample import CHUNK, DRAW, FrameSource, Progress, check_drawn, draw, drawn_of
 from racines_models.scores.features import Extractor
 
@@ -34,7 +35,7 @@ def spread_draw(
     Raises:
         RacinesError: images that cannot be scored.
     """
-    if isinstance(generator, FrameSource) or not _can_be_sent(generator):
+    if isinstance(generator, FrameSource) or not can_be_sent(generator):
         return draw(generator, frames, seed, progress)
     seeds = derive(torch.full_like(frames.index, seed), DRAW, frames.index)
     tasks = zip(frames.parameters.split(CHUNK), seeds.split(CHUNK), strict=True)
@@ -92,6 +93,22 @@ class SpreadPose(PoseRegressor):
         return Pose(*(torch.cat(column) for column in zip(*made, strict=True)))
 
 
+class SpreadOutlines(SegmentationJudge):
+    """A segmentation judge whose batches are tasks."""
+
+    def __init__(self, judge: SegmentationJudge, engine: Engine) -> None:
+        """Wrap a judge; the engine is started."""
+        super().__init__(judge.network, judge.config, str(judge.device))
+        self.sha256, self._judge, self._engine = judge.sha256, judge, engine
+
+    def segment(self, images: Tensor) -> Tensor:
+        """Return the masks, on the CPU, of (N, 128, 128) uint8 images."""
+        if not len(images):
+            return self._judge.segment(images)
+        tasks = images.split(BATCH)
+        return torch.cat(list(self._engine.map(_outline, self._judge, tasks, threads=None)))
+
+
 def _joined(parts: Iterator[Tensor], progress: Progress | None) -> Tensor:
     found = []
     for part in parts:
@@ -101,7 +118,8 @@ def _joined(parts: Iterator[Tensor], progress: Progress | None) -> Tensor:
     return torch.cat(found)
 
 
-def _can_be_sent(value: Any) -> bool:
+def can_be_sent(value: Any) -> bool:
+    """Return whether workers can be given a value; an ONNX session is none of theirs."""
     try:
         pickle.dumps(value)
     except (TypeError, AttributeError, RuntimeError, pickle.PicklingError):
@@ -123,3 +141,7 @@ def _judge(grader: Grader, images: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def _read(regressor: PoseRegressor, images: Tensor) -> Pose:
     return regressor.predict(images)
+
+
+def _outline(judge: SegmentationJudge, images: Tensor) -> Tensor:
+    return judge.segment(images)

@@ -11,6 +11,7 @@ from racines_data.build.dataset import DataConfig, build
 from racines_data.engines import LOCAL
 from racines_data.engines.ray import RayEngine
 from racines_data.errors import RacinesError
+from racines_data.store.asked import AskedStore
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
 from racines_envs.agents.random import RandomAgent
 from racines_envs.evaluation.patients import PatientsConfig, evaluate_patients
@@ -18,12 +19,19 @@ from racines_envs.evaluation.run import EvaluationConfig, evaluate, write_evalua
 from racines_leaderboard.audit.bench import Places
 from racines_leaderboard.audit.run import audit_all
 from racines_models.cli.device import spread
+from racines_models.generators.nearest_pose import NearestPose
 from racines_models.judges.grader.annotate import annotate
 from racines_models.judges.grader.model import Grader, GraderConfig, GraderNetwork
 from racines_models.judges.pose.regressor import PoseConfig, PoseNetwork, PoseRegressor
+from racines_models.judges.segmentation.model import (
+    SegmentationConfig,
+    SegmentationJudge,
+    SegmentationNetwork,
+)
 from racines_models.protocol import Run
 from racines_models.provenance import same_result
 from racines_models.scores import scoring
+from racines_models.scores.on_patients import Judges, PatientScoresConfig, score_on_patients
 from racines_models.scores.scoring import ScoresConfig, score
 from racines_models.training.sets import train_seeds
 from tests.conftest import ROOT
@@ -89,6 +97,23 @@ def test_a_generators_numbers_are_equal(
     here, there = (each.content for each in found)
     assert same_result(here, there) and torch.equal(found[0].images, found[1].images)
     assert {"fid", "fid_grader", "pose_error_mm"} <= set(here["metrics"])
+
+
+def test_a_generators_numbers_on_patients_are_equal(engine: RayEngine):
+    _, pose = judges()
+    config = SegmentationConfig(channels=2, input_size=64, patch=2)
+    judge = SegmentationJudge(SegmentationNetwork(config), config)
+    looks = Judges(pose, judge, Coarse())
+    wanted = PatientScoresConfig(patients=2)
+    found, drawn = [], []
+    for by in (None, engine):
+        asked = AskedStore("validation", 2, 0, engine=by)
+        scores = score_on_patients([NearestPose()], asked, wanted, "near", looks, engine=by)
+        drawn.append((asked.images, asked.scouts, asked.masks, scores.images))
+        found.append(scores.content)
+        found[-1]["metrics"].pop("seconds_to_adapt")
+    assert all(torch.equal(*each) for each in zip(*drawn, strict=True))
+    assert same_result(*found) and {"fid", "dice", "pose_error_mm"} <= set(found[0]["metrics"])
 
 
 def test_annotations_are_equal(engine: RayEngine, tmp_path: Path):

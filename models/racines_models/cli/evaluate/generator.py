@@ -51,13 +51,15 @@ def eval_generator(
 
         vain = {
             "--data": data != opt.DATA, "--grader": grader, "--no-grader": no_grader,
-            "--no-pose": no_pose, "--samples": samples, "--engine": engine != "local",
+            "--no-pose": no_pose, "--samples": samples,
         }  # fmt: skip
         for option in (option for option, there in vain.items() if there):
             raise RacinesError(f"{option} is not for --tier patients: leave it out")
         chosen = given(split=split, patients=patients, pose=pose)
-        where = {"run": run, "out": out, "device": device, "force": force, "as_json": as_json}
-        return evaluate_on_patients(name, chosen, read_settings(params, profile), **where)
+        return evaluate_on_patients(
+            name, chosen, read_settings(params, profile), run=run, out=out, device=device,
+            engine=engine, address=address, force=force, as_json=as_json,
+        )  # fmt: skip
     if patients:
         raise RacinesError("--patients needs --tier patients")
     from racines_data.config import fill, section

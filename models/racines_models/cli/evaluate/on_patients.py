@@ -8,7 +8,7 @@ from racines_data.config import fill, section
 
 def evaluate_on_patients(
     name: str, chosen: dict[str, Any], values: dict[str, Any], *, run: Path | None, out: Path,
-    device: str, force: bool, as_json: bool,
+    device: str, engine: str, address: str | None, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Score a generator on patients; write NAME.json, .parquet and .png, and tell the figures.
 
@@ -19,11 +19,14 @@ def evaluate_on_patients(
         run: folder of the run; None: that of the name, trained here or published.
         out: folder to write.
         device: where features are computed and images drawn.
+        engine: who runs the tasks.
+        address: of a Ray cluster.
         force: whether another result is replaced.
         as_json: whether figures are printed as JSON.
     """
     from racines_data.progress import progress_bar
     from racines_data.store.asked import AskedStore, asked_digest
+    from racines_models.cli.device import spread
     from racines_models.cli.output import metrics_table, tell
     from racines_models.exchange.predictions.file import check_made_for, metadata_of
     from racines_models.judges.pose.regressor import PoseRegressor
@@ -65,11 +68,11 @@ def evaluate_on_patients(
     outlines = SegmentationJudge.load(config.segmentation, device)
     judges = Judges(pose, outlines, InceptionFeatures(device))
     out = out / PATIENTS if out == Path("models/runs/scores") else out
-    with progress_bar(not as_json, "patients") as bar:
+    with spread(engine, address, device) as pool, progress_bar(not as_json, "patients") as bar:
         task = bar.add_task("scouts", total=config.patients)
         cache = Path("models/runs/scores/reference")
         asked = AskedStore(
-            config.split, config.patients, config.seed, cache, lambda n: bar.advance(task, n)
+            config.split, config.patients, config.seed, cache, lambda n: bar.advance(task, n), pool
         )
         if drawn_elsewhere:
             generators = open_for_patients(name, folder, asked=asked)
@@ -77,7 +80,7 @@ def evaluate_on_patients(
         total = 2 * len(asked)
         drawn = bar.add_task(f"scoring {title}, images", total=total)
         scores = score_on_patients(
-            generators, asked, config, title, judges, device, lambda n: bar.advance(drawn, n)
+            generators, asked, config, title, judges, device, lambda n: bar.advance(drawn, n), pool
         )
     there = folder is None or (folder / "config.json").is_file()
     weights = weights_of(name, folder, further) if there else None
