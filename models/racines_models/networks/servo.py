@@ -76,6 +76,29 @@ class ServoNetwork(nn.Module):
         return Reading(ways * self.scale, sureness.exp() * self.scale, scores, 10.0 * grades)
 
 
+class ServoEnsemble(nn.Module):
+    """Several servo networks, of which each counts, axis by axis, by how sure it is.
+
+    Where they disagree the deviation is that of their mixture (Lakshminarayanan, Pritzel, Blundell,
+    Simple and Scalable Predictive Uncertainty Estimation using Deep Ensembles, NeurIPS 2017).
+    """
+
+    def __init__(self, members: Sequence[nn.Module]) -> None:
+        """Take networks of the same views."""
+        super().__init__()
+        self.members = nn.ModuleList(members)
+
+    def read(self, images: Tensor) -> Reading:
+        """Read (B, SIDE, SIDE) gray levels."""
+        each = [member.read(images) for member in self.members]  # type: ignore[operator]
+        ways, deviations, scores, grades = (torch.stack(part) for part in zip(*each, strict=True))
+        counts = deviations.square().reciprocal()
+        counts = counts / counts.sum(0)
+        way = (counts * ways).sum(0)
+        spread = (counts * (deviations.square() + (ways - way).square())).sum(0).sqrt()
+        return Reading(way, spread, scores.mean(0), grades.mean(0))
+
+
 class _Block(nn.Module):
     """Two convolutions, the first of which halves the side, beside a shortcut."""
 

@@ -25,7 +25,7 @@ from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER
 from racines_models.devices import on_device, resolve_device
 from racines_models.networks.batching import in_fixed_batches
-from racines_models.networks.servo import SIDE, Reading, ServoNetwork
+from racines_models.networks.servo import SIDE, Reading, ServoEnsemble, ServoNetwork
 from racines_models.protocol import Run
 from racines_models.weights import load_network, read_described, save_weights
 
@@ -41,7 +41,7 @@ class ServoAgent:
     Config: ClassVar[type] = ServoConfig
     observation: str = "multimodal"
 
-    def __init__(self, config: ServoConfig, network: ServoNetwork) -> None:
+    def __init__(self, config: Any, network: ServoNetwork | ServoEnsemble) -> None:
         """Take a trained network."""
         self.config, self.network = config, network.eval()
         self._device = next(network.parameters()).device
