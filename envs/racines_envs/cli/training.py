@@ -23,7 +23,7 @@ def train_agent(
     agents: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[NAME]...",
+            metavar="name",
             help="Registered agents, module:Class, runs of the section agents, or a pattern of "
             "those.  [default: ppo]",
         ),

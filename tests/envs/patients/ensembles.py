@@ -1,6 +1,6 @@
 """Three servos and the ensemble of them on validation patients: figures for docs/patient-tasks.md.
 
-    python -m tests.envs.patients.ensembles A4C-patients PSAV-patients A4C-beating PSAV-beating
+    python -m tests.envs.patients.ensembles A4C-patients PSAV-patients A4C-beating
 
 Goes on where it was killed; a task that stands in the result file is not run again.
 """

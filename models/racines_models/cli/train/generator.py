@@ -19,7 +19,7 @@ def train_generator(
     names: Annotated[
         list[str],
         typer.Argument(
-            metavar="NAME...",
+            metavar="name",
             help="Registered generators, module:Class, or a pattern of the section's.",
         ),
     ],
