@@ -165,5 +165,6 @@ class _Asked:
             own = own if "backend" in known else {k: v for k, v in own.items() if k != "backend"}
         config: Any = fill(cls.Config, entry.settings | given(**wanted) | own | more, entry.where)
         what = {"agent": entry.agent, "config": asdict(config), "env": self.env}
+        what |= {"data": self.data}
         where = {"phantom": phantom, "data": self.data}
         return Training(_Fit(cls, config, where), Run(entry.folder), entry.repeats, what)

@@ -4,7 +4,7 @@ That is the way to it, how sure that is, and how good the image is as this view.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -90,7 +90,7 @@ class ServoEnsemble(nn.Module):
 
     def read(self, images: Tensor) -> Reading:
         """Read (B, SIDE, SIDE) gray levels."""
-        each = [member.read(images) for member in self.members]  # type: ignore[operator]
+        each = [cast(ServoNetwork, member).read(images) for member in self.members]
         ways, deviations, scores, grades = (torch.stack(part) for part in zip(*each, strict=True))
         counts = deviations.square().reciprocal()
         counts = counts / counts.sum(0)

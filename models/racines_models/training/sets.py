@@ -86,7 +86,10 @@ def train_set(
         for each in trainings:
             _clear(each)
     if len(trainings) == 1 and trainings[0].repeats == 1 and engine is None:
-        return [trainings[0].fit(trainings[0].run)]
+        metrics = trainings[0].fit(trainings[0].run)
+        if is_main_process():
+            _forget(trainings[0])  # what a set that was killed noted of it
+        return [metrics]
     done: dict[Path, Metrics | RacinesError] = {}
     waiting: list[tuple[int, Run]] = []
     for place, each in enumerate(trainings):

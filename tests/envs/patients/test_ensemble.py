@@ -32,10 +32,10 @@ class Says(ServoNetwork):
         return Reading(way, deviation, score, 10.0 * score)
 
 
-def read(*said: tuple[float, float, float]) -> tuple[float, float, float, float]:
+def read(*said: tuple[float, float, float]) -> tuple[float, ...]:
     found = ServoEnsemble([Says(*each) for each in said]).read(torch.zeros(2, 64, 64))
     assert found.ways.shape == found.deviations.shape == (2, 1, 6)
-    return tuple(float(each.flatten()[0]) for each in found)  # type: ignore[return-value]
+    return tuple(float(each.flatten()[0]) for each in found)
 
 
 def test_members_that_agree_are_as_sure_as_one():

@@ -83,6 +83,14 @@ def test_a_killed_set_goes_on_and_a_finished_one_is_trained_anew(tmp_path: Path)
     assert trained(tmp_path)["b"] == "b 3 None\nb 3 False\n"
 
 
+def test_what_is_trained_alone_is_no_longer_what_a_killed_set_noted(tmp_path: Path):
+    with pytest.raises(KeyboardInterrupt):
+        train_set(a_set(tmp_path, Fits("a"), Fits("b", killed_at=3), repeats=1))
+    assert (tmp_path / "a" / FINISHED).is_file()
+    train_set(a_set(tmp_path, Fits("a"), repeats=1))
+    assert not [*tmp_path.rglob(FINISHED)]
+
+
 def test_fresh_forgets_what_was_done_of_a_killed_set(tmp_path: Path):
     for resume in (None, False):
         with pytest.raises(KeyboardInterrupt):

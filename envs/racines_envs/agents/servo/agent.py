@@ -124,13 +124,18 @@ class ServoAgent:
         return cls(config, network)
 
     @classmethod
+    def built(cls, config: Any) -> ServoNetwork | ServoEnsemble:
+        """Return the network that settings describe, untrained."""
+        return ServoNetwork(len(VIEWS))
+
+    @classmethod
     def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
         """Read what `train` left; a policy of another agent is refused."""
         device, remedy = resolve_device(device), f"run `racines train agent {cls.name}`"
         content = read_described(Path(run_dir), f"no trained policy: {remedy}")
         if content.get("agent") != cls.name:
             raise RacinesError(f"{run_dir}: a policy of {content.get('agent')!r}, not {cls.name}")
-        config = fill(ServoConfig, content["config"], f"{run_dir}/{SETTINGS}")
-        network = ServoNetwork(len(VIEWS))
+        config = fill(cls.Config, content["config"], f"{run_dir}/{SETTINGS}")
+        network = cls.built(config)
         load_network(Path(run_dir) / POLICY, network, remedy)
         return cls(config, network.to(device))

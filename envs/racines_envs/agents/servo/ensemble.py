@@ -4,9 +4,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
-import torch
-
-from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
 from racines_data.views import VIEWS
@@ -14,9 +11,9 @@ from racines_envs.agents.protocol import SETTINGS
 from racines_envs.agents.servo.agent import POLICY, ServoAgent
 from racines_envs.evaluation.agent_specs import trained_folder
 from racines_envs.evaluation.trainings import find_trainings
-from racines_models.devices import on_device, resolve_device
+from racines_models.devices import on_device
 from racines_models.networks.servo import ServoEnsemble, ServoNetwork
-from racines_models.weights import load_network, read_described, save_weights
+from racines_models.weights import save_weights
 
 
 @dataclass(frozen=True)
@@ -70,13 +67,6 @@ class ServoEnsembleAgent(ServoAgent):
         return cls(config, network)
 
     @classmethod
-    def load(cls, run_dir: Path, device: torch.device | str = "cpu") -> Self:
-        """Read what `train` left; a policy of another agent is refused."""
-        device, remedy = resolve_device(device), f"run `racines train agent {cls.name}`"
-        content = read_described(Path(run_dir), f"no trained policy: {remedy}")
-        if content.get("agent") != cls.name:
-            raise RacinesError(f"{run_dir}: a policy of {content.get('agent')!r}, not {cls.name}")
-        config = fill(EnsembleConfig, content["config"], f"{run_dir}/{SETTINGS}")
-        network = ServoEnsemble([ServoNetwork(len(VIEWS)) for _ in range(config.size)])
-        load_network(Path(run_dir) / POLICY, network, remedy)
-        return cls(config, network.to(device))
+    def built(cls, config: Any) -> ServoEnsemble:
+        """Return the networks that settings describe, untrained."""
+        return ServoEnsemble([ServoNetwork(len(VIEWS)) for _ in range(config.size)])

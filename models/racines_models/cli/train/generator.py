@@ -132,6 +132,7 @@ def _training(
     run = Run(run_folder(spec, out, tier), seed, device, resume, progress=progress)
     repeats = getattr(getattr(config, "training", None), "repeats", 1)
     what = {"generator": cls.name, "config": asdict(config), "scouts": wanted and asdict(wanted)}
+    what |= {"data": str(data)}
     return Training(_Fit(spec, config, data, wanted), run, repeats, what)
 
 
