@@ -77,6 +77,7 @@ COMMANDS = {
     "study rewards": "racines_envs.cli.study:reward_audit",
     "study curves": "racines_envs.cli.study:curves",
     "study ejection": "racines_envs.cli.ejection:ejection",
+    "study downstream": "racines_envs.cli.downstream:downstream",
     "study forces": "racines_envs.cli.study:forces",
     "study speed": "racines_envs.cli.study:speed",
     "study determinism": "racines_leaderboard.cli.audit:determinism",

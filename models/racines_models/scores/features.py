@@ -60,19 +60,27 @@ class GraderFeatures:
 class Remembered:
     """An extractor that looks at no image twice: strata are parts of what was looked at whole."""
 
-    def __init__(self, extractor: Extractor) -> None:
-        """Wrap an extractor."""
+    def __init__(
+        self, extractor: Extractor, images: Tensor | None = None, features: Tensor | None = None
+    ) -> None:
+        """Wrap an extractor; of (N, 128, 128) `images` the (N, D) `features` are known already."""
         self._extractor, self.settings = extractor, extractor.settings
         self._known: dict[bytes, Tensor] = {}
+        if images is not None and features is not None:
+            self._known = dict(zip(_keys(images), features, strict=True))
 
     def __call__(self, images: Tensor, progress: Progress | None = None) -> Tensor:
         """Return (N, D) features of (N, 128, 128) uint8 images."""
-        keys = [image.numpy().tobytes() for image in images]
+        keys = _keys(images)
         new = [row for row, key in enumerate(keys) if key not in self._known]
         if new:
             found = self._extractor(images[torch.tensor(new)], progress)
             self._known |= {keys[row]: each for row, each in zip(new, found, strict=True)}
         return torch.stack([self._known[key] for key in keys])
+
+
+def _keys(images: Tensor) -> list[bytes]:
+    return [image.numpy().tobytes() for image in images]
 
 
 class InceptionFeatures:
@@ -143,7 +151,7 @@ def features_of_sets(
     A generator without noise draws every seed's set alike, and the mean image is one image.
     """
     places: dict[bytes, int] = {}
-    index = [places.setdefault(image.numpy().tobytes(), len(places)) for image in torch.cat(sets)]
+    index = [places.setdefault(key, len(places)) for key in _keys(torch.cat(sets))]
     rows = np.unique(index, return_index=True)[1]  # where each was first
     features = extractor(torch.cat(sets)[torch.from_numpy(rows)], progress)
     if progress is not None:

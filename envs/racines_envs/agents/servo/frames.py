@@ -91,19 +91,42 @@ def ways_to(pose: Pose, targets: Pose) -> Tensor:
     return torch.cat([shift, rotation_vector(turn)], -1)
 
 
-def draw_frames(pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig) -> Frames:
-    """Draw a frame of each of (N,) rows of a pool by (N,) seeds, but where no probe may be."""
+class Placed(NamedTuple):
+    """N probes among a pool's patients, and when."""
+
+    pose: Pose
+    rows: Tensor
+    """(N,) int64, which of the pool's patients."""
+    phase: Tensor
+    """(N, 2) of beat and breath."""
+    seeds: Tensor
+    """(N,) int64, of all chance."""
+
+
+def place(pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig) -> Placed:
+    """Place a probe on each of (N,) rows of a pool by (N,) seeds; none where no probe may be."""
     time = uniform(seeds, 1, STREAM)[:, 0].double() * LONGEST
     moving = uniform(seeds, 1, STREAM + 1)[:, 0] < config.moving
     phase = torch.where(moving.unsqueeze(1), pool.phase(rows, time), 0.0)
     pose = draw_poses(pool.targets(rows, phase), seeds, config.nearer)
     allowed = pool.workspace.contains(pose) & (-pool.wrench(pose)[:, 2] <= FORCE_LIMIT)
     pose = Pose(*(part[allowed] for part in pose))
-    rows, phase, seeds = rows[allowed], phase[allowed], seeds[allowed]
-    images = pool.render(pose, rows, phase, derive(seeds, STREAM))
+    return Placed(pose, rows[allowed], phase[allowed], seeds[allowed])
+
+
+def draw_frames(pool: Pool, rows: Tensor, seeds: Tensor, config: FrameConfig) -> Frames:
+    """Draw a frame of each of (N,) rows of a pool by (N,) seeds, but where no probe may be."""
+    placed = place(pool, rows, seeds, config)
+    images = pool.render(placed.pose, placed.rows, placed.phase, derive(placed.seeds, STREAM))
+    return Frames(shrink(images), *truths(pool, placed))
+
+
+def truths(pool: Pool, placed: Placed) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the ways, scores and grades of `Frames` of what probes see."""
+    pose, rows, phase, _ = placed
     shown = pool.scores(pose, rows, phase).float()
     grades = pool.judge(pose, rows, phase).view_grade / 10.0
-    return Frames(shrink(images), ways_to(pose, pool.targets(rows)), shown, grades)
+    return ways_to(pose, pool.targets(rows)), shown, grades
 
 
 def draw_poses(targets: Pose, seeds: Tensor, nearer: float) -> Pose:

@@ -1,0 +1,160 @@
+"""The picture and the tables of a study of what servos learn from generators' images."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from racines_data.escape import visible
+from racines_data.plotting import BLUE, GREEN, MUTED, ORANGE, PURPLE, card_style, encode
+from racines_data.tables import markdown_table
+from racines_envs.studies.downstream.correlation import OUTCOMES, PRIMARY, SCORE
+from racines_models.statistics import LEVEL
+
+SIGNS = {
+    "truth": (BLUE, "o"), "adapts": (GREEN, "D"), "ignores the patient": (ORANGE, "s"),
+    "floor": (PURPLE, "^"),
+}  # fmt: skip
+"""Colour and marker of each kind of point."""
+PANELS = {
+    "ssim": "SSIM", "psnr": "PSNR, dB", "kid": "KID", "fid": "FID",
+    "pose_error_mm": "pose error, mm", "dice": "Dice",
+}  # fmt: skip
+COLUMNS = {
+    SCORE: ("score", ".2f"), "ssim": ("SSIM", ".3f"), "psnr": ("PSNR, dB", ".1f"),
+    "kid": ("KID", ".3f"), "pose_error_mm": ("pose error, mm", ".0f"), "dice": ("Dice", ".2f"),
+}  # fmt: skip
+"""Metrics of the tables: what they are called, and how they are written."""
+NARROW = (SCORE, "ssim", "kid", "dice")
+"""Those that a terminal has room for."""
+
+
+@card_style()
+def draw_downstream(document: dict[str, Any]) -> bytes:
+    """Return a PNG: success of the servos against the score, and against each metric."""
+    rows = document["points"]
+    canvas = Figure(figsize=(10.2, 5.6), layout="constrained")
+    names = list(PANELS)
+    mosaic: Any = [[SCORE, *names[line : line + 2]] for line in range(0, len(names), 2)]
+    axes = canvas.subplot_mosaic(mosaic, sharey=True, width_ratios=(2.0, 1.0, 1.0))
+    first = axes[SCORE]
+    scored = [row for row in rows if SCORE in row["metrics"]]
+    _panel(first, document, scored, SCORE)
+    for place, row in enumerate(scored):
+        at = row["metrics"][SCORE]["value"], _percent(row)
+        first.annotate(
+            visible(row["label"]), at, (4, 3 if place % 2 else -8), textcoords="offset points",
+            size=6.5,
+        )  # fmt: skip
+    first.set_xlabel("the board's score: 0 the scouts' mean, 1 the truth")
+    first.set_ylabel("found and declared by the servo, %")
+    first.margins(x=0.16)
+    for metric, title in PANELS.items():
+        _panel(axes[metric], document, rows, metric)
+        axes[metric].set_xlabel(title)
+    seen = {row["kind"] for row in rows}
+    drawn = [
+        first.plot([], [], sign, color=colour, linestyle="", label=kind)[0]
+        for kind, (colour, sign) in SIGNS.items()
+        if kind in seen
+    ]
+    canvas.legend(handles=drawn, loc="outside lower center", ncols=len(drawn))
+    settings = document["settings"]
+    canvas.suptitle(
+        f"What a servo learns from images of {settings['patients']} train patients, on "
+        f"{settings['judged']} {settings['split']} patients (n = {len(rows)} points)",
+        size=10.5,
+    )
+    return encode(canvas, dpi=150)
+
+
+def _panel(axis: Axes, document: dict[str, Any], rows: Sequence[dict[str, Any]], key: str) -> None:
+    """Draw all points' success against a metric, and tell the rank correlation."""
+    for row in rows:
+        colour, sign = SIGNS[row["kind"]]
+        told, height = row["outcome"][PRIMARY[1]], _percent(row)
+        ends = [100 * told[end] for end in ("low", "high") if told[end] is not None]
+        x = row["metrics"][key]["value"]
+        axis.plot([x] * len(ends), ends, color=colour, linewidth=0.8, alpha=0.45)
+        axis.plot(x, height, sign, color=colour, markersize=4.5)
+    found = correlation(document, key)
+    if found is not None and found["spearman"]["value"] is not None:
+        rho = found["spearman"]
+        axis.set_title(
+            f"ρ = {rho['value']:.2f} ({rho['low']:.2f} to {rho['high']:.2f})", size=8.5, loc="left",
+            color=MUTED,
+        )  # fmt: skip
+
+
+def _percent(row: dict[str, Any]) -> float:
+    return 100 * row["outcome"][PRIMARY[1]]["value"]
+
+
+def correlation(
+    document: dict[str, Any], metric: str, outcome: str = PRIMARY[1], points: str = "all points"
+) -> dict[str, Any] | None:
+    """Return what a document tells of a metric and an outcome; None where it does not."""
+    asked = {"metric": metric, "outcome": outcome, "points": points}
+    return next((row for row in document["correlations"] if asked.items() <= row.items()), None)
+
+
+def heads(columns: Sequence[str] = tuple(COLUMNS)) -> tuple[str, ...]:
+    """Return the titles of `point_rows`."""
+    return ("point", *(COLUMNS[name][0] for name in columns), "found and declared", "grade")
+
+
+def point_rows(
+    document: dict[str, Any], columns: Sequence[str] = tuple(COLUMNS)
+) -> Iterator[tuple[str, ...]]:
+    """Yield a line of `heads` of each point, those with the best servos first."""
+    for row in sorted(document["points"], key=_percent, reverse=True):
+        metrics, outcome = row["metrics"], row["outcome"]
+        told = [
+            format(metrics[name]["value"], COLUMNS[name][1]) if name in metrics else "–"
+            for name in columns
+        ]
+        grade = outcome["final_grade"]["value"]
+        yield (row["label"], *told, _share(outcome[PRIMARY[1]]), f"{grade:.1f}")
+
+
+def correlation_rows(document: dict[str, Any], outcome: str) -> Iterator[tuple[str, ...]]:
+    """Yield a metric and its ρ with an outcome in each group of points."""
+    groups = list(dict.fromkeys(row["points"] for row in document["correlations"]))
+    for metric in dict.fromkeys(row["metric"] for row in document["correlations"]):
+        told = [correlation(document, metric, outcome, each) for each in groups]
+        yield metric, *(_told(each) for each in told)
+
+
+def groups_of(document: dict[str, Any]) -> list[str]:
+    """Return a title of each group of points, with how many they are."""
+    counts = {row["points"]: row["n"] for row in document["correlations"]}
+    return [f"{name} ({count})" for name, count in counts.items()]
+
+
+def _told(row: dict[str, Any] | None) -> str:
+    if row is None or row["spearman"]["value"] is None:
+        return "–"
+    return "{value:.2f} ({low:.2f} to {high:.2f})".format(**row["spearman"])
+
+
+def _share(figure: dict[str, Any]) -> str:
+    value, low, high = (figure[key] for key in ("value", "low", "high"))
+    ends = "" if low is None else f" ({100 * low:.0f}–{100 * high:.0f})"
+    return f"{100 * value:.0f} %{ends}"
+
+
+NOTE = (
+    f"{100 * LEVEL:g} % intervals: of a share, over the patients judged on; of ρ, over train "
+    "patients and those judged on."
+)
+
+
+def page(document: dict[str, Any]) -> str:
+    """Return the tables as Markdown."""
+    parts = [markdown_table(heads(), point_rows(document), right=1)]
+    titles = ("metric", *groups_of(document))
+    for outcome in OUTCOMES if document["correlations"] else ():
+        rows = list(correlation_rows(document, outcome))
+        parts += [f"Spearman's ρ with `{outcome}`:", markdown_table(titles, rows, right=1)]
+    return "\n\n".join([*parts, document["note"]]) + "\n"
