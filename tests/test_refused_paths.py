@@ -91,6 +91,7 @@ NEEDED = {
     "eval agent": "random --params {}",
     "eval motion": "no-motion --data {} --out out",
     "eval robustness": "planner --params {}",
+    "study downstream": "--params {}",
     "study ejection": "planner --segmentation {}",
     "study gallery": "--data {} --out out.png",
     "study realism": "--data {}",
