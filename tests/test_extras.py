@@ -5,10 +5,11 @@ import subprocess
 import sys
 import tomllib
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, requires
+from importlib.metadata import PackageNotFoundError, distribution, requires
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.utils import canonicalize_name
 
 from racines_data.errors import RacinesError
@@ -18,6 +19,11 @@ from tests.modules import modules
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 OPTIONAL = PROJECT["optional-dependencies"]
+PINS = [
+    Requirement(line)
+    for line in (ROOT / "constraints.txt").read_text().splitlines()
+    if "==" in line and not line.startswith("#")
+]
 MOST = 60
 """Packages of the core beside torch and what torch itself needs, ours included."""
 STUDIO = "racines_leaderboard.studio"
@@ -107,11 +113,7 @@ def test_each_extra_is_what_the_code_looks_for():
 
 
 def test_the_pins_are_those_of_what_is_asked_for():
-    pinned = {
-        canonicalize_name(line.partition("==")[0])
-        for line in (ROOT / "constraints.txt").read_text().splitlines()
-        if "==" in line
-    }
+    pinned = {canonicalize_name(each.name) for each in PINS}
     tools = [line for line in OPTIONAL["dev"] if not line.startswith("racines")]
     extras = [line for extra in [*EXTRAS, "dvc"] for line in OPTIONAL[extra]]
     try:
@@ -144,3 +146,18 @@ def test_what_is_absent_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch)
         needed("captum.attr", "a map")
     assert needed("json", "nothing") is import_module("json")
     assert install_hint("elsewhere") == "pip install elsewhere"
+
+
+def test_what_is_pinned_runs_on_the_oldest_python():
+    """A pin whose package asks for a later patch release leaves nothing to install on Debian's."""
+    oldest = PROJECT["requires-python"].removeprefix(">=") + ".0"
+    asked = {}
+    for pin in PINS:
+        try:
+            found = distribution(pin.name)
+        except PackageNotFoundError:  # of another platform
+            continue
+        if pin.specifier.contains(found.version):
+            asked[pin.name] = found.metadata["Requires-Python"] or ""
+    late = {name: each for name, each in asked.items() if not SpecifierSet(each).contains(oldest)}
+    assert len(asked) > 200 and not late, late
