@@ -3,6 +3,7 @@
 import contextlib
 import functools
 import json
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -77,26 +78,33 @@ class Bench:
         self.no_settings = f"no settings of board {board} here: give --params"
         self.no_data = f"no dataset of its recipe in {places.data}, nor beside it"
         self._sweeps: dict[tuple[str, str], SweepSet | None] = {}
-        self._records: dict[Path, tuple[tuple[int, int, int], Record | None]] = {}
+        self._records: dict[str, tuple[tuple[int, int, int], Record | None]] = {}
 
     def peers(self, path: Path) -> list[Record]:
         """Return the sound records beside one, each read once for as long as its file stays."""
-        others = (other for other in sorted(path.parent.glob("*.json")) if other != path)
-        return [record for record in map(self._beside, others) if record is not None]
+        # A board of N records asks N times: no paths are made of what is known already.
+        with os.scandir(path.parent) as found:
+            others = {each.name: each for each in found if each.name.endswith(".json")}
+        others.pop(path.name, None)
+        beside = (self._beside(others[name]) for name in sorted(others))
+        return [record for record in beside if record is not None]
 
-    def _beside(self, path: Path) -> Record | None:
+    def _beside(self, entry: os.DirEntry[str]) -> Record | None:
         try:
-            about = path.stat()
+            about = entry.stat()
         except FileNotFoundError:  # it went while the folder was read
             return None
         state = about.st_ino, about.st_size, about.st_mtime_ns
-        if self._records.get(path, (None,))[0] != state:
-            try:
-                record = read_record(path, self.board, TRACK[path.parent.name])
-            except RacinesError:
-                record = None
-            self._records[path] = state, record
-        return self._records[path][1]
+        known = self._records.get(entry.path)
+        if known is not None and known[0] == state:
+            return known[1]
+        path = Path(entry.path)
+        try:
+            record = read_record(path, self.board, TRACK[path.parent.name])
+        except RacinesError:
+            record = None
+        self._records[entry.path] = state, record
+        return record
 
     @functools.cached_property
     def settings(self) -> dict[str, Any] | None:
