@@ -5,7 +5,7 @@ import importlib
 import json
 import re
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -41,6 +41,8 @@ from racines_models.registry import generator_class
 from racines_models.scores.scoring import take_turns
 from racines_models.trackerless.protocol import estimator_class
 
+Peers = Callable[[], list[Record]]
+"""Gives the other records of a track; asked only where they have a say."""
 MACHINE = ("torch", "cpu", "threads", "device")
 """What floating point depends on, of an environment."""
 CEILING, LIKENESS = "noise-ceiling", {"ssim": 1.0, "psnr": 100.0}
@@ -234,7 +236,7 @@ def judge_of(metric: str) -> str | None:
     return next((one for one, keys in JUDGED.items() if keys.fullmatch(metric)), None)
 
 
-def judges(record: Record, bench: Bench, peers: list[Record]) -> Iterator[Verdict]:
+def judges(record: Record, bench: Bench, peers: Peers) -> Iterator[Verdict]:
     """Check that the extractors are the benchmark's own; where they are not here, the board's."""
     named = record["scores"].get("extractors", {})
     for key, metric in record["scores"]["metrics"].items():
@@ -250,25 +252,26 @@ def judges(record: Record, bench: Bench, peers: list[Record]) -> Iterator[Verdic
             yield equal(f"extractors.{kind}", claimed, bench.inception, reason)
             continue
         verdict = _judge(kind, claimed.get("sha256"), record, bench)
-        others = [peer["scores"].get("extractors", {}).get(kind) for peer in peers]
-        told = [other for other in others if other is not None]
-        strangers = [other for other in told if other != claimed]
-        if verdict.verdict == UNKNOWN and len(told) >= 2 and 2 * len(strangers) > len(told):
-            reason, theirs = "most rows of the board were judged by another", strangers[0]
-            verdict = fails(verdict.subject, reason, verdict.claimed, theirs.get("sha256"))
+        if verdict.verdict == UNKNOWN:
+            others = [peer["scores"].get("extractors", {}).get(kind) for peer in peers()]
+            told = [other for other in others if other is not None]
+            strangers = [other for other in told if other != claimed]
+            if len(told) >= 2 and 2 * len(strangers) > len(told):
+                reason, theirs = "most rows of the board were judged by another", strangers[0]
+                verdict = fails(verdict.subject, reason, verdict.claimed, theirs.get("sha256"))
         yield verdict
 
 
-def beyond_truth(record: Record, peers: list[Record]) -> Iterator[Verdict]:
+def beyond_truth(record: Record, peers: Peers) -> Iterator[Verdict]:
     """Say of images nearer to the truth than the truth drawn again that scores alone cannot tell.
 
     A simulator draws the same pose twice with other noise; nobody who has not seen the frames comes
     nearer to them than that.
     """
     metrics, name = record["scores"]["metrics"], record["name"]
-    drawn_again = next((peer for peer in peers if peer["name"] == CEILING), None)
     if TRACK[record["track"]].steers or name == CEILING:
         return
+    drawn_again = next((peer for peer in peers() if peer["name"] == CEILING), None)
     for key, most in LIKENESS.items():
         if key not in metrics:
             continue

@@ -7,6 +7,7 @@ record's tier becomes `reproduced`, and what came out is kept in it.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -186,7 +187,7 @@ def _check(path: Path, record: Record, bench: Bench) -> Iterator[Verdict]:
         yield from moving.scored_on(record, bench)
     else:
         yield from claims.task(record, bench)
-    peers = bench.peers(path)
+    peers = partial(bench.peers, path)  # to look at all others for each is a square
     yield from claims.judges(record, bench, peers)
     yield from claims.beyond_truth(record, peers)
     yield from weights.check_weights(record, bench)
