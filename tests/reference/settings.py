@@ -42,7 +42,7 @@ SECTIONS = {
     "evaluation": "racines_envs.evaluation.run:EvaluationConfig",
     "evaluation_patients": "racines_envs.evaluation.patients:PatientsConfig",
     "robustness": "racines_envs.studies.robustness.run:RobustnessConfig",
-    "downstream": "racines_envs.studies.downstream.run:DownstreamConfig",
+    "downstream": "racines_envs.studies.downstream.config:DownstreamConfig",
     "replay": "racines_envs.worlds.recorded.settings:ReplayConfig",
     "explain": "racines_envs.explain.run:ExplainConfig",
     "rewards": "racines_envs.studies.rewards:RewardReportConfig",

@@ -42,9 +42,9 @@ def downstream(
     from racines_data.progress import progress_bar
     from racines_data.tables import console_table
     from racines_envs.studies.downstream import figures
+    from racines_envs.studies.downstream.config import DownstreamConfig
     from racines_envs.studies.downstream.correlation import OUTCOMES, add_scores, correlations
-    from racines_envs.studies.downstream.points import open_points
-    from racines_envs.studies.downstream.run import DownstreamConfig, measure_points
+    from racines_envs.studies.downstream.run import measure_points, steps_of
     from racines_models.cli.device import spread
     from racines_models.cli.output import tell
     from racines_models.provenance import code_version, environment
@@ -52,12 +52,10 @@ def downstream(
     values = read_settings(params, profile)
     chosen: dict[str, Any] = given(points=tuple(points) if points else None) | overrides(settings)
     config = fill(DownstreamConfig, section(values, "downstream") | chosen, "downstream")
-    open_points(config.points)  # what is not there is told before anybody is examined
     with spread("local", None, workers=workers) as pool, progress_bar(not as_json, "points") as bar:
-        task = bar.add_task("patients and points", total=config.patients + config.read
-                            + len(config.points))  # fmt: skip
+        task = bar.add_task("patients and points", total=steps_of(config))
         rows = measure_points(config, out, pool, lambda _: bar.advance(task))
-    add_scores(rows)
+    add_scores(rows, config.anchors)
     document = {
         "schema": "racines.downstream/1", "settings": asdict(config), "points": rows,
         "correlations": correlations(rows), "note": figures.NOTE,

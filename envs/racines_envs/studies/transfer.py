@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.stats import rankdata
 
 from racines_data.errors import RacinesError
 from racines_data.plotting import LEVELS, card_style
@@ -26,6 +25,7 @@ from racines_envs.worlds.making import WorldLike, find_task, make_phantom, phant
 from racines_envs.worlds.replay import RecordedWorld
 from racines_models.devices import on_device
 from racines_models.statistics import LEVEL, evidence
+from racines_models.statistics.ranks import kendall, spearman
 
 SCHEMA = "racines.agent-transfer/1"
 COMPARED = ("success_true", "episode_steps", "spl", "final_grade")
@@ -156,29 +156,6 @@ def correlate(x: np.ndarray, y: np.ndarray, resamples: int) -> dict[str, dict[st
         name: _figure(float(rule(*whole)), rule(*drawn), len(x))
         for name, rule in (("spearman", spearman), ("kendall", kendall))
     }
-
-
-def spearman(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return Spearman's ρ of (…, A) and (…, A) scores, ties at their mean rank; NaN if one is flat.
-
-    Spearman, The Proof and Measurement of Association between Two Things, 1904.
-    """
-    ranks = [rankdata(values, axis=-1) for values in (x, y)]
-    return _cosine(*(each - each.mean(-1, keepdims=True) for each in ranks), axes=-1)
-
-
-def kendall(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return Kendall's τ-b of (…, A) and (…, A) scores; NaN if one is flat.
-
-    Kendall, The Treatment of Ties in Ranking Problems, 1945.
-    """
-    orders = [np.sign(values[..., :, None] - values[..., None, :]) for values in (x, y)]
-    return _cosine(*orders, axes=(-2, -1))
-
-
-def _cosine(a: np.ndarray, b: np.ndarray, axes: int | tuple[int, int]) -> np.ndarray:
-    scale = np.sqrt((a * a).sum(axes) * (b * b).sum(axes))
-    return np.where(scale > 0, (a * b).sum(axes) / np.where(scale > 0, scale, 1.0), np.nan)
 
 
 def _figure(value: float, drawn: np.ndarray, agents: int) -> dict[str, Any]:

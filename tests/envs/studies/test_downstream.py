@@ -1,6 +1,7 @@
 """What servos learn from images: who draws, that all else is equal, correlations, going on."""
 
 import json
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -9,16 +10,19 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import spearmanr
 from typer.testing import CliRunner
 
+from racines_data.config import fill, read_params
 from racines_data.errors import RacinesError
-from racines_data.geometry import geodesic, parameters_to_pose
+from racines_data.geometry import Pose, geodesic, parameters_to_pose, pose_to_parameters
 from racines_data.patients.pool import Pool
 from racines_data.patients.population import draw_patient
 from racines_data.patients.scouts import scout
 from racines_data.randomness import derive
 from racines_envs.agents.servo.frames import STREAM, draw_frames, places_of
+from racines_envs.agents.servo.learner import ServoConfig
 from racines_envs.studies.downstream import run as module
-from racines_envs.studies.downstream.correlation import SCORE, add_scores, correlations
-from racines_envs.studies.downstream.lessons import LessonConfig, examined, lesson, taught
+from racines_envs.studies.downstream.config import METRICS, Anchors, DownstreamConfig, LessonConfig
+from racines_envs.studies.downstream.correlation import BOARD, SCORE, add_scores, correlations
+from racines_envs.studies.downstream.lessons import examined, lesson, taught
 from racines_envs.studies.downstream.points import (
     Drawn,
     Mean,
@@ -28,8 +32,9 @@ from racines_envs.studies.downstream.points import (
     open_points,
     strayed,
 )
-from racines_envs.studies.downstream.run import METRICS, DownstreamConfig
+from racines_envs.studies.downstream.run import measure_points, point_file
 from racines_leaderboard.cli.command import app
+from tests.conftest import ROOT
 
 PATIENT, SMALL = 1, LessonConfig(frames=24, places=2)
 
@@ -111,8 +116,6 @@ def test_strayed_poses_lie_about_the_told_ones():
 
 
 def _upright():
-    from racines_data.geometry import Pose, pose_to_parameters
-
     pose = Pose(torch.zeros(1, 3).double(), torch.eye(3).double()[None])
     return pose_to_parameters(pose, torch.zeros(1, 6).double())
 
@@ -151,8 +154,8 @@ def test_a_generator_is_shown_the_scout_of_each_place(whom, learned, tmp_path):
         torch.equal(images[i], learned.scouts[row, -1]) for i, row in enumerate(learned.rows)
     )
     mean = draw(Mean("", ""), whom, learned)
-    exact = learned.scouts.flatten(0, 1).double().mean(0).round()
-    assert torch.equal(mean[0].double(), exact) and torch.equal(mean[0], mean[-1])
+    exact = learned.scouts.double().mean(1).round()
+    assert torch.equal(mean.double(), exact[learned.rows])
 
 
 def test_specs():
@@ -171,12 +174,16 @@ def test_specs():
     ("spec", "said"),
     [
         ("truth:fog=1", "no 'fog': choose of blur, stray, wrong"),
-        ("truth:blur", "write NAME=NUMBER"),
+        ("truth:blur", "'blur': write NAME=NUMBER"),
         ("truth:wrong=2", "wrong is a share"),
         ("truth:blur=-1", "blur and stray are 0 or more"),
         ("cgan:/nowhere", "no trained generator in /nowhere"),
         ("cgan", "racines train generator cgan --tier patients"),
         ("nobody", "nobody"),
+        ("truth:blur=nan", "blur and stray are 0 or more"),
+        ("truth:blur=1,blur=2", "blur is given twice"),
+        ("noise-ceiling", "it draws no other pose"),
+        ("mine.onnx", "a file cannot adapt to a patient"),
     ],
 )
 def test_specs_that_are_refused(spec, said):
@@ -184,15 +191,57 @@ def test_specs_that_are_refused(spec, said):
         open_point(spec)
 
 
-def test_settings_that_are_refused():
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"split": "train"}, "choose validation or test"),
+        ({"judged": 1001}, r"downstream.judged: 1001: give 1 to 1000"),
+        ({"patients": 41}, r"downstream.patients: 41: give 1 to 40"),
+        ({"views": ("A4C", "XX")}, "choose of A4C, SC, PL, PSAV, PSMV, each once"),
+        ({"views": ("SC", "SC")}, "each once"),
+        ({"widths": (4, 8, 8, 8, 8)}, "give 5 multiples of 8"),
+    ],
+)
+def test_settings_that_are_refused(settings, said):
+    with pytest.raises(RacinesError, match=said):
+        DownstreamConfig(**settings)
+
+
+def test_points_that_are_refused_before_anybody_is_examined(tmp_path):
     with pytest.raises(RacinesError, match="two points are called 'truth'"):
         open_points(["truth", "truth=truth:blur=1"])
-    with pytest.raises(RacinesError, match="choose validation or test"):
-        DownstreamConfig(split="train")
-    with pytest.raises(
-        RacinesError, match=r"downstream.judged: 1001: split validation has 1 to 1000"
-    ):
-        DownstreamConfig(judged=1001)
+    with pytest.raises(RacinesError, match="name one at least"):
+        open_points([])
+    twice = DownstreamConfig(points=("truth", "again=truth"))
+    with pytest.raises(RacinesError, match="two of them draw the same"):
+        measure_points(twice, tmp_path)
+    with pytest.raises(RacinesError, match="nowhere"):
+        measure_points(DownstreamConfig(pose="nowhere"), tmp_path)
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(RacinesError, match="frames and places are at least 1"):
+        LessonConfig(places=0)
+
+
+def test_the_name_of_a_file_tells_all_that_decides_it(tmp_path, monkeypatch):
+    truth, config = open_point("truth"), DownstreamConfig()
+    first = point_file(truth, config, tmp_path)
+    assert first == point_file(open_point("mine=truth"), replace(config, points=()), tmp_path)
+    changed = [replace(config, seed=1), replace(config, images=128), replace(config, judged=3)]
+    changed += [replace(config, lessons=LessonConfig(frames=5)), replace(config, pose="nowhere")]
+    names = {point_file(truth, each, tmp_path) for each in changed}
+    names |= {
+        point_file(open_point(each), config, tmp_path) for each in ("truth:blur=1", "scout-mean")
+    }
+    monkeypatch.setattr(ServoConfig, "__init__", _quicker(ServoConfig.__init__))
+    names.add(point_file(truth, config, tmp_path))
+    assert len(names | {first}) == 9
+
+
+def _quicker(init):
+    def made(self, *args, **settings):
+        init(self, *args, **settings | {"learning_rate": 1.0})
+
+    return made
 
 
 def rows_of(values, found, kinds=None):
@@ -220,7 +269,7 @@ def test_correlations_against_scipy_and_by_patient():
     rows = rows_of(values, found, ["truth"] * 6 + ["adapts"] * 6)
     told = correlations(rows, 400)
     assert {each["points"]: each["n"] for each in told} == {
-        "all points": 12, "generators": 6, "the truth made worse": 6,
+        "all points": 12, "generators and floors": 6, "the truth made worse": 6,
     }  # fmt: skip
     for each in told:
         if each["points"] != "all points":
@@ -234,19 +283,44 @@ def test_correlations_against_scipy_and_by_patient():
     assert {each["spearman"][end] for each in noiseless for end in ("value", "low", "high")} == {
         1.0
     }
+    few = correlations(rows_of(values[:4, :1], found[:4, :2]), 10)  # one patient of each
+    assert {each["n"] for each in few} == {4}
     flat = correlations(rows_of(values, found * 0.0), 10)
     assert all(each["kendall"]["value"] is None for each in flat)
 
 
-def test_scores_lie_between_the_scouts_mean_and_the_truth():
+def test_intervals_stand_about_values_that_are_no_mean():
+    rows = rows_of(
+        np.arange(5.0)[:, None] + np.zeros((5, 6)), np.arange(5.0)[:, None] + np.zeros((5, 8))
+    )
+    for row, shift in zip(rows, (9.0, -9.0, 5.0, -5.0, 0.0), strict=True):
+        row["pseudo"]["fid"] = [each + shift for each in row["pseudo"]["fid"]]
+    told = [each for each in correlations(rows, 50) if each["metric"] == "fid"]
+    assert {each["spearman"]["low"] for each in told} == {1.0}
+
+
+def test_scores_lie_between_their_anchors():
     values = np.array([[1.0, 3.0], [0.0, 0.0], [1.0, 0.0]])
     rows = rows_of(values, np.zeros((3, 4)))
-    assert not add_scores(rows) and SCORE not in rows[0]["metrics"]
+    add_scores(rows, Anchors())
+    assert SCORE not in rows[0]["metrics"] and BOARD not in rows[0]["metrics"]
     for row, spec in zip(rows, ("truth", "scout-mean", "cgan"), strict=True):
         row["spec"] = spec
-    assert add_scores(rows)
+    down = (0.0, -4.0)
+    add_scores(rows, Anchors((0.0, 4.0), (0.0, 4.0), down, down, (0.0, 4.0)))
     assert [row["metrics"][SCORE]["value"] for row in rows] == pytest.approx([1.0, 0.0, 0.25])
     assert rows[2]["pseudo"][SCORE] == pytest.approx([0.5, 0.0])
+    assert [row["metrics"][BOARD]["value"] for row in rows] == pytest.approx([0.5, 0.0, 0.125])
+    with pytest.raises(RacinesError, match="its value at 0 and at 1"):
+        Anchors(ssim=(0.0, 1.0))
+
+
+def test_the_anchors_of_the_profile_are_those_of_the_board():
+    settings = fill(DownstreamConfig, read_params(profile="reference")["downstream"], "downstream")
+    pinned = json.loads((ROOT / "leaderboard/results/patients/board.json").read_text())
+    values = pinned["patient-generators"]["anchors"]["values"]
+    assert {name: list(ends) for name, ends in asdict(settings.anchors).items()} == values
+    assert len(settings.points) >= 20 and len(open_points(settings.points)) == len(settings.points)
 
 
 TINY = {
@@ -263,28 +337,40 @@ def study(out, *points, workers="1"):
     return json.loads(result.stdout)
 
 
+def made_up(point, config, folder):
+    """Return metrics that cost nothing: by the label's length."""
+    worth = {name: {"value": better * len(point.label)} for name, better in METRICS.items()}
+    return worth, {name: [each["value"]] for name, each in worth.items()}
+
+
 def test_a_study_goes_on_and_takes_new_points(tmp_path, monkeypatch):
-    first = study(tmp_path, "truth", "scout-mean")
-    assert [each["label"] for each in first["points"]] == ["truth", "scout-mean"]
-    assert {each["metrics"][SCORE]["value"] for each in first["points"]} == {1.0, 0.0}
-    for name in ("downstream.json", "downstream.md", "downstream.png"):
-        assert (tmp_path / name).stat().st_size > 300
-    assert not [path for path in (tmp_path / "points").iterdir() if path.is_dir()]
-    measured = []
-    real = module._measure
+    monkeypatch.setattr(module, "score_images", made_up)
+    monkeypatch.setattr(module, "true_extractor", lambda asked, folder: None)
+    first = study(tmp_path, "truth")
+    assert [each["label"] for each in first["points"]] == ["truth"]
+    assert first["correlations"] == [] and SCORE not in first["points"][0]["metrics"]
+    measured, real = [], module._measure
     monkeypatch.setattr(
         module, "_measure", lambda state, spec: measured.append(spec) or real(state, spec)
     )
-    third = "soft=truth:blur=4"
-    more = study(tmp_path, third, "truth", "scout-mean")
-    assert measured == [third] and more["points"][1] == first["points"][0]
+    more = study(tmp_path, "scout-mean", "whole=truth")
+    assert (
+        measured == ["scout-mean"]
+        and more["points"][1]["label"] == "whole"
+        and more["points"][1]["found"] == first["points"][0]["found"]
+    )
+    assert {each["metrics"][SCORE]["value"] for each in more["points"]} == {0.0, 1.0}
+    for name in ("downstream.json", "downstream.md", "downstream.png"):
+        assert (tmp_path / name).stat().st_size > 300
+    assert not [path for path in (tmp_path / "points").iterdir() if path.is_dir()]
 
 
 @pytest.mark.thorough
 def test_a_study_is_the_same_with_two_workers(tmp_path):
-    points = ("truth", "truth:stray=3")
+    points = ("truth", "scout-mean")
     documents = [study(tmp_path / n, *points, workers=n) for n in ("1", "2")]
     for each in documents:
+        assert all(row["metrics"]["kid"]["value"] is not None for row in each["points"])
         for row in each["points"]:
             del row["seconds"], row["seconds_to_learn"]
     assert documents[0]["points"] == documents[1]["points"]

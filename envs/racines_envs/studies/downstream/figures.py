@@ -9,20 +9,29 @@ from matplotlib.figure import Figure
 from racines_data.escape import visible
 from racines_data.plotting import BLUE, GREEN, MUTED, ORANGE, PURPLE, card_style, encode
 from racines_data.tables import markdown_table
-from racines_envs.studies.downstream.correlation import OUTCOMES, PRIMARY, SCORE
+from racines_envs.studies.downstream.correlation import BOARD, OUTCOMES, PRIMARY, SCORE
 from racines_models.statistics import LEVEL
 
+NOTE = (
+    f"{100 * LEVEL:g} % intervals: of a share, over the patients judged on; of ρ, over these and "
+    "the train patients. The points, and each servo's training, are taken as they are: others may "
+    "rank otherwise."
+)
 SIGNS = {
     "truth": (BLUE, "o"), "adapts": (GREEN, "D"), "ignores the patient": (ORANGE, "s"),
     "floor": (PURPLE, "^"),
 }  # fmt: skip
 """Colour and marker of each kind of point."""
+SCORES = {SCORE: "score: 0 the scouts' mean, 1 the truth", BOARD: "score by the board's anchors"}
+"""What the scores are called."""
 PANELS = {
     "ssim": "SSIM", "psnr": "PSNR, dB", "kid": "KID", "fid": "FID",
     "pose_error_mm": "pose error, mm", "dice": "Dice",
 }  # fmt: skip
+"""The metrics that have a panel of their own, and what they are called."""
 COLUMNS = {
-    SCORE: ("score", ".2f"), "ssim": ("SSIM", ".3f"), "psnr": ("PSNR, dB", ".1f"),
+    SCORE: ("score", ".2f"), BOARD: ("score, the board's", ".2f"),
+    "ssim": ("SSIM", ".3f"), "psnr": ("PSNR, dB", ".1f"),
     "kid": ("KID", ".3f"), "pose_error_mm": ("pose error, mm", ".0f"), "dice": ("Dice", ".2f"),
 }  # fmt: skip
 """Metrics of the tables: what they are called, and how they are written."""
@@ -47,7 +56,7 @@ def draw_downstream(document: dict[str, Any]) -> bytes:
             visible(row["label"]), at, (4, 3 if place % 2 else -8), textcoords="offset points",
             size=6.5,
         )  # fmt: skip
-    first.set_xlabel("the board's score: 0 the scouts' mean, 1 the truth")
+    first.set_xlabel(SCORES[SCORE])
     first.set_ylabel("found and declared by the servo, %")
     first.margins(x=0.16)
     for metric, title in PANELS.items():
@@ -123,7 +132,7 @@ def correlation_rows(document: dict[str, Any], outcome: str) -> Iterator[tuple[s
     groups = list(dict.fromkeys(row["points"] for row in document["correlations"]))
     for metric in dict.fromkeys(row["metric"] for row in document["correlations"]):
         told = [correlation(document, metric, outcome, each) for each in groups]
-        yield metric, *(_told(each) for each in told)
+        yield str(SCORES.get(metric, metric)), *(_told(each) for each in told)
 
 
 def groups_of(document: dict[str, Any]) -> list[str]:
@@ -142,12 +151,6 @@ def _share(figure: dict[str, Any]) -> str:
     value, low, high = (figure[key] for key in ("value", "low", "high"))
     ends = "" if low is None else f" ({100 * low:.0f}–{100 * high:.0f})"
     return f"{100 * value:.0f} %{ends}"
-
-
-NOTE = (
-    f"{100 * LEVEL:g} % intervals: of a share, over the patients judged on; of ρ, over train "
-    "patients and those judged on."
-)
 
 
 def page(document: dict[str, Any]) -> str:

@@ -7,7 +7,7 @@ What is true is kept on disk and shared by all points; what differs between them
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -27,32 +27,15 @@ from racines_data.patients.splits import seeds_of, split_of
 from racines_data.randomness import derive
 from racines_envs.agents.servo.frames import (
     STREAM,
-    FrameConfig,
     Frames,
     place,
     places_of,
     shrink,
     truths,
 )
+from racines_envs.studies.downstream.config import LessonConfig
 from racines_envs.studies.downstream.points import Examined, Point
 from racines_models.sample import check_drawn
-
-
-@dataclass(frozen=True)
-class LessonConfig:
-    """How each patient is examined."""
-
-    frames: int = 1_000
-    """Frames a patient."""
-    places: int = 8
-    """Ways in which a patient lies and is examined, each with a scout: their own, and others'."""
-    seed: int = 0
-    """Names the scouts."""
-
-    @property
-    def servo(self) -> FrameConfig:
-        """The same as settings of a servo's frames; hearts are still."""
-        return FrameConfig(self.frames, self.places, moving=0.0)
 
 
 class Lesson(NamedTuple):
@@ -77,7 +60,8 @@ class Lesson(NamedTuple):
 def lesson(patient: int, config: LessonConfig, folder: Path) -> Lesson:
     """Return a patient's lesson from the folder, or make it and put it there."""
     told = {"world": PATIENTS_VERSION, "scouts": SCOUTS_VERSION, "patient": patient}
-    path = folder / f"{patient}-{recipe_digest(told | asdict(config))[:16]}.safetensors"
+    digest = recipe_digest(told | asdict(config) | asdict(config.servo))[:16]
+    path = folder / f"{patient}-{digest}.safetensors"
     if not path.is_file():
         made = {name: each.contiguous() for name, each in _made(patient, config)._asdict().items()}
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -11,6 +11,7 @@ What names one:
     LABEL=any of these        under a name of one's own
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -22,6 +23,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from racines_data.errors import RacinesError
+from racines_data.files import sha256_file
 from racines_data.geometry import (
     Pose,
     axis_angle_to_matrix,
@@ -35,13 +37,17 @@ from racines_data.randomness import derive, normal, uniform
 from racines_models.adapting import adapted
 from racines_models.contract import declared
 from racines_models.protocol import Adapting
-from racines_models.registry import generator_class, open_generator, weights_folder, weights_of
+from racines_models.provenance import weights_sha256
+from racines_models.registry import generator_class, is_file, open_generator, weights_folder
+from racines_models.sample import drawn_of
 from racines_models.scores.on_patients import open_for_patients
 
 TRUTH, MEAN = "truth", "scout-mean"
 STREAM = 977
+CONFIG = "config.json"
+"""Settings of a trained run, in its folder."""
 AT_ONCE = 64
-"""Images that a generator draws at a time."""
+"""Images that are drawn, or blurred, at a time."""
 
 
 class Examined(NamedTuple):
@@ -98,7 +104,8 @@ class Truth(Point):
     """Share of the frames that show somebody else's heart."""
 
     def __post_init__(self) -> None:
-        if min(self.blur, self.stray) < 0.0 or not 0.0 <= self.wrong <= 1.0:
+        amounts = self.blur, self.stray, self.wrong
+        if not all(map(math.isfinite, amounts)) or min(amounts) < 0.0 or self.wrong > 1.0:
             raise RacinesError(f"{self.spec}: blur and stray are 0 or more, wrong is a share")
 
     def kind(self) -> str:
@@ -128,9 +135,11 @@ class Drawn(Point):
 
     @property
     def weights(self) -> dict[str, str]:
-        """SHA-256 of the run's weights; none of what is not trained."""
-        there = (self.folder / "config.json").is_file()
-        return weights_of(self.generator.name, self.folder) if there else {}
+        """SHA-256 of the run's weights and settings; none of what is not trained."""
+        settings = self.folder / CONFIG
+        if not settings.is_file():
+            return {}
+        return weights_sha256(self.folder) | {CONFIG: sha256_file(settings)}
 
     def kind(self) -> str:
         """Return whether it adapts; what is not trained is a floor."""
@@ -140,29 +149,29 @@ class Drawn(Point):
 
     def draw(self, examined: Examined, rows: Tensor, parameters: Tensor, seeds: Tensor) -> Tensor:
         """Return its images (see `Point`)."""
-        images = torch.empty((len(rows), 128, 128), dtype=torch.uint8)
+        places, images = [], []
         pairs = zip(examined.scouts, examined.parameters, strict=True)
         for place, (scout, swept) in enumerate(pairs):
             seed = int(derive(torch.tensor(STREAM), examined.patients[0].seed, place))
             source = adapted(self.generator, scout, swept, seed)
             for part in (rows == place).nonzero().squeeze(1).split(AT_ONCE):
-                images[part] = source.generate(parameters[part], seeds[part]).cpu()
-        return images
+                places.append(part)
+                images.append(drawn_of(source, parameters[part], seeds[part]))
+        return torch.cat(images)[torch.cat(places).argsort()]
 
 
 @dataclass(frozen=True)
 class Mean(Point):
-    """The mean of the patient's scouts, wherever the probe is."""
+    """The mean frame of the scout in each place, wherever the probe is."""
 
     def kind(self) -> str:
         """Return that it is a floor."""
         return "floor"
 
     def draw(self, examined: Examined, rows: Tensor, parameters: Tensor, seeds: Tensor) -> Tensor:
-        """Return that image, over and over (see `Point`)."""
-        scouts = examined.scouts.flatten(0, 1)
-        mean = (scouts.sum(0, dtype=torch.int64).double() / len(scouts)).round()
-        return mean.to(torch.uint8).repeat(len(rows), 1, 1)
+        """Return that image of each row's place (see `Point`)."""
+        total = examined.scouts.sum(1, dtype=torch.int64).double()
+        return (total / examined.scouts.shape[1]).round().to(torch.uint8)[rows]
 
 
 def strayed(pose: Pose, seeds: Tensor, amount: float) -> Pose:
@@ -179,9 +188,12 @@ def blurred(images: Tensor, deviation: float) -> Tensor:
     away = torch.arange(-reach, reach + 1, dtype=torch.float64)
     taps = torch.exp(-0.5 * (away / deviation).square())
     taps = (taps / taps.sum()).float().view(1, 1, -1, 1)
-    wide = functional.pad(images.unsqueeze(1).float(), [reach] * 4, mode="replicate")
-    tall = functional.conv2d(wide, taps)
-    return functional.conv2d(tall, taps.transpose(2, 3)).squeeze(1).round().to(torch.uint8)
+    parts = []
+    for part in images.unsqueeze(1).split(AT_ONCE):
+        wide = functional.pad(part.float(), [reach] * 4, mode="replicate")
+        tall = functional.conv2d(functional.conv2d(wide, taps), taps.transpose(2, 3))
+        parts.append(tall.squeeze(1).round().to(torch.uint8))
+    return torch.cat(parts)
 
 
 def open_point(spec: str, device: str = "cpu") -> Point:
@@ -196,31 +208,41 @@ def open_point(spec: str, device: str = "cpu") -> Point:
     what, _, more = body.partition(":")
     if what == TRUTH:
         return Truth(label or body, body, **_worse(body, more))
-    if what == MEAN and not more:
+    if body == MEAN:
         return Mean(label or body, body)
+    if is_file(body):
+        raise RacinesError(
+            f"{spec}: a file cannot adapt to a patient: name a generator or NAME:RUN"
+        )
+    if "." in what and more:  # module:Class
+        attribute, _, more = more.partition(":")
+        what = f"{what}:{attribute}"
     folder = Path(more) if more else weights_folder(what)
-    if more and not (folder / "config.json").is_file():
+    if more and not (folder / CONFIG).is_file():
         raise RacinesError(f"{spec}: no trained generator in {folder}: give the folder of a run")
-    opened = open_generator(what, folder, device) if more else _on_patients(what, folder, device)
+    opened: Any = (
+        open_generator(what, folder, device) if more
+        else open_for_patients(what, folder, device=device)[0]
+    )  # fmt: skip
+    if not hasattr(opened, "generate"):
+        raise RacinesError(f"{spec}: it draws no other pose: name a generator, or {TRUTH}")
     return Drawn(label or _short(what, folder, bool(more)), body, opened, folder)
 
 
 def open_points(specs: Sequence[str], device: str = "cpu") -> list[Point]:
-    """Return several, each under a label of its own.
+    """Return several, one at least, each under a label of its own.
 
     Raises:
         RacinesError: none, two of one label, or as `open_point`.
     """
+    if not specs:
+        raise RacinesError("downstream.points: name one at least")
     points = [open_point(spec, device) for spec in specs]
     labels = [point.label for point in points]
     for label in labels:
         if labels.count(label) > 1:
             raise RacinesError(f"two points are called {label!r}: name them, LABEL=POINT")
     return points
-
-
-def _on_patients(what: str, folder: Path, device: str) -> Any:
-    return open_for_patients(what, folder, device=device)[0]
 
 
 def _short(what: str, folder: Path, run: bool) -> str:
@@ -234,10 +256,12 @@ def _worse(spec: str, more: str) -> dict[str, float]:
     found = {}
     for pair in filter(None, more.split(",")):
         name, _, amount = pair.partition("=")
+        if name not in known:
+            raise RacinesError(f"{spec}: no {name!r}: choose of {', '.join(known)}")
+        if name in found:
+            raise RacinesError(f"{spec}: {name} is given twice")
         try:
             found[name] = float(amount)
         except ValueError as error:
             raise RacinesError(f"{spec}: {pair!r}: write NAME=NUMBER") from error
-        if name not in known:
-            raise RacinesError(f"{spec}: no {name!r}: choose of {', '.join(known)}")
     return found
