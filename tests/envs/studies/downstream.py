@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[3]
 RESULT = ROOT / "docs/results/downstream.json"
 PICTURE = ROOT / "docs/images/downstream.png"
 COMMAND = "racines study downstream --profile reference --workers 2"
-TABLES = {"correlations": PRIMARY[1], "grades": "final_grade", "errors": "position_error"}
+TABLES = {"correlations": PRIMARY[1], "grades": "final_grade"}
 
 
 def main(folder: Path) -> None:
@@ -28,7 +28,7 @@ def main(folder: Path) -> None:
         name: settings[name] for name in ("patients", "images", "judged", "starts")
     }
     told |= {"frames": settings["lessons"]["frames"], "places": settings["lessons"]["places"]}
-    told |= {"views": " and ".join(settings["views"]), "points": len(rows)}
+    told |= {"views": " and ".join(settings["views"]), "count": len(rows)}
     told["generators"] = sum(row["kind"] != "truth" for row in rows)
     told["hours"] = round(sum(row["seconds"] for row in rows) / 3600, 1)
     every = {

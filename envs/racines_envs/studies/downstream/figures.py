@@ -29,6 +29,8 @@ PANELS = {
     "pose_error_mm": "pose error, mm", "dice": "Dice",
 }  # fmt: skip
 """The metrics that have a panel of their own, and what they are called."""
+NAMES = SCORES | PANELS | {"ms_ssim": "MS-SSIM", "pose_error_deg": "pose error, °"}
+"""What every metric is called."""
 COLUMNS = {
     SCORE: ("score", ".2f"), BOARD: ("score, the board's", ".2f"),
     "ssim": ("SSIM", ".3f"), "psnr": ("PSNR, dB", ".1f"),
@@ -132,7 +134,7 @@ def correlation_rows(document: dict[str, Any], outcome: str) -> Iterator[tuple[s
     groups = list(dict.fromkeys(row["points"] for row in document["correlations"]))
     for metric in dict.fromkeys(row["metric"] for row in document["correlations"]):
         told = [correlation(document, metric, outcome, each) for each in groups]
-        yield str(SCORES.get(metric, metric)), *(_told(each) for each in told)
+        yield NAMES[metric], *(_told(each) for each in told)
 
 
 def groups_of(document: dict[str, Any]) -> list[str]:
