@@ -51,10 +51,15 @@ class Anchors:
     """Values at 0 and at 1 of the metrics of a board's score, as the board is pinned to them."""
 
     ssim: tuple[float, ...] = ()
+    """Two values, or none."""
     psnr: tuple[float, ...] = ()
+    """Two values, or none."""
     kid: tuple[float, ...] = ()
+    """Two values, or none."""
     pose_error_mm: tuple[float, ...] = ()
+    """Two values, or none."""
     dice: tuple[float, ...] = ()
+    """Two values, or none."""
 
     def __post_init__(self) -> None:
         counts = {len(ends) for ends in self.ends()}
