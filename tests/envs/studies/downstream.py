@@ -5,6 +5,7 @@ python -m tests.envs.studies.downstream envs/runs/downstream
 """
 
 import json
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,6 @@ from racines_envs.studies.downstream.correlation import PRIMARY
 ROOT = Path(__file__).parents[3]
 RESULT = ROOT / "docs/results/downstream.json"
 PICTURE = ROOT / "docs/images/downstream.png"
-COMMAND = "racines study downstream --profile reference --workers 2"
 TABLES = {"correlations": PRIMARY[1], "grades": "final_grade"}
 
 
@@ -31,6 +31,8 @@ def main(folder: Path) -> None:
     told |= {"views": " and ".join(settings["views"]), "count": len(rows)}
     told["generators"] = sum(row["kind"] != "truth" for row in rows)
     told["hours"] = round(sum(row["seconds"] for row in rows) / 3600, 1)
+    named = " ".join(shlex.quote(each) for each in settings["points"])
+    command = f"racines study downstream {named} --profile reference --workers 2"
     every = {
         name: {
             "columns": ["metric", *figures.groups_of(study)],
@@ -47,7 +49,7 @@ def main(folder: Path) -> None:
         {
             "schema": "racines.figures/1",
             "what": "servos that learned from generators' images, beside the images' metrics",
-            "command": COMMAND,
+            "command": command,
             "machine": f"two cores of a shared {study['environment']['cpu']}",
             "source": "measured once",
             "figures": told,

@@ -211,9 +211,7 @@ def open_point(spec: str, device: str = "cpu") -> Point:
     if body == MEAN:
         return Mean(label or body, body)
     if is_file(body):
-        raise RacinesError(
-            f"{spec}: a file cannot adapt to a patient: name a generator or NAME:RUN"
-        )
+        raise RacinesError(f"{spec}: a file cannot adapt to a patient: give NAME or NAME:FOLDER")
     if "." in what and more:  # module:Class
         attribute, _, more = more.partition(":")
         what = f"{what}:{attribute}"

@@ -75,10 +75,14 @@ def measure_points(
         for title in pool.map(work, state, tasks, remedy="to go on"):
             if advance is not None:
                 advance(title)
-    return [
-        json.loads(path.read_text()) | {"label": point.label}
-        for point, path in zip(points, paths, strict=True)
-    ]
+    return [_read(path) | {"label": each.label} for each, path in zip(points, paths, strict=True)]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise RacinesError(f"{path}: not readable as JSON: remove it, and run again") from error
 
 
 def steps_of(config: DownstreamConfig) -> int:
