@@ -6,15 +6,18 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 from PIL import Image
 
 from racines_data.errors import RacinesError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 @contextmanager
@@ -51,13 +54,38 @@ def write_atomic(path: Path, content: str | bytes) -> None:
 
 
 def write_once(path: Path, write: Callable[[Path], None]) -> None:
-    """Let `write` make a large file under another name, then rename it; not if it is there."""
-    if path.exists():
-        return
+    """Let `write` make a large file under another name, then rename it; not if it is there.
+
+    Of processes that want the same file one writes it, and the others wait.
+
+    Raises:
+        RacinesError: another has not let go of it after ten minutes.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f"{path.name}.part")
-    write(aside)
-    os.replace(aside, path)
+    busy = f"{path}: another process has been writing it for 600 s: wait for it, or end it"
+    with _held(path.with_name(f".{path.name}.lock"), 600, busy):
+        if not path.exists():
+            aside = path.with_name(f"{path.name}.part")
+            write(aside)
+            os.replace(aside, path)
+
+
+def read_tensors(
+    path: Path, names: Iterable[str] = (), remedy: str = "remove it, it is made anew"
+) -> "dict[str, Tensor]":
+    """Return the tensors of a safetensors file: those named, or all.
+
+    Raises:
+        RacinesError: a damaged file, or one without a tensor of those names; with the remedy.
+    """
+    from safetensors import SafetensorError
+    from safetensors.torch import load_file
+
+    try:
+        found = load_file(path)
+        return {name: found[name] for name in names or found}
+    except (SafetensorError, KeyError, OSError) as error:
+        raise RacinesError(f"{path}: damaged ({error}): {remedy}") from error
 
 
 def swap_folder(new: Path, out: Path) -> None:

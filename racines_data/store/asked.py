@@ -14,7 +14,7 @@ from racines_data.digest import recipe_digest
 from racines_data.engines import Engine
 from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
-from racines_data.files import write_once
+from racines_data.files import read_tensors, write_once
 from racines_data.geometry import parameters_to_pose
 from racines_data.patients.labels import LABELS as MASK_LABELS
 from racines_data.patients.patient import PATIENTS_VERSION
@@ -30,7 +30,7 @@ from racines_data.patients.scouts import (
 )
 from racines_data.patients.splits import check_split, seeds_of
 from racines_data.store.hearts import columns
-from racines_data.store.scouts import MadeStore, read_shard
+from racines_data.store.scouts import MadeStore
 
 
 class AskedStore(MadeStore):
@@ -120,7 +120,7 @@ def _scanned(
     for patient, path in pairs:
         if patient not in missing:
             assert path is not None
-            yield read_shard(path, (*Scouted._fields, "views", "grades", *_LYING))
+            yield read_tensors(path, (*Scouted._fields, "views", "grades", *_LYING))
             continue
         held = next(made)
         if path is not None:

@@ -8,19 +8,18 @@ The frames of one heart are a shard on disk, a function of the patient, the sett
 the world's version alone, so that drawing goes on where it was killed.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor
 
 from racines_data.digest import recipe_digest
 from racines_data.errors import RacinesError
-from racines_data.files import write_once
+from racines_data.files import read_tensors, write_once
 from racines_data.patients.patient import PATIENTS_VERSION, Patient
 from racines_data.patients.pool import Pool
 from racines_data.patients.population import draw_patient, lie_anew
@@ -177,20 +176,7 @@ def shard(patient: int, places: int, seed: int, folder: Path) -> dict[str, Tenso
         joined = Scouted(*(torch.cat(column) for column in zip(*made, strict=True)))
         columns = {name: getattr(joined, name).contiguous() for name in COLUMNS}
         write_once(path, lambda part: save_file(columns, part))
-    return read_shard(path, COLUMNS)
-
-
-def read_shard(path: Path, columns: Sequence[str]) -> dict[str, Tensor]:
-    """Return the columns of a file of scouts.
-
-    Raises:
-        RacinesError: a damaged file, which is drawn anew once it is removed.
-    """
-    try:
-        found = load_file(path)
-        return {name: found[name] for name in columns}
-    except (SafetensorError, KeyError, OSError) as error:
-        raise RacinesError(f"{path}: damaged ({error}): remove it, it is drawn anew") from error
+    return read_tensors(path, COLUMNS)
 
 
 def lying(patient: int, places: int) -> list[Patient]:

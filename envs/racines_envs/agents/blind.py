@@ -13,11 +13,10 @@ from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import torch
-from safetensors.torch import load_file
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.files import write_json
+from racines_data.files import read_tensors, write_json
 from racines_data.geometry import Pose, axis_angle_to_matrix, matmul3, orthonormalise
 from racines_data.randomness import normal
 from racines_data.views import VIEWS
@@ -155,7 +154,7 @@ class BlindAgent:
         path = Path(run_dir) / POSES
         if not path.is_file():
             raise RacinesError(f"{run_dir}: no poses: run `racines train agent {cls.name}`")
-        found = load_file(path)
+        found = read_tensors(path, ("position", "rotation"), "train it again")
         return cls(Pose(found["position"].to(device), found["rotation"].to(device)))
 
 

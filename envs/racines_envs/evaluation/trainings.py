@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors.torch import load_file
 
 from racines_data.errors import RacinesError
+from racines_data.files import read_tensors
 from racines_data.terminal import say
 from racines_envs.agents.protocol import SETTINGS, agent_class
 from racines_envs.evaluation.agent_specs import read_json
@@ -141,6 +141,6 @@ def _content(folder: Path) -> str:
     """Return a hash of all numbers in a folder's weights, whatever else is in their files."""
     parts = []
     for file in sorted(folder.glob("*.safetensors")):
-        for name, tensor in sorted(load_file(file).items()):
+        for name, tensor in sorted(read_tensors(file, remedy="get it again").items()):
             parts += [name.encode(), tensor.flatten().view(torch.uint8).numpy().tobytes()]
     return sha256_bytes(*parts) if parts else str(weights_sha256(folder) or folder)

@@ -92,7 +92,7 @@ def test_a_damaged_file_of_what_is_asked_is_named(own_cache, tmp_path):
     AskedStore("validation", SEEDS[:1], 0, tmp_path)
     (path,) = tmp_path.glob("*.safetensors")
     path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(RacinesError, match=rf"{path.name}: damaged .* drawn anew"):
+    with pytest.raises(RacinesError, match=rf"{path.name}: damaged .* made anew"):
         AskedStore("validation", SEEDS[:1], 0, tmp_path)
 
 

@@ -372,5 +372,5 @@ def test_a_study_is_the_same_with_two_workers(tmp_path):
     for each in documents:
         assert all(row["metrics"]["kid"]["value"] is not None for row in each["points"])
         for row in each["points"]:
-            del row["seconds"], row["seconds_to_learn"]
+            del row["seconds"], row["training_seconds"]
     assert documents[0]["points"] == documents[1]["points"]

@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor
 from torch.nn import functional
 
 from racines_data.digest import recipe_digest
-from racines_data.files import write_once
+from racines_data.files import read_tensors, write_once
 from racines_data.geometry import (
     Pose,
     axis_angle_to_matrix,
@@ -170,13 +170,17 @@ def shard(patient: int, config: FrameConfig, folder: Path) -> Frames:
 
 
 def kept(path: Path, make: Callable[[], Frames]) -> Frames:
-    """Return the frames of a file, or make them and put them there."""
+    """Return the frames of a file, or make them and put them there.
+
+    Raises:
+        RacinesError: a damaged file.
+    """
     if not path.is_file():
         made = make()
         columns = {name: column.half() for name, column in made._asdict().items()}
         columns["images"] = made.images
         path.parent.mkdir(parents=True, exist_ok=True)
         write_once(path, lambda part: save_file(columns, part))
-    found = load_file(path)
-    named = {name: found[name].float() for name in Frames._fields}
+    found = read_tensors(path, Frames._fields)
+    named = {name: each.float() for name, each in found.items()}
     return Frames(**named | {"images": found["images"]})

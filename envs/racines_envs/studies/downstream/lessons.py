@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor
 
 from racines_data.digest import recipe_digest
-from racines_data.files import write_once
+from racines_data.files import read_tensors, write_once
 from racines_data.geometry import pose_to_parameters
 from racines_data.patients.patient import PATIENTS_VERSION, Patient
 from racines_data.patients.pool import Pool
@@ -58,7 +58,11 @@ class Lesson(NamedTuple):
 
 
 def lesson(patient: int, config: LessonConfig, folder: Path) -> Lesson:
-    """Return a patient's lesson from the folder, or make it and put it there."""
+    """Return a patient's lesson from the folder, or make it and put it there.
+
+    Raises:
+        RacinesError: a damaged file.
+    """
     told = {"world": PATIENTS_VERSION, "scouts": SCOUTS_VERSION, "patient": patient}
     digest = recipe_digest(told | asdict(config) | asdict(config.servo))[:16]
     path = folder / f"{patient}-{digest}.safetensors"
@@ -66,7 +70,7 @@ def lesson(patient: int, config: LessonConfig, folder: Path) -> Lesson:
         made = {name: each.contiguous() for name, each in _made(patient, config)._asdict().items()}
         path.parent.mkdir(parents=True, exist_ok=True)
         write_once(path, partial(save_file, made))
-    return Lesson(**load_file(path))
+    return Lesson(**read_tensors(path, Lesson._fields))
 
 
 def _made(patient: int, config: LessonConfig) -> Lesson:

@@ -21,7 +21,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
-from safetensors.torch import load_file
 from torch import Tensor
 
 from racines_data.card.croissant import CROISSANT, add_croissant
@@ -32,6 +31,7 @@ from racines_data.engines.local import LocalEngine
 from racines_data.errors import RacinesError
 from racines_data.files import (
     locked_place,
+    read_tensors,
     recover_folder,
     sha256_file,
     swap_folder,
@@ -153,7 +153,7 @@ def _judge_all(
         if name in missing:
             answers = islice(judged, -(-(rows.stop - rows.start) // BATCH))
             save_weights(paths[name], {"opinions": torch.cat([*answers])})
-        parts.append(load_file(paths[name])["opinions"])
+        parts.append(read_tensors(paths[name], ["opinions"])["opinions"])
         if told is not None:
             told(len(parts[-1]))
     return torch.cat(parts).numpy()

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors.torch import load_file, save
+from safetensors.torch import save
 from torch import Tensor
 
 from racines_data.errors import RacinesError
-from racines_data.files import write_atomic
+from racines_data.files import read_tensors, write_atomic
 from racines_data.imaging import ImageSource
 from racines_data.store.frames import FrameStore
 from racines_models.judges.pose.regressor import PoseRegressor
@@ -112,7 +112,7 @@ def measure(
     name = sha256_bytes(repr([*told, pose.settings, torch.__version__]).encode())[:32]
     path = None if cache is None else cache / f"coverage-{name}.safetensors"
     if path is not None and path.is_file():
-        held = load_file(path)
+        held = read_tensors(path)
         if progress is not None:
             progress(images_drawn(store, size, len(first) + len(second)))
     else:
