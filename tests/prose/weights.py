@@ -30,7 +30,7 @@ GROUPS = {
     "models/weights/scene-field": "generator, reference profile",
     "models/weights/flow": "generator, reference profile",
     "models/weights/vae-gan": "generator, reference profile, three trainings",
-    "models/weights/*gan": "further generators, reference profile, one training each",
+    "models/weights/*gan": "further generators, reference profile, the first training of each",
     "models/weights/phantom-default/scene-field": "generator, default profile, three trainings",
     "models/weights/phantom-default/vae-gan": "generator, default profile, three trainings",
     "envs/weights/servo": "agent on patients, three trainings, one network for all views",

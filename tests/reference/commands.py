@@ -2,6 +2,7 @@
 
 import inspect
 import re
+from collections.abc import Callable
 from typing import Any
 
 import typer.main
@@ -44,7 +45,7 @@ def page() -> str:
     for title, names in SECTIONS.items():
         parts.append(f"## {title}\n")
         for name in names:
-            parts += [f"{GROUPS[name]}\n"] if name in GROUPS else []
+            parts += [f"**`racines {name}`.** {GROUPS[name]}\n"] if name in GROUPS else []
             parts += [_command(words) for words in COMMANDS if words.split()[0] == name]
     return "\n".join(parts)
 
@@ -76,14 +77,25 @@ def _row(param: Any, context: Any) -> tuple[Markdown, Markdown, Markdown]:
     """Return the row of a parameter, from what the terminal's help says of it."""
     name, told = param.get_help_record(context)
     told, _, facts = told.partition("  [")  # such as [default: 7860; 1<=x<=65535] or [required]
-    facts = facts.removesuffix("]").removeprefix("default: ").replace("required", "needed")
+    facts = facts.removesuffix("]").replace("]  [", "; ").removeprefix("default: ")
+    facts = facts.replace("required", "needed")
     shown = Markdown(facts) if " " in facts or facts == "needed" else code(facts)
     return code(name.replace(" range", "")), shown, _marked(told)
 
 
+_WORDS = re.compile(
+    r"(?<![\w`])(--[a-z][\w-]*|[\w.<>-]+(?:(?:/[\w.<>-]*[\w>])+/?|/(?!\w))"
+    r"|[\w<>-]+\.(?:yaml|json|png|md))"
+)
+
+
 def _marked(text: str) -> Markdown:
     """Return help as Markdown: options and places in code letters."""
-    words = re.compile(
-        r"(?<![\w`])(--[a-z][\w-]*|[\w.]+(?:/[\w.]+)+/?|[\w-]+\.(?:yaml|json|png|md))"
-    )
-    return Markdown(words.sub(r"`\1`", text).replace("|", "\\|"))
+    marked = _beside_code(text.replace("|", "\\|"), lambda part: _WORDS.sub(r"`\1`", part))
+    return Markdown(_beside_code(marked, lambda part: part.replace("<", "&lt;")))
+
+
+def _beside_code(text: str, change: Callable[[str], str]) -> str:
+    """Change what does not stand in code letters."""
+    parts = re.split(r"(`[^`]*`)", text)
+    return "".join(part if at % 2 else change(part) for at, part in enumerate(parts))

@@ -63,7 +63,7 @@ class PatientsConfig:
     seed: int = 0
     """Names the start set."""
     chunk: int = 20
-    """Patients in memory at once, 20 MB each; no figure hangs on it."""
+    """Patients in memory at once, 20 MB each; no figure depends on it."""
     reward: str = "oracle"
     """Whose return is reported."""
     device: str = "cpu"

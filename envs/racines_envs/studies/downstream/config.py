@@ -30,7 +30,7 @@ class LessonConfig:
     """How each patient is examined."""
 
     frames: int = 1_000
-    """Frames a patient, but where no probe may be."""
+    """Frames a patient, less those at poses where no probe may be."""
     places: int = 8
     """Ways in which a patient lies and is examined, each with a scout: their own, and others'."""
     seed: int = 0

@@ -62,7 +62,7 @@ def correlations(rows: Sequence[Row], resamples: int = 2000) -> list[Row]:
     """
     groups = {"all points": list(rows)}
     groups["generators and floors"] = [row for row in rows if row["kind"] != TRUTH]
-    groups["the truth made worse"] = [row for row in rows if row["kind"] == TRUTH]
+    groups["the truth, as it is and made worse"] = [row for row in rows if row["kind"] == TRUTH]
     told = [name for name in (SCORE, BOARD) if all(name in row["metrics"] for row in rows)]
     metrics = dict.fromkeys(told, 1) | METRICS
     return [

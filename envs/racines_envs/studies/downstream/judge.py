@@ -30,7 +30,7 @@ from racines_models.scores.on_patients import Judges, PatientScoresConfig, score
 from racines_models.statistics import Evidence
 
 CHUNK = 20
-"""Patients in memory at once; no figure hangs on it."""
+"""Patients in memory at once; no figure depends on it."""
 
 
 @dataclass(frozen=True)
