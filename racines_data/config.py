@@ -65,12 +65,14 @@ def read_params(params: Path | None = None, profile: str | None = None) -> Setti
     if params is not None:
         if not params.is_file():
             raise RacinesError(f"{params}: no such file; name a params.yaml or use --profile")
-        text, name = params.read_text(), str(params)
+        text, name = params.read_text(encoding="utf-8"), str(params)
     else:
         name = profile or "default"
         if name not in PROFILES:
             raise RacinesError(f"unknown profile {name!r}: choose one of {', '.join(PROFILES)}")
-        text = (resources.files("racines_data") / "profiles" / f"{name}.yaml").read_text()
+        text = (resources.files("racines_data") / "profiles" / f"{name}.yaml").read_text(
+            encoding="utf-8"
+        )
     try:
         content = yaml.safe_load(text)
     except yaml.YAMLError as error:

@@ -230,7 +230,7 @@ def _verified_path() -> Path:
 
 def _read_verified() -> dict[str, Any]:
     try:
-        content = json.loads(_verified_path().read_text())
+        content = json.loads(_verified_path().read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}

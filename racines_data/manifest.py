@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from racines_data.errors import RacinesError
-from racines_data.views import LABELS
+from racines_data.views import LABELS, check_labels
 
 METADATA = b"racines.store"
 MANIFEST = "manifest.json"
@@ -51,7 +51,7 @@ def read_manifest(root: Path) -> dict[str, Any]:
             f"{root}: no dataset here; build one: racines data build --source phantom --out {root}"
         )
     try:
-        manifest = json.loads(path.read_text())
+        manifest = json.loads(path.read_text(encoding="utf-8"))
         for key in ("source", "version", "digest", "recipe_digest", "files", "counts"):
             manifest[key]
         version = digest_version(manifest)
@@ -110,8 +110,12 @@ def scale_known(manifest: Mapping[str, Any]) -> bool:
 
 
 def manifest_labels(manifest: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return the view labels of a dataset; older ones, which name none, have the cardiac ones."""
-    return tuple(manifest.get("labels") or LABELS)
+    """Return the view labels of a dataset; older ones, which name none, have the cardiac ones.
+
+    Raises:
+        RacinesError: one cannot be part of a file's name.
+    """
+    return check_labels(manifest.get("labels") or LABELS, f"{MANIFEST}: labels")
 
 
 def check_split(split: str) -> str:

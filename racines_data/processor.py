@@ -11,7 +11,7 @@ CPUINFO = Path("/proc/cpuinfo")
 def told(path: Path = CPUINFO) -> dict[str, str]:
     """Return what Linux says of the first core, by key; nothing on other systems."""
     found: dict[str, str] = {}
-    for line in path.read_text().splitlines() if path.is_file() else ():
+    for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
         key, _, value = line.partition(":")
         found.setdefault(key.strip(), value.strip())
     return found

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from racines_data.errors import RacinesError
 from racines_data.plugins import Plugins
 
 VIEWS = ("A4C", "SC", "PL", "PSAV", "PSMV")
@@ -47,6 +48,21 @@ def organs() -> dict[str, tuple[str, ...]]:
 def labels_of(views: Sequence[str]) -> tuple[str, ...]:
     """Return the class labels of an anatomy's views, in label order: the views, then `Random`."""
     return (*views, RANDOM)
+
+
+def check_labels(labels: Sequence[str], where: str) -> tuple[str, ...]:
+    """Return labels that can be names of files, as they are in cards and exports.
+
+    Raises:
+        RacinesError: one has a slash or a sign that cannot be seen, or stands for a folder.
+    """
+    for label in labels:
+        if not label.isprintable() or {"/", "\\"} & {*label} or label.strip(". ") == "":
+            raise RacinesError(
+                f"{where}: {label!r} is no name of a view: files are named by it, so give one "
+                "without slashes and control characters"
+            )
+    return tuple(labels)
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,7 @@ class Block:
 
 def blocks(page: Path) -> list[Block]:
     """Return the fenced blocks of a page that name a language, in order."""
-    found = FENCE.findall(page.read_text())
+    found = FENCE.findall(page.read_text(encoding="utf-8"))
     return [Block(language, text, reason) for reason, language, text in found]
 
 

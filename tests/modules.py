@@ -103,7 +103,7 @@ def says_only_what_it_offers(path: Path) -> bool:
     """Return whether a package's file holds no more than its text and lazily loaded names."""
     if path.name != "__init__.py":
         return False
-    body = ast.parse(path.read_text()).body
+    body = ast.parse(path.read_text(encoding="utf-8")).body
     allowed = ("lazy_loader", "renamed.install", "from racines_data import renamed")
     return all(
         isinstance(node, ast.Expr)

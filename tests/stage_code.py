@@ -110,12 +110,12 @@ def write(path: Path) -> None:
     editor = YAML()
     editor.width, editor.preserve_quotes = 100, True
     editor.indent(mapping=2, sequence=4, offset=2)
-    content = editor.load(path.read_text())
+    content = editor.load(path.read_text(encoding="utf-8"))
     for name, code in stage_code().items():
         stage = content["stages"][name]
         stage = stage.get("do", stage)
         stage["deps"] = [each for each in stage["deps"] if not is_code(each)] + dependencies(code)
-    with path.open("w") as file:
+    with path.open("w", encoding="utf-8") as file:
         editor.dump(content, file)
 
 

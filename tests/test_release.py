@@ -132,7 +132,7 @@ def test_archives_say_what_the_citation_and_the_package_say():
 
 @pytest.mark.parametrize("path", FORMS, ids=[path.stem for path in FORMS])
 def test_forms_are_such_as_the_host_takes(path: Path):
-    form = yaml.safe_load(path.read_text())
+    form = yaml.safe_load(path.read_text(encoding="utf-8"))
     if path.stem == "config":
         assert set(form) <= {"blank_issues_enabled", "contact_links"}
         return
@@ -164,7 +164,9 @@ def test_commands_in_forms_and_pages_exist():
 
 @pytest.mark.parametrize("path", PAGES, ids=[path.stem for path in PAGES])
 def test_links_of_pages_at_the_root_hold(path: Path):
-    for link in re.findall(r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)", path.read_text()):
+    for link in re.findall(
+        r"\]\((?!https?:)([^)#]+)(?:#[^)]*)?\)", path.read_text(encoding="utf-8")
+    ):
         assert (path.parent / link).exists(), link
 
 

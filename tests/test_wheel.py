@@ -92,7 +92,7 @@ def test_the_installed_wheel_works_outside_the_repository(
     # Only now, or pip would take the outer environment's racines for one to replace. A .pth file
     # in a folder that a .pth file adds is not read, so the editable install stays out.
     site = run(tmp_path, python, "-c", "import site; print(site.getsitepackages()[0])").strip()
-    Path(site, "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    Path(site, "libraries.pth").write_text(sysconfig.get_path("purelib") + "\n", encoding="utf-8")
     racines, empty = tmp_path / "env/bin/racines", tmp_path / "empty"
     empty.mkdir()
     assert "Usage: racines" in run(empty, racines, "--help")

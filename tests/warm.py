@@ -70,7 +70,8 @@ def _child(
     os.environ.update(environment)
     for stream, path in ((1, out), (2, err)):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), stream)
-    sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
+    streams = [open(at, "w", encoding="utf-8", closefd=False) for at in (1, 2)]  # noqa: SIM115
+    sys.stdout, sys.stderr = streams
     sys.argv = list(words) if words[0] == "racines" else ["-c", *words[3:]]
     if environment.get(PLAIN):
         plain_pictures()

@@ -81,7 +81,7 @@ def check_replaces(path: Path, scores: dict[str, Any], force: bool) -> None:
     if force or not path.is_file():
         return
     try:
-        before = json.loads(path.read_text())
+        before = json.loads(path.read_text(encoding="utf-8"))
         same = same_result(before, scores)
     except (OSError, ValueError, TypeError) as error:
         raise RacinesError(

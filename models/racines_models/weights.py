@@ -43,7 +43,7 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
         raise RacinesError(f"{run}: no config.json with *.safetensors; train a model there first")
     if out.resolve() == run.resolve():
         raise RacinesError(f"{out}: is the run itself; name another folder")
-    content = json.loads((run / "config.json").read_text())
+    content = json.loads((run / "config.json").read_text(encoding="utf-8"))
     described = {}
     for file in files:
         data = save(_halved(load_weights(file), file))
@@ -56,7 +56,7 @@ def publish(run: Path, out: Path) -> dict[str, Any]:
         described |= {f"{seed.name}/{file}": each for file, each in told.items()}
     metrics = run / "metrics.json"
     if metrics.is_file():
-        values = json.loads(metrics.read_text())
+        values = json.loads(metrics.read_text(encoding="utf-8"))
         content["training"] = {key: value for key, value in values.items() if key not in LEFT_OUT}
         for name in values.get("plots", ()):
             if (run / name).is_file():
@@ -85,7 +85,9 @@ def load_weights(
         raise RacinesError(f"{path}: no such file; {remedy}")
     config = path.parent / "config.json"
     if config.is_file():
-        files = json.loads(config.read_text()).get("weights_files", {}).get("files", {})
+        files = (
+            json.loads(config.read_text(encoding="utf-8")).get("weights_files", {}).get("files", {})
+        )
         wanted = files.get(path.name, {}).get("sha256")
         if wanted and sha256_file(path) != wanted:
             other = "is not the file that config.json names (sha256)"
@@ -113,7 +115,7 @@ def read_described(folder: Path, absent: str, schema: str | None = None) -> dict
     if not path.is_file():
         raise RacinesError(f"{folder}: {absent}")
     try:
-        described = json.loads(path.read_text())
+        described = json.loads(path.read_text(encoding="utf-8"))
     except json.JSONDecodeError as error:
         raise RacinesError(f"{path}: not valid JSON: {error}; get it again") from error
     if schema is not None and (found := described.get("schema")) != schema:

@@ -171,7 +171,7 @@ def _measure(
     made = engine.map(_measure_one, source, missing, remedy=REMEDY)
     for patient, row in zip(missing, made, strict=True):
         write_atomic(paths[patient], json.dumps(row))
-    rows = [json.loads(path.read_text()) for path in paths.values()]
+    rows = [json.loads(path.read_text(encoding="utf-8")) for path in paths.values()]
     return [{**row, "split": splits[row["patient"]]} for row in rows]
 
 

@@ -154,10 +154,10 @@ def write_dataset(
         manifest[MULTI_PHANTOM] = {**counted, "canonical": canonical}
     _write_report(final / REPORT, source.report)
     write_pictures(final, manifest)
-    (final / CARD).write_text(write_card(manifest))
+    (final / CARD).write_text(write_card(manifest), encoding="utf-8")
     manifest["files"] = _seal(final)
     add_croissant(manifest, final)
-    (final / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
+    (final / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
     return manifest
 
 

@@ -40,7 +40,7 @@ def read_realism(path: Path, manifest: Mapping[str, Any]) -> dict[str, Any]:
         RacinesError: it does not.
     """
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise RacinesError(f"{path}: no readable JSON ({error})") from error
     if not isinstance(content, dict):

@@ -32,7 +32,7 @@ from racines_data.schema import CONTROLS, PARAMETERS
 from racines_data.sources.base import rights_of
 from racines_data.sources.release import layout
 from racines_data.store.sweeps import Sweep, new_folder, read_sweeps
-from racines_data.views import RANDOM
+from racines_data.views import RANDOM, check_labels
 
 _KNOWN_FOLDERS = 3
 
@@ -103,6 +103,7 @@ def _plan(shards: Sequence[Path], limit: int | None) -> tuple[dict[str, _Place],
     counts = Counter(zip(*(rows[name] for name in columns), strict=True))
     if not counts:
         raise RacinesError(f"limit {limit}: nothing to export; give one frame or more")
+    check_labels([view for _, view, _ in counts], "target_view")
     sessions = sorted({session for session, _, _ in counts}, key=layout.natural)
     folders = {name: f"Folder {number}" for number, name in enumerate(sessions, start=1)}
     members: dict[tuple[str, str], list[str]] = defaultdict(list)
@@ -127,7 +128,7 @@ def _write_sweep(staging: Path, place: _Place, sweep: Sweep) -> None:
     shutil.rmtree(logs, ignore_errors=True)
     with new_folder(logs) as aside:
         for number, row in zip(numbers, rows, strict=True):
-            (aside / f"PA_{number}.txt").write_text(layout.format_log(row))
+            (aside / f"PA_{number}.txt").write_text(layout.format_log(row), encoding="utf-8")
     with new_folder(images) as aside:
         for number, png in zip(numbers, sweep.pngs(), strict=True):
             (aside / f"img{number}.png").write_bytes(png)

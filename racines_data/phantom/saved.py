@@ -81,7 +81,7 @@ def read_saved(folder: Path) -> Saved:
     if not path.is_file():
         raise RacinesError(f"{path}: no such file: {again}")
     try:
-        told = json.loads(path.read_text())
+        told = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise RacinesError(f"{path}: not valid JSON ({error}): {again}") from error
     if not isinstance(told, dict) or told.get("schema") != SCHEMA:

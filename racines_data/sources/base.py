@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, runtime_checkab
 
 from racines_data.errors import RacinesError
 from racines_data.plugins import Plugins
-from racines_data.views import LABELS
+from racines_data.views import LABELS, check_labels
 
 if TYPE_CHECKING:
     from racines_data.schema import Trajectory
@@ -107,8 +107,12 @@ class Source(Protocol):
 
 
 def labels_of_source(source: Source) -> tuple[str, ...]:
-    """Return the view labels of a source: its `labels` attribute, or the cardiac ones."""
-    return tuple(getattr(source, "labels", LABELS))
+    """Return the view labels of a source: its `labels` attribute, or the cardiac ones.
+
+    Raises:
+        RacinesError: one cannot be part of a file's name.
+    """
+    return check_labels(getattr(source, "labels", LABELS), f"source {source.name}: labels")
 
 
 def has_poses(source: Source) -> bool:

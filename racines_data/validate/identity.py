@@ -73,7 +73,7 @@ def rehash_files(root: Path, manifest: dict[str, Any], workers: int = 1) -> str:
 
 def check_card(root: Path, manifest: dict[str, Any]) -> str:
     """Check that the card describes this content, and names the manifest's configs and files."""
-    text = (root / CARD).read_text()
+    text = (root / CARD).read_text(encoding="utf-8")
     try:
         head = yaml.safe_load(text.split("---\n", 2)[1])
         configs = {config["config_name"]: config for config in head["configs"]}

@@ -18,6 +18,7 @@ from racines_data.errors import RacinesError
 from racines_data.phantom import PHANTOM_VERSION, Phantom, PhantomConfig
 from racines_data.phantom.config import heart_config, phantom_settings
 from racines_data.schema import PARAMETERS
+from racines_data.sources.gate.labels import label_fault
 from racines_data.validate.survey import Survey
 from racines_data.views import PAPER_STATISTICS, RANDOM, ParameterStatistics
 
@@ -42,14 +43,10 @@ def check_labels(survey: Survey, labels: tuple[str, ...]) -> str:
     odd = sorted({sweep.target_view for sweep in survey.sweeps} - set(labels))
     if odd:
         raise RacinesError(f"target view {odd[0]!r} is none of {', '.join(labels)}")
-    random = labels.index(RANDOM)
     for sweep in survey.sweeps:
-        graded = ~np.isnan(sweep.grades)
-        view = (sweep.views >= 0) & (sweep.views != random)
-        _refuse(sweep.id, "Random, yet graded", graded & (sweep.views == random), sweep.grades > 0)
-        outside = (sweep.grades < 1) | (sweep.grades > 10)
-        _refuse(sweep.id, "of a view, graded outside 1-10", graded & view, outside)
-        _refuse(sweep.id, "graded, of unknown view", graded, sweep.views < 0)
+        if fault := label_fault(sweep.views, sweep.grades, labels):
+            row, what = fault
+            raise RacinesError(f"trajectory {sweep.id}: frame {row} is {what}")
     views, grades = survey.column("views"), survey.column("grades")
     if not (views >= 0).any():
         return "no frame has a view or a grade"
@@ -57,12 +54,6 @@ def check_labels(survey: Survey, labels: tuple[str, ...]) -> str:
         f"{(views >= 0).mean():.1%} of the frames have a view, "
         f"{(~np.isnan(grades)).mean():.1%} a grade"
     )
-
-
-def _refuse(trajectory: str, what: str, chosen: np.ndarray, wrong: np.ndarray) -> None:
-    rows = np.flatnonzero(chosen & wrong)
-    if len(rows):
-        raise RacinesError(f"trajectory {trajectory}: frame {rows[0]} is {what}")
 
 
 def view_shares(survey: Survey, labels: tuple[str, ...]) -> dict[str, Any]:

@@ -215,7 +215,7 @@ def measure(part: Part, folder: Path) -> dict[str, Any]:
 
 def main(out: Path, *names: str) -> None:
     """Measure the parts, or those whose names begin so, and write them after each."""
-    document: dict[str, Any] = json.loads(out.read_text()) if out.is_file() else {}
+    document: dict[str, Any] = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else {}
     kept = document.get("parts", {})
     with tempfile.TemporaryDirectory() as folder:
         for name, part in PARTS.items():

@@ -67,7 +67,8 @@ def keep(lines: Iterable[Line], path: Path = FILE) -> dict[str, Any]:
     kept = {}
     if path.is_file():
         kept = {
-            (each["work"], each["peer"]): each for each in json.loads(path.read_text())["lines"]
+            (each["work"], each["peer"]): each
+            for each in json.loads(path.read_text(encoding="utf-8"))["lines"]
         }
     for line in lines:
         kept[line.work, line.peer] = asdict(line) | {"measured": here}
@@ -78,7 +79,7 @@ def keep(lines: Iterable[Line], path: Path = FILE) -> dict[str, Any]:
 
 def read(path: Path = FILE) -> list[dict[str, Any]]:
     """Return the lines of a file, none where it is missing."""
-    return json.loads(path.read_text())["lines"] if path.is_file() else []
+    return json.loads(path.read_text(encoding="utf-8"))["lines"] if path.is_file() else []
 
 
 def table(lines: Iterable[dict[str, Any]]) -> dict[str, Any]:

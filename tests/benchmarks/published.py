@@ -40,7 +40,10 @@ def loaded(path: Path) -> dict[str, Any]:
     sys.modules["torchvision"].transforms = types.SimpleNamespace(Resize=Resize)  # type: ignore
     space: dict[str, Any] = {"__name__": path.stem}
     try:
-        exec(compile(path.read_text().replace("'cuda'", "'cpu'"), path.name, "exec"), space)
+        exec(
+            compile(path.read_text(encoding="utf-8").replace("'cuda'", "'cpu'"), path.name, "exec"),
+            space,
+        )
     finally:
         for name, module in kept.items():
             sys.modules.pop(name)

@@ -90,7 +90,9 @@ def draws(source: str) -> bool:
 
 
 def palette() -> set[str]:
-    return {each.lower() for each in HEX.findall(Path(plotting.__file__).read_text())}
+    return {
+        each.lower() for each in HEX.findall(Path(plotting.__file__).read_text(encoding="utf-8"))
+    }
 
 
 def test_no_module_that_draws_has_a_look_of_its_own():

@@ -12,7 +12,7 @@ from racines_leaderboard.board.collect import collect
 from racines_leaderboard.board.pinning import pin_board
 from racines_leaderboard.records.ranges import range_of
 from racines_models.statistics import Evidence
-from racines_models.statistics.intervals import set_replicates
+from racines_models.statistics.sets import set_replicates
 from tests.leaderboard.conftest import DIGEST, agent_scores, generator_scores
 
 ENDS = {

@@ -34,7 +34,9 @@ class Results:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self.rows: dict[str, dict[str, Any]] = json.loads(path.read_text()) if path.exists() else {}
+        self.rows: dict[str, dict[str, Any]] = (
+            json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+        )
 
     def of(self, mutant: Mutant) -> dict[str, Any] | None:
         """Return the outcome, if it still holds."""

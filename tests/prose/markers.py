@@ -94,7 +94,7 @@ class NoFigure(Exception):
 def _document(path: Path) -> Any:
     if not path.is_file():
         raise NoFigure(f"no result file {path}")
-    text = path.read_text()
+    text = path.read_text(encoding="utf-8")
     content = yaml.safe_load(text) if path.suffix == ".yaml" else json.loads(text)
     if isinstance(content, dict) and "scores" in content and "track" in content:
         # A record is asked for its metrics by their names.

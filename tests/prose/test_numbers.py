@@ -122,7 +122,7 @@ def test_a_changed_result_is_a_changed_page(repository: Path):
 @pytest.mark.parametrize("page", PAGES, ids=NAMES)
 def test_every_page_says_what_the_result_files_say(page: Path):
     """If this fails after a result changed: `make docs-numbers`."""
-    text = page.read_text()
+    text = page.read_text(encoding="utf-8")
     new = redrawn(text, str(page.relative_to(ROOT)))
     changed = [
         f"{old['drawn'].strip()} is now {now['drawn'].strip()}"
@@ -136,7 +136,7 @@ def test_every_page_says_what_the_result_files_say(page: Path):
 def test_every_number_is_marked_or_declared(page: Path):
     """A measured number gets a marker (see markers.py); a constant stands in allowed.yaml."""
     name = str(page.relative_to(ROOT))
-    found, stale = claims.unmarked(name, page.read_text())
+    found, stale = claims.unmarked(name, page.read_text(encoding="utf-8"))
     told = [f"{name}:{claim.line}: {claim.text!r} in {claim.context.strip()!r}" for claim in found]
     assert not told, "no marker, and not in tests/prose/allowed.yaml:\n" + "\n".join(told)
     assert not stale, "\n".join(stale)

@@ -46,7 +46,7 @@ def test_every_section_that_a_command_fills_is_there():
 def _sections(path: Path) -> set[str]:
     """Return the first word of each section that a module reads by its name."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "section":
             name = node.args[1] if len(node.args) > 1 else None
             if isinstance(name, ast.Constant) and isinstance(name.value, str):

@@ -174,7 +174,7 @@ class HillClimberAgent(Untrained):
         """Return the agent with its settings that `train` wrote there, or else the defaults."""
         path, config = Path(run_dir) / SETTINGS, HillClimberConfig()
         if path.is_file():
-            content = json.loads(path.read_text())
+            content = json.loads(path.read_text(encoding="utf-8"))
             if content.get("agent") != cls.name:
                 raise RacinesError(f"{path}: settings of {content.get('agent')!r}, not {cls.name}")
             config = fill(HillClimberConfig, content["config"], str(path))

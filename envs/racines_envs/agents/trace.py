@@ -114,7 +114,9 @@ def _read(path: Path) -> dict[str, Any]:
     if path.stat().st_size > MAX_BYTES:
         raise RacinesError(f"{path}: {path.stat().st_size:,} bytes: at most {MAX_BYTES:,} are read")
     try:
-        told = json.loads(path.read_text(), parse_constant=_finite, parse_float=_finite)
+        told = json.loads(
+            path.read_text(encoding="utf-8"), parse_constant=_finite, parse_float=_finite
+        )
     except (OSError, ValueError, RecursionError) as error:
         raise RacinesError(f"{path}: not readable as JSON: {error}") from error
     if not isinstance(told, dict):

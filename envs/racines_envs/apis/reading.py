@@ -34,7 +34,9 @@ def read_actions(actions: Any, core: ScanCore) -> torch.Tensor:
         array = np.asarray(actions)
     except ValueError as error:
         raise RacinesError(f"actions {actions!r} are ragged: give {wanted}") from error
-    if twists and array.dtype.kind == "f":
+    whole = array.dtype.kind in "iu" and array.shape[-1:] == (6,)
+    if twists and (array.dtype.kind == "f" or whole):
+        array = array.astype(np.float32) if whole else array
         alone = array.shape == (6,) and core.num_envs == 1
         return torch.as_tensor(array.astype(np.float32)[None] if alone else array)
     if array.dtype.kind not in "iu":

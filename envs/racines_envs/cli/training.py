@@ -103,7 +103,7 @@ def train_agent(
         tell_trained(made, metrics, as_json, lambda own: "settings, metrics and policy, if any")
         return
     folder = made[0].run.folder
-    page = (folder / "metrics.json").read_text()
+    page = (folder / "metrics.json").read_text(encoding="utf-8")
     say_page(page if as_json else f"settings, metrics and policy, if any, are in {folder}")
 
 

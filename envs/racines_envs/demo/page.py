@@ -26,7 +26,7 @@ AILING = {
 
 def page(outcome: Outcome, chest: ChestMap, next_commands: list[tuple[str, str]]) -> str:
     """Return the HTML; `next_commands` are commands, and what each does."""
-    text = files("racines_envs.demo").joinpath("page.html").read_text()
+    text = files("racines_envs.demo").joinpath("page.html").read_text(encoding="utf-8")
     content = json_in_html(_content(outcome, chest, next_commands))
     return Template(text).substitute(content=content)
 

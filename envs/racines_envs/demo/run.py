@@ -43,7 +43,7 @@ def check_folder(out: Path, force: bool) -> None:
     if force or not out.is_dir() or not any(out.iterdir()):
         return
     try:
-        own = json.loads((out / FIGURES).read_text()).get("schema") == SCHEMA
+        own = json.loads((out / FIGURES).read_text(encoding="utf-8")).get("schema") == SCHEMA
     except (FileNotFoundError, ValueError, AttributeError):
         own = False
     if not own:

@@ -125,7 +125,7 @@ def common_view(runs: Sequence[Run], view: str = "") -> str:
 def read_json(path: Path) -> Any:
     """Read a JSON file; one that is missing or damaged is named in the error."""
     try:
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise RacinesError(f"{path}: not readable as JSON: {error}") from error
 

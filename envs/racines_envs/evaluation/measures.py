@@ -14,7 +14,7 @@ from racines_envs.agents.rollout import Episodes
 from racines_envs.task.core import ScanCore
 from racines_models.statistics import Evidence, Figures, median
 from racines_models.statistics.evidence import figure as figure_of
-from racines_models.statistics.intervals import set_replicates
+from racines_models.statistics.sets import set_replicates
 
 RETURN_OF_A_HIT = 50.0
 LEAST, WARM_UP = 50, 10

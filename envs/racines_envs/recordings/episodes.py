@@ -257,7 +257,7 @@ def read_recording(path: Path) -> RecordedEpisode:
     if not path.is_file():
         raise RacinesError(f"{path}: no such recording")
     lines = []
-    for number, line in enumerate(path.read_text().splitlines(), 1):
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
         try:
             lines.append(json.loads(line))
         except json.JSONDecodeError as error:

@@ -84,10 +84,13 @@ def export(
     labels, major = manifest_labels(manifest), manifest["version"].split(".")[0]
     written: dict[str, dict[str, int]] = {}
     aims: dict[str, Counter[str]] = {}
-    missing, frames, robot = 0, 0, recorded_robot(manifest, config)
+    missing, frames, alone, robot = 0, 0, 0, recorded_robot(manifest, config)
     with new_folder(out) as folder, progress_bar(progress) as bar:
         task = bar.add_task("frames", total=None)
         for sweep in read_sweeps(root, split, limit, config):
+            if len(sweep) < 2:  # a step lies between two frames
+                alone += 1
+                continue
             name = f"racines/{manifest['source']}-{sweep.split}-v{major}"
             counts = written.setdefault(name, {"episodes": 0, "steps": 0})
             place = folder / name / "data"
@@ -98,6 +101,11 @@ def export(
             frames += len(sweep)
             bar.advance(task, len(sweep))
         steps = sum(counts["steps"] for counts in written.values())
+        if not steps:
+            raise RacinesError(
+                f"{root}: no sweep has two frames, hence no step: export more frames, or another "
+                "dataset"
+            )
         if missing == steps:
             raise RacinesError(
                 f"{root}: {manifest['source']} data have no commanded velocity, hence no actions"
@@ -111,14 +119,18 @@ def export(
             told = _description(manifest, config, robot)
             _write_metadata(folder / name / "data", name, manifest, counts, spec, told, robot)
         about = {"description": f"RACINES: {describe(manifest, config)}"}
-        (folder / "racines" / "namespace_metadata.json").write_text(json.dumps(about))
+        notes = [f"{missing} of {steps} steps have no commanded velocity: NaN"] * bool(missing)
+        notes += [f"{alone} sweeps of one frame have no step and are left out"] * bool(alone)
+        (folder / "racines" / "namespace_metadata.json").write_text(
+            json.dumps(about), encoding="utf-8"
+        )
     return {
         "out": str(out),
         "format": "minari",
         "frames": frames,
         "trajectories": sum(counts["episodes"] for counts in written.values()),
         "datasets": written,
-        "notes": [f"{missing} of {steps} steps have no commanded velocity: NaN"] if missing else [],
+        "notes": notes,
     }
 
 
@@ -165,7 +177,7 @@ def _write_episode(
     about = {"id": episode, "total_steps": count - 1, "split": sweep.split}
     named = "patient" if "patient" in table.column_names else "phantom"
     about |= {k: sweep.first(k) for k in ("trajectory", "session", "target_view", named)}
-    (folder / "metadata.json").write_text(json.dumps(about))
+    (folder / "metadata.json").write_text(json.dumps(about), encoding="utf-8")
     return int(np.isnan(actions[:-1]).any(-1).sum())
 
 
@@ -276,7 +288,7 @@ def _write_metadata(
     }
     if spec is not None:
         metadata["env_spec"] = spec
-    (data / "metadata.json").write_text(json.dumps(metadata))
+    (data / "metadata.json").write_text(json.dumps(metadata), encoding="utf-8")
 
 
 def _description(manifest: Mapping[str, Any], config: str, robot: str) -> str:

@@ -21,7 +21,7 @@ def read_kept(path: Path, study: str, force: bool = False) -> dict[str, Any]:
     if force or not path.is_file():
         return {}
     try:
-        kept = json.loads(path.read_text())
+        kept = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise RacinesError(f"{path}: not readable as JSON: {error}; remove it") from error
     if isinstance(kept, dict) and kept.get("study") == study:

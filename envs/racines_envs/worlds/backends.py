@@ -89,7 +89,7 @@ def _whose(folder: Path) -> str:
     if not path.is_file():
         raise RacinesError(f"{folder}: no trained generator here (config.json); train one there")
     try:
-        return json.loads(path.read_text())["name"]
+        return json.loads(path.read_text(encoding="utf-8"))["name"]
     except (ValueError, KeyError, TypeError) as error:
         raise RacinesError(f"{path}: names no generator ({error}); train it again") from error
 

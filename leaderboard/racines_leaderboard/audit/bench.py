@@ -188,7 +188,7 @@ class Bench:
 
     def _is_of_recipe(self, folder: Path) -> bool:
         try:
-            told = json.loads((folder / MANIFEST).read_text())
+            told = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return False
         return self.recipe is not None and told.get("recipe_digest") == self.recipe

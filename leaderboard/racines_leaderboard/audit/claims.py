@@ -193,7 +193,7 @@ def differing(claimed: dict[str, Any], here: dict[str, Any]) -> list[str]:
 def _scores_file(record: Record, path: Path, bench: Bench) -> Iterator[Verdict]:
     """Hold a record to the scores file of its run: whoever edits one has to edit both."""
     try:
-        here = json.loads(path.read_text())
+        here = json.loads(path.read_text(encoding="utf-8"))
         board = here.get("board") or (here.get("dataset") or {}).get("board")
     except (ValueError, AttributeError) as error:
         yield fails("scores", f"{path}: not readable as JSON: {error}")

@@ -165,7 +165,7 @@ def published(record: Record, bench: Bench) -> dict[str, Any] | None:
     there = described.is_file() and record["track"] in HELD_OUT
     if not there or data_of(described.parent) != basis_of(record):
         return None
-    return json.loads(described.read_text()).get("weights_files", {}).get("files")
+    return json.loads(described.read_text(encoding="utf-8")).get("weights_files", {}).get("files")
 
 
 def data_of(folder: Path) -> str | None:

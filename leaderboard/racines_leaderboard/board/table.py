@@ -151,7 +151,9 @@ def board_csv(contents: dict[str, dict[str, list[Record]]]) -> str:
 @functools.cache
 def published() -> dict[str, Any]:
     """Return the metrics of the paper."""
-    return json.loads((resources.files("racines_leaderboard") / "published.json").read_text())
+    return json.loads(
+        (resources.files("racines_leaderboard") / "published.json").read_text(encoding="utf-8")
+    )
 
 
 def level_of(metric: dict[str, Any]) -> float | None:

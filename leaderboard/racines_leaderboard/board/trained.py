@@ -61,7 +61,7 @@ def trained_as(record: dict[str, Any]) -> dict[str, float]:
 def read_told(path: Path) -> dict[str, Any]:
     """Return what a JSON file says; nothing where there is none that can be read."""
     try:
-        told = json.loads(path.read_text())
+        told = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
     return told if isinstance(told, dict) else {}

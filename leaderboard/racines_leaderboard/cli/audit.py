@@ -143,7 +143,7 @@ def _seal(path: Path) -> None:
     from racines_leaderboard.records.schema import KEY, sealed, write_record
 
     with locked(path.parents[2]):
-        record = json.loads(path.read_text())
+        record = json.loads(path.read_text(encoding="utf-8"))
         if KEY not in record:
             write_record(path, sealed(record))
             note(f"racines: sealed: {path}")

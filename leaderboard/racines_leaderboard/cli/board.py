@@ -89,7 +89,7 @@ def leaderboard(
     if readme is not None:
         if not readme.is_file():
             raise RacinesError(f"{readme}: no such file")
-        write_atomic(readme, with_tables(readme.read_text(), results, str(readme)))
+        write_atomic(readme, with_tables(readme.read_text(encoding="utf-8"), results, str(readme)))
     content = {name: results_of.read_board(results, name) for name in names}
     if csv is not None:
         write_atomic(csv, board_csv(content))

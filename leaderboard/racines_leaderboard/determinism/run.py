@@ -115,7 +115,7 @@ def _kept(out: Path | None) -> tuple[list[Outcome], float]:
     if out is None or not out.is_file():
         return [], 0.0
     try:
-        before, here = json.loads(out.read_text()), _document([], 0.0)
+        before, here = json.loads(out.read_text(encoding="utf-8")), _document([], 0.0)
         if any(before[key] != here[key] for key in ("schema", "code", "environment")):
             return [], 0.0
         return [Outcome(**each) for each in before["outcomes"]], before["seconds"]

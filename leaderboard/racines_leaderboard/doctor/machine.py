@@ -46,7 +46,7 @@ def cuda(cards: Path = Path("/proc/driver/nvidia/gpus")) -> dict[str, Any]:
     """Return the CUDA that torch was built for, the cards of the driver, and what follows."""
     built, names = _built_for(), []
     for told in sorted(cards.glob("*/information")):
-        match = re.search(r"^Model:\s*(.+)$", told.read_text(), re.MULTILINE)
+        match = re.search(r"^Model:\s*(.+)$", told.read_text(encoding="utf-8"), re.MULTILINE)
         names.append(match[1].strip() if match else "NVIDIA GPU")
     if not built:
         told = "none: this torch is built without CUDA"
@@ -62,7 +62,7 @@ def _built_for() -> str | None:
     spec = find_spec("torch")
     places = spec.submodule_search_locations if spec else None
     path = Path(next(iter(places or ["."])), "version.py")
-    told = path.read_text() if path.is_file() else ""
+    told = path.read_text(encoding="utf-8") if path.is_file() else ""
     match = re.search(r"^cuda\b[^=\n]*=\s*['\"]([\d.]+)['\"]", told, re.MULTILINE)
     return match[1] if match else None
 

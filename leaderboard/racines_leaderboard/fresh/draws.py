@@ -37,8 +37,8 @@ from racines_models.statistics.intervals import Interval
 FALLS = {"success_true": 0.1, "spl": 0.1, "final_grade": 1.0}
 FALLS_ON_PATIENTS = {"success_declared": 0.1}
 """Margins of agents: a tenth of what each can be (see `compare.SHARE`)."""
-MOST_PATIENTS = 2**40
-"""Seeds of patients among whom a round draws."""
+MOST_PATIENTS = 2**31 - FIRST_SECRET
+"""Seeds of patients among whom a round draws: evidence keeps units in 32 bits."""
 MADE_BEFORE = {
     "predictions": "images are no program that could draw at other poses",
     "trace": "actions are no program that could act from other starts",

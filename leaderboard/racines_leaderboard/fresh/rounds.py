@@ -186,7 +186,7 @@ def reveal(results: Path, secret: Secret, today: str) -> Path:
     """End the open round of a board: write its nonce to the history; return that file.
 
     Raises:
-        RacinesError: no round is open, or it was committed to another nonce.
+        RacinesError: no round is open, it was committed to another nonce, or later than today.
     """
     with locked(results):
         path = results / secret.board / HISTORY
@@ -195,6 +195,11 @@ def reveal(results: Path, secret: Secret, today: str) -> Path:
             raise RacinesError(f"{path}: no round is open: there is nothing to reveal")
         if round_of(results, secret) is not None and secret.round != len(rounds):
             raise RacinesError(f"{path}: round {secret.round} was revealed before")
+        if today < (committed := rounds[-1]["committed"]):
+            raise RacinesError(
+                f"{path}: today is {today}, and round {len(rounds)} was committed to on "
+                f"{committed}: set the clock right, or wait"
+            )
         told = {"nonce": secret.nonce.hex(), "revealed": today}
         _write_history(path, secret.board, [*rounds[:-1], rounds[-1] | told])
         read_history(results, secret.board)

@@ -43,7 +43,9 @@ def read_json(path: Path, kind: str) -> dict[str, Any]:
     """
     finite = functools.partial(_finite, path)
     try:
-        document = json.loads(path.read_text(), parse_constant=finite, parse_float=finite)
+        document = json.loads(
+            path.read_text(encoding="utf-8"), parse_constant=finite, parse_float=finite
+        )
     except FileNotFoundError as error:
         raise RacinesError(f"{path}: no such file") from error
     except (OSError, ValueError, RecursionError) as error:
@@ -71,7 +73,9 @@ def _finite(path: Path, text: str) -> float:
 def validator(kind: str) -> Draft202012Validator:
     """Return what checks documents of a kind, to be kept where there are many."""
     folder = resources.files("racines_leaderboard") / "schemas"
-    contents = {path.name: json.loads(path.read_text()) for path in folder.iterdir()}
+    contents = {
+        path.name: json.loads(path.read_text(encoding="utf-8")) for path in folder.iterdir()
+    }
     registry = Registry().with_resources(
         (schema["$id"], Resource.from_contents(schema)) for schema in contents.values()
     )

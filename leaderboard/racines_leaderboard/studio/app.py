@@ -121,7 +121,7 @@ def serve(
             run_history=False,
             footer_links=[],
             theme=theme(),
-            css=Path(__file__).with_name("studio.css").read_text(),
+            css=Path(__file__).with_name("studio.css").read_text(encoding="utf-8"),
             app_kwargs={"middleware": middleware(host, hosts, framed_by)},
         )
     except OSError as error:

@@ -98,7 +98,7 @@ def _claim(ratings: Path, rater: str) -> str:
     code = "-".join("".join(secrets.choice(LETTERS) for _ in range(4)) for _ in range(3))
     ratings.mkdir(parents=True, exist_ok=True)
     aside = ratings / f".{rater}.{secrets.token_hex(8)}"
-    aside.write_text(_digest(code) + "\n")
+    aside.write_text(_digest(code) + "\n", encoding="utf-8")
     try:
         if (ratings / f"{rater}.jsonl").exists():
             raise FileExistsError  # ratings of a program, or of a page that gave no code
@@ -115,7 +115,7 @@ def _claim(ratings: Path, rater: str) -> str:
 def _check(ratings: Path, rater: str, code: str) -> None:
     """Refuse what is not the code of a name, and a name under which nobody has begun."""
     place = ratings / f"{rater}.code"
-    kept = place.read_text().strip() if place.is_file() else ""
+    kept = place.read_text(encoding="utf-8").strip() if place.is_file() else ""
     if not hmac.compare_digest(kept, _digest(code)):
         raise RacinesError(f"rater {rater}: that is not the code that this name was given here")
 

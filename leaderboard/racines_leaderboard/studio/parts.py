@@ -157,7 +157,7 @@ def trained_runs(
     for parent, suffix in parents:
         for path in sorted(parent.glob("*/config.json")):
             try:
-                config = json.loads(path.read_text())
+                config = json.loads(path.read_text(encoding="utf-8"))
             except (OSError, ValueError):
                 continue
             found = path.with_name(weights)

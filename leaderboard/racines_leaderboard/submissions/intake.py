@@ -134,7 +134,7 @@ def take_in(
         remote = _gather(path, document, stage, opener if fetching else None, limits)
         probed = probe(stage, document, matching_store(data, document), limits)
         text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
-        (stage / YAML).write_text(text)
+        (stage / YAML).write_text(text, encoding="utf-8")
         for each in stage.iterdir():
             each.chmod(0o644)
         stage.chmod(0o755)

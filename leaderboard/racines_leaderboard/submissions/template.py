@@ -68,7 +68,7 @@ def _kind(path: Path, track: str) -> str:
     """Guess a file's kind by its ending and, where two share one, by what it says of itself."""
     if path.suffix == ".json":
         try:
-            said = json.loads(path.read_text()).get("schema", "")
+            said = json.loads(path.read_text(encoding="utf-8")).get("schema", "")
         except (ValueError, AttributeError, RecursionError):
             said = ""
         return "trace" if str(said).startswith("racines.trace/") else "scores"

@@ -119,7 +119,7 @@ def _upload(client: "HfApi", plan: ModelPush) -> str:
             place = Path(folder, name)
             place.parent.mkdir(parents=True, exist_ok=True)
             if name == CARD:
-                place.write_text(plan.card)
+                place.write_text(plan.card, encoding="utf-8")
             else:
                 shutil.copyfile(plan.source / name, place)
         return client.upload_folder(

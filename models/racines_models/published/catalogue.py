@@ -91,7 +91,7 @@ def read_catalogue() -> Catalogue:
     if not path.is_file():
         raise RacinesError(f"{path}: {NONE_HERE}")
     try:
-        told = json.loads(path.read_text())
+        told = json.loads(path.read_text(encoding="utf-8"))
         if told["schema"] != SCHEMA:
             raise ValueError(f"schema {told['schema']!r}, not {SCHEMA}")
         sets = {name: WeightsSet(name, **each) for name, each in told["sets"].items()}

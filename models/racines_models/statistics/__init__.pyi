@@ -15,8 +15,8 @@ from .intervals import interval as interval
 from .intervals import mean_interval as mean_interval
 from .intervals import median_interval as median_interval
 from .intervals import rate_interval as rate_interval
-from .intervals import set_replicates as set_replicates
-from .intervals import set_replicates_all as set_replicates_all
+from .sets import set_replicates as set_replicates
+from .sets import set_replicates_all as set_replicates_all
 
 __all__ = [
     "LEVEL",

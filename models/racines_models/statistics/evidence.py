@@ -172,7 +172,7 @@ class Evidence:
         """
         values = np.asarray(values, np.float64)
         values = values.reshape((1,) * (3 - values.ndim) + values.shape)
-        items, units = np.asarray(items, np.int32), np.asarray(units, np.int32)
+        items, units = _small(metric, items), _small(metric, units)
         if values.ndim != 3 or not (items.shape == units.shape == values.shape[2:]):
             raise ValueError(f"{metric}: {values.shape} values, {items.shape} items")
         if statistic not in STATISTICS[:3]:
@@ -257,6 +257,14 @@ def write_scores(
         write_atomic(beside, content)
         write_json(path, scores)
     return scores
+
+
+def _small(metric: str, numbers: Any) -> np.ndarray:
+    """Return whole numbers in 32 bits, as the file keeps them."""
+    whole, limits = np.asarray(numbers), np.iinfo(np.int32)
+    if whole.size and not (limits.min <= whole.min() and whole.max() <= limits.max):
+        raise ValueError(f"{metric}: items and units are numbers of 32 bits")
+    return whole.astype(np.int32)
 
 
 def _table(metric: str, figures: Figures) -> pl.DataFrame:

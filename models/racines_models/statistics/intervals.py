@@ -25,8 +25,8 @@ The spread that a training has because units are few is part of both; it is take
 """
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,8 @@ from racines_models.statistics.levels import nominal
 
 LEVEL = 0.95
 """Nominal coverage of every interval."""
+PILED = 0.25
+"""From this share of values equal to the median on, what lies below it is asked as well."""
 BLOCKS = 40
 """Most blocks of units that are left out in turn."""
 FEW = 30
@@ -53,6 +55,8 @@ class Replicates:
     units: int
     n: int
     """Items, such as frames, of one training."""
+    used: np.ndarray | None = None
+    """(B,) numbers of the blocks that are left out; None: not kept."""
 
     @property
     def value(self) -> float:
@@ -121,7 +125,8 @@ def mean_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS) -
     used = _used(counts)
     without = (total - sums[:, used]) / (count - counts[:, used])
     shown = np.unique(np.asarray(units)[present.any(0)])
-    return _checked(total[:, 0] / count[:, 0], without, len(shown), int(present[0].sum()))
+    whole, n = total[:, 0] / count[:, 0], int(present[0].sum())
+    return replace(checked(whole, without, len(shown), n), used=used)
 
 
 def median_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS) -> Replicates:
@@ -134,7 +139,7 @@ def median_replicates(values: np.ndarray, units: np.ndarray, most: int = BLOCKS)
     pairs = zip(values, present, strict=True)
     found = [_medians(row[shown], blocks[shown], used) for row, shown in pairs]
     whole, without = zip(*found, strict=True)
-    return _checked(np.array(whole), np.stack(without), means.units, means.n)
+    return replace(checked(np.array(whole), np.stack(without), means.units, means.n), used=used)
 
 
 def _medians(values: np.ndarray, blocks: np.ndarray, used: np.ndarray) -> tuple[Any, np.ndarray]:
@@ -156,38 +161,8 @@ def _used(counts: np.ndarray) -> np.ndarray:
     return np.flatnonzero((counts.sum(0) > 0) & (left > 0).all(0))
 
 
-def set_replicates(
-    statistics: Sequence[Callable[[np.ndarray], float]], units: np.ndarray, most: int = BLOCKS
-) -> Replicates:
-    """Return the replicates of a statistic of a set of N items; one function a training.
-
-    Each takes a (N,) boolean mask of the items to keep.
-    """
-    named = [lambda keep, each=each: {"": each(keep)} for each in statistics]
-    return set_replicates_all(named, units, most)[""]
-
-
-def set_replicates_all(
-    statistics: Sequence[Callable[[np.ndarray], Mapping[str, float]]],
-    units: np.ndarray,
-    most: int = BLOCKS,
-) -> dict[str, Replicates]:
-    """Return the replicates of several statistics that are computed together, by name."""
-    blocks = blocks_of(units, most)
-    count = int(blocks.max()) + 1
-    masks = [blocks != block for block in range(count if count > 1 else 0)]
-    # A set of one item has no spread, and so no distance to another.
-    masks = [np.ones(len(blocks), bool), *(mask for mask in masks if mask.sum() > 1)]
-    found = [[statistic(mask) for mask in masks] for statistic in statistics]
-    replicates = {}
-    for name in found[0][0]:
-        values = np.array([[each[name] for each in row] for row in found], np.float64)
-        several = values[:, 0], values[:, 1:], len(np.unique(units)), len(blocks)
-        replicates[name] = _checked(*several)
-    return replicates
-
-
-def _checked(whole: np.ndarray, without: np.ndarray, units: int, n: int) -> Replicates:
+def checked(whole: np.ndarray, without: np.ndarray, units: int, n: int) -> Replicates:
+    """Return replicates, with none left out where there is but one unit."""
     if without.shape[1] < 2:
         without = without[:, :0]
     return Replicates(whole, without, units, n)
@@ -244,14 +219,18 @@ def _wilson_reach(rate: float, n: float, z: float | None = None) -> tuple[float,
 def median_interval(
     values: np.ndarray, units: np.ndarray, minimum: float = -np.inf, maximum: float = np.inf
 ) -> Interval:
-    """Return the interval of the median of (R, N) or (N,) values, each training's taken apart."""
+    """Return the interval of the median of (R, N) or (N,) values, each training's taken apart.
+
+    Where many values are one, such as episodes that ran out of time, and the median is that one,
+    nearly all lie at or below it in every unit, which tells nothing of how it scatters: there the
+    share that lies below is asked as well, and the interval reaches as far as the wider of both.
+    """
     values = np.atleast_2d(np.asarray(values, np.float64))
     replicates = median_replicates(values, units)
     value, ends = replicates.value, None
     middles = np.nanmedian(values, axis=1, keepdims=True)
-    below = np.where(np.isfinite(values), values <= middles, np.nan)
-    found = [_of_units(mean_replicates(row, units)) for row in below]
-    reaches = [each for each in found if each is not None]
+    reaches = [_woodruff(*each, units) for each in zip(values, middles[:, 0], strict=True)]
+    reaches = [each for each in reaches if each is not None]
     if len(reaches) == len(values):
         # Of each training about its own median: they are of the same units, so their errors agree.
         shares = np.clip([(0.5 - up, 0.5 + down) for down, up in reaches], 0.0, 1.0)
@@ -262,6 +241,17 @@ def median_interval(
     return _joined(replicates, "median", ends, (spread, spread), "Woodruff", minimum, maximum)
 
 
+def _woodruff(values: np.ndarray, middle: float, units: np.ndarray) -> np.ndarray | None:
+    """Return how far the share of (N,) values at or below their median reaches down and up."""
+    known = np.isfinite(values)
+    below = [values <= middle]
+    if (values[known] == middle).mean() >= PILED:
+        below.append(values < middle)
+    shares = (mean_replicates(np.where(known, each, np.nan), units) for each in below)
+    found = [each for each in map(_of_units, shares) if each is not None]
+    return np.max(found, axis=0) if len(found) == len(below) else None
+
+
 def difference(first: Replicates, second: Replicates, kind: str = "difference") -> Interval:
     """Return the interval of first - second on the same units; trainings are independent.
 
@@ -270,6 +260,9 @@ def difference(first: Replicates, second: Replicates, kind: str = "difference") 
     """
     if (first.units, first.without.shape[1]) != (second.units, second.without.shape[1]):
         raise ValueError("two methods are compared on the same units alone")
+    kept = [each.used for each in (first, second) if each.used is not None]
+    if len(kept) == 2 and not np.array_equal(*kept):
+        raise ValueError("two methods are compared on the same units alone: others lack values")
     apart = Replicates(
         np.array([first.value - second.value]),
         (first.without.mean(0) - second.without.mean(0))[None],

@@ -42,4 +42,4 @@ def _units(row: dict[str, Any]) -> int:
 
 @lru_cache(maxsize=1)
 def _table() -> dict[str, Any] | None:
-    return json.loads(TABLE.read_text()) if TABLE.is_file() else None
+    return json.loads(TABLE.read_text(encoding="utf-8")) if TABLE.is_file() else None

@@ -128,7 +128,7 @@ def in_processes(count: int, work: Callable[..., T], *arguments: Any) -> T:
         except ProcessExitedException as error:
             told = Path(folder, f"{error.error_index}.refusal")
             fate = f"it ended with exit code {error.exit_code}"
-            refusal = told.read_text() if told.is_file() else fate
+            refusal = told.read_text(encoding="utf-8") if told.is_file() else fate
             raise RacinesError(f"process {error.error_index} of {count}: {refusal}") from error
         return pickle.loads(Path(folder, "0.result").read_bytes())
 
@@ -146,7 +146,7 @@ def _worker(
     try:
         Path(folder, f"{rank}.result").write_bytes(pickle.dumps(work(*arguments)))
     except RacinesError as error:
-        Path(folder, f"{rank}.refusal").write_text(str(error))
+        Path(folder, f"{rank}.refusal").write_text(str(error), encoding="utf-8")
         sys.exit(1)
     except BaseException:
         traceback.print_exc()

@@ -161,7 +161,7 @@ def _forget(training: Training) -> None:
 def _finished(training: Training, run: Run) -> Metrics | None:
     """Return the metrics of a run that is done, of this very training; None if it is not."""
     try:
-        note = json.loads((run.folder / FINISHED).read_text())
+        note = json.loads((run.folder / FINISHED).read_text(encoding="utf-8"))
         if note["seed"] == run.seed and note["what"] == _as_json(training.what):
             return note["metrics"]
     except FileNotFoundError:

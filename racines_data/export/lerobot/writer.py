@@ -349,7 +349,9 @@ def _write_meta(
     path = folder / "meta/episodes/chunk-000/file-000.parquet"
     path.parent.mkdir(parents=True)
     pq.write_table(pa.Table.from_pylist(writer.episodes), path)
-    (folder / "README.md").write_text(_card(describe(manifest, config), info, writer.shown))
+    (folder / "README.md").write_text(
+        _card(describe(manifest, config), info, writer.shown), encoding="utf-8"
+    )
     return info
 
 

@@ -72,7 +72,7 @@ class Pair(NamedTuple):
 def natural(name: str) -> list[tuple[int, str]]:
     """Return a sort key that puts 2 before 10."""
     words = re.split(r"(\d+)", name.lower())
-    return [(int(word), "") if word.isdigit() else (-1, word) for word in words]
+    return [(int(word), "") if word.isdecimal() else (-1, word) for word in words]
 
 
 def entries(folder: Path) -> list[Path]:
@@ -134,7 +134,7 @@ def _view_recordings(
         match = _SIDE.fullmatch(path.name)
         if match and path.is_dir():
             sides[match[1].lower(), match[2] or ""] = path
-        elif path.name.isdigit() and path.is_dir():
+        elif path.name.isdecimal() and path.is_dir():
             parts.append(path)
         else:
             unknown.append(path)

@@ -100,7 +100,7 @@ def _read(frames: list[_Frame]) -> list[_Frame]:
             image = frame.image.read_bytes()
             frame.size = check_png(image)
             log = frame.log.read_bytes()
-            frame.numbers = layout.parse_log(log.decode("utf-8", "replace"))
+            frame.numbers = layout.parse_log(log.decode("utf-8-sig", "replace"))
         except Fault as error:
             frame.fault = error
         except OSError as error:
@@ -324,6 +324,6 @@ class ReleaseSource(FolderSource):
 
 def _read_text(path: Path) -> str:
     try:
-        return path.read_text("utf-8", "replace")
+        return path.read_text("utf-8-sig", "replace")
     except OSError as error:
         raise RacinesError(f"{path}: cannot be read ({error}); import again") from error

@@ -8,6 +8,7 @@ in the beat it is, in [0, 1); without, the frames of one pose are evenly spread 
 """
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -93,7 +94,7 @@ def read_transforms(path: Path, tolerance: float) -> Transforms:
             said = "mirrored: " if fault.kind is Kind.REFLECTED else ""
             raise RacinesError(f"{path}: frames[{index}].transform_matrix: {said}{fault}")
     told = content.get("w"), content.get("h")
-    size = tuple(None if each is None else int(_number(each, f"{path}: w, h")) for each in told)
+    size = tuple(None if each is None else int(_finite(each, f"{path}: w, h")) for each in told)
     return Transforms(path, names, matrices, _times(path, times), (size[0], size[1]))
 
 
@@ -117,7 +118,17 @@ def _name(frame: dict[str, Any], where: str) -> str:
 def _number(value: Any, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise RacinesError(f"{where}: {str(value)[:40]!r} is no number")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _finite(value: Any, where: str) -> float:
+    number = _number(value, where)
+    if not math.isfinite(number):
+        raise RacinesError(f"{where}: {str(value)[:40]} is not finite")
+    return number
 
 
 def _matrix(frame: dict[str, Any], where: str) -> np.ndarray:

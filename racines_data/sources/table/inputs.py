@@ -4,6 +4,7 @@ import re
 import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 from string import Formatter
 from typing import Any
@@ -70,19 +71,29 @@ class Folder:
             raise RacinesError(f"{where}: {what}, where a file is needed")
         return path
 
-    def match(self, pattern: str, field: str) -> list[Path]:
+    def match(self, template: str, field: str, **values: str) -> list[Path]:
         """Return the files that a pattern with `*` matches, or the one that a name names.
 
-        In natural order: 2 before 10.
+        In natural order: 2 before 10. No sign but `*` and `?` of the template is a wildcard.
+
+        Args:
+            template: The name or pattern.
+            field: Of the mapping, for messages.
+            values: What stands in the place of names in braces, if any, to the letter.
 
         Raises:
             RacinesError: as for `file`, or nothing matches.
         """
-        if "*" not in pattern and "?" not in pattern:
+        pattern = fill_in(template, values, field) if values else template
+        if "*" not in template and "?" not in template:
             return [self.file(pattern, field)]
-        if pattern.startswith("/") or ".." in Path(pattern).parts or "**" in pattern:
+        if pattern.startswith("/") or ".." in Path(pattern).parts or "**" in template:
             raise RacinesError(f"{field}: {pattern}: give a pattern inside the folder, without **")
-        found = sorted(self.root.glob(pattern), key=lambda path: natural(self.name(path)))
+        searched = template.replace("[", "[[]")
+        if values:
+            literal = {name: escape(value) for name, value in values.items()}
+            searched = fill_in(searched, literal, field)
+        found = sorted(self.root.glob(searched), key=lambda path: natural(self.name(path)))
         found = [path for path in found if not path.name.startswith(".")]
         if not found:
             raise RacinesError(f"{field}: no file in {self.root} matches {pattern}")
@@ -144,8 +155,17 @@ def fields_of(template: str, field: str) -> list[str]:
 
 
 def fill_in(template: str, values: Mapping[str, Any], field: str) -> str:
-    """Return a path with the values of one row in the place of the names in braces."""
+    """Return a path with the values of one row in the place of the names in braces.
+
+    Digits that stand as text, which have zeros before them in a table, are numbers to a width.
+    """
+    widths = {name for _, name, spec, _ in Formatter().parse(template) if name and spec}
+    numbers = {
+        name: int(value)
+        for name, value in values.items()
+        if name in widths and isinstance(value, str) and value.isascii() and value.isdigit()
+    }
     try:
-        return template.format_map(values)
+        return template.format_map({**values, **numbers})
     except (ValueError, KeyError) as error:
         raise RacinesError(f"{field}: {template}: {error}; values {dict(values)}") from error

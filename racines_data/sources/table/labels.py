@@ -9,7 +9,7 @@ import polars as pl
 from racines_data.errors import RacinesError
 from racines_data.sources.table.mapping import Mapping
 from racines_data.sources.table.rows import numbers, texts
-from racines_data.views import RANDOM, VIEWS
+from racines_data.views import RANDOM, VIEWS, check_labels
 
 _NEWTONS = {"N": 1.0, "mN": 1e-3, "gf": 9.80665e-3}
 _NEWTON_METRES = {"N·m": 1.0, "N·mm": 1e-3}
@@ -31,12 +31,12 @@ def labels_of(mapping: Mapping) -> tuple[str, ...]:
     """Return the names of the views, `Random` last.
 
     Raises:
-        RacinesError: a name stands twice, is empty, or is `Random`.
+        RacinesError: a name stands twice, is empty, is `Random`, or cannot name a file.
     """
     views = mapping.labels.views or VIEWS
     if len(set(views)) < len(views) or not all(views) or RANDOM in views:
         raise RacinesError(f"labels.views: {', '.join(views)}: names, each once, without {RANDOM}")
-    return (*views, RANDOM)
+    return (*check_labels(views, "labels.views"), RANDOM)
 
 
 def read_labels(table: pl.DataFrame, mapping: Mapping, path: Path) -> Labelled:

@@ -223,7 +223,7 @@ class Labels(_Part):
         default=None, description="column of what a frame shows; empty: unknown"
     )
     grade: str | None = Field(
-        default=None, description="column of the grade, 0 to 10; empty: unknown"
+        default=None, description="column of the grade, 1 to 10 of a known view; empty: unknown"
     )
     target_view: str | None = Field(default=None, description="column of what a sweep aims at")
     session: str | None = Field(

@@ -127,8 +127,7 @@ def _names(
         )
     by_row = bool(own) or "row" in fields
     if not by_row:
-        name = fill_in(template, {"sweep": sweep}, _FIELD)
-        return [*folder.match(name, _FIELD)], {}, True
+        return [*folder.match(template, _FIELD, sweep=sweep)], {}, True
     assert table is not None
     columns = {name: column(table, name, _FIELD, path).to_list() for name in own}
     found: list[Path | None] = []

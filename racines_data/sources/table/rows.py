@@ -8,6 +8,7 @@ import io
 import json
 import re
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ LARGEST = 2_000_000_000
 _COMMA = re.compile(r"\s*[-+]?\d+,\d+\s*")
 _NULLS = ("", "NA", "N/A", "na", "null", "None", "-")
 _SHOWN = 12
+_PADDED = re.compile(r"(?<![\d.])0\d")
 
 
 def read_table(
@@ -70,13 +72,15 @@ def _read(path: Path, separator: str | None, comma: bool, records: str | None) -
     if ending == ".json":
         return _from_json(path, text, records)
     separator = separator or _separator(text)
-    return pl.read_csv(
-        io.StringIO(text),
-        separator=separator,
-        decimal_comma=comma,
-        infer_schema_length=None,
-        null_values=list(_NULLS),
-    ).rename(lambda name: name.strip())
+    read = partial(pl.read_csv, separator=separator, null_values=list(_NULLS))
+    table = read(io.StringIO(text), decimal_comma=comma, infer_schema_length=None)
+    # 001 is a name: where a column of whole numbers has zeros before them, it stays text.
+    whole = [name for name, kind in table.schema.items() if kind.is_integer()]
+    if whole and _PADDED.search(text):
+        words = read(io.StringIO(text), columns=whole, infer_schema=False)
+        padded = [each for each in words.iter_columns() if each.str.contains(r"^\s*0\d").any()]
+        table = table.with_columns(padded)
+    return table.rename(lambda name: name.strip())
 
 
 def _text(path: Path) -> str:
@@ -105,10 +109,15 @@ def _from_json(path: Path, text: str, records: str | None) -> pl.DataFrame:
 
 
 def _separator(text: str) -> str:
-    """Return which of the usual separators stands most often in the first line."""
-    head = text.split("\n", 1)[0]
-    counts = {mark: head.count(mark) for mark in (";", "\t", ",", " ")}
-    return max(counts, key=lambda mark: counts[mark]) if any(counts.values()) else ","
+    """Return which of the usual separators stands most often in the first line.
+
+    A space is one only where there is no other: names of columns may have spaces in them.
+    """
+    head = text.split("\n", 1)[0].strip()
+    counts = {mark: head.count(mark) for mark in (";", "\t", ",")}
+    if any(counts.values()):
+        return max(counts, key=lambda mark: counts[mark])
+    return " " if " " in head else ","
 
 
 def has_commas(table: pl.DataFrame) -> bool:

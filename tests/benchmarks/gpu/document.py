@@ -143,7 +143,7 @@ def read(path: Path) -> dict[str, Any]:
         RacinesError: it is not there, or is none.
     """
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(path.read_text(encoding="utf-8"))
         jsonschema.validate(content, SCHEMA)
     except (OSError, ValueError, jsonschema.ValidationError) as error:
         told = error.message if isinstance(error, jsonschema.ValidationError) else error

@@ -135,6 +135,6 @@ def _stop(process: subprocess.Popen[bytes]) -> None:
 def _read(path: Path) -> Mapping[str, Any]:
     """Return a JSON file; nothing where it is not there, or half-written by who was stopped."""
     try:
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}

@@ -57,7 +57,7 @@ def content(digest: str) -> dict[str, Any]:
 
 
 def write(path: Path, content: Any) -> Path:
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(content), encoding="utf-8")
     return path
 
 
@@ -118,7 +118,7 @@ def test_without_anything_new_the_bytes_stay(root: Path):
 def test_a_report_that_does_not_fit_is_refused(
     root: Path, report: Path, change: dict[str, Any], told: str
 ):
-    write(report, {**json.loads(report.read_text()), **change})
+    write(report, {**json.loads(report.read_text(encoding="utf-8")), **change})
     before = card(root)
     with pytest.raises(RacinesError, match=f"realism.json: {told}"):
         rewrite_card(root, [report])

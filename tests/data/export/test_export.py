@@ -206,6 +206,16 @@ def test_minari_images_are_stored_as_they_are(moving: Path, tmp_path: Path):
         assert np.array_equal(flat.reshape(-1, 128, 128), sweep.images())
 
 
+def test_minari_leaves_out_what_has_no_step(moving: Path, tmp_path: Path):
+    with pytest.raises(RacinesError, match="no sweep has two frames, hence no step"):
+        load_exporter("minari")(moving, tmp_path / "none", limit=1)
+    assert not (tmp_path / "none").exists()
+    first = len(next(iter(read_sweeps(moving))))
+    made = load_exporter("minari")(moving, tmp_path / "out", limit=first + 1)
+    assert made["trajectories"] == 1 and made["frames"] == first
+    assert made["notes"][-1] == "1 sweeps of one frame have no step and are left out"
+
+
 def test_minari_steps_pay_what_the_task_pays():
     views = np.array([1, 0, 0, 0, 2, -1, 0])
     grades = np.array([9, 2, 5, np.nan, 7, 7, 4])

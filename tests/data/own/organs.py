@@ -67,7 +67,7 @@ def write_cup(folder: Path, ending: str = ".obj", scale: float = 1.0) -> Path:
 
 def write_sheet(path: Path, values: dict[str, Any]) -> Path:
     """Write a tissues.yaml."""
-    path.write_text(yaml.safe_dump(values, sort_keys=False))
+    path.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
     return path
 
 

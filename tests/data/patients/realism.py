@@ -36,7 +36,7 @@ def read(tuning: str, reporting: str) -> Reports:
     """Return the reports by world and list."""
     places = dict(zip(LISTS, (tuning, reporting), strict=True))
     found = {
-        world: {name: json.loads(Path(f"{out}-{world}.json").read_text())
+        world: {name: json.loads(Path(f"{out}-{world}.json").read_text(encoding="utf-8"))
                 for name, out in places.items()}
         for world in WORLDS
     }  # fmt: skip

@@ -49,6 +49,19 @@ def test_recordings_become_trajectories(tree: Path):
     assert source_class("release") is ReleaseSource
 
 
+def test_a_byte_order_mark_and_signs_that_look_like_digits_are_read_over(tree: Path):
+    plain = source(tree)
+    expected = [plain.produce(unit).parameters for unit in plain.plan()]
+    for log in tree.rglob("*.txt"):
+        log.write_bytes(b"\xef\xbb\xbf" + log.read_bytes())
+    (tree / "note 5²").write_text("a note")
+    (tree / "²").mkdir()
+    made = source(tree)
+    found = [made.produce(unit).parameters for unit in made.plan()]
+    assert len(found) == len(expected)
+    assert all(map(np.array_equal, found, expected))
+
+
 def test_frames_are_what_the_files_say(tree: Path):
     """Compare with a reader that shares no code with the importer."""
     made = source(tree)

@@ -84,6 +84,8 @@ def nan(rows: np.ndarray) -> np.ndarray:
         (lambda c: c.update(frames=[]), "key `frames`: give a list"),
         (lambda c: c.update(w=64), f"w: 64, where images/0000.png has {SIDE} pixels"),
         (lambda c: c.update(h="tall"), "w, h: 'tall' is no number"),
+        (lambda c: c.update(w=float("nan")), "w, h: nan is not finite"),
+        (lambda c: c.update(w=10**400), "w, h: 1000.* is not finite"),
         (lambda c: c["frames"].pop(), "frames: 35 of them, and 36 images in images"),
         (lambda c: c["frames"][3].update(time=0.5), r"frames\[0\].time: missing, where others"),
         (lambda c: [f.update(time=0.5) for f in c["frames"]], r"frames\[1\].time: two frames of"),

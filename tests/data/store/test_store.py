@@ -72,7 +72,7 @@ def test_order_depends_on_the_seed_alone(store: FrameStore):
 
 def test_images_are_mapped_not_copied(store: FrameStore):
     assert store.images.is_contiguous()
-    smaps = Path("/proc/self/smaps").read_text()
+    smaps = Path("/proc/self/smaps").read_text(encoding="utf-8")
     assert str(store.root.resolve() / "store" / "frames.arrow") in smaps
 
 

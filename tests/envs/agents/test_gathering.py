@@ -107,7 +107,9 @@ def test_the_command_gives_turns_and_not_seeds_to_its_engine(tmp_path: Path, mon
     told = CliRunner().invoke(app, called)
     assert told.exit_code == 0, told.output
     assert Noting.done == [(gathering.gather, 2)] * 2
-    assert json.loads(Path("envs/runs/ppo/metrics.json").read_text())["frames"] == 512
+    assert (
+        json.loads(Path("envs/runs/ppo/metrics.json").read_text(encoding="utf-8"))["frames"] == 512
+    )
 
 
 def test_groups_are_of_one_size(tmp_path: Path):

@@ -84,4 +84,7 @@ if __name__ == "__main__":
         ("robustness", "ejection"), (robustness, ejection), sys.argv[1:3], strict=True
     ):
         about = {"schema": "racines.figures/1", "machine": MACHINE, "source": "measured once"}
-        write_json(RESULTS / f"{name}.json", about | make(json.loads(Path(file).read_text())))
+        write_json(
+            RESULTS / f"{name}.json",
+            about | make(json.loads(Path(file).read_text(encoding="utf-8"))),
+        )

@@ -132,6 +132,15 @@ def test_every_interface_takes_twists(phantom):
         rows.step(np.array(["left"] * 3))
 
 
+@pytest.mark.parametrize("still", [[0] * 6, np.zeros(6, int), np.zeros(6)])
+def test_a_twist_of_whole_numbers_is_one(real_phantom, still):
+    env = gymnasium.make(
+        "racines_envs:racines/SC-v0", observation="params", reward="oracle", action="velocity"
+    )
+    seen = env.reset(seed=0)[0]
+    assert np.allclose(env.step(still)[0][6:], seen[6:], atol=1e-3)
+
+
 def test_recorded_twists_are_taken_again(real_phantom, tmp_path):
     env = gymnasium.make(
         "racines_envs:racines/SC-v0", observation="params", reward="oracle", action="velocity"

@@ -125,9 +125,11 @@ def climbed(ground) -> Path:
 @copied
 def scanned(ground) -> Path:
     """The record of a planner on patients, who have a board of their own."""
-    settings = yaml.safe_load(Path("params.yaml").read_text()) | {"patient_boards": ["patients"]}
+    settings = yaml.safe_load(Path("params.yaml").read_text(encoding="utf-8")) | {
+        "patient_boards": ["patients"]
+    }
     settings["evaluation_patients"] = {"split": "validation", "patients": 3, "starts": 1}
-    Path("params.yaml").write_text(yaml.safe_dump(settings))
+    Path("params.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
     config = PatientsConfig(split="validation", patients=3, starts=1)
     run = "planner-a4c"
     scored = evaluate_patients("planner", Path("envs/runs/planner"), config, None, run, "patients")
@@ -138,9 +140,9 @@ def scanned(ground) -> Path:
 
 def evaluate_at_one_start_set(starts: int) -> None:
     """Set the board to one start set."""
-    settings = yaml.safe_load(Path("params.yaml").read_text())
+    settings = yaml.safe_load(Path("params.yaml").read_text(encoding="utf-8"))
     settings["evaluation"] = {"seeds": [0], "starts": starts}
-    Path("params.yaml").write_text(yaml.safe_dump(settings))
+    Path("params.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
 
 
 def climb(config: EvaluationConfig) -> Path:
@@ -148,7 +150,7 @@ def climb(config: EvaluationConfig) -> Path:
     run = Path("envs/runs/hill-climber")
     scores = evaluate("hill-climber", run, config, board="tiny").scores
     Path("envs/runs/scores").mkdir(parents=True)
-    Path("envs/runs/scores/hill-climber.json").write_text(json.dumps(scores))
+    Path("envs/runs/scores/hill-climber.json").write_text(json.dumps(scores), encoding="utf-8")
     (path,) = collect([Path("envs/runs/scores")], RESULTS, SUBMISSIONS, "tiny")
     return path
 
@@ -205,7 +207,7 @@ def judged(ground) -> Path:
     scores |= {"weights": weights_of("mean-image", runs / "mean-image")}
     scores["dataset"]["board"] = "tiny"
     inbox(Path.cwd(), "scored")
-    Path("scored/mean-image.json").write_text(json.dumps(scores))
+    Path("scored/mean-image.json").write_text(json.dumps(scores), encoding="utf-8")
     adapter = {"kind": "adapter", "adapter": "racines_models.generators.mean_image:MeanImage"}
     data = {"source": "phantom", "version": "1.0.0", "digest": store.manifest["digest"]}
     about = {"name": "mean-image", "dataset": data, "url": "https://example.org/mean"}
@@ -229,11 +231,11 @@ def guided(ground) -> Path:
 @copied
 def learned(ground) -> Path:
     """The record of an agent of three trainings, of which the first alone was published."""
-    settings = yaml.safe_load(Path("params.yaml").read_text())
+    settings = yaml.safe_load(Path("params.yaml").read_text(encoding="utf-8"))
     entry = {"frames": 128, "envs": 8, "update_every": 128, "minibatch": 64, "epochs": 1}
     entry |= {"hidden": [8, 8], "validation_starts": 2, "repeats": 3}
     settings |= {"agents": {"ppo": entry}, "evaluation": {"seeds": [0, 1], "starts": 4}}
-    Path("params.yaml").write_text(yaml.safe_dump(settings))
+    Path("params.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
     run, scored = Path("envs/runs/ppo"), inbox(Path.cwd(), "scored")
     recipe: Any = phantom_recipe(make_phantom(None))
     adapter = {"kind": "adapter", "adapter": "racines_envs.agents.ppo:PPOAgent"}
@@ -262,9 +264,9 @@ def run_command(*words: str) -> None:
 @copied
 def painted(ground) -> Path:
     """The record of a generator of three trainings, of which a copy of the first was published."""
-    settings = yaml.safe_load(Path("params.yaml").read_text())
+    settings = yaml.safe_load(Path("params.yaml").read_text(encoding="utf-8"))
     settings["generators"]["vae-gan"]["training"]["repeats"] = 3
-    Path("params.yaml").write_text(yaml.safe_dump(settings))
+    Path("params.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
     runs, copy = Path("models/runs"), Path("models/weights/vae-gan")
     scored = inbox(Path.cwd(), "scored")
     adapter = {"kind": "adapter", "adapter": "racines_models.generators.vae_gan:VaeGan"}

@@ -40,22 +40,22 @@ def failing(report: Report) -> set[str]:
 
 def edit(path: Path, reseal: bool = True, **metrics: dict[str, Any]) -> None:
     """Change figures of a record, as somebody would who knows of the seal."""
-    record = json.loads(path.read_text())
+    record = json.loads(path.read_text(encoding="utf-8"))
     for key, changes in metrics.items():
         record["scores"]["metrics"][key] |= changes
-    path.write_text(json.dumps(sealed(record) if reseal else record))
+    path.write_text(json.dumps(sealed(record) if reseal else record), encoding="utf-8")
 
 
 def swap_artefact(record_path: Path, new: Path) -> None:
     """Put another file in an artefact's place, with all hashes made to fit."""
-    record = json.loads(record_path.read_text())
+    record = json.loads(record_path.read_text(encoding="utf-8"))
     folder = SUBMISSIONS / record["track"] / record["name"]
     (entry,) = record["submission"]["artefacts"]
     (folder / entry["path"]).write_bytes(new.read_bytes())
     entry |= artefact(entry["kind"], folder / entry["path"])
     record["scores"]["weights"] = {entry["path"]: entry["sha256"]}
     (folder / "submission.yaml").write_text(yaml.safe_dump(record["submission"]))
-    record_path.write_text(json.dumps(sealed(record)))
+    record_path.write_text(json.dumps(sealed(record)), encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", ["drawn", "steered", "merged"])
@@ -274,14 +274,14 @@ def test_training_again_reaches_the_tier_only_if_it_holds(merged):
     bench = Bench("tiny", Places())
     psnr = dict(record["scores"]["metrics"]["psnr"])
     own = Path("models/runs/scores/mean-image.json")
-    kept = own.read_text()
+    kept = own.read_text(encoding="utf-8")
     own.unlink()
     edit(merged, psnr={key: psnr[key] + 9 for key in ("value", "low", "high")})
     report = retrain(merged, bench, Path("again"))
     assert failing(report) == {"reproduced.psnr"}
     assert json.loads(merged.read_text())["tier"] == "self-reported"
     edit(merged, psnr=psnr)
-    own.write_text(kept)
+    own.write_text(kept, encoding="utf-8")
     report = retrain(merged, bench, Path("again"))
     assert report.holds, failing(report)
     record = json.loads(merged.read_text())
@@ -303,7 +303,7 @@ def test_the_command_reports_and_exits_by_what_it_found(drawn, merged, tmp_path)
     edit(drawn, reseal=False, ssim={"n": 15})
     done = CliRunner().invoke(app, ["audit", "mine", "--quick", "--out", "report.md"])
     assert done.exit_code == 1 and "DOES NOT HOLD" in done.stdout
-    page = Path("report.md").read_text()
+    page = Path("report.md").read_text(encoding="utf-8")
     assert "| seal | does not hold |" in page and "| metrics.ssim.n | does not hold |" in page
     assert CliRunner().invoke(app, ["audit", "nobody"]).exit_code == 1
     assert CliRunner().invoke(app, ["audit"]).exit_code == 2

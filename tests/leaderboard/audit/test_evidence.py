@@ -30,7 +30,7 @@ class Told:
 
     def __init__(self, path: Path, hours: float | None = 2.0) -> None:
         self.path, self.bench = path, Bench("tiny", Places())
-        self.record = json.loads(path.read_text())
+        self.record = json.loads(path.read_text(encoding="utf-8"))
         scores, sample = self.record["scores"], self.bench.sample
         items, units = sample.frames.index.numpy(), sample.trajectory
         rng, self.values = np.random.default_rng(0), {}
@@ -107,7 +107,7 @@ def test_the_first_of_several_trainings_holds_and_the_others_are_retrainable(sev
 def test_trainings_without_their_hours_are_not_verified(judged, several):
     several.record["submission"]["training"].pop("hours")
     path = Path("leaderboard/submissions/generators/mean-image/submission.yaml")
-    path.write_text(json.dumps(several.record["submission"]))
+    path.write_text(json.dumps(several.record["submission"]), encoding="utf-8")
     report = several.audit(several.evidence_of(several.values))
     assert report.verdict == NOT_VERIFIED and not failing(report)
     assert [each.subject for each in report.open] == ["trainings"]

@@ -61,7 +61,7 @@ def made(tmp_path_factory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         coarse(patch)
-        Path("params.yaml").write_text(yaml.safe_dump(SETTINGS))
+        Path("params.yaml").write_text(yaml.safe_dump(SETTINGS), encoding="utf-8")
         for name in ("mean-image", "scout-attention"):
             racines("train", "generator", name, "--tier", "patients", "--json")
         for name in NAMES:
@@ -354,7 +354,9 @@ def test_images_of_others_are_refused(board):
     done = CliRunner().invoke(app, list(words))
     assert "mine: dataset.digest" in str(done.exception)
     assert "what board patients asks of patients" in str(done.exception)
-    Path("params.yaml").write_text(yaml.safe_dump(SETTINGS | {"patient_boards": []}))
+    Path("params.yaml").write_text(
+        yaml.safe_dump(SETTINGS | {"patient_boards": []}), encoding="utf-8"
+    )
     done = CliRunner().invoke(app, ["leaderboard", "--recompute", "mine"])
     assert "which these settings do not make (patient_boards: none)" in str(done.exception)
     for words, message in (

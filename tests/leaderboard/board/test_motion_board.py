@@ -96,7 +96,7 @@ def test_tables_show_intervals_and_other_weights(board):
     racines("leaderboard", "--board", "moving", "--csv", str(csv), "--markdown", "BOARDS.md")
     assert "moving,motion," in csv.read_text()
     assert (RESULTS / "moving/motion.png").is_file()
-    assert "| bound | mean-motion |" in Path("BOARDS.md").read_text()
+    assert "| bound | mean-motion |" in Path("BOARDS.md").read_text(encoding="utf-8")
     (rows,) = orders(RESULTS, "moving").values()
     assert set(rows) == {*NAMES} - {"no-motion"}
     assert set(rows["pair-cnn"]["places"]) >= {"score", "global", "local"}
@@ -219,10 +219,12 @@ def handed_in(digest: str, *files: str) -> None:
         racines("export", "motion", "mean-motion", "--out", f"mine/{file}", *ON)
     racines("submit", "--new", "mine", "--track", "motion")
     path = Path("mine/submission.yaml")
-    text = path.read_text().replace("0" * 64, digest).replace('"0000000"', '"0a1b2c3"')
+    text = (
+        path.read_text(encoding="utf-8").replace("0" * 64, digest).replace('"0000000"', '"0a1b2c3"')
+    )
     for blank in BLANKS:
         text = text.replace(blank, "an example")
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
 
 
 @pytest.mark.parametrize("named", ["digest", "recipe_digest"])

@@ -51,7 +51,7 @@ def made(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("patients-board")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        Path("params.yaml").write_text(yaml.safe_dump(SETTINGS))
+        Path("params.yaml").write_text(yaml.safe_dump(SETTINGS), encoding="utf-8")
         shutil.copytree(ROOT / "leaderboard/submissions", "leaderboard/submissions")
         racines("train", "agent", "constant-pose", "--json")
         for agent in ("constant-pose", "planner"):

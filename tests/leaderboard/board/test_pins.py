@@ -63,7 +63,7 @@ def test_a_pin_says_what_the_anchors_were_scored_on(results: Path):
 
 
 def edited(path: Path, *keys: str, value: object) -> Path:
-    document = json.loads(path.read_text())
+    document = json.loads(path.read_text(encoding="utf-8"))
     node = document
     for key in keys[:-1]:
         node = node[key]
@@ -71,7 +71,7 @@ def edited(path: Path, *keys: str, value: object) -> Path:
         del node[keys[-1]]
     else:
         node[keys[-1]] = value
-    path.write_text(json.dumps(document))
+    path.write_text(json.dumps(document), encoding="utf-8")
     return path
 
 

@@ -48,7 +48,7 @@ def made(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("robustness-board")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        Path("params.yaml").write_text(yaml.safe_dump(SETTINGS))
+        Path("params.yaml").write_text(yaml.safe_dump(SETTINGS), encoding="utf-8")
         shutil.copytree(ROOT / "leaderboard/submissions", SUBMISSIONS)
         racines("eval", "agent", "planner", "--view", "A4C", "--tier", "patients")
         config = RobustnessConfig(patients=2, disturbances=tuple(TWO))
@@ -69,7 +69,7 @@ def work(made, tmp_path, monkeypatch) -> Path:
 def hand_in(change: Change = lambda _: None) -> Path:
     """Put a report, changed, into the planner's submission; return where it lies."""
     document = read_document(SUBMISSIONS / "patient-agents/planner/submission.yaml")
-    report = json.loads(Path("report.json").read_text())
+    report = json.loads(Path("report.json").read_text(encoding="utf-8"))
     change(report)
     path = SUBMISSIONS / "patient-agents/planner/a4c.json"
     path.write_text(json.dumps(report))
@@ -93,7 +93,7 @@ def test_a_report_is_a_column_that_names_its_patients_and_ranks_nothing(work):
     row = gather()
     metric = metric_of(row, "disturbed_found")
     assert metric is not None and metric["n"] == 2
-    found = json.loads(Path("report.json").read_text())["conditions"]
+    found = json.loads(Path("report.json").read_text(encoding="utf-8"))["conditions"]
     shares = [found[f"{name}, moderate"]["metrics"]["success_declared"]["value"] for name in TWO]
     assert metric["value"] == pytest.approx(sum(shares) / 2)
     assert "disturbed_found" not in row["scores"]["metrics"], "scores say nothing of it"
@@ -230,7 +230,7 @@ def test_a_report_is_looked_into_when_it_is_handed_in(work):
     write()
     taken = take_in(folder, SUBMISSIONS)
     assert find_submission(SUBMISSIONS, "patient-agents", "mine") == taken.document
-    report = json.loads(Path("report.json").read_text())
+    report = json.loads(Path("report.json").read_text(encoding="utf-8"))
     _better(report)
     (folder / "a4c.json").write_text(json.dumps(report))
     about["name"] = "other"

@@ -50,7 +50,7 @@ def made(tmp_path_factory) -> Path:
         patch.chdir(folder)
         coarse(patch)
         write_rotation(folder / "heart", turns=36)
-        Path("params.yaml").write_text(yaml.safe_dump(SETTINGS))
+        Path("params.yaml").write_text(yaml.safe_dump(SETTINGS), encoding="utf-8")
         words = "--source", "rotation", "--set", "split=gap", "--out", "turns", "--workers", "1"
         racines("data", "import", "heart", *words)
         for name in NAMES:
@@ -101,7 +101,7 @@ def test_the_table_says_one_heart_and_has_no_millimetres(board):
     told = " ".join(shown.split())
     assert "n = 1 patient" in told and "pose error" not in told.lower()
     racines("leaderboard", "--board", "turned", "--markdown", "page.md")
-    page = Path("page.md").read_text()
+    page = Path("page.md").read_text(encoding="utf-8")
     assert "turn-generators" in page and " mm" not in page.replace("millimetres", "")
     listed = json.loads(racines("leaderboard", "--board", "turned", "--json"))
     rows = listed["boards"]["turned"][TURN_GENERATORS.name]

@@ -75,7 +75,7 @@ def test_a_dataset_with_a_missing_or_damaged_file_is_broken(here: Path, tiny_roo
     assert code == 1 and told["data/tiny/README.md"]["problem"] == "missing"
     assert "damaged" in told[str(shard)]["problem"]
     assert all("racines data build" in each["remedy"] for each in told.values())
-    Path("data/tiny/manifest.json").write_text("{")
+    Path("data/tiny/manifest.json").write_text("{", encoding="utf-8")
     (problem,) = run()[1]["problems"]
     assert problem["what"] == "data/tiny/manifest.json" and "rebuild" in problem["remedy"]
 

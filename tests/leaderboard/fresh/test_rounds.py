@@ -237,3 +237,12 @@ def test_an_unknown_board_is_refused(results, tmp_path):
     done = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "n.json")])
     assert done.exit_code == 1 and "no results of tyni" in str(done.exception)
     assert not (tmp_path / "n.json").exists()
+
+
+def test_a_reveal_before_its_commitment_changes_nothing(results, tmp_path):
+    private = commit(results, "tiny", NONCE, "2026-10-02", tmp_path / "own/nonce.json")
+    secret, before = read_secret(private, results, "tiny"), history(results)
+    with pytest.raises(RacinesError, match="committed to on 2026-10-02: set the clock right"):
+        reveal(results, secret, "2026-10-01")
+    assert history(results) == before
+    reveal(results, secret, "2026-10-02")

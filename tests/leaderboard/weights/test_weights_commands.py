@@ -110,5 +110,5 @@ def test_what_is_not_there_is_told(copied: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_a_card_is_written_to_a_file(copied: Path):
     assert run("card", "ppo", "--out", "cards/ppo.md").exit_code == 0
-    written = Path("cards/ppo.md").read_text()
+    written = Path("cards/ppo.md").read_text(encoding="utf-8")
     assert "# ppo" in written and "records of its rows are not here" in written

@@ -58,7 +58,7 @@ def test_its_card_has_the_figures_of_the_records_with_n(copied: Catalogue):
     (plan,) = plan_pushes(copied, copied.sets.values(), "someone")
     results = ModelCard(plan.card).data.eval_results
     assert results is not None
-    metrics = json.loads(RECORD.read_text())["scores"]["metrics"]
+    metrics = json.loads(RECORD.read_text(encoding="utf-8"))["scores"]["metrics"]
     found = {each.metric_type: each for each in results}
     assert {name for name, told in metrics.items() if told["value"] is not None} == {*found}
     told = found["success_true"]
@@ -156,7 +156,7 @@ def test_a_dry_run_lists_and_writes_cards_and_asks_nobody(
     done = CliRunner().invoke(app, words)
     assert done.exit_code == 0, done.output
     assert "seed-2/policy.safetensors" in done.stdout and "would send 1 model" in done.stdout
-    assert "# ppo" in Path("cards/racines-ppo/README.md").read_text()
+    assert "# ppo" in Path("cards/racines-ppo/README.md").read_text(encoding="utf-8")
     told = json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)
     assert told["dry_run"] and told["weights"][0]["repo_id"] == REPO
 

@@ -5,7 +5,7 @@ import polars as pl
 import pytest
 
 from racines_data.errors import RacinesError
-from racines_models.statistics import Evidence, figure, intervals
+from racines_models.statistics import Evidence, figure, set_replicates
 
 RANDOM = np.random.default_rng(0)
 UNITS = np.repeat(np.arange(9), [3, 9, 4, 7, 5, 6, 8, 2, 5])
@@ -22,7 +22,7 @@ def evidence() -> Evidence:
     holes[:, :, UNITS == 4] = np.nan
     kept.add("pose_error_mm", "median", holes, ITEMS, UNITS)
     sets = [lambda keep, row=row: float(row[:, keep].mean()) for row in values]
-    kept.add_set("fid", intervals.set_replicates(sets, UNITS))
+    kept.add_set("fid", set_replicates(sets, UNITS))
     return kept
 
 
@@ -65,9 +65,7 @@ def test_an_interval_is_cut_at_the_ends_that_the_file_keeps(tmp_path):
     kept, values = Evidence(), np.where(UNITS == 2, 0.4, 0.99)
     kept.add("share", "mean", values, ITEMS, UNITS, 0.0, 1.0)
     kept.add("error", "median", np.where(UNITS > 4, 0.0, values), ITEMS, UNITS, 0.1)
-    kept.add_set(
-        "fid", intervals.set_replicates([lambda keep: values[keep].mean()], UNITS), 0.8, 0.95
-    )
+    kept.add_set("fid", set_replicates([lambda keep: values[keep].mean()], UNITS), 0.8, 0.95)
     kept.add("any", "mean", values, ITEMS, UNITS)
     kept.write(tmp_path / "a.parquet")
     read = Evidence.read(tmp_path / "a.parquet").figures
@@ -120,3 +118,8 @@ def test_shapes_that_do_not_fit_are_refused():
     kept.add("ssim", "mean", np.zeros(N), ITEMS, UNITS)
     with pytest.raises(ValueError, match="already"):
         kept.add("ssim", "mean", np.zeros(N), ITEMS, UNITS)
+
+
+def test_units_that_do_not_fit_the_file_are_refused():
+    with pytest.raises(ValueError, match="units are numbers of 32 bits"):
+        Evidence().add("x", "mean", np.ones(2), [0, 1], [1, 1 + 2**32])

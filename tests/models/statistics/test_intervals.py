@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.stats import norm
 
 from racines_models.statistics.intervals import (
     Replicates,
@@ -14,10 +15,10 @@ from racines_models.statistics.intervals import (
     median_interval,
     median_replicates,
     rate_interval,
-    set_replicates,
     skewness_of,
     wilson_ends,
 )
+from racines_models.statistics.sets import set_replicates
 
 UNITS = np.repeat(np.arange(8), [3, 9, 4, 7, 5, 6, 8, 2])
 VALUES = np.random.default_rng(0).gamma(2.0, 1.0, (3, len(UNITS)))
@@ -235,3 +236,27 @@ def test_what_is_written_again_for_speed_is_the_librarys_to_the_last_bit():
         assert found.whole.tolist() == np.nanmedian(values, 1).tolist()
         kept = [np.nanmedian(values[:, units != unit], 1) for unit in range(7)]
         assert found.without.tolist() == np.array(kept).T.tolist()
+
+
+def test_a_median_beside_a_pile_is_no_point():
+    """Episodes of 140 patients, five each: 48 % end at the longest, the median is just below."""
+    chance = np.random.default_rng(0)
+    units, held, points = np.repeat(np.arange(140), 5), 0, 0
+    for _ in range(100):
+        latent = 0.5 * chance.normal(size=140)[:, None] + chance.normal(size=(140, 5))
+        rank = norm.cdf(latent / np.sqrt(1.25)).ravel()
+        found = median_interval(np.where(rank > 0.52, 20.0, 3 + 17 * rank / 0.52), units)
+        assert found.low is not None and found.high is not None
+        held += found.low - 1e-9 <= 3 + 17 * 0.5 / 0.52 <= found.high + 1e-9
+        points += found.low == found.high
+    assert held >= 90 and points <= 5
+
+
+def test_methods_that_lack_values_of_other_units_are_not_compared():
+    first, units = np.arange(10.0), np.arange(10)
+    one, two = first.copy(), first + 1
+    one[0], two[9] = np.nan, np.nan
+    with pytest.raises(ValueError, match="others lack values"):
+        difference(mean_replicates(one, units), mean_replicates(two, units))
+    two[9], two[0] = 10.0, np.nan
+    assert difference(mean_replicates(one, units), mean_replicates(two, units)).value == -1.0

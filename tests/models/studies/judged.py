@@ -98,4 +98,4 @@ def fill(still: dict[str, Any], report: dict[str, Any]) -> None:
 
 
 if __name__ == "__main__":
-    fill(*(json.loads(Path(name).read_text()) for name in sys.argv[1:3]))
+    fill(*(json.loads(Path(name).read_text(encoding="utf-8")) for name in sys.argv[1:3]))

@@ -220,7 +220,7 @@ measured_once = pytest.mark.skipif(not REPORT.is_file(), reason="the study has n
 
 @measured_once
 def test_the_table_is_that_of_the_committed_report():
-    report = json.loads(REPORT.read_text())
+    report = json.loads(REPORT.read_text(encoding="utf-8"))
     assert json.loads(levels.TABLE.read_text()) == report["levels"]
     assert report["levels"] == study.levels(report["rows"])
     sizes = {(row["units"], row["trainings"]) for row in report["rows"]}
@@ -234,5 +234,5 @@ def test_the_table_is_that_of_the_committed_report():
 @measured_once
 def test_the_committed_report_is_of_the_intervals_as_they_are():
     """Where the method of an interval changes, `racines study coverage` is to be run again."""
-    report = json.loads(REPORT.read_text())
+    report = json.loads(REPORT.read_text(encoding="utf-8"))
     assert np.allclose(study.probe(), report["probe"], rtol=1e-6)

@@ -50,7 +50,7 @@ def cup(radius: float, depth: float, x: float = 0.0, around: int = 64, along: in
 def write(path: Path, mesh: Mesh) -> None:
     lines = [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in mesh.vertices]
     lines += [f"f {a} {b} {c}" for a, b, c in (mesh.faces + 1).tolist()]
-    path.write_text("# OBJ\n" + "\n".join(lines) + "\n")
+    path.write_text("# OBJ\n" + "\n".join(lines) + "\n", encoding="utf-8")
 
 
 def heart(folder: Path, beats: tuple[float, ...] = (1.0, 0.9, 0.8)) -> Path:

@@ -220,7 +220,7 @@ def test_the_command_tells_tables_and_json(echo, tmp_path, monkeypatch):
     content = json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)
     assert content["segmentation"]["id"] == "racines-segmentation-unet"
     assert Path("it.png").is_file() and Path("it-ejection.png").is_file()
-    assert json.loads(Path("it.json").read_text()) == content
+    assert json.loads(Path("it.json").read_text(encoding="utf-8")) == content
     shown = CliRunner().invoke(app, [*words, "--segmentation", "models/runs/segmentation"]).stdout
     assert "dice_lv_myocardium" in shown and "reporting" in shown and "it-ejection.png" in shown
 

@@ -59,7 +59,7 @@ def board() -> None:
     for name in ("mean-image", "flat"):
         racines("train", "generator", name, *where)
     racines("eval", "generator", "flat", *where, "--no-grader", "--no-pose")
-    scores = json.loads(Path("models/runs/scores/flat.json").read_text())
+    scores = json.loads(Path("models/runs/scores/flat.json").read_text(encoding="utf-8"))
     SEEN["scores"] = {name: scores["metrics"][name] for name in ("offset", "shift")}
     SEEN["board"] = racines("leaderboard", "--board", "theirs", "--collect", "models/runs/scores")
 
@@ -68,12 +68,14 @@ def rest() -> None:
     SEEN["command"] = racines("greet", "you", "--loud")
     SEEN["help"] = racines("--help")
     Grader(GraderNetwork(32, 0.125), GraderConfig(input_size=32, width=0.125)).save(Path("judge"))
-    about = json.loads(Path("judge/config.json").read_text()) | {"architecture": "tiny"}
-    Path("judge/config.json").write_text(json.dumps(about))
+    about = json.loads(Path("judge/config.json").read_text(encoding="utf-8")) | {
+        "architecture": "tiny"
+    }
+    Path("judge/config.json").write_text(json.dumps(about), encoding="utf-8")
     SEEN["judge"] = type(Grader.load("judge")).__name__
 
 
 if __name__ == "__main__":
     assert racines_envs
     data(), environments(), board(), rest()
-    Path(os.environ["SEEN"]).write_text(json.dumps(SEEN))
+    Path(os.environ["SEEN"]).write_text(json.dumps(SEEN), encoding="utf-8")

@@ -268,6 +268,6 @@ def export_run(run_dir: Path, path: Path) -> dict[str, Any]:
     content = read_described(run_dir, "no trained policy: run `racines train agent NAME`")
     agent = agent_class(str(content.get("agent"))).load(run_dir)
     kept = run_dir / "metrics.json"
-    metrics = json.loads(kept.read_text()) if kept.is_file() else {}
+    metrics = json.loads(kept.read_text(encoding="utf-8")) if kept.is_file() else {}
     about = {key: metrics[key] for key in ("phantom", "data") if key in metrics}
     return export_policy(agent, path, about | {"seed": content.get("seed")})

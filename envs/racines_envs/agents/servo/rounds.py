@@ -94,7 +94,7 @@ def _round(learner: ServoLearner, run: Run) -> dict[str, Any]:
     done = run.folder / DONE / recipe_digest(learner.identity)[:16]
     if (done / "round.json").is_file():
         load_network(done / "network.safetensors", learner.network, "train it anew")
-        return json.loads((done / "round.json").read_text())
+        return json.loads((done / "round.json").read_text(encoding="utf-8"))
     figures = train(learner, None, learner.training, run, learner)
     told = {"training": figures, "history": learner.history}
     done.mkdir(parents=True, exist_ok=True)

@@ -106,11 +106,17 @@ def write_envhub(out: Path, views: Sequence[str], format: str = RECORDED) -> dic
     }
     told = {"tasks": ", ".join(tasks), "told": _TOLD[format == RECORDED]}
     with new_folder(out) as folder:
-        (folder / "env.py").write_text(_ENV.format(views=tuple(tasks), format=format))
+        (folder / "env.py").write_text(
+            _ENV.format(views=tuple(tasks), format=format), encoding="utf-8"
+        )
         (folder / PLUGIN).mkdir()
         plugin = _PLUGIN.format(features=features, names=names)
-        (folder / PLUGIN / "__init__.py").write_text(plugin)
-        (folder / "to_onnx.py").write_text(Path(to_onnx.__file__).read_text())
-        (folder / "requirements.txt").write_text("racines\n")
-        (folder / "README.md").write_text(_README.format(**told, format=format, plugin=PLUGIN))
+        (folder / PLUGIN / "__init__.py").write_text(plugin, encoding="utf-8")
+        (folder / "to_onnx.py").write_text(
+            Path(to_onnx.__file__).read_text(encoding="utf-8"), encoding="utf-8"
+        )
+        (folder / "requirements.txt").write_text("racines\n", encoding="utf-8")
+        (folder / "README.md").write_text(
+            _README.format(**told, format=format, plugin=PLUGIN), encoding="utf-8"
+        )
     return {"out": str(out), "tasks": tasks, "format": format}

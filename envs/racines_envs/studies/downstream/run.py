@@ -80,7 +80,7 @@ def measure_points(
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise RacinesError(f"{path}: not readable as JSON: remove it, and run again") from error
 

@@ -67,8 +67,10 @@ def html_page(results: Path) -> str:
         for each in verdicts
     )
     folder = files("racines_leaderboard.board.web")
-    style, script = (folder.joinpath(name).read_text() for name in ("page.css", "page.js"))
-    page = Template(folder.joinpath("page.html").read_text())
+    style, script = (
+        folder.joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "page.js")
+    )
+    page = Template(folder.joinpath("page.html").read_text(encoding="utf-8"))
     return page.substitute(
         style=style, script=script, tabs=tabs, boards="\n".join(parts), verdicts=options,
         content=json_in_html({"sections": told}),

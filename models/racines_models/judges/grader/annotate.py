@@ -195,10 +195,10 @@ def _write_shard(source: Path, opinions: np.ndarray, path: Path) -> None:
 
 def _seal(final: Path, manifest: dict[str, Any], shards: Iterable[str]) -> None:
     """Write card, Croissant and manifest of the new files."""
-    (final / CARD).write_text(write_card(manifest))
+    (final / CARD).write_text(write_card(manifest), encoding="utf-8")
     for name in (*shards, CARD):
         path = final / name
         manifest["files"][name] = {"sha256": sha256_file(path), "bytes": path.stat().st_size}
     if CROISSANT in manifest["files"]:
         add_croissant(manifest, final)
-    (final / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
+    (final / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")

@@ -42,7 +42,7 @@ def write_report(
     """
     examined = examine(grader, store, split)
     path = folder / METRICS
-    before = json.loads(path.read_text()) if path.is_file() else {}
+    before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     metrics = before | {"schema": SCHEMA} | examined.content | more
     metrics["plots"] = write_plots(folder, examined)
     write_json(path, metrics)

@@ -160,7 +160,7 @@ def ablate(
                 done[variant.name] = {"name": variant.name, **kid, "digest": digests[variant.name]}
                 write_json(out, _report(content, done))
     else:
-        content["real_to_real"] = json.loads(out.read_text())["real_to_real"]
+        content["real_to_real"] = json.loads(out.read_text(encoding="utf-8"))["real_to_real"]
     report = _report(content, done)
     write_json(out, report)
     return report
@@ -175,7 +175,7 @@ def poses_near(phantom: Phantom, view: str, count: int, seed: int) -> Pose:
 def merge_into(report: Path, ablation: dict[str, Any]) -> None:
     """Write the list of an ablation under `ablation` in a report of `racines study realism`."""
     try:
-        content = json.loads(report.read_text())
+        content = json.loads(report.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise RacinesError(f"{report}: no readable JSON ({error})") from error
     if not isinstance(content, dict) or not content.get("compared"):
@@ -290,7 +290,7 @@ def _digest(variant: Variant, content: dict[str, Any], setting: Setting) -> str:
 def _done(out: Path, digests: dict[str, str]) -> dict[str, dict[str, Any]]:
     """Return the rows of a former run that still hold, by name."""
     try:
-        content = json.loads(out.read_text())
+        content = json.loads(out.read_text(encoding="utf-8"))
         rows = [content["base"], *content["ablation"]] if content["schema"] == SCHEMA else []
         return {row["name"]: row for row in rows if digests.get(row["name"]) == row["digest"]}
     except (OSError, ValueError, KeyError, TypeError):

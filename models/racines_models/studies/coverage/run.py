@@ -70,7 +70,7 @@ def read_anchors(folder: Path) -> Anchors:
     for name in ("mean-image", "noise-ceiling"):
         path = folder / f"{name}.json"
         try:
-            figures = json.loads(path.read_text())["metrics"]
+            figures = json.loads(path.read_text(encoding="utf-8"))["metrics"]
             found.append([float(figures[metric]["value"]) for metric in RANKED])
         except (OSError, ValueError, KeyError, TypeError) as error:
             hint = f"racines eval generator {name}, or --scores FOLDER"

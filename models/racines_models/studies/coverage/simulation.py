@@ -31,8 +31,8 @@ from racines_models.statistics.intervals import (
     median_interval,
     median_replicates,
     rate_interval,
-    set_replicates,
 )
+from racines_models.statistics.sets import set_replicates
 from racines_models.studies.coverage.population import FIGURES, Method, Population
 
 ITEMS = ("mean", "skewed mean", "rate", "episodes", "median", "difference", "frames as units")

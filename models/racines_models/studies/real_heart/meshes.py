@@ -36,7 +36,9 @@ def read_obj(path: Path) -> Mesh:
         raise RacinesError(f"{path}: no such file; give a surface as OBJ")
     vertices: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
-    for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
+    for number, line in enumerate(
+        path.read_text(encoding="utf-8", errors="replace").splitlines(), start=1
+    ):
         kind, *words = line.split() or [""]
         try:
             if kind == "v":

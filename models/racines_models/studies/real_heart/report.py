@@ -33,7 +33,7 @@ def read_population(path: Path) -> list[dict[str, Any]]:
             f"{path}: no such file; name a population's measures (docs/sim-to-real.md)"
         )
     try:
-        patients = json.loads(path.read_text())
+        patients = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise RacinesError(f"{path}: not valid JSON: {error}; write it again") from error
     patients = patients.get("patients") if isinstance(patients, dict) else patients

@@ -28,7 +28,7 @@ def halve(patients: Iterable[str]) -> dict[str, tuple[str, ...]]:
 @lru_cache(maxsize=1)
 def patient_lists() -> dict[str, tuple[str, ...]]:
     """Return the ids of the committed lists."""
-    content = json.loads(FILE.read_text())
+    content = json.loads(FILE.read_text(encoding="utf-8"))
     return {name: tuple(content[name]) for name in LISTS}
 
 

@@ -210,7 +210,10 @@ def read_rotation(folder: Path) -> Rotation:
     path = folder / POSES
     try:
         poses = np.array(
-            [each["transform_matrix"] for each in json.loads(path.read_text())["frames"]]
+            [
+                each["transform_matrix"]
+                for each in json.loads(path.read_text(encoding="utf-8"))["frames"]
+            ]
         )
     except (ValueError, KeyError, TypeError) as error:
         raise RacinesError(f"{path}: no frames with transform_matrix ({error})") from error
