@@ -61,6 +61,8 @@ def write_once(path: Path, write: Callable[[Path], None]) -> None:
     Raises:
         RacinesError: another has not let go of it after ten minutes.
     """
+    if path.exists():  # also where nobody may write
+        return
     path.parent.mkdir(parents=True, exist_ok=True)
     busy = f"{path}: another process has been writing it for 600 s: wait for it, or end it"
     with _held(path.with_name(f".{path.name}.lock"), 600, busy):

@@ -73,6 +73,8 @@ class Plugins:
         if missing:
             article = "an" if self.noun[0] in "aeiou" else "a"
             raise RacinesError(f"{target} is not {article} {self.noun}: lacks {', '.join(missing)}")
+        if undone := sorted(getattr(found, "__abstractmethods__", ())):
+            raise RacinesError(f"{target}: {self.noun} lacks the methods {', '.join(undone)}")
         return found
 
     def _unknown(self, spec: str, names: list[str]) -> str:

@@ -1,5 +1,6 @@
 """Generators by entry point of the group `racines.generators`, `module:Class`, or file."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ RUNS = Path("models/runs")
 """Where trained generators lie, each in a folder of its name."""
 PATIENTS = "patients"
 """The tier of still patients, whom a generator meets by their scouts."""
+_NAME = re.compile(r"[A-Za-z0-9][\w.-]*", re.ASCII)
 FILES = (".onnx", ".parquet")
 """Endings of the files that are generators."""
 
@@ -34,8 +36,20 @@ def generator_names() -> list[str]:
 
 
 def generator_class(spec: str) -> type[Generator]:
-    """Return the class of a registered name or of `module:Class`, if it is a generator's."""
-    return GENERATORS.load(spec)
+    """Return the class of a registered name or of `module:Class`, if it is a generator's.
+
+    Raises:
+        RacinesError: no such generator, or a class whose name is no folder's or another's.
+    """
+    found = GENERATORS.load(spec)
+    if spec in GENERATORS.names():
+        return found
+    name = found.name
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise RacinesError(f"{spec}: name {name!r}: its folder's: give one of a-z A-Z 0-9 . _ -")
+    if name in GENERATORS.names() and GENERATORS.load(name) is not found:
+        raise RacinesError(f"{spec}: name {name!r} is a registered generator's: give another")
+    return found
 
 
 def load_generator(spec: str, run_dir: Path | str, device: str = "cpu") -> Generator:

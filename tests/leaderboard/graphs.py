@@ -188,11 +188,11 @@ def blind_policy(path: Path, sees: str) -> Path:
     return save(path, nodes, inputs, logits, values, name="blind")
 
 
-def sound_policy(path: Path, **told: str) -> Path:
-    """Write a policy of the pose alone: one matrix."""
+def sound_policy(path: Path, seed: int = 0, **told: str) -> Path:
+    """Write a policy of the pose alone: one matrix, drawn by a seed."""
     params = helper.make_tensor_value_info("params", TensorProto.FLOAT, ["B", 9])
     logits = helper.make_tensor_value_info("logits", TensorProto.FLOAT, ["B", 13])
-    matrix = np.random.default_rng(0).normal(size=(9, 13)).astype(np.float32)
+    matrix = np.random.default_rng(seed).normal(size=(9, 13)).astype(np.float32)
     node = helper.make_node("MatMul", ["params", "matrix"], ["logits"])
     return save(
         path,

@@ -24,7 +24,7 @@ from racines_envs.apis.rendering import History, compose
 from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import PARAMS_SIZE
 from racines_envs.task.state import Transition
-from racines_envs.worlds.making import make_core
+from racines_envs.worlds.making import check_settings, make_core
 
 
 class Scan:
@@ -36,7 +36,7 @@ class Scan:
         """Build the core, of one row without a number of rows; settings as of `make_core`."""
         if render_mode not in (None, "rgb_array"):
             raise RacinesError(f"unknown render_mode {render_mode!r}: use 'rgb_array'")
-        self.core = make_core(view, 1 if rows is None else rows, **settings)
+        self.core = make_core(view, 1 if rows is None else rows, **check_settings(settings))
         self._alone, self._mode, self._seeded = rows is None, render_mode, False
         self._history: History | None = None
 

@@ -10,7 +10,7 @@ from racines_envs.task.actions import ACTIONS
 from racines_envs.task.core import PARAMS_SIZE
 from racines_envs.task.motion import Velocity
 from racines_envs.task.tasks import Task
-from racines_envs.worlds.making import make_core
+from racines_envs.worlds.making import check_settings, make_core
 from racines_models.devices import resolve_device
 
 try:
@@ -38,7 +38,7 @@ class ScanEnv(EnvBase):
         """Build N rows of a task; settings as for `racines_envs.worlds.making.make_core`."""
         device = resolve_device(device)
         super().__init__(device=torch.device(device), batch_size=torch.Size([num_envs]))
-        self.core = make_core(view, num_envs, device=device, **settings)
+        self.core = make_core(view, num_envs, device=device, **check_settings(settings))
         self._make_specs(num_envs)
         self._start_seed: int | None = None
         self.set_seed(seed)

@@ -60,10 +60,12 @@ def check_view(agent: Agent, view: str, name: str, run_dir: Path) -> None:
     """Check that an agent that was trained for a view is asked for that one."""
     trained = getattr(agent, "view", view)
     if trained != view:
+        told = f", or set racines.view of the file to {view}" if name.endswith(".onnx") else ""
         own = "" if Path(name).exists() else f"`racines train agent {name} --view {view}`, or "
+        remedy = f"{'train one with ' * bool(own)}{own}evaluate --view {trained}{told}"
         raise RacinesError(
-            f"{run_dir}: this policy was trained for {trained} and observes {agent.observation}; "
-            f"it is not for {view}: {'train one with ' * bool(own)}{own}evaluate --view {trained}"
+            f"{run_dir if own else name}: this policy was trained for {trained} and observes "
+            f"{agent.observation}; it is not for {view}: {remedy}"
         )
 
 

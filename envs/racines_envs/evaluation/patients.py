@@ -35,7 +35,7 @@ from racines_envs.evaluation.measures import (
     values_of,
 )
 from racines_envs.evaluation.run import SCHEMA, Scored, core_for, extractors_of, told_of_agent
-from racines_envs.evaluation.trainings import Training, find_trainings
+from racines_envs.evaluation.trainings import Training, find_trainings, given_trainings
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER
 from racines_envs.task.tasks import Task, get_task
@@ -128,7 +128,7 @@ class StartSet(NamedTuple):
 def evaluate_patients(
     name: str, run_dir: Path, config: PatientsConfig, agent: Agent | None = None,
     run: str | None = None, board: str | None = None, published: Path | None = None,
-    starts: StartSet | None = None, engine: Engine | None = None,
+    starts: StartSet | None = None, engine: Engine | None = None, further: Sequence[Agent] = (),
 ) -> Scored:  # fmt: skip
     """Run an agent on patients and score it; arguments as of `evaluate`.
 
@@ -144,6 +144,10 @@ def evaluate_patients(
     starts = starts or start_set(config)
     agents, trainings = open_agents(name, run_dir, config, agent, published)
     agent = agents[0]
+    if further:
+        agents, trainings = [agent, *further], given_trainings(agent, further, Path(run_dir))
+        for other in further:
+            check_view(other, config.view, name, run_dir)
     acted = act_on_patients(agents, config, starts, engine=engine)
     values = patient_values(acted)
     metrics, evidence = measure_patients(values, starts.units)

@@ -21,7 +21,7 @@ from racines_envs.agents.rollout import Episodes, join_episodes, rollout
 from racines_envs.agents.trace import TraceAgent, circumstances, read_trace, write_trace
 from racines_envs.evaluation.agent_specs import check_view
 from racines_envs.evaluation.measures import episode_values, latency, measure, measure_by_seed
-from racines_envs.evaluation.trainings import Training, find_trainings
+from racines_envs.evaluation.trainings import Training, find_trainings, given_trainings
 from racines_envs.task.core import ScanCore
 from racines_envs.task.rewards import get_reward
 from racines_envs.task.starts import evaluation_seeds
@@ -126,6 +126,7 @@ def evaluate(
     name: str, run_dir: Path, config: EvaluationConfig, phantom: WorldLike = None,
     grader: Judge | None = None, agent: Agent | None = None, run: str | None = None,
     board: str | None = None, published: Path | None = None, engine: Engine | None = None,
+    further: Sequence[Agent] = (),
 ) -> Evaluation:  # fmt: skip
     """Run the agent that lies in `run_dir` and score it; all episodes of all sets at once.
 
@@ -135,7 +136,8 @@ def evaluate(
     `name` is a registered agent, `module:Class`, `FILE.onnx`, or a trace, `FILE.json`; `run_dir`,
     what its training left, is not read for agents without weights. A `phantom` is the shared one by
     default; a `grader` and an `agent` that are open already stand for those that settings and name
-    say, the agent for one training. The scores call it `run`, or else by the agent's name, and tell
+    say, the agent for one training, and `further` for more of the same method, seeds 1 and up. The
+    scores call it `run`, or else by the agent's name, and tell
     the `board` they are for. With an `engine` that is started, each training acts from each start
     set in a task of its own.
 
@@ -151,6 +153,8 @@ def evaluate(
     if learns(agent) and not given:
         trainings = find_trainings(run_dir, published)
     others = [load_agent(name, each.folder, config.device) for each in trainings[1:]]
+    if further:
+        trainings, others = given_trainings(agent, further, Path(run_dir)), [*further]
     for training, other in zip(trainings[1:], others, strict=True):
         check_view(other, config.view, name, training.folder)
     if engine is None or isinstance(agent, TraceAgent):  # a trace is of all starts at once

@@ -11,6 +11,7 @@ without a gap: a seed that did badly cannot be left out, nor can a copy stand fo
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ import torch
 from racines_data.errors import RacinesError
 from racines_data.files import read_tensors
 from racines_data.terminal import say
-from racines_envs.agents.protocol import SETTINGS, agent_class
+from racines_envs.agents.protocol import SETTINGS, Agent, agent_class
 from racines_envs.evaluation.agent_specs import read_json
 from racines_models.provenance import sha256_bytes, weights_sha256
 from racines_models.training.checkpoint import PREFIX, repeat_folders
@@ -49,6 +50,21 @@ def published_run(board: str | None, run: str, weights: Path = WEIGHTS) -> Path 
     """Return where the published trainings of a board's run lie, if some are there."""
     folder = weights / board / run if board else None
     return folder if folder is not None and folder.is_dir() else None
+
+
+def given_trainings(agent: Agent, further: Sequence[Agent], folder: Path) -> list[Training]:
+    """Return the trainings of agents that are open already, seeds 0 and up.
+
+    Raises:
+        RacinesError: one observes something else than the first: they are of different methods.
+    """
+    for place, other in enumerate(further, start=1):
+        if other.observation != agent.observation:
+            raise RacinesError(
+                f"{folder}: training {place} observes {other.observation}, the first "
+                f"{agent.observation}: give trainings of one method"
+            )
+    return [Training(folder, place) for place in range(1 + len(further))]
 
 
 def find_trainings(run_dir: Path | str, published: Path | None = None) -> list[Training]:

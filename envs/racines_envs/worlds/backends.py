@@ -56,7 +56,7 @@ def open_source(spec: str | Path, device: torch.device | str = "cpu") -> ImageSo
     `@FOLDER` for a run elsewhere; the folder of a run, which says whose it is; or `FILE.onnx`.
     What is unknown, absent or refused is said by name or file.
     """
-    from racines_models.registry import is_file, open_generator, run_folder
+    from racines_models.registry import is_file, open_generator
 
     name, _, folder = str(spec).partition("@")
     if is_file(name):
@@ -65,7 +65,7 @@ def open_source(spec: str | Path, device: torch.device | str = "cpu") -> ImageSo
         return open_generator(_whose(Path(name)), name, str(device))
     if "/" in name:
         raise RacinesError(f"generator {name!r}: no run folder or file of that name")
-    run = run_folder(name, folder or None)
+    run = _run(name, folder)
     if not run.is_dir():
         raise RacinesError(
             f"generator {name!r}: no run folder {run}; run `racines train generator {name}`"
@@ -76,11 +76,22 @@ def open_source(spec: str | Path, device: torch.device | str = "cpu") -> ImageSo
 def source_weights(spec: str | Path) -> dict[str, str]:
     """Return the SHA-256 of each weights file of the generator that a spec names, by file name."""
     from racines_models.provenance import weights_sha256
-    from racines_models.registry import weights_of
+    from racines_models.registry import is_file, weights_of
 
     name, _, folder = str(spec).partition("@")
     place = Path(folder or name)
-    return weights_sha256(place) if place.is_dir() else weights_of(name, folder or None)
+    if is_file(name) or place.is_dir():
+        return weights_sha256(place) if place.is_dir() else weights_of(name)
+    return weights_of(name, _run(name, folder))
+
+
+def _run(name: str, folder: str) -> Path:
+    """Return the folder given, or that of a run made here, or else of the published weights."""
+    from racines_models.published.places import WEIGHTS, own_or_published
+    from racines_models.registry import run_folder
+
+    run = run_folder(name, folder or None)
+    return run if folder else own_or_published(run, WEIGHTS / run.name, "config.json")
 
 
 def _whose(folder: Path) -> str:

@@ -1,7 +1,9 @@
 """From names to a core: what `gymnasium.make`, `ScanEnv` and the evaluation all call."""
 
 import dataclasses
+import inspect
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +41,22 @@ or name of a phantom of one's own, `recorded`, or None for the default."""
 RECORDED = "recorded"  # the `phantom` that stands for the recordings themselves
 ANY = "any"  # the `data_version` that lets everything pass
 _SHORTEST = 8  # characters of a digest that name a dataset
+
+
+def check_settings(settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return settings that `make_core` knows.
+
+    Raises:
+        RacinesError: one that it does not; with the nearest.
+    """
+    known = [*inspect.signature(make_core).parameters][2:]
+    for name in settings:
+        if name not in known:
+            near = [each for each in known if each.startswith(name)]
+            near = near or get_close_matches(name, known, 1)
+            guess = f": did you mean {near[0]!r}?" if near else ""
+            raise RacinesError(f"unknown setting {name!r}{guess} (known: {', '.join(known)})")
+    return settings
 
 
 def make_core(

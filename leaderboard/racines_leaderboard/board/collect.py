@@ -98,7 +98,7 @@ def collect(
     evidence: dict[Path, bytes] = {}
     pin = read_pin(results, board)
     for folder in folders:
-        paths = sorted(folder.glob("*.json"))
+        paths = [folder] if folder.is_file() else sorted(folder.glob("*.json"))
         if not paths:
             raise RacinesError(f"{folder}: no scores; run `racines eval` first")
         for path in (path for path in paths if path not in without):

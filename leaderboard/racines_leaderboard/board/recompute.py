@@ -18,12 +18,7 @@ from racines_envs.agents.trace import TraceAgent
 from racines_envs.cli.settings import phantom_config
 from racines_envs.evaluation.patients import PatientsConfig, StartSet, evaluate_patients
 from racines_envs.evaluation.run import EvaluationConfig, evaluate
-from racines_envs.worlds.making import (
-    find_task,
-    make_phantom,
-    patients_recipe,
-    phantom_recipe,
-)
+from racines_envs.worlds.making import find_task, make_phantom, patients_recipe, phantom_recipe
 from racines_leaderboard.board.collect import Record, record_of, write_records
 from racines_leaderboard.records.schema import check
 from racines_leaderboard.records.tracks import (
@@ -294,7 +289,10 @@ def open_sources(
     """
     _check_data(document, store.manifest, str(ground.data))
     if ground.grader is not None and not ground.grader.is_dir():
-        raise RacinesError(f"{ground.grader}: no grader; run: racines train grader")
+        raise RacinesError(
+            f"{ground.grader}: no grader; run: racines train grader, or name one in the settings "
+            "(scores.grader; models/weights/grader is the published one)"
+        )
     return [
         Predictions(path, store, split)
         if kind == "predictions"
@@ -347,9 +345,9 @@ def agent_scores(
     path, traced = paths[0], kind == "trace"
     if document["track"] == PATIENT_AGENTS.name:
         assert sets is None or isinstance(sets, StartSet)
-        return _scores_on_patients(document, path, ground, sets)
+        return _scores_on_patients(document, paths, ground, sets)
     assert not isinstance(sets, StartSet)
-    agent: Any = TraceAgent(path) if traced else confined.ConfinedPolicyAgent(path, ground.limits)
+    agent, *further = [TraceAgent(path)] if traced else _policies(paths, ground)
     config = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation")
     judge = str(ground.grader) if ground.grader is not None and config.grader else ""
     view = getattr(agent, "view", config.view)
@@ -359,16 +357,17 @@ def agent_scores(
     phantom = phantom_config(ground.settings)
     phantom = make_phantom(phantom, "cpu", find_task(view, phantom).anatomy)
     _check_data(document, phantom_recipe(phantom) or {}, f"the phantom of board {ground.board}")
-    made = evaluate("", path.parent, config, phantom, agent=agent)
+    made = evaluate("", path.parent, config, phantom, agent=agent, further=further)
     ground.keep(made)
-    return made.scores | {"agent": document["name"]}
+    return made.scores | _named(document)
 
 
 def _scores_on_patients(
-    document: dict[str, Any], path: Path, ground: Ground, starts: StartSet | None
+    document: dict[str, Any], paths: Sequence[Path], ground: Ground, starts: StartSet | None
 ) -> dict[str, Any]:
     """Return the scores of a policy from the starts of its task on patients, or from others."""
-    agent: Any = confined.ConfinedPolicyAgent(path, ground.limits)
+    path = paths[0]
+    agent, *further = _policies(paths, ground)
     config = dataclasses.replace(on_patients(ground), device="cpu")
     config = dataclasses.replace(config, view=getattr(agent, "view", config.view))
     if config.task.tier != ground.board:
@@ -379,7 +378,21 @@ def _scores_on_patients(
     if starts is not None:
         config = dataclasses.replace(config, split=split_of(starts.patients[0]))
     _check_data(document, patients_recipe(config.task.tier), f"the world of board {ground.board}")
-    given = {"agent": agent, "board": ground.board, "starts": starts}
+    given: dict[str, Any] = {"agent": agent, "board": ground.board, "starts": starts}
+    given["further"] = further
     made = evaluate_patients("", path.parent, config, **given)
     ground.keep(made)
-    return made.scores | {"agent": document["name"]}
+    return made.scores | _named(document)
+
+
+def _policies(paths: Sequence[Path], ground: Ground) -> list[Any]:
+    """Return the policies of a submission, the trainings of one method, each confined."""
+    return [confined.ConfinedPolicyAgent(path, ground.limits) for path in paths]
+
+
+def _named(document: dict[str, Any]) -> dict[str, Any]:
+    """Return what scores of an agent take from its submission: its name, and several's seeds."""
+    seeds = [{"seed": each, "published": False} for each in document["seeds"]]
+    several = sum(each["kind"] == "policy" for each in document["artefacts"])
+    told = {"trainings": seeds} if len(seeds) == several > 1 else {}
+    return {"agent": document["name"]} | told

@@ -56,6 +56,10 @@ def submit(
         raise typer.BadParameter("--check copies nothing: score it again without it")
     if secret is not None and not recompute:
         raise typer.BadParameter("--secret goes with --recompute")
+    from racines_data.errors import RacinesError
+
+    if not source.exists() and not source.is_symlink():
+        raise RacinesError(f"{source}: no such folder: give that of submission.yaml, or the file")
     from racines_leaderboard.submissions.confined.session import Limits
     from racines_leaderboard.submissions.document import KINDS, rescored
     from racines_leaderboard.submissions.intake import look_at, take_in
@@ -83,13 +87,14 @@ def submit(
     if taken.probed.held:
         say(f"Contract: {', '.join(sorted(taken.probed.held))} hold.")
     for clause, reason in taken.probed.untold.items():
-        say(f"Contract, not told: {clause}: {reason}.")
+        say(f"Contract, not tried: {clause}: {reason}.")
     if again:
         what = ", ".join(f"{each['path']} ({KINDS[each['kind']].told})" for each in again)
         say(f"Scored again: {what}.")
         place = f"{document['track']}/{document['name']}"
         if not recompute:
-            say(f"Next: racines leaderboard --recompute {place}")
+            step = f"submit {source}" if check else f"leaderboard --recompute {place}"
+            say(f"Next: racines {step}")
     else:
         say(
             "Nothing here can be scored again: scores stay self-reported until it is trained again."

@@ -69,7 +69,12 @@ REMEDY = (
 GENERATORS, AGENTS, ON_PATIENTS = "generators", "agents", "patient-agents"
 ADAPTING, TURNS, MOTION = "patient-generators", "turn-generators", "motion"
 ALL = (GENERATORS, AGENTS, ON_PATIENTS, ADAPTING, TURNS, MOTION)
-SEVERAL = {"generator": ALL, "motion": ALL, "predictions": (ADAPTING,)}
+SEVERAL = {
+    "generator": ALL,
+    "motion": ALL,
+    "policy": (AGENTS, ON_PATIENTS),
+    "predictions": (ADAPTING,),
+}
 """Kinds of which there may be several, the trainings of one method, and the tracks where."""
 
 
@@ -158,7 +163,8 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
     if len(set(kinds)) > 1 or several:
         raise RacinesError(
             f"{where}: artefacts: {', '.join(kinds)}: give one that is scored again; only "
-            "generators, motions and predictions of patients may be several, the seeds of a method"
+            "generators, policies, motions and predictions of patients may be several, the seeds "
+            "of a method"
         )
     merged, tier = any("adapter" in each for each in document["artefacts"]), document["tier"]
     if tier == "recomputed" and not kinds:

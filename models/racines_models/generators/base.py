@@ -1,6 +1,7 @@
 """What all our generators share: checked input, a card, and files that hold no code."""
 
 import dataclasses
+import json
 from abc import ABC, abstractmethod
 from importlib.metadata import version
 from pathlib import Path
@@ -12,9 +13,10 @@ from torch import Tensor
 from racines_data.config import fill
 from racines_data.errors import RacinesError
 from racines_data.files import write_json
-from racines_data.imaging import conditions_for
+from racines_data.imaging import IMAGE_SIZE, conditions_for
 from racines_data.manifest import UNKNOWN_SCALE
 from racines_data.store.frames import FrameStore
+from racines_models.contract import ContractError
 from racines_models.devices import resolve_device
 from racines_models.networks.painting import OnnxModule
 from racines_models.protocol import Adapting, Card, Run
@@ -28,6 +30,8 @@ SCHEMA = "racines.generator/1"
 NOMINAL = 1e-3
 """Metres that a pixel is taken for where the scale is not known: sizes in settings are in metres,
 and only need to be right to a factor of two. Nothing is told in it."""
+TOLD = ("name", "title", "summary", "source")
+"""What every generator says of itself, in words."""
 C = TypeVar("C")
 
 
@@ -101,16 +105,17 @@ class BaseGenerator(ABC, Generic[C]):
         """Learn from the train split, let one process save into the folder; return the metrics."""
         if len(store.split_indices("train")) == 0:
             raise RacinesError("the dataset has no train frames: rebuild it with more trajectories")
+        self._check_told()
         self.device = resolve_device(run.device)
         run = dataclasses.replace(run, device=self.device)
         self.seed = run.seed
         self.data = dataset_card(store)
         metrics: dict[str, Any] = {"schema": "racines.training/1", "generator": self.name}
-        metrics |= self.learn(store, run)
+        metrics |= self._checked(self.learn(store, run))
         if not is_main_process():
             return metrics
+        self.save(run.folder)  # first: what was learned stays, whatever it draws
         metrics["validation"] = self.look_back(store, run)
-        self.save(run.folder)
         write_json(run.folder / "metrics.json", metrics)
         discard_checkpoint(run.folder)
         return metrics
@@ -126,7 +131,43 @@ class BaseGenerator(ABC, Generic[C]):
             raise RacinesError(f"{self.name} is not fitted: call fit, or load a trained folder")
         checked = conditions_for(parameters, self.phased, self.name)
         checked = checked.to(self.device, torch.float32)
-        return self.draw(checked, seed).to(parameters.device)
+        drawn = self.draw(checked, seed)
+        wanted = len(checked), IMAGE_SIZE, IMAGE_SIZE
+        if not isinstance(drawn, Tensor) or drawn.dtype != torch.uint8 or drawn.shape != wanted:
+            kind = type(drawn).__name__
+            if isinstance(drawn, Tensor):
+                kind = f"a tensor of {drawn.dtype} and shape {tuple(drawn.shape)}"
+            found = f"{type(self).__name__}.draw gave {kind}; wanted: uint8 0-255, shape {wanted}"
+            raise ContractError("G1", found)
+        return drawn.to(parameters.device)
+
+    def _check_told(self) -> None:
+        """Refuse a class that lacks a word of its card, before it learns for hours."""
+        lacking = [each for each in TOLD if not isinstance(getattr(self, each, None), str)]
+        if lacking:
+            raise RacinesError(
+                f"generator {self.name}: {type(self).__name__} lacks {', '.join(lacking)}: give "
+                "each as a class attribute, a text"
+            )
+
+    def _checked(self, learned: Any) -> dict[str, Any]:
+        """Return what `learn` gave and the method holds, if it can be written."""
+        where = f"generator {self.name}: {type(self).__name__}"
+        if not isinstance(learned, dict):
+            kind = type(learned).__name__
+            raise RacinesError(f"{where}.learn gave {kind}: give a mapping of metrics, or {{}}")
+        try:
+            json.dumps(learned)
+        except (TypeError, ValueError) as error:
+            raise RacinesError(f"{where}.learn: metrics are numbers and texts: {error}") from error
+        held = self.tensors()
+        wrong = [name for name, each in held.items() if not isinstance(each, Tensor)]
+        if wrong:
+            raise RacinesError(
+                f"{where}.tensors: {wrong[0]!r} is {type(held[wrong[0]]).__name__}: give tensors, "
+                "of a network those of its state_dict()"
+            )
+        return learned
 
     @property
     def card(self) -> Card:

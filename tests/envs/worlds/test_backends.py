@@ -5,19 +5,23 @@ import shutil
 from dataclasses import replace
 from typing import Any
 
+import gymnasium
 import pytest
 import torch
 
 from racines_data.errors import RacinesError
 from racines_data.store.frames import open_store
 from racines_envs.agents.ppo import PPOAgent, PPOConfig
-from racines_envs.worlds.backends import open_source
+from racines_envs.apis.torchrl_env import ScanEnv
+from racines_envs.worlds.backends import open_source, source_weights
 from racines_envs.worlds.making import check_datasets, make_core, trained_on
 from racines_models.exchange.onnx.generator import export_generator
 from racines_models.generators.mean_image import MeanImage
 from racines_models.generators.vae_gan import VaeGan, VaeGanConfig
 from racines_models.protocol import Run
+from racines_models.provenance import weights_sha256
 from racines_models.training.objective import Training
+from tests.conftest import ROOT
 from tests.envs.fakes import FakeGrader
 
 SETTINGS: dict[str, Any] = {"observation": "image", "reward": "oracle"}
@@ -76,7 +80,7 @@ def test_what_sees_no_images_learns_the_same_in_a_generator_and_in_the_phantom(
     ("spec", "word"),
     [
         ("nothing", "unknown generator 'nothing': choose one of"),
-        ("flow", "no run folder models/runs/flow; run `racines train generator flow`"),
+        ("nearest-pose", "no run folder models/runs/nearest-pose; run `racines train generator ne"),
         ("some/folder", "'some/folder': no run folder or file"),
         ("models", "no trained generator here"),
         ("absent.onnx", "absent.onnx"),
@@ -144,3 +148,20 @@ def test_a_grader_in_a_folder_tells_its_dataset(tmp_path):
     (tmp_path / "config.json").write_text(json.dumps({"schema": "racines.grader/1"}))
     assert trained_on(tmp_path) is None
     assert trained_on(FakeGrader()) is None
+
+
+def test_a_name_without_a_run_is_the_published_one(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    there = ROOT / "models/weights/vae-gan"
+    assert weights_sha256(there).items() <= source_weights("vae-gan").items()
+    drawn = open_source("vae-gan", "cpu").generate(torch.zeros(1, 12), 0)
+    expected = open_source(f"vae-gan@{there}", "cpu").generate(torch.zeros(1, 12), 0)
+    assert torch.equal(drawn, expected)
+    assert "no models/runs/vae-gan here: using the published" in capsys.readouterr().err
+
+
+def test_a_setting_that_is_unknown_is_named_with_the_nearest():
+    with pytest.raises(RacinesError, match="unknown setting 'obs': did you mean 'observation'?"):
+        gymnasium.make("racines_envs:racines/SC-v0", obs="image")
+    with pytest.raises(RacinesError, match="unknown setting 'colour' .known: backend, "):
+        ScanEnv("SC", 2, colour="red")

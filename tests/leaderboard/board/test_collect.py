@@ -39,6 +39,13 @@ def test_scores_become_records_of_a_board(tmp_path, write_scores):
     assert not list(tmp_path.rglob(".*")), "no temporary file stays"
 
 
+def test_one_file_of_scores_is_collected_alone(tmp_path, write_scores):
+    folder = write_scores("g", generator_scores("one"), generator_scores("two"))
+    results, submissions = tmp_path / "results", tmp_path / "submissions"
+    (found,) = collect([folder / "one.json"], results, submissions, "phantom-smoke")
+    assert found == results / "phantom-smoke/generators/one.json"
+
+
 def test_scores_that_another_profile_left_stay_out(tmp_path, write_scores):
     """A switch of profile leaves the scores of rows that the new one does not train."""
     old, new, bare = (generator_scores(name) for name in ("old", "new", "bare"))

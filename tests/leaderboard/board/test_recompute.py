@@ -91,6 +91,32 @@ def test_two_generators_are_two_seeds_of_one_method(ground, tmp_path):
     assert record["scores"]["runs"] == 2 and record["scores"]["seeds"] == [0, 1]
 
 
+def test_policies_are_the_trainings_of_one_method(ground, tmp_path):
+    recipe = phantom_recipe(make_phantom(None))
+    assert recipe is not None
+    folder, config = inbox(tmp_path, "in"), EvaluationConfig(starts=4, latency=0)
+    paths = [sound_policy(folder / f"{seed}.onnx", seed) for seed in range(3)]
+    dataset = {"source": "phantom", "version": "1.0.0", "digest": recipe["recipe_digest"]}
+    about = {"track": "agents", "dataset": dataset, "tier": "recomputed", "seeds": [3, 5, 8]}
+    write_submission(folder, *(artefact("policy", path) for path in paths), **about)
+    taken = take_in(folder, tmp_path / "leaderboard/submissions").folder
+    scores = recompute(taken, ground, tmp_path / "results")["scores"]
+    first, *further = [OnnxPolicyAgent(path) for path in paths]
+    wanted = evaluate("", tmp_path, config, make_phantom(None), agent=first, further=further).scores
+    assert scores["metrics"] == json.loads(json.dumps(wanted["metrics"]))
+    assert scores["runs"] == 3 and scores["weights"].keys() == {path.name for path in paths}
+    assert [each["seed"] for each in scores["trainings"]] == [3, 5, 8]
+    alone = evaluate("", tmp_path, config, make_phantom(None), agent=first).scores
+    assert alone["metrics"]["return"]["value"] != scores["metrics"]["return"]["value"]
+
+
+def test_policies_that_see_differently_are_no_trainings_of_one_method(tmp_path):
+    first, other = (OnnxPolicyAgent(sound_policy(tmp_path / f"{k}.onnx", k)) for k in range(2))
+    other.observation = "image"
+    with pytest.raises(RacinesError, match="training 1 observes image, the first params"):
+        evaluate("", tmp_path, EvaluationConfig(starts=2), None, agent=first, further=[other])
+
+
 def test_a_policy_and_its_trace_get_the_scores_of_the_open_road(ground, tmp_path):
     phantom = make_phantom(None)
     recipe = phantom_recipe(phantom)

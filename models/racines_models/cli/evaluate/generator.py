@@ -70,6 +70,7 @@ def eval_generator(
     from racines_models.judges.grader.model import Grader
     from racines_models.judges.pose.regressor import PoseRegressor
     from racines_models.pictures import pick_columns, write_strip
+    from racines_models.published.places import WEIGHTS, published
     from racines_models.registry import is_file, open_runs, run_folder, weights_of
     from racines_models.scores.scoring import ScoresConfig, score, take_turns
     from racines_models.statistics import write_scores
@@ -79,9 +80,12 @@ def eval_generator(
     settings = section(values, "scores") | given(split=split, samples=samples)
     config = fill(ScoresConfig, settings, "scores")
     store = open_store(data)
-    grader = grader or Path(config.grader)
+    grader = published(grader or Path(config.grader))
     if not no_grader and not grader.is_dir():
-        raise RacinesError(f"{grader}: no grader; run: racines train grader, or give --no-grader")
+        raise RacinesError(
+            f"{grader}: no grader; run: racines train grader, or give --grader "
+            f"{WEIGHTS / 'grader'}, the published one, or --no-grader"
+        )
     judge = None if no_grader else Grader.load(grader, device)
     further: list[Path] = []
     if run is None and not is_file(name):
@@ -91,8 +95,8 @@ def eval_generator(
     written = out / f"{title}.json"
     if Path(name).resolve() == written.with_suffix(".parquet").resolve():
         raise RacinesError(f"{name}: the scores would replace it: write elsewhere with --out")
-    usual = Path(config.pose)
-    pose = None if no_pose else pose or (usual if usual.is_dir() else None)
+    usual = published(Path(config.pose))
+    pose = None if no_pose else published(pose) if pose else (usual if usual.is_dir() else None)
     regressor = None if pose is None else PoseRegressor.load(pose, device)
     total = min(config.samples, len(store.split_indices(config.split)))
     total *= 1 + 2 * len(take_turns(runs, config.seeds))
