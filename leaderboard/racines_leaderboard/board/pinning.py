@@ -98,7 +98,8 @@ def make_pin(board: str, found: dict[str, Found]) -> Pin:
     parts = {each.name: _how(each)(found[each.name], each) for each in TRACKS}
     kept = {name: part for name, part in parts.items() if part is not None}
     if not kept:
-        pairs = " or ".join(" and ".join(track.anchors) for track in TRACKS)
+        tracks = [track for track in TRACKS if found[track.name]] or TRACKS
+        pairs = " or ".join(dict.fromkeys(" and ".join(track.anchors) for track in tracks))
         raise RacinesError(f"board {board}: no anchors: score {pairs} first")
     pin = json.loads(json.dumps({"schema": SCHEMA, "board": board} | kept))
     check(pin, "board", f"board {board}")
@@ -224,7 +225,10 @@ def _anchors(track: Track, both: Found) -> Pin:
 def _value(path: Path, scores: dict[str, Any], key: str) -> float:
     value = (scores["metrics"].get(key) or {}).get("value")
     if value is None:
-        raise RacinesError(f"{path}: metrics.{key}: no value to anchor at: score it with judges")
+        raise RacinesError(
+            f"{path}: metrics.{key}: no value to anchor at: score it again with "
+            "judges, without --no-grader and --no-pose"
+        )
     return value
 
 

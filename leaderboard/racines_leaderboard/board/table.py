@@ -242,9 +242,12 @@ def no_anchors(record: Record) -> str:
     """Say why nothing is ranked beside a record."""
     board = record.get("board", "BOARD")
     track = "task" if "agent" in record["scores"] else "board"
+    pairs = {each.name: " and ".join(each.anchors) for each in TRACKS}
+    anchors = pairs.get(record.get("track", ""), "its anchors")
     return (
         f"Nothing is ranked: this {track} has no anchors, rows are in the order of names. "
-        f"`racines board pin {board}` pins the board to those that are on it."
+        f"`racines board pin {board}` pins the board, once {anchors} are on it, scored by the "
+        "same judges as the others."
     )
 
 

@@ -130,7 +130,7 @@ def take_in(
     document = read_document(path)
     target = submissions / document["track"] / document["name"]
     _check_free(target, document, replace, path)
-    with _staged(target.parent) as stage:
+    with _staged(target.parent) as stage, _where_it_lies(stage, path.parent):
         remote = _gather(path, document, stage, opener if fetching else None, limits)
         probed = probe(stage, document, matching_store(data, document), limits)
         text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
@@ -154,10 +154,22 @@ def look_at(source: Path, limits: Limits | None = None, data: Path | None = None
     """
     path = source / YAML if source.is_dir() else source
     document = read_document(path)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, _where_it_lies(Path(folder), path.parent):
         remote = _gather(path, document, Path(folder), None, limits)
         probed = probe(Path(folder), document, matching_store(data, document), limits)
     return Taken(path.parent, document, remote, probed)
+
+
+@contextlib.contextmanager
+def _where_it_lies(copies: Path, source: Path) -> Iterator[None]:
+    """Name in errors the files that were handed in, not the copies, which are gone by then."""
+    try:
+        yield
+    except RacinesError as error:
+        told = str(error).replace(str(copies), str(source))
+        if told == str(error):
+            raise
+        raise RacinesError(told) from error
 
 
 def _check_free(target: Path, document: dict[str, Any], replace: bool, path: Path) -> None:

@@ -2,12 +2,14 @@
 
 import os
 import pickle
+import re
 from pathlib import Path
 
 import pytest
 
 from racines_data.errors import RacinesError
 from racines_leaderboard.submissions.document import KINDS, find_submission, read_submission
+from racines_leaderboard.submissions.intake import look_at, take_in
 from tests.conftest import ROOT
 from tests.leaderboard.conftest import ADAPTER, DIGEST, artefact, write_submission
 
@@ -203,3 +205,16 @@ def test_adapters_are_merged_code(tmp_path, target, message):
     with pytest.raises(RacinesError, match=message):
         read_submission(path)
     assert not (tmp_path / "owned").exists()
+
+
+def test_errors_name_the_file_that_was_handed_in(tmp_path):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "policy.onnx").write_bytes(b"\x08\x01 no graph")
+    dataset = {"source": "phantom", "version": "1.0.0", "digest": "3" * 63 + "a"}
+    write_submission(
+        folder, artefact("policy", folder / "policy.onnx"), track="agents", dataset=dataset
+    )
+    for look in (look_at, lambda place: take_in(place, tmp_path / "submissions")):
+        with pytest.raises(RacinesError, match=re.escape(f"{folder}/policy.onnx: ")):
+            look(folder)
