@@ -260,8 +260,8 @@ def difference(first: Replicates, second: Replicates, kind: str = "difference") 
     """
     if (first.units, first.without.shape[1]) != (second.units, second.without.shape[1]):
         raise ValueError("two methods are compared on the same units alone")
-    kept = [each.used for each in (first, second) if each.used is not None]
-    if len(kept) == 2 and not np.array_equal(*kept):
+    one, two = first.used, second.used
+    if one is not None and two is not None and not np.array_equal(one, two):
         raise ValueError("two methods are compared on the same units alone: others lack values")
     apart = Replicates(
         np.array([first.value - second.value]),
