@@ -84,12 +84,13 @@ def export(
     labels, major = manifest_labels(manifest), manifest["version"].split(".")[0]
     written: dict[str, dict[str, int]] = {}
     aims: dict[str, Counter[str]] = {}
-    missing, frames, alone, robot = 0, 0, 0, recorded_robot(manifest, config)
+    commanded, missing, frames, alone, robot = False, 0, 0, 0, recorded_robot(manifest, config)
     with new_folder(out) as folder, progress_bar(progress) as bar:
         task = bar.add_task("frames", total=None)
         for sweep in read_sweeps(root, split, limit, config):
             if len(sweep) < 2:  # a step lies between two frames
                 alone += 1
+                commanded |= bool(np.isfinite(float_columns(sweep.table, CONTROLS)).any())
                 continue
             name = f"racines/{manifest['source']}-{sweep.split}-v{major}"
             counts = written.setdefault(name, {"episodes": 0, "steps": 0})
@@ -101,7 +102,7 @@ def export(
             frames += len(sweep)
             bar.advance(task, len(sweep))
         steps = sum(counts["steps"] for counts in written.values())
-        if not steps:
+        if not steps and commanded:
             raise RacinesError(
                 f"{root}: no sweep has two frames, hence no step: export more frames, or another "
                 "dataset"

@@ -59,7 +59,7 @@ def submit(
     from racines_data.errors import RacinesError
 
     if not source.exists() and not source.is_symlink():
-        raise RacinesError(f"{source}: no such folder: give that of submission.yaml, or the file")
+        raise RacinesError(f"{source}: no such file or folder: give that of submission.yaml")
     from racines_leaderboard.submissions.confined.session import Limits
     from racines_leaderboard.submissions.document import KINDS, rescored
     from racines_leaderboard.submissions.intake import look_at, take_in

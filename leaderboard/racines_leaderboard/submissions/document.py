@@ -61,21 +61,16 @@ OLD_PICKLE = re.compile(rb"[(\]}]|c[\w.]+\n[\w.]+\n")
 """How pickles of protocol 0 and 1, which have no mark of their own, begin."""
 SAFETENSORS = b"\x00\x00\x00\x00{"
 """Bytes 4 to 8 of a safetensors file. Those before are its header's length, which may be any."""
-REMEDY = (
-    "a pickle can run code when it is loaded and an archive can unpack to anything: give "
+REMEDY = "a pickle can run code and an archive can unpack to anything: give " + (
     "safetensors, ONNX, Parquet or JSON"
 )
 
 GENERATORS, AGENTS, ON_PATIENTS = "generators", "agents", "patient-agents"
 ADAPTING, TURNS, MOTION = "patient-generators", "turn-generators", "motion"
-ALL = (GENERATORS, AGENTS, ON_PATIENTS, ADAPTING, TURNS, MOTION)
-SEVERAL = {
-    "generator": ALL,
-    "motion": ALL,
-    "policy": (AGENTS, ON_PATIENTS),
-    "predictions": (ADAPTING,),
-}
-"""Kinds of which there may be several, the trainings of one method, and the tracks where."""
+_STEER = AGENTS, ON_PATIENTS
+ALL = (GENERATORS, *_STEER, ADAPTING, TURNS, MOTION)
+SEVERAL = {"generator": ALL, "motion": ALL, "policy": _STEER, "predictions": (ADAPTING,)}
+"""Kinds of which there may be several, the trainings of one method, and where."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +87,7 @@ class Kind:
 KINDS = {
     "predictions": Kind(".parquet", (GENERATORS, ADAPTING, TURNS), "images of test poses", True),
     "generator": Kind(".onnx", (GENERATORS, TURNS), "a network that draws", True),
-    "policy": Kind(".onnx", (AGENTS, ON_PATIENTS), "a network that steers", True),
+    "policy": Kind(".onnx", _STEER, "a network that steers", True),
     "trace": Kind(".json", (AGENTS,), "the actions of every episode", True),
     "motion": Kind(".parquet", (MOTION,), "the motion of every test sweep", True),
     "weights": Kind(".safetensors", ALL, "weights of merged code"),
@@ -162,9 +157,8 @@ def check_artefacts(document: dict[str, Any], where: str) -> None:
     several = len(kinds) > 1 and document["track"] not in SEVERAL.get(kinds[0], ())
     if len(set(kinds)) > 1 or several:
         raise RacinesError(
-            f"{where}: artefacts: {', '.join(kinds)}: give one that is scored again; only "
-            "generators, policies, motions and predictions of patients may be several, the seeds "
-            "of a method"
+            f"{where}: artefacts: {', '.join(kinds)}: give one that is scored again; several only "
+            "of generators, policies, motions, predictions of patients: a method's seeds"
         )
     merged, tier = any("adapter" in each for each in document["artefacts"]), document["tier"]
     if tier == "recomputed" and not kinds:

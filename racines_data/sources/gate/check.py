@@ -9,12 +9,11 @@ from racines_data.errors import RacinesError
 from racines_data.schema import Trajectory
 from racines_data.sources.base import Unit
 from racines_data.sources.gate.bounds import Bounds
-from racines_data.sources.gate.labels import label_fault
 from racines_data.sources.gate.motion import motion_faults
 from racines_data.sources.gate.numbers import number_faults
 from racines_data.sources.gate.pixels import pixel_faults, shape_fault
 from racines_data.sources.images import Fault
-from racines_data.views import LABELS, RANDOM
+from racines_data.views import LABELS
 
 
 def check_trajectory(
@@ -80,14 +79,11 @@ def _check_names(trajectory: Trajectory, unit: Unit, labels: Sequence[str], wher
 
 
 def _check_labels(trajectory: Trajectory, labels: Sequence[str], where: str) -> None:
+    grades = trajectory.grades[~np.isnan(trajectory.grades)]
+    if ((grades < 0) | (grades > 10)).any():
+        raise RacinesError(f"{where}: a grade lies outside 0-10")
     if ((trajectory.views < -1) | (trajectory.views >= len(labels))).any():
         raise RacinesError(f"{where}: a view label lies outside -1 to {len(labels) - 1}")
-    if fault := label_fault(trajectory.views, trajectory.grades, labels):
-        row, what = fault
-        raise RacinesError(
-            f"{where}: frame {row} is {what}: give its view, a grade from 1 to 10, or no grade "
-            f"(of {RANDOM}: 0 or none)"
-        )
 
 
 @dataclass(frozen=True)

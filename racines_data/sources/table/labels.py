@@ -7,6 +7,7 @@ import numpy as np
 import polars as pl
 
 from racines_data.errors import RacinesError
+from racines_data.sources.gate.labels import label_fault
 from racines_data.sources.table.mapping import Mapping
 from racines_data.sources.table.rows import numbers, texts
 from racines_data.views import RANDOM, VIEWS, check_labels
@@ -43,8 +44,8 @@ def read_labels(table: pl.DataFrame, mapping: Mapping, path: Path) -> Labelled:
     """Return the labels of T rows.
 
     Raises:
-        RacinesError: a view that is none of the mapping's, a grade beyond 0-10, or a target or
-            session that changes within the sweep.
+        RacinesError: a view that is none of the mapping's, a grade beyond 0-10 or that does not go
+            with its view, or a target or session that changes within the sweep.
     """
     said, count = mapping.labels, len(table)
     views, grades = np.full(count, -1), np.full(count, np.nan, np.float32)
@@ -58,6 +59,12 @@ def read_labels(table: pl.DataFrame, mapping: Mapping, path: Path) -> Labelled:
             raise RacinesError(
                 f"{path}: labels.grade: {grades[row]:g} in row {row}: grades go from 0 to 10"
             )
+    if fault := label_fault(views, grades, labels_of(mapping)):
+        row, what = fault
+        raise RacinesError(
+            f"{path}: labels.grade: row {row} is {what}: give its view, a grade from 1 to 10, or "
+            f"no grade (of {RANDOM}: 0 or none)"
+        )
     target = _one(table, said.target_view, "labels.target_view", path)
     label = _view(target, mapping, "target_view", path)
     session = _one(table, said.session, "labels.session", path)

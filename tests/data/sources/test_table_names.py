@@ -99,5 +99,5 @@ def test_labels_that_would_not_validate_are_not_imported(tmp_path, view, grade, 
     folder = synthetic_folder(tmp_path / "in", view=[view] * count, grade=[grade] * count)
     mapping = changed(ROBOT, segments=3, labels={"view": "view", "grade": "grade"})
     made = source(folder, mapping)
-    with pytest.raises(RacinesError, match=f"frame 0 is {said}: give its view"):
+    with pytest.raises(RacinesError, match=f"labels.grade: row 0 is {said}: give its view"):
         build(made, tmp_path / "out", DataConfig(source="table", workers=1, strict=True))
