@@ -34,7 +34,7 @@ def test_the_code_blocks_run_in_order(workplace: Path):
             continue
         ran += 1
     assert ran >= 4
-    scores = workplace / "models" / "runs" / "scores" / "median-image.json"
+    scores = workplace / "my-scores" / "median-image.json"
     assert scores.exists() and list((workplace / "leaderboard").rglob("median-image.json"))
 
 
