@@ -84,13 +84,12 @@ def export(
     labels, major = manifest_labels(manifest), manifest["version"].split(".")[0]
     written: dict[str, dict[str, int]] = {}
     aims: dict[str, Counter[str]] = {}
-    commanded, missing, frames, alone, robot = False, 0, 0, 0, recorded_robot(manifest, config)
+    missing, frames, alone, robot = 0, 0, 0, recorded_robot(manifest, config)
     with new_folder(out) as folder, progress_bar(progress) as bar:
         task = bar.add_task("frames", total=None)
         for sweep in read_sweeps(root, split, limit, config):
             if len(sweep) < 2:  # a step lies between two frames
                 alone += 1
-                commanded |= bool(np.isfinite(float_columns(sweep.table, CONTROLS)).any())
                 continue
             name = f"racines/{manifest['source']}-{sweep.split}-v{major}"
             counts = written.setdefault(name, {"episodes": 0, "steps": 0})
@@ -102,14 +101,12 @@ def export(
             frames += len(sweep)
             bar.advance(task, len(sweep))
         steps = sum(counts["steps"] for counts in written.values())
-        if not steps and commanded:
-            raise RacinesError(
-                f"{root}: no sweep has two frames, hence no step: export more frames, or another "
-                "dataset"
-            )
         if missing == steps:
+            # Which of both shows in no frame that stands alone.
+            alone_told = "no sweep has two frames, hence no step, or " * (not steps)
             raise RacinesError(
-                f"{root}: {manifest['source']} data have no commanded velocity, hence no actions"
+                f"{root}: {alone_told}{manifest['source']} data have no commanded velocity, hence "
+                "no actions"
             )
         for name, counts in written.items():
             common = [view for view, _ in aims[name].most_common()]
