@@ -111,10 +111,13 @@ class BaseGenerator(ABC, Generic[C]):
         self.seed = run.seed
         self.data = dataset_card(store)
         metrics: dict[str, Any] = {"schema": "racines.training/1", "generator": self.name}
-        metrics |= self._checked(self.learn(store, run))
+        learned = self.learn(store, run)
+        if is_main_process():  # first: what was learned stays, whatever it tells and draws
+            self._check_held()
+            self.save(run.folder)
+        metrics |= self._checked(learned)
         if not is_main_process():
             return metrics
-        self.save(run.folder)  # first: what was learned stays, whatever it draws
         metrics["validation"] = self.look_back(store, run)
         write_json(run.folder / "metrics.json", metrics)
         discard_checkpoint(run.folder)
@@ -151,7 +154,7 @@ class BaseGenerator(ABC, Generic[C]):
             )
 
     def _checked(self, learned: Any) -> dict[str, Any]:
-        """Return what `learn` gave and the method holds, if it can be written."""
+        """Return the metrics that `learn` gave, if they can be written."""
         where = f"generator {self.name}: {type(self).__name__}"
         if not isinstance(learned, dict):
             kind = type(learned).__name__
@@ -160,14 +163,16 @@ class BaseGenerator(ABC, Generic[C]):
             json.dumps(learned)
         except (TypeError, ValueError) as error:
             raise RacinesError(f"{where}.learn: metrics are numbers and texts: {error}") from error
-        held = self.tensors()
-        wrong = [name for name, each in held.items() if not isinstance(each, Tensor)]
-        if wrong:
-            raise RacinesError(
-                f"{where}.tensors: {wrong[0]!r} is {type(held[wrong[0]]).__name__}: give tensors, "
-                "of a network those of its state_dict()"
-            )
         return learned
+
+    def _check_held(self) -> None:
+        """Refuse to save what is no tensor."""
+        for name, each in self.tensors().items():
+            if not isinstance(each, Tensor):
+                raise RacinesError(
+                    f"generator {self.name}: {type(self).__name__}.tensors: {name!r} is "
+                    f"{type(each).__name__}: give tensors, of a network those of its state_dict()"
+                )
 
     @property
     def card(self) -> Card:

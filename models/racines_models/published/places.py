@@ -27,6 +27,11 @@ def published(folder: Path) -> Path:
     return next((place for place in places if place.exists()), folder)
 
 
+def of_weights(folder: Path) -> Path:
+    """Return where a folder lies that may be one of `models/weights`; any other as it is."""
+    return published(folder) if folder.is_relative_to(WEIGHTS) else folder
+
+
 def own_or_published(own: Path, folders: Path | Sequence[Path], file: str) -> Path:
     """Return the folder that has a file: a run made here stands before the published ones.
 

@@ -70,7 +70,7 @@ def eval_generator(
     from racines_models.judges.grader.model import Grader
     from racines_models.judges.pose.regressor import PoseRegressor
     from racines_models.pictures import pick_columns, write_strip
-    from racines_models.published.places import WEIGHTS, published
+    from racines_models.published.places import WEIGHTS, of_weights
     from racines_models.registry import is_file, open_runs, run_folder, weights_of
     from racines_models.scores.scoring import ScoresConfig, score, take_turns
     from racines_models.statistics import write_scores
@@ -80,7 +80,7 @@ def eval_generator(
     settings = section(values, "scores") | given(split=split, samples=samples)
     config = fill(ScoresConfig, settings, "scores")
     store = open_store(data)
-    grader = published(grader or Path(config.grader))
+    grader = of_weights(grader or Path(config.grader))
     if not no_grader and not grader.is_dir():
         raise RacinesError(
             f"{grader}: no grader; run: racines train grader, or give --grader "
@@ -95,8 +95,8 @@ def eval_generator(
     written = out / f"{title}.json"
     if Path(name).resolve() == written.with_suffix(".parquet").resolve():
         raise RacinesError(f"{name}: the scores would replace it: write elsewhere with --out")
-    usual = published(Path(config.pose))
-    pose = None if no_pose else published(pose) if pose else (usual if usual.is_dir() else None)
+    usual = of_weights(Path(config.pose))
+    pose = None if no_pose else of_weights(pose) if pose else (usual if usual.is_dir() else None)
     regressor = None if pose is None else PoseRegressor.load(pose, device)
     total = min(config.samples, len(store.split_indices(config.split)))
     total *= 1 + 2 * len(take_turns(runs, config.seeds))
