@@ -25,6 +25,7 @@ from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.leaves import MISSING, leaves, same
 from racines_leaderboard.audit.numbers import starts_of
 from racines_leaderboard.audit.verdicts import (
+    DIFFERS,
     FAILS,
     RETRAINABLE,
     Verdict,
@@ -167,7 +168,7 @@ def compare_evidence(
 ) -> Iterator[Verdict]:
     """Hold the figures of each item against those made again, of the trainings that were.
 
-    They may be off by a metric's bound on the average of the items; without one they are equal.
+    They may be off by a metric's bound on the average of the items.
     """
     for key in record["scores"]["metrics"]:
         there, here = claimed.figures.get(key), made.figures.get(key)
@@ -179,7 +180,7 @@ def compare_evidence(
             yield fails(subject, "recomputed: of other items, units or draws")
         else:
             say = holds if off <= bound else fails
-            told = "equal to the last bit" if off == 0.0 else f"differs by {off:.2g} on average"
+            told = "equal to the last bit" if off == 0.0 else f"{DIFFERS} {off:.2g} on average"
             yield say(subject, f"recomputed, each item: {told}")
 
 

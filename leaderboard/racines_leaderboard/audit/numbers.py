@@ -3,8 +3,9 @@
 By themselves: n, intervals and means that cannot be what they say. Recomputed, each must come
 within what its tier allows:
 
-bitwise     the same libraries, processor, threads, data and weights: every bit of a value, and the
-            ends of intervals but for rounding
+bitwise     the same libraries, processor, threads, data and weights: every bit, but for rounding,
+            since names of processors are coarse and each sums in an order of its own; where a
+            number differs by that, the report says `rounding`
 tolerance   elsewhere: the metrics that rank within 0.0004, or 0.01 where they are errors in mm of
             estimated motion; the others within 0.001 of their size, or two items of n
 half        from half-precision weights: the same, or a quarter of the interval's half-width;
@@ -22,7 +23,16 @@ import numpy as np
 from racines_leaderboard.audit import moving
 from racines_leaderboard.audit.bench import Bench
 from racines_leaderboard.audit.claims import differing, judge_of
-from racines_leaderboard.audit.verdicts import Verdict, equal, fails, holds, tell, told, unknown
+from racines_leaderboard.audit.verdicts import (
+    DIFFERS,
+    Verdict,
+    equal,
+    fails,
+    holds,
+    tell,
+    told,
+    unknown,
+)
 from racines_leaderboard.board.collect import Record
 from racines_leaderboard.records.ranges import CLOSE, ENDS, RANGES, faults
 from racines_leaderboard.records.tracks import MOTION, PATIENT_GENERATORS, TRACK
@@ -35,7 +45,7 @@ OF_VIEW = re.compile(r"(grade_agreement|grade_error|pose_error_(mm|deg)_view)(_t
 PRDC = re.compile(r"(precision|recall|density|coverage)(_grader)?")
 TIMED = re.compile(r"images_per_second_(?P<batch>\d+)|latency|seconds_to_adapt")
 """Metrics of the machine."""
-BITWISE, TOLERANCE, HALF = "bitwise", "tolerance", "half precision"
+BITWISE, ROUNDING, TOLERANCE, HALF = "bitwise", "rounding", "tolerance", "half precision"
 PRIMARY = 4e-4
 """Of the metrics that rank, in their own unit: below half of 0.001."""
 MILLIMETRES = 1e-2
@@ -43,6 +53,8 @@ MILLIMETRES = 1e-2
 OTHERS, ITEMS = 1e-3, 2.0
 SHARE = 0.25
 """Of the half-width of an interval, for half-precision weights."""
+SUMMED = 1e-12
+"""What the order of a sum of doubles may change, of a value's size; resampling, `CLOSE`."""
 NUMBERS = (*ENDS, "n")
 CONTINUOUS = ("ssim", "psnr", "fid", "kid", "final_grade", "spl", "position_error", "return",
               "gpe", "gle", "lpe", "lle")  # fmt: skip
@@ -219,19 +231,23 @@ def _numbers(
     allowed, doubtful = bounds_of(key, here, tier, track)
     for number in NUMBERS:
         stated, value = claimed[number], here[number]
-        # Resampling sums in an order that is the processor's, and names of processors are coarse.
-        rounding = CLOSE * max(1.0, abs(value or 0.0)) if number in ENDS[1:] else 0.0
-        bound = rounding if tier == BITWISE else 0.0 if number == "n" else allowed
+        share = CLOSE if number in ENDS[1:] else SUMMED
+        bound = _rounding(value, share) if tier == BITWISE else allowed
+        bound = 0.0 if number == "n" else bound
         say, reason = fails, "one of the two is missing"
         if stated == value:
             say, reason = holds, "equal to the last bit"
         elif None not in (stated, value):
             off = abs(stated - value)
-            say, reason = holds if off <= bound else fails, f"differs by {off:.2g}"
+            say, reason = holds if off <= bound else fails, f"{DIFFERS} {off:.2g}"
             if say is fails and off <= doubtful and number != "n":
                 say, reason = unknown, f"{reason}: the full weights would tell"
         verdict = say(f"{subject}.{number}", f"recomputed: {reason}", stated, value)
         yield dataclasses.replace(verdict, tolerance=bound)
+
+
+def _rounding(value: float | None, share: float) -> float:
+    return share * max(1.0, abs(value or 0.0))
 
 
 def bounds_of(key: str, here: dict[str, Any], tier: str, track: str) -> tuple[float, float]:
@@ -251,9 +267,9 @@ def bounds_of(key: str, here: dict[str, Any], tier: str, track: str) -> tuple[fl
 
 
 def bounds_by_metric(made: dict[str, Any], tier: str, track: str) -> dict[str, float]:
-    """Return the difference that passes of each metric; none where all is to be equal."""
-    if tier == BITWISE:
-        return {}
+    """Return the difference that passes of each metric, and of the parts of a record."""
     metrics = made["metrics"].items()
+    if tier == BITWISE:
+        return {key: _rounding(here["value"], SUMMED) for key, here in metrics}
     bounds = {key: bounds_of(key, here, tier, track)[0] for key, here in metrics}
     return bounds | ({"explained": OTHERS} if track == MOTION.name else {})

@@ -26,6 +26,7 @@ from racines_leaderboard.audit.evidence import (
 from racines_leaderboard.audit.leaves import compare_leaves
 from racines_leaderboard.audit.numbers import (
     BITWISE,
+    ROUNDING,
     agreement,
     bounds_by_metric,
     check_metrics,
@@ -36,6 +37,7 @@ from racines_leaderboard.audit.roads import Made, Road, find_road, score_agent, 
 from racines_leaderboard.audit.robustness import check_robustness
 from racines_leaderboard.audit.tier import check_reproduced, check_tier, tier_of
 from racines_leaderboard.audit.verdicts import (
+    DIFFERS,
     SKIPPED,
     UNKNOWN,
     Report,
@@ -224,7 +226,8 @@ def _recomputed(
     if road.name == "fitted":
         verdicts += _fitted(record, again, tier, road.source)
     verdicts += check_reproduced(record, again, road.name, tier)
-    how = {"road": road.name, "agreement": tier, "from": road.source}
+    apart = tier == BITWISE and any(DIFFERS in each.reason for each in verdicts)
+    how = {"road": road.name, "agreement": ROUNDING if apart else tier, "from": road.source}
     return verdicts, how | {"environment": again["environment"]}
 
 

@@ -34,6 +34,8 @@ VERDICTS = (FAILS, UNKNOWN, SKIPPED, RETRAINABLE, TOLD, HOLDS)
 """The gravest first."""
 HEAD = ("Claim", "Verdict", "Why", "In the record", "Here")
 MARKS = {FAILS: "bold red", UNKNOWN: "yellow", RETRAINABLE: "cyan", SKIPPED: "dim"}
+DIFFERS = "differs by"
+"""How the reason of a verdict on two numbers begins that are not equal to the last bit."""
 SHOWN = 16
 """Characters of a digest."""
 

@@ -242,9 +242,16 @@ def test_a_half_precision_copy_speaks_against_what_it_can_tell(key, number, move
 
 @pytest.mark.parametrize(
     ("number", "moved", "verdict"),
-    [("low", 3e-14, HOLDS), ("high", -2e-13, HOLDS), ("low", 1e-6, FAILS), ("value", 3e-14, FAILS)],
+    [
+        ("low", 3e-14, HOLDS),
+        ("high", -2e-13, HOLDS),
+        ("low", 1e-6, FAILS),
+        ("value", 3e-14, HOLDS),
+        ("value", 1e-9, FAILS),
+        ("n", 1, FAILS),
+    ],
 )
-def test_only_the_ends_of_intervals_are_rounded_where_bits_are_equal(number, moved, verdict):
+def test_values_and_ends_are_rounded_alone_where_bits_are_equal(number, moved, verdict):
     metric = {"value": 40.5, "low": 37.25, "high": 44.75, "n": 300, "settings": {}}
     said = metric | {number: metric[number] + moved}
     record = {"track": "agents", "scores": {"metrics": {"position_error": said}}}

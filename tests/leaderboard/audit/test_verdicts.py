@@ -1,6 +1,7 @@
 """What an audit says of a whole record, what it exits with, and what is kept of it."""
 
 import json
+import math
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -170,6 +171,21 @@ def test_verdicts_are_kept_beside_the_board_and_speak_of_that_record_alone(judge
     assert getattr(verdict_of(sealed(record), RESULTS), "verdict", None) == DOES_NOT_HOLD
     judged.unlink()
     assert read_verdicts(keep_verdicts(RESULTS / "tiny", {}).parent) == {}
+
+
+def test_a_sum_in_another_order_is_rounding_and_no_false_claim(judged):
+    """Processors of one name sum in orders of their own; what is claimed beyond that is wrong."""
+    record = json.loads(judged.read_text())
+    ssim = record["scores"]["metrics"]["ssim"]
+    last_bit = math.nextafter(ssim["value"], 1.0)
+    told = {}
+    for value in (last_bit, last_bit + 1e-11):
+        ssim["value"] = value
+        judged.write_text(json.dumps(sealed(record)))
+        found = audit(judged, Bench("tiny", Places()))
+        wrong = {each.subject for each in found.verdicts if each.verdict == FAILS}
+        told[value] = found.made_again["agreement"], "metrics.ssim.value" in wrong
+    assert list(told.values()) == [("rounding", False), ("rounding", True)]
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"schema": "racines.verdicts/1"}'])
