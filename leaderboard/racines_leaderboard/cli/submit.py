@@ -66,7 +66,7 @@ def submit(
 
     limits = Limits(unconfined=unconfined)
     if check:
-        taken = look_at(source, limits, data)
+        taken = look_at(source, out, limits, data)
     else:
         taken = take_in(source, out, replace=force, fetching=fetch, limits=limits, data=data)
     document, again = taken.document, rescored(taken.document)

@@ -174,9 +174,8 @@ def _check_filled_in(document: dict[str, Any], where: str) -> None:
     told = {"method": document["method"], "description": document["description"].strip()}
     told |= {f"training.{key}": value for key, value in document["training"].items()}
     told |= {f"authors.{i}": name for i, name in enumerate(authors)}
-    for field, value in told.items():
-        if value in BLANKS:
-            raise RacinesError(f"{where}: {field}: {value!r}: fill it in")
+    if blank := [f"{field}: {value!r}" for field, value in told.items() if value in BLANKS]:
+        raise RacinesError(f"{where}: {'; '.join(blank)}: fill them in")
     for i, name in enumerate(authors):
         check_unlike(name, authors[:i], f"{where}: authors.{i}")
     if "digest" in document["dataset"]:

@@ -147,13 +147,16 @@ def take_in(
     return Taken(target, document, remote, probed)
 
 
-def look_at(source: Path, limits: Limits | None = None, data: Path | None = None) -> Taken:
+def look_at(
+    source: Path, submissions: Path, limits: Limits | None = None, data: Path | None = None
+) -> Taken:
     """Check a submission where it lies, as `take_in` does; nothing is written beside it.
 
     Its name may be taken: what is looked at may be what took it.
     """
     path = source / YAML if source.is_dir() else source
     document = read_document(path)
+    _check_own(submissions / document["track"] / document["name"], document, path)
     with tempfile.TemporaryDirectory() as folder, _where_it_lies(Path(folder), path.parent):
         remote = _gather(path, document, Path(folder), None, limits)
         probed = probe(Path(folder), document, matching_store(data, document), limits)
@@ -182,12 +185,7 @@ def _check_free(target: Path, document: dict[str, Any], replace: bool, path: Pat
             raise RacinesError(f"{place}: a symbolic link: nothing is written through it")
     beside = [each.name for each in target.parent.glob("[!.]*")]
     check_unlike(target.name, beside, f"{path}: name")
-    own = {each["sha256"]: each["path"] for each in files_of(document)}
-    for other in sorted(target.parent.parent.glob(f"*/[!.]*/{YAML}")):
-        for sha256 in own.keys() & _handed_in(other) if other.parent != target else ():
-            there = f"{other.parent.parent.name}/{other.parent.name}"
-            taken = f"handed in as {there} already"
-            raise RacinesError(f"{path}: {own[sha256]}: {taken}: hand in what is your own")
+    _check_own(target, document, path)
     if not target.exists():
         return
     if not replace:
@@ -200,6 +198,16 @@ def _check_free(target: Path, document: dict[str, Any], replace: bool, path: Pat
         raise RacinesError(
             f"{path}: authors: {target} is by {', '.join(before)}: only one of them replaces it"
         )
+
+
+def _check_own(target: Path, document: dict[str, Any], path: Path) -> None:
+    """Refuse a file that was handed in before, under another name or in another track."""
+    own = {each["sha256"]: each["path"] for each in files_of(document)}
+    for other in sorted(target.parent.parent.glob(f"*/[!.]*/{YAML}")):
+        for sha256 in own.keys() & _handed_in(other) if other.parent != target else ():
+            there = f"{other.parent.parent.name}/{other.parent.name}"
+            taken = f"handed in as {there} already"
+            raise RacinesError(f"{path}: {own[sha256]}: {taken}: hand in what is your own")
 
 
 def _handed_in(path: Path) -> set[str]:

@@ -365,6 +365,25 @@ def test_a_study_goes_on_and_takes_new_points(tmp_path, monkeypatch):
     assert not [path for path in (tmp_path / "points").iterdir() if path.is_dir()]
 
 
+def test_points_that_were_published_are_not_measured_again(tmp_path, monkeypatch):
+    config = DownstreamConfig(points=("truth",), published=str(tmp_path))
+    monkeypatch.setattr(module, "_prepare", None)  # nobody is examined
+    path = point_file(open_point("truth"), config, tmp_path)
+    published = tmp_path / path.name
+    told = {"schema": module.SCHEMA, "spec": "truth", "found": {"A4C": {}}}
+    published.write_text(json.dumps(told))
+    own = tmp_path / "own"
+    assert measure_points(config, own) == [told | {"label": "truth"}]
+    named = replace(config, points=("mine=truth",))
+    assert measure_points(named, own) == [told | {"label": "mine"}]
+    for damage, said in (("{", "not readable"), ('{"spec": "cgan"}', "not a result of 'truth'")):
+        published.write_text(damage)
+        with pytest.raises(RacinesError, match=f"{path.name}: {said}"):
+            measure_points(config, own)
+    with pytest.raises(RacinesError, match=r"downstream.published: .*: no such folder"):
+        measure_points(replace(config, published=str(own / "nowhere")), own)
+
+
 @pytest.mark.thorough
 def test_a_study_is_the_same_with_two_workers(tmp_path):
     points = ("truth", "scout-mean")

@@ -297,8 +297,9 @@ def test_a_template_fits_once_it_is_filled_in(tmp_path):
     (folder / "notes.txt").write_text("left alone")
     assert "submission.yaml" in invoke("submit", "--new", folder)
     path = folder / "submission.yaml"
-    with pytest.raises(RacinesError, match="fill it in"):
+    with pytest.raises(RacinesError, match="fill them in") as refused:
         take_in(folder, tmp_path / "out")
+    assert all(repr(blank) in str(refused.value) for blank in BLANKS)  # at once
     text = path.read_text().replace("0" * 64, DIGEST).replace('"0000000"', '"0a1b2c3"')
     for blank in BLANKS:
         text = text.replace(blank, "filled in")

@@ -132,6 +132,9 @@ def test_a_file_is_handed_in_once(tmp_path):
     intake.take_in(handed_in(tmp_path / "a", name="mine"), tmp_path / "out")
     with pytest.raises(RacinesError, match=r"w\.safetensors: handed in as generators/mine"):
         intake.take_in(handed_in(tmp_path / "b", name="yours"), tmp_path / "out")
+    with pytest.raises(RacinesError, match=r"w\.safetensors: handed in as generators/mine"):
+        intake.look_at(tmp_path / "b", tmp_path / "out")  # `submit --check`
+    intake.look_at(tmp_path / "a", tmp_path / "out")  # what took the name
     intake.take_in(tmp_path / "a", tmp_path / "out", replace=True)
 
 
@@ -162,8 +165,8 @@ def test_placeholders_are_no_digests(tmp_path, digest):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"authors": ["YOUR NAME"]}, r"authors\.0: 'YOUR NAME': fill it in"),
-        ({"method": "A FEW WORDS FOR THE TABLE"}, "method: .*fill it in"),
+        ({"authors": ["YOUR NAME"]}, r"authors\.0: 'YOUR NAME': fill them in"),
+        ({"method": "A FEW WORDS FOR THE TABLE"}, "method: .*fill them in"),
         ({"training": {"budget": "b", "hardware": "WHAT IT RAN ON"}}, r"training\.hardware"),
         ({"code": {"url": "https://example.org/x", "commit": "0000000"}}, "code.commit"),
         ({"authors": ["Ann Ray", "ANN RAY"]}, r"authors\.1: .* looks like"),

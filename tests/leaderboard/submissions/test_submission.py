@@ -215,6 +215,6 @@ def test_errors_name_the_file_that_was_handed_in(tmp_path):
     write_submission(
         folder, artefact("policy", folder / "policy.onnx"), track="agents", dataset=dataset
     )
-    for look in (look_at, lambda place: take_in(place, tmp_path / "submissions")):
+    for look in (look_at, take_in):
         with pytest.raises(RacinesError, match=re.escape(f"{folder}/policy.onnx: ")):
-            look(folder)
+            look(folder, tmp_path / "submissions")

@@ -111,6 +111,8 @@ class DownstreamConfig:
     """Folder of the pose regressor of patients."""
     segmentation: str = PatientScoresConfig.segmentation
     """Folder of the segmentation judge."""
+    published: str = ""
+    """Folder of points as others measured them, which are not measured again; none if empty."""
     anchors: Anchors = Anchors()
     """Of a board whose score is told beside; none if empty."""
 

@@ -54,14 +54,15 @@ def measure_points(
         advance: told what is done.
 
     Raises:
-        RacinesError: points, generators or judges that are not there, before anybody is examined;
-            a generator that refuses a scout, or images that are none.
+        RacinesError: points, generators, judges or published points that are not there, before
+            anybody is examined; a generator that refuses a scout, or images that are none.
     """
     points = open_points(config.points)
     open_judges(config)
     paths = [point_file(point, config, folder) for point in points]
     if len(set(paths)) < len(paths):
         raise RacinesError("downstream.points: two of them draw the same: leave one out")
+    paths = [_published(path, config) or path for path in paths]
     missing = [spec for spec, path in zip(config.points, paths, strict=True) if not path.is_file()]
     state, pool = (config, folder), engine or LocalEngine()
     whom = [("train", each) for each in seeds_of("train")[: config.patients]]
@@ -75,14 +76,28 @@ def measure_points(
         for title in pool.map(work, state, tasks, remedy="to go on"):
             if advance is not None:
                 advance(title)
-    return [_read(path) | {"label": each.label} for each, path in zip(points, paths, strict=True)]
+    return [_read(path, each) for each, path in zip(points, paths, strict=True)]
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _published(path: Path, config: DownstreamConfig) -> Path | None:
+    """Return the file of a point as it was published; None if it was measured here, or is not."""
+    if not config.published or path.is_file():
+        return None
+    folder = Path(config.published)
+    if not folder.is_dir():
+        raise RacinesError(f"downstream.published: {folder}: no such folder: leave it empty")
+    found = folder / path.name
+    return found if found.is_file() else None
+
+
+def _read(path: Path, point: Point) -> dict[str, Any]:
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        told = json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
         raise RacinesError(f"{path}: not readable as JSON: remove it, and run again") from error
+    if not isinstance(told, dict) or (told.get("schema"), told.get("spec")) != (SCHEMA, point.spec):
+        raise RacinesError(f"{path}: not a result of {point.spec!r}: remove it, and run again")
+    return told | {"label": point.label}
 
 
 def steps_of(config: DownstreamConfig) -> int:
@@ -92,7 +107,7 @@ def steps_of(config: DownstreamConfig) -> int:
 
 def point_file(point: Point, config: DownstreamConfig, folder: Path) -> Path:
     """Return where a point's result lies: its name tells all that decides it."""
-    aside = ("points", "anchors", "pose", "segmentation")
+    aside = ("points", "published", "anchors", "pose", "segmentation")
     settings = {key: value for key, value in asdict(config).items() if key not in aside}
     told = {"schema": SCHEMA, "spec": point.spec, "weights": point.weights, "settings": settings}
     told |= {"world": PATIENTS_VERSION, "scouts": SCOUTS_VERSION, "side": SIDE}
