@@ -31,6 +31,7 @@ from racines_leaderboard.submissions import intake
 from racines_leaderboard.submissions.probe import Probed
 from tests.conftest import ROOT
 from tests.leaderboard.called import racines
+from tests.leaderboard.conftest import artefact, write_submission
 from tests.leaderboard.graphs import lookup_policy, sound_policy
 from tests.leaderboard.handed_in import Watched, inbox, submitted
 
@@ -207,6 +208,29 @@ def test_a_policy_handed_in_is_scored_on_patients(board):
     assert board_of(other, settings) == "beating"
     with pytest.raises(RacinesError, match=r"other: dataset\.digest: .*; the world of board beat"):
         recompute(other, Ground("beating", settings, grader=None), RESULTS)
+
+
+def test_policies_on_patients_are_the_trainings_of_one_method(board):
+    recipe, folder = patients_recipe("patients"), inbox(board, "in")
+    paths = [sound_policy(folder / f"{k}.onnx", k, view="A4C-patients") for k in range(3)]
+    dataset = {"source": "phantom", "version": recipe["version"], "digest": recipe["recipe_digest"]}
+    about = {
+        "track": "patient-agents",
+        "dataset": dataset,
+        "tier": "recomputed",
+        "seeds": [2, 4, 6],
+    }
+    write_submission(folder, *(artefact("policy", path) for path in paths), **about)
+    taken = intake.take_in(folder, board / "leaderboard/submissions").folder
+    scores = recompute(taken, Ground("patients", SETTINGS, grader=None), RESULTS)["scores"]
+    config = fill(PatientsConfig, SETTINGS["evaluation_patients"], "evaluation_patients")
+    first, *further = [OnnxPolicyAgent(path) for path in paths]
+    wanted = evaluate_patients("", board, config, agent=first, further=further).scores
+    assert scores["metrics"] == json.loads(json.dumps(wanted["metrics"]))
+    assert scores["runs"] == 3 and scores["weights"].keys() == {path.name for path in paths}
+    assert [each["seed"] for each in scores["trainings"]] == [2, 4, 6]
+    alone = evaluate_patients("", board, config, agent=first).scores
+    assert alone["metrics"]["return"]["value"] != scores["metrics"]["return"]["value"]
 
 
 def test_a_policy_that_knows_the_test_patients_is_flagged(board, monkeypatch):
