@@ -5,12 +5,14 @@
      "start_set": {"seeds": [0, 1, 2], "starts": 100},
      "episodes": [{"set": 0, "index": 0, "actions": [3, 0, 12, ...]}, ...]}
 
+On patients the start set is as scores name it, and an episode says `patient` in place of `set`.
 The environment is deterministic: the same actions from the same starts give the same figures. A
 trace says what was done, not why: it does not show what the agent looked at.
 """
 
 import json
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -23,12 +25,14 @@ from torch.nn.utils.rnn import pad_sequence
 from racines_data.digest import canonical_json
 from racines_data.errors import RacinesError
 from racines_data.files import write_atomic
+from racines_data.patients.splits import seeds_of
 from racines_data.randomness import derive
 from racines_envs.agents.protocol import Untrained
 from racines_envs.agents.rollout import Episodes
 from racines_envs.task.actions import ACTIONS, IDLE
 from racines_envs.task.core import OBSERVATIONS, ScanCore
-from racines_envs.task.starts import evaluation_seeds
+from racines_envs.task.names import HEART_TIER, task_name
+from racines_envs.task.starts import evaluation_seeds, patient_seeds
 from racines_envs.worlds.making import phantom_recipe
 from racines_models.provenance import sha256_bytes
 
@@ -39,7 +43,11 @@ KEYS = {
     "schema": str, "agent": str, "observation": str, "backend": str, "reward": str, "task": dict,
     "phantom": (dict, type(None)), "start_set": dict, "episodes": list,
 }  # fmt: skip
+PATIENTS_KEYS = {"split", "patients", "starts", "seeds", "digest"}
+"""Of a start set on patients."""
 SHOWN = 80
+TOLD = {"view": "", "tier": HEART_TIER}
+"""What a task's definition says of its name; those of the one heart say no tier."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +62,33 @@ class Trace:
     """(E, T) int64, idle behind the end."""
     lengths: Tensor
     """(E,) int64."""
+    starts: "Starts"
+
+    def place(self, episode: int) -> str:
+        """Return how errors name an episode."""
+        return ", ".join(f"{key} {value}" for key, value in self.starts.row(episode).items())
+
+
+@dataclass(frozen=True)
+class Starts:
+    """From where the episodes of a trace start: of each set, or on each patient, as many."""
+
+    unit: str
+    """`set` or `patient`."""
+    units: Sequence[int]
+    each: int
+    seed: int = 0
+    """Of the starts on patients."""
+
+    def row(self, episode: int) -> dict[str, int]:
+        """Return where an episode stands."""
+        return {self.unit: self.units[episode // self.each], "index": episode % self.each}
+
+    def seeds(self) -> Tensor:
+        """Return the (E,) int64 seeds of the episodes."""
+        if self.unit == "patient":
+            return patient_seeds(self.units, self.each, self.seed)
+        return torch.cat([evaluation_seeds(self.each, seed) for seed in self.units])
 
 
 def circumstances(core: ScanCore, backend: str) -> dict[str, Any]:
@@ -62,21 +97,22 @@ def circumstances(core: ScanCore, backend: str) -> dict[str, Any]:
     return json.loads(json.dumps(told | {"phantom": phantom_recipe(core.phantom)}))
 
 
-def write_trace(path: Path, told: dict[str, Any], episodes: Episodes) -> int:
-    """Write the actions of all episodes, set after set; return the number of steps.
+def write_trace(path: Path, told: dict[str, Any], parts: Iterable[Episodes]) -> tuple[int, int]:
+    """Write the actions of all episodes, in the order of their starts; return episodes and steps.
 
     `told` is agent, observation, start_set and what `circumstances` says.
     """
-    sets, starts = told["start_set"]["seeds"], told["start_set"]["starts"]
-    table, steps = torch.stack(episodes.actions, 1).tolist(), episodes.final["steps"].tolist()
-    lines = []
-    for i, (actions, count) in enumerate(zip(table, steps, strict=True)):
-        row = {"set": sets[i // starts], "index": i % starts, "actions": actions[:count]}
-        lines.append(json.dumps(row, separators=(",", ":")))
+    starts, lines, total = _start_set(told["start_set"], path), list[str](), 0
+    for episodes in parts:
+        steps = episodes.final["steps"].tolist()
+        for actions, count in zip(torch.stack(episodes.actions, 1).tolist(), steps, strict=True):
+            row = starts.row(len(lines)) | {"actions": actions[:count]}
+            lines.append(json.dumps(row, separators=(",", ":")))
+        total += sum(steps)
     head = json.dumps({"schema": SCHEMA} | told, indent=1)[:-2]
     rows = ",\n  ".join(lines)
     write_atomic(path, f'{head},\n "episodes": [\n  {rows}\n ]\n}}\n')
-    return sum(steps)
+    return len(lines), total
 
 
 def read_trace(path: Path) -> Trace:
@@ -95,17 +131,17 @@ def read_trace(path: Path) -> Trace:
             raise RacinesError(f"{path}: {key}: a {type(told[key]).__name__} is refused")
     if told["schema"] != SCHEMA or told["observation"] not in OBSERVATIONS:
         raise RacinesError(f"{path}: schema is not {SCHEMA}, or observation is unknown")
-    sets, starts = _start_set(told["start_set"], path)
+    starts = _start_set(told["start_set"], path)
     rows = told.pop("episodes")
-    if len(rows) != len(sets) * starts:
-        wanted = f"{len(sets)} x {starts}"
+    if len(rows) != len(starts.units) * starts.each:
+        wanted = f"{len(starts.units)} x {starts.each}"
         raise RacinesError(f"{path}: {len(rows)} episodes: its start set has {wanted}")
-    actions = [_actions(row, sets[i // starts], i % starts, path) for i, row in enumerate(rows)]
+    actions = [_actions(row, starts.row(i), path) for i, row in enumerate(rows)]
     lengths = torch.tensor([len(row) for row in actions])
     rows = [torch.tensor(row) for row in actions]
     table = pad_sequence(rows, batch_first=True, padding_value=IDLE)
-    seeds = torch.cat([evaluation_seeds(starts, seed) for seed in sets])
-    return Trace(told, derive(seeds, torch.zeros_like(seeds)), table, lengths)
+    seeds = starts.seeds()
+    return Trace(told, derive(seeds, torch.zeros_like(seeds)), table, lengths, starts)
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -124,25 +160,42 @@ def _read(path: Path) -> dict[str, Any]:
     return told
 
 
-def _start_set(told: dict[str, Any], path: Path) -> tuple[list[int], int]:
+def _start_set(told: dict[str, Any], path: Path) -> Starts:
     sets, starts = told.get("seeds", []), told.get("starts", 0)
     whole = isinstance(sets, list) and all(type(s) is int and 0 <= s < 2**31 for s in sets)
-    fits = whole and type(starts) is int and set(told) == {"seeds", "starts"} and starts > 0
+    whole = whole and type(starts) is int and starts > 0
+    if "split" in told:
+        return _on_patients(told, sets if whole and len(sets) == 1 else [], starts, path)
+    fits = whole and set(told) == {"seeds", "starts"}
     if not fits or not sets or len(set(sets)) != len(sets) or len(sets) * starts > MAX_EPISODES:
         raise RacinesError(
             f"{path}: start_set: give different seeds, and starts; {MAX_EPISODES:,} episodes in all"
         )
-    return sets, starts
+    return Starts("set", sets, starts)
 
 
-def _actions(row: Any, seed: int, index: int, path: Path) -> list[int]:
+def _on_patients(told: dict[str, Any], seeds: list[int], starts: int, path: Path) -> Starts:
+    """Return the starts on a split's first patients; `seeds` is empty where they are at fault."""
+    split, count = told["split"], told.get("patients")
+    known = seeds_of(split) if isinstance(split, str) else ()
+    count = count if type(count) is int else 0
+    fits = len(seeds) == 1 and set(told) == PATIENTS_KEYS
+    if not fits or not 0 < count <= len(known) or count * starts > MAX_EPISODES:
+        raise RacinesError(
+            f"{path}: start_set: give {', '.join(sorted(PATIENTS_KEYS))}: one seed, the first 1 to "
+            f"{len(known):,} patients of the split; {MAX_EPISODES:,} episodes in all"
+        )
+    return Starts("patient", known[:count], starts, seeds[0])
+
+
+def _actions(row: Any, place: dict[str, int], path: Path) -> list[int]:
     """Return the actions of an episode that is the one at its place."""
-    place = {"set": seed, "index": index}
     if not isinstance(row, dict) or set(row) != {*place, "actions"}:
-        raise RacinesError(f"{path}: episode {place}: give set, index and actions")
+        raise RacinesError(f"{path}: episode {place}: give {', '.join(place)} and actions")
     actions = row["actions"]
     if any(type(row[key]) is not int or row[key] != value for key, value in place.items()):
-        raise RacinesError(f"{path}: set {row['set']}, index {row['index']}: expected {place}")
+        found = ", ".join(f"{key} {row[key]}"[:SHOWN] for key in place)
+        raise RacinesError(f"{path}: {found}: expected {place}")
     whole = isinstance(actions, list) and 0 < len(actions) <= MAX_STEPS
     if not whole or not all(type(a) is int and 0 <= a < len(ACTIONS) for a in actions):
         raise RacinesError(
@@ -179,7 +232,9 @@ class TraceAgent(Untrained):
         self.trace = read_trace(self.path)
         self.sha256 = sha256_bytes(self.path.read_bytes())
         """Hash of the file."""
-        self.view: str = str(self.trace.told["task"].get("view"))
+        task = self.trace.told["task"]
+        view, tier = (str(task.get(key, usual)) for key, usual in TOLD.items())
+        self.view: str = task_name(view, tier=tier)
         self.seen: str = self.trace.told["observation"]
         """What the recorded agent looked at, by its own word."""
         self._rows: Tensor | None = None
@@ -208,6 +263,14 @@ class TraceAgent(Untrained):
         actions = torch.where(done, IDLE, trace.actions[self._rows, place])
         return actions.to(state.seed.device)
 
+    def check_starts(self, told: dict[str, Any]) -> None:
+        """Check that it was recorded from a start set on patients, as scores name it."""
+        if self.trace.told["start_set"] != told:
+            raise RacinesError(
+                f"{self.path}: start_set: recorded from {_short(self.trace.told['start_set'])}, "
+                f"this is {_short(told)}: evaluate from the same, or record it anew"
+            )
+
     def check_ended(self, episodes: Episodes) -> None:
         """Check that every episode took all the actions that were recorded of it."""
         assert self._rows is not None
@@ -219,21 +282,24 @@ class TraceAgent(Untrained):
         """Return the recorded episode of each row."""
         place = {seed: episode for episode, seed in enumerate(self.trace.seeds.tolist())}
         rows = [place.get(seed, -1) for seed in seeds.tolist()]
-        if len(place) != len(rows) or -1 in rows:
-            told = self.trace.told["start_set"]
+        starts = self.trace.starts
+        # Patients are judged a few at a time.
+        whole = starts.unit == "patient" or len(place) == len(rows)
+        if not whole or -1 in rows:
+            sets = f"sets {starts.units}" if starts.unit == "set" else "patients of its split"
+            told = f"{starts.each} starts of each of the {sets}, not from these {len(seeds)}"
             raise RacinesError(
-                f"{self.path}: recorded from {told['starts']} starts of each of the sets "
-                f"{told['seeds']}, not from these {len(seeds)}: evaluate with the same seeds and "
-                "starts, or record it anew"
+                f"{self.path}: recorded from {told}: evaluate with the same seeds and starts, or "
+                "record it anew"
             )
         return torch.tensor(rows)
 
     def _refuse(self, row: int, what: str) -> None:
         assert self._rows is not None
-        told, i = self.trace.told["start_set"], int(self._rows[row])
+        where = self.trace.place(int(self._rows[row]))
         raise RacinesError(
-            f"{self.path}: set {told['seeds'][i // told['starts']]}, index {i % told['starts']}: "
-            f"the trace {what}: it was recorded in another environment; record it anew"
+            f"{self.path}: {where}: the trace {what}: it was recorded in another environment; "
+            "record it anew"
         )
 
     @classmethod

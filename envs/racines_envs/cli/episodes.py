@@ -8,8 +8,10 @@ import typer
 
 from racines_data.cli import options as opt
 from racines_data.cli.options import check_ending, given, overrides, read_settings
+from racines_data.errors import RacinesError
 from racines_data.terminal import say, say_json
-from racines_envs.cli.settings import Agent, phantom_config
+from racines_envs.cli.settings import Agent, on_tier, phantom_config
+from racines_envs.task.names import HEART_TIER, tier_of
 from racines_models.cli.device import OneDevice
 
 
@@ -160,6 +162,9 @@ def export_trace(
     agent: Annotated[str, typer.Argument(help="Registered agent, module:Class or FILE.onnx.")],
     out: opt.OutFile,
     view: opt.View = None,
+    tier: opt.Tier = None,
+    split: opt.OneSplit = None,
+    patients: opt.Patients = None,
     starts: opt.Starts = None,
     reward: opt.Reward = None,
     grader: opt.Grader = None,
@@ -169,18 +174,33 @@ def export_trace(
     profile: opt.Profile = None,
     as_json: opt.AsJson = False,
 ) -> None:
-    """Write the actions that an agent takes from the fixed starts, for others to take again."""
+    """Write the actions that an agent takes from the fixed starts, for others to take again.
+
+    With --tier patients or beating the starts are those on patients of --split.
+    """
     from racines_data.config import fill, section
     from racines_envs.agents import agent_class
     from racines_envs.evaluation.agent_specs import RUNS
+    from racines_envs.evaluation.patients import PatientsConfig, record_on_patients
     from racines_envs.evaluation.run import EvaluationConfig, record_trace
 
     check_ending(out, ".json")
-    settings = read_settings(params, profile)
-    chosen = given(view=view, starts=starts, reward=reward, grader=grader, seed=seed)
-    config = fill(EvaluationConfig, section(settings, "evaluation") | chosen, "evaluation")
+    settings, task = read_settings(params, profile), on_tier(view, tier)
+    chosen = given(view=task, starts=starts, reward=reward, seed=seed)
     folder = run or RUNS / agent_class(agent).name
-    made = record_trace(agent, folder, config, out, phantom_config(settings))
+    if task is not None and tier_of(task) != HEART_TIER:
+        if grader:
+            raise RacinesError("--grader judges the one heart: leave it out")
+        stated = section(settings, "evaluation_patients")
+        chosen |= given(split=split, patients=patients)
+        asked = fill(PatientsConfig, stated | chosen, "evaluation_patients")
+        made = record_on_patients(agent, folder, asked, out)
+    else:
+        if split or patients:
+            raise RacinesError("--split and --patients need --tier patients or beating")
+        stated = section(settings, "evaluation") | chosen | given(grader=grader)
+        config = fill(EvaluationConfig, stated, "evaluation")
+        made = record_trace(agent, folder, config, out, phantom_config(settings))
     line = f"{out}: {made['episodes']:,} episodes, {made['steps']:,} steps"
     if as_json:
         say_json(made)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from racines_data.digest import recipe_digest
@@ -22,10 +21,10 @@ from racines_data.patients.patient import PATHOLOGIES
 from racines_data.patients.pool import check_memory
 from racines_data.patients.population import draw_patient
 from racines_data.phantom.saved import provenance
-from racines_data.randomness import derive
 from racines_envs.agents import learns, load_agent
 from racines_envs.agents.protocol import FILES, Agent
-from racines_envs.agents.rollout import rollout
+from racines_envs.agents.rollout import Episodes, rollout
+from racines_envs.agents.trace import TraceAgent, circumstances, read_trace, write_trace
 from racines_envs.evaluation.agent_specs import check_view, plain_name
 from racines_envs.evaluation.measures import (
     Metrics,
@@ -34,18 +33,24 @@ from racines_envs.evaluation.measures import (
     patient_values,
     values_of,
 )
-from racines_envs.evaluation.run import SCHEMA, Scored, core_for, extractors_of, told_of_agent
+from racines_envs.evaluation.run import (
+    SCHEMA,
+    Scored,
+    core_for,
+    extractors_of,
+    shown_to,
+    told_of_agent,
+)
 from racines_envs.evaluation.trainings import Training, find_trainings, given_trainings
 from racines_envs.task.core import ScanCore
 from racines_envs.task.names import HEART_TIER
+from racines_envs.task.starts import patient_seeds
 from racines_envs.task.tasks import Task, get_task
 from racines_envs.task.tiers import MIDDLES
 from racines_envs.worlds.making import patients_recipe
 from racines_envs.worlds.ward import Ward, choose_patients, make_ward
 from racines_models.devices import on_device
 from racines_models.statistics import Evidence
-
-_EVALUATION = 0xA7157
 
 
 @dataclass(frozen=True)
@@ -106,9 +111,7 @@ class StartSet(NamedTuple):
     @property
     def seeds(self) -> Tensor:
         """(N,) int64 seeds of the episodes."""
-        patients = torch.tensor(self.patients).repeat_interleave(self.starts)
-        start = torch.arange(self.starts).repeat(len(self.patients))
-        return derive(torch.full_like(patients, _EVALUATION), self.seed, patients, start)
+        return patient_seeds(self.patients, self.starts, self.seed)
 
     def chunks(self, size: int) -> Iterator["StartSet"]:
         """Yield the starts of so many patients at a time."""
@@ -144,6 +147,8 @@ def evaluate_patients(
     starts = starts or start_set(config)
     agents, trainings = open_agents(name, run_dir, config, agent, published)
     agent = agents[0]
+    if isinstance(agent, TraceAgent):
+        agent.check_starts(starts.told(config))
     if further:
         agents, trainings = [agent, *further], given_trainings(agent, further, Path(run_dir))
         for other in further:
@@ -231,14 +236,20 @@ def act_on_patients(
     ]
 
 
-def _act_on_chunk(
-    state: tuple[
-        Sequence[Agent], PatientsConfig, Callable[[StartSet], Ward] | None,
-        Callable[[ScanCore], ScanCore] | None,
-    ],
-    chunk: StartSet,
-) -> list[dict[str, np.ndarray]]:  # fmt: skip
+_Acting = tuple[
+    Sequence[Agent], PatientsConfig, Callable[[StartSet], Ward] | None,
+    Callable[[ScanCore], ScanCore] | None,
+]  # fmt: skip
+"""Who acts, how, and in what: see `act_on_patients`."""
+
+
+def _act_on_chunk(state: _Acting, chunk: StartSet) -> list[dict[str, np.ndarray]]:
     """Return the last infos of every agent's episodes on a few patients."""
+    return [episodes.final for _, episodes in _on_chunk(state, chunk)]
+
+
+def _on_chunk(state: _Acting, chunk: StartSet) -> Iterator[tuple[ScanCore, Episodes]]:
+    """Give every agent's episodes on a few patients, and the environment that they were in."""
     agents, config, ward_of, around = state
     if ward_of is None:
         ward = make_ward(
@@ -246,14 +257,38 @@ def _act_on_chunk(
         )
     else:
         ward = ward_of(chunk)
-    seeds, case, found = chunk.seeds, ward.case_of(chunk.units.tolist()), []
+    seeds, case = chunk.seeds, ward.case_of(chunk.units.tolist())
     for agent in agents:
         core = core_for(
             agent, config.task, len(seeds), reward=config.reward, phantom=ward, device=config.device
         )
         core = core if around is None else around(core)
-        found.append(rollout(core, agent, seeds.to(core.device), case).final)
-    return found
+        episodes = rollout(core, agent, seeds.to(core.device), case)
+        if isinstance(agent, TraceAgent):
+            agent.check_ended(episodes)
+        yield core, episodes
+
+
+def record_on_patients(
+    name: str, run_dir: Path, config: PatientsConfig, path: Path, agent: Agent | None = None
+) -> dict[str, Any]:
+    """Let an agent act from the starts that it is judged on, and write what it did to a file.
+
+    All but `path` is as of `evaluate_patients`; what comes back is that path, and counts. Of a run
+    of several trainings, the first acts.
+    """
+    config = on_device(config)
+    starts = start_set(config)
+    acting = open_agents(name, run_dir, config, agent)[0][0]
+    told = {"agent": acting.name, "observation": shown_to(acting), "start_set": starts.told(config)}
+    parts = []
+    for chunk in starts.chunks(config.chunk):
+        ((core, episodes),) = _on_chunk(([acting], config, None, None), chunk)
+        told |= circumstances(core, "phantom")
+        parts.append(episodes)
+    count, steps = write_trace(path, told, parts)
+    read_trace(path)
+    return {"out": str(path), "episodes": count, "steps": steps}
 
 
 def by_pathology_of(evidence: Evidence) -> dict[str, Metrics]:

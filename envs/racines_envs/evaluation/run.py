@@ -262,11 +262,11 @@ def record_trace(
     """
     agent, core, seeds, _ = prepare(name, run_dir, config, phantom, grader, agent)
     episodes = rollout(core, agent, seeds.to(core.device))
-    told = {"agent": agent.name, "observation": _shown(agent), "start_set": config.start_set}
+    told = {"agent": agent.name, "observation": shown_to(agent), "start_set": config.start_set}
     told |= circumstances(core, config.backend)
-    steps = write_trace(path, told, episodes)
+    count, steps = write_trace(path, told, [episodes])
     read_trace(path)
-    return {"out": str(path), "episodes": len(seeds), "steps": steps}
+    return {"out": str(path), "episodes": count, "steps": steps}
 
 
 def start_seeds(starts: int, sets: Sequence[int]) -> Tensor:
@@ -311,7 +311,8 @@ def extractors_of(agent: Agent, grader: Judge | None = None) -> dict[str, dict[s
     return {kind: settings for kind, settings in told.items() if settings is not None}
 
 
-def _shown(agent: Agent) -> str:
+def shown_to(agent: Agent) -> str:
+    """Return what an agent looks at, or what the one whose actions it repeats looked at."""
     return getattr(agent, "seen", agent.observation)
 
 
@@ -325,7 +326,7 @@ def _document(
         "task": {
             "view": core.task.view,
             "backend": config.backend,
-            "observation": _shown(agent),
+            "observation": shown_to(agent),
             "reward": config.reward,
             "start_set": config.start_set,
             "definition": core.task.definition,

@@ -1,6 +1,7 @@
 """Poses around a task's nominal pose: where episodes start, and the nearest that shows the view."""
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -19,11 +20,19 @@ ROWS = 64  # poses searched from at a time: bounds the memory
 _STREAM = 101
 _EVALUATION = 0x5EED
 _VALIDATION = 0x7A11
+_ON_PATIENTS = 0xA7157
 
 
 def evaluation_seeds(count: int, seed: int = 0) -> Tensor:
     """Return (count,) seeds of the fixed start set of evaluations; training never draws them."""
     return derive(torch.full((count,), _EVALUATION), seed, torch.arange(count))
+
+
+def patient_seeds(patients: Sequence[int], starts: int, seed: int = 0) -> Tensor:
+    """Return (patients × starts,) seeds of the fixed starts on each patient, one after another."""
+    each = torch.tensor(patients).repeat_interleave(starts)
+    start = torch.arange(starts).repeat(len(patients))
+    return derive(torch.full_like(each, _ON_PATIENTS), seed, each, start)
 
 
 def validation_seeds(count: int, seed: int = 0) -> Tensor:

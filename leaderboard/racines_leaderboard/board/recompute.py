@@ -342,12 +342,13 @@ def agent_scores(
     Raises:
         RacinesError: it was made for another phantom, or a trace for other starts.
     """
-    path, traced = paths[0], kind == "trace"
+    path = paths[0]
+    opened = [TraceAgent(path)] if kind == "trace" else _policies(paths, ground)
     if document["track"] == PATIENT_AGENTS.name:
         assert sets is None or isinstance(sets, StartSet)
-        return _scores_on_patients(document, paths, ground, sets)
+        return _scores_on_patients(document, opened, paths[0], ground, sets)
     assert not isinstance(sets, StartSet)
-    agent, *further = [TraceAgent(path)] if traced else _policies(paths, ground)
+    agent, *further = opened
     config = fill(EvaluationConfig, section(ground.settings, "evaluation"), "evaluation")
     judge = str(ground.grader) if ground.grader is not None and config.grader else ""
     view = getattr(agent, "view", config.view)
@@ -363,11 +364,11 @@ def agent_scores(
 
 
 def _scores_on_patients(
-    document: dict[str, Any], paths: Sequence[Path], ground: Ground, starts: StartSet | None
-) -> dict[str, Any]:
-    """Return the scores of a policy from the starts of its task on patients, or from others."""
-    path = paths[0]
-    agent, *further = _policies(paths, ground)
+    document: dict[str, Any], opened: list[Any], path: Path, ground: Ground,
+    starts: StartSet | None,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the scores of who acts, from the starts of its task on patients or from others."""
+    agent, *further = opened
     config = dataclasses.replace(on_patients(ground), device="cpu")
     config = dataclasses.replace(config, view=getattr(agent, "view", config.view))
     if config.task.tier != ground.board:

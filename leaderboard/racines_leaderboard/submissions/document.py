@@ -88,7 +88,7 @@ KINDS = {
     "predictions": Kind(".parquet", (GENERATORS, ADAPTING, TURNS), "images of test poses", True),
     "generator": Kind(".onnx", (GENERATORS, TURNS), "a network that draws", True),
     "policy": Kind(".onnx", _STEER, "a network that steers", True),
-    "trace": Kind(".json", (AGENTS,), "the actions of every episode", True),
+    "trace": Kind(".json", _STEER, "the actions of every episode", True),
     "motion": Kind(".parquet", (MOTION,), "the motion of every test sweep", True),
     "weights": Kind(".safetensors", ALL, "weights of merged code"),
     "scores": Kind(".json", ALL, "the submitter's own scores"),

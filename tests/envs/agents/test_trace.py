@@ -8,6 +8,11 @@ import pytest
 from racines_data.errors import RacinesError
 from racines_envs.agents import load_agent
 from racines_envs.agents.trace import read_trace
+from racines_envs.evaluation.patients import (
+    PatientsConfig,
+    evaluate_patients,
+    record_on_patients,
+)
 from racines_envs.evaluation.run import EvaluationConfig, evaluate, record_trace
 from tests.envs.agents.test_onnx_policy import policy
 from tests.envs.fakes import FakeGrader, FakePhantom
@@ -131,3 +136,80 @@ def test_what_is_no_json_is_refused(tmp_path, text):
 def test_a_trace_is_not_trained(trace):
     with pytest.raises(RacinesError, match="racines export trace"):
         load_agent(str(trace), "").train(None, trace)
+
+
+PATIENTS = PatientsConfig("A4C-beating", patients=3, starts=2, chunk=2)
+
+
+@pytest.fixture(scope="module")
+def on_patients(tmp_path_factory):
+    path = tmp_path_factory.mktemp("patients") / "t.json"
+    made = record_on_patients("planner", path.parent, PATIENTS, path)
+    assert made["episodes"] == 6
+    return path
+
+
+def test_a_trace_on_patients_has_the_figures_of_its_agent(on_patients, tmp_path):
+    keys = "metrics", "by_pathology", "task", "phantom", "seeds"
+    for config in (PATIENTS, replace(PATIENTS, chunk=3)):
+        here = evaluate_patients("planner", tmp_path, config).scores
+        played = evaluate_patients(str(on_patients), tmp_path, config).scores
+        assert {key: here[key] for key in keys} == {key: played[key] for key in keys}
+        assert played["agent"] == "trace"
+    rows = json.loads(on_patients.read_text())["episodes"]
+    assert [(each["patient"], each["index"]) for each in rows] == [
+        (10_000 + patient, index) for patient in range(3) for index in range(2)
+    ]
+    assert rows[0]["actions"] != rows[1]["actions"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"starts": 1}, "start_set: recorded from .*evaluate from the same"),
+        ({"patients": 2}, "start_set: recorded from"),
+        ({"split": "train"}, "start_set: recorded from"),
+        ({"seed": 1}, "start_set: recorded from"),
+        ({"reward": "shaped"}, "reward: recorded with"),
+        ({"view": "PL-beating"}, "trained for A4C-beating"),
+        ({"view": "A4C-patients"}, "trained for A4C-beating"),
+    ],
+)
+def test_a_trace_on_patients_is_of_its_own_starts(on_patients, tmp_path, changes, message):
+    with pytest.raises(RacinesError, match=message):
+        evaluate_patients(str(on_patients), tmp_path, replace(PATIENTS, **changes))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda told: told["start_set"].update(patients=0), "start_set: give digest, patients"),
+        (lambda told: told["start_set"].update(patients="3"), "start_set: give digest, patients"),
+        (lambda told: told["start_set"].update(seeds=[0, 1]), "one seed"),
+        (lambda told: told["start_set"].update(split="nowhere"), "nowhere"),
+        (lambda told: told["start_set"].update(split=None), "start_set: give digest"),
+        (lambda told: told["start_set"].pop("digest"), "start_set: give digest"),
+        (lambda told: told["start_set"].update(starts=5000), "10,000 episodes in all"),
+        (lambda told: told["episodes"].pop(), "5 episodes: its start set has 3 x 2"),
+        (lambda told: told["episodes"][1].update(patient=7), "patient 7, index 1: expected"),
+        (lambda told: told["episodes"][1].update(set=0), "give patient, index and actions"),
+    ],
+)
+def test_a_faulty_trace_on_patients_is_refused(on_patients, tmp_path, change, message):
+    told = json.loads(on_patients.read_text())
+    change(told)
+    (tmp_path / "t.json").write_text(json.dumps(told))
+    with pytest.raises(RacinesError, match=message):
+        read_trace(tmp_path / "t.json")
+
+
+def test_a_trace_on_patients_ends_with_its_episodes(on_patients, tmp_path):
+    for change, message in (
+        (lambda actions: actions.pop(), "index 0: the trace ends before its episode"),
+        (lambda actions: actions.append(0), "index 0: the trace goes on behind the end"),
+    ):
+        told = json.loads(on_patients.read_text())
+        change(told["episodes"][2]["actions"])
+        (tmp_path / "t.json").write_text(json.dumps(told))
+        with pytest.raises(RacinesError, match=f"patient 10001, {message}"):
+            evaluate_patients(str(tmp_path / "t.json"), tmp_path, PATIENTS)

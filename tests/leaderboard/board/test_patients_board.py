@@ -233,6 +233,24 @@ def test_policies_on_patients_are_the_trainings_of_one_method(board):
     assert alone["metrics"]["return"]["value"] != scores["metrics"]["return"]["value"]
 
 
+def test_a_trace_is_a_bound_on_patients_too(board):
+    told = ["--tier", "patients", "--view", "A4C"]
+    racines("export", "trace", "planner", "--out", "in/trace.json", *told)
+    recipe = patients_recipe("patients")
+    dataset = {"source": "phantom", "version": recipe["version"], "digest": recipe["recipe_digest"]}
+    about = {"track": "patient-agents", "dataset": dataset}
+    folder = submitted(board, "trace", board / "in/trace.json", recipe["recipe_digest"], **about)
+    assert board_of(folder, SETTINGS) == "patients"
+    record = recompute(folder, Ground("patients", SETTINGS, grader=None), RESULTS)
+    metrics = json.loads(ROW.read_text())["scores"]["metrics"]
+    assert record["scores"]["metrics"]["success_declared"] == metrics["success_declared"]
+    assert record["tier"] == "recomputed" and is_bound(record)
+    assert racines("audit", "patient-agents/mine", "--board", "patients")
+    fewer = SETTINGS | {"evaluation_patients": SETTINGS["evaluation_patients"] | {"patients": 2}}
+    with pytest.raises(RacinesError, match=r"trace\.json: start_set: recorded from"):
+        recompute(folder, Ground("patients", fewer, grader=None), board / "other")
+
+
 def test_a_policy_that_knows_the_test_patients_is_flagged(board, monkeypatch):
     watched = Watched()
     config = fill(PatientsConfig, SETTINGS["evaluation_patients"], "evaluation_patients")
