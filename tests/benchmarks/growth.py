@@ -172,8 +172,7 @@ def board(folder: Path, count: int) -> Path:
 
 def checked(place: Path) -> None:
     """Audit each record of a board without making a number again."""
-    params = ROOT / "leaderboard/params/phantom-default.yaml"
-    bench = Bench(BOARD, Places(params=params, results=place))
+    bench = Bench(BOARD, Places(results=place))
     for path in sorted((place / BOARD / "agents").glob("*.json")):
         audit(path, bench, quick=True)
 

@@ -114,8 +114,10 @@ class Bench:
         return next((values for values in found if self._is_for(values)), None)
 
     @property
-    def _files(self) -> tuple[Path, Path]:
-        return self.places.params, self.places.results / self.board / SETTINGS
+    def _files(self) -> tuple[Path, ...]:
+        places, own = self.places, f"{self.board}.yaml"
+        beside = places.results / self.board / SETTINGS, places.results.parent / "params" / own
+        return (places.params, *beside)
 
     @property
     def params(self) -> Path:
@@ -155,7 +157,14 @@ class Bench:
 
     @functools.cached_property
     def recipe(self) -> str | None:
-        """Recipe digest of the dataset that the settings build; None for imported data."""
+        """Recipe digest of the dataset that the settings build; None for imported data.
+
+        Of recordings it is known once they are read: of settings that build nothing, it is the one
+        that the board is pinned to, where there is one.
+        """
+        pinned = [pin.get("recipe_digest") for pin in self.pins.values() if isinstance(pin, dict)]
+        if self.settings is not None and not self.settings.get("data") and any(pinned):
+            return next(filter(None, pinned))
         with contextlib.suppress(RacinesError):
             return None if self.settings is None else recipe_of(section(self.settings, "data"))
         return None

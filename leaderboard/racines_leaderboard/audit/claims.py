@@ -213,7 +213,10 @@ def dataset(record: Record, bench: Bench) -> Iterator[Verdict]:
     else:
         reason = "the recipe that the board's settings build"
         yield equal("dataset.recipe_digest", recipe, bench.recipe, reason)
-    yield equal("dataset.split", claimed["split"], bench.scores.split, "scores.split")
+    if bench.settings is None:
+        yield unknown("dataset.split", bench.no_settings, claimed["split"])
+    else:
+        yield equal("dataset.split", claimed["split"], bench.scores.split, "scores.split")
     store = bench.data_for(record)
     if store is None:
         reason = f"no dataset of that recipe in {bench.data}"
@@ -226,7 +229,9 @@ def dataset(record: Record, bench: Bench) -> Iterator[Verdict]:
     built = "the same recipe, built elsewhere: a few pixels differ"
     say, reason = (holds, reason) if claimed["digest"] == here["digest"] else (told, built)
     yield say("dataset.digest", reason, claimed["digest"], here["digest"])
-    if "sample" in claimed:
+    if "sample" in claimed and bench.settings is None:
+        yield unknown("dataset.sample", bench.no_settings, claimed["sample"])
+    elif "sample" in claimed:
         reason = f"digest of the rows of {bench.scores.samples:,} frames at most"
         yield equal("dataset.sample", claimed["sample"], bench.sample.digest, reason)
 

@@ -117,10 +117,10 @@ def _counts(
         return {}  # of which frames each is, its evidence tells
     if record["track"] == MOTION.name:
         return moving.counts(record, bench)
+    if bench.settings is None or place.startswith("by_stratum"):
+        return {}  # how many frames are scored, or lie in a stratum, is not known
     store = bench.data_for(record)
     if store is None:
-        if bench.settings is None:
-            return {}
         most = bench.scores.samples
         reason = f"at most {most:,} frames are scored; how many show a view, the data would tell"
         return {key: (min(metric["n"], most), reason) for key, metric in metrics.items()}

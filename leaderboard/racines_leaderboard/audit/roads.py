@@ -29,10 +29,17 @@ from racines_leaderboard.records.tracks import (
     MOTION,
     PATIENT_AGENTS,
     PATIENT_GENERATORS,
+    TRACK,
 )
 from racines_models.protocol import Run
 from racines_models.provenance import weights_sha256
-from racines_models.registry import generator_class, open_generator, open_runs, weights_of
+from racines_models.registry import (
+    generator_class,
+    generator_names,
+    open_generator,
+    open_runs,
+    weights_of,
+)
 from racines_models.scores.scoring import ScoresConfig
 from racines_models.statistics import Evidence
 from racines_models.trackerless.protocol import estimator_class
@@ -129,7 +136,7 @@ def _judge(record: Record, bench: Bench, extractor: str) -> Path | None:
 
 
 def _generator(record: Record, bench: Bench) -> Road | str:
-    name, folder = record["name"], files.run_of(record, bench)
+    name, folder = called(record), files.run_of(record, bench)
     try:
         cls = generator_class(name)
     except RacinesError:
@@ -149,7 +156,7 @@ def _generator(record: Record, bench: Bench) -> Road | str:
     if first != claimed and folder.is_dir() and weights_sha256(folder) == first:
         source = f"the weights of the first training, in {folder}"
         return Road(FIRST, source, lambda: score_first(record, bench, folder), 1)
-    copies, copy = files.published(record, bench) or {}, bench.places.weights / name
+    copies, copy = files.published(record, bench) or {}, bench.places.weights / record["name"]
     if claimed and set(copies) == set(claimed):
         source = f"the half-precision copy of the weights, {copy}"
         return Road(HALF, source, lambda: score_run(record, bench, copy))
@@ -157,6 +164,14 @@ def _generator(record: Record, bench: Bench) -> Road | str:
         source = f"the half-precision copy of the first training's weights, {copy}"
         return Road(HALF, source, lambda: score_first(record, bench, copy), 1)
     return f"no weights of it here: neither {folder} nor a published copy; --retrain trains anew"
+
+
+def called(record: Record) -> str:
+    """Return what opens a record's generator: its name or, of a bound, the class in its module."""
+    name = record["name"]
+    if name in generator_names() or name not in TRACK[record["track"]].bounds:
+        return name
+    return f"racines_models.generators.{name.replace('-', '_')}:Generator"
 
 
 def _adapting(record: Record, bench: Bench) -> Road | str:
@@ -219,7 +234,7 @@ def score_fitted(record: Record, bench: Bench, folder: Path | None = None) -> Ma
     The run is kept in `folder` and, if it was cut short, goes on there; None keeps nothing.
     """
     assert bench.settings is not None and bench.store is not None
-    store, name, cls = bench.store, record["name"], generator_class(record["name"])
+    store, name, cls = bench.store, record["name"], generator_class(called(record))
     settings = section(bench.settings, "generators").get(name) or {}
     config: Any = fill(cls.Config, settings, f"generators.{name}")
     repeats = getattr(getattr(config, "training", None), "repeats", 1)
@@ -236,14 +251,14 @@ def score_run(record: Record, bench: Bench, folder: Path, further: Sequence[Path
 
     With its further seeds: the run's own, and those in other folders.
     """
-    name = record["name"]
+    name = called(record)
     scores = _scored(record, bench, open_runs(name, folder, further, device="cpu"), bench.scores)
     return scores.naming(weights_of(name, folder, further))
 
 
 def score_first(record: Record, bench: Bench, folder: Path) -> Made:
     """Return the scores of the first training alone, with the seeds that it drew with."""
-    name, scores = record["name"], record["scores"]
+    name, scores = called(record), record["scores"]
     seeds = tuple(scores["seeds"][:: scores.get("runs", 1)])
     config = dataclasses.replace(bench.scores, seeds=seeds)
     first = open_generator(name, folder, device="cpu")

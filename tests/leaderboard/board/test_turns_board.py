@@ -130,11 +130,35 @@ def test_turns_stand_in_no_other_track_and_possible_figures_only(board):
 def test_an_audit_makes_every_number_again(board, monkeypatch):
     coarse(monkeypatch)
     words = "--board", "turned", "--data", "turns", "--json"
-    said = json.loads(racines("audit", "nearest-pose", "vae-gan", *words, code=3))
+    names = "nearest-pose", "vae-gan", "neighbouring-frame"  # the bound is not registered
+    said = json.loads(racines("audit", *names, *words))
+    assert len(said["reports"]) == 3
     for report in said["reports"]:
         open_ = {each["subject"] for each in report["verdicts"] if each["verdict"] != "holds"}
-        # Imported data have no recipe that settings name: the digest of the record is all there is.
-        assert open_ == {"submission", "dataset.recipe_digest"}, (report["name"], open_)
+        assert open_ == {"submission"}, (report["name"], open_)
+
+
+def test_an_audit_knows_the_recording_by_the_recipe_that_the_board_is_pinned_to(board, monkeypatch):
+    coarse(monkeypatch)
+    words = "--board", "turned", "--data", "turns", "--json", "--quick"
+    pins = RESULTS / "turned/board.json"
+    pinned = json.loads(pins.read_text())
+    pinned[TURN_GENERATORS.name]["recipe_digest"] = hashlib.sha256(b"another").hexdigest()
+    kept = pins.read_text()
+    pins.write_text(json.dumps(pinned))
+    (report,) = json.loads(racines("audit", "vae-gan", *words, code=1))["reports"]
+    wrong = {each["subject"] for each in report["verdicts"] if each["verdict"] == "does not hold"}
+    assert wrong == {"dataset.recipe_digest"}
+    pins.write_text(kept)
+    # Settings that are not here speak against nothing; beside the results they are found.
+    shutil.move("params.yaml", "aside.yaml")
+    (report,) = json.loads(racines("audit", "vae-gan", *words, code=3))["reports"]
+    assert "does not hold" not in {each["verdict"] for each in report["verdicts"]}
+    assert "no settings of board turned" in json.dumps(report)
+    Path("leaderboard/params").mkdir()
+    shutil.move("aside.yaml", "leaderboard/params/turned.yaml")
+    (report,) = json.loads(racines("audit", "vae-gan", *words, code=3))["reports"]
+    assert "no settings of board" not in json.dumps(report)
 
 
 def test_an_audit_without_the_recording_names_the_import(board, monkeypatch):
@@ -163,7 +187,7 @@ def test_images_of_turns_are_handed_in_scored_again_and_audited(board, monkeypat
     assert record["scores"]["metrics"] == metrics
     assert set(record["scores"]["extractors"]) == {"inception"}
     words = "--board", "turned", "--data", "turns", "--json"
-    (report,) = json.loads(racines("audit", "mine", *words, code=3))["reports"]
+    (report,) = json.loads(racines("audit", "mine", *words))["reports"]
     wrong = {each["subject"] for each in report["verdicts"] if each["verdict"] == "does not hold"}
     assert not wrong and report["counts"]["does not hold"] == 0
     secret = Secret("turned", 1, hashlib.sha256(b"a nonce").digest())
