@@ -149,6 +149,7 @@ def speed(
 
     from racines_data.config import fill
     from racines_envs.studies.step_profile import SpeedConfig, step_speed
+    from racines_envs.task.names import HEART_TIER, tier_of
 
     values = read_settings(params, profile)
     chosen = given(
@@ -161,7 +162,9 @@ def speed(
         if threads < 1:
             raise typer.BadParameter(f"{threads} threads: give 1 or more")
         torch.set_num_threads(threads)
-    content = step_speed(fill(SpeedConfig, chosen, "speed"), phantom_config(values))
+    config = fill(SpeedConfig, chosen, "speed")
+    phantom = phantom_config(values) if tier_of(config.view) == HEART_TIER else None
+    content = step_speed(config, phantom)
     if as_json:
         say_json(content, indent=2)
     else:

@@ -34,6 +34,14 @@ def test_the_command_tells_speeds_and_shares(real_phantom):
     assert shares == sorted(shares, reverse=True) and 0 < sum(shares) <= 1
 
 
+def test_patients_are_timed_as_the_one_heart_is():
+    words = ["study", "speed", "--view", "SC-beating", "--num-envs", "2", "--set", "steps=1"]
+    done = CliRunner().invoke(app, [*words, "--json"], catch_exceptions=False)
+    content = json.loads(done.stdout)
+    shares = content["runs"][0]["shares"]
+    assert content["view"] == "SC-beating" and shares["render"] > 0.0 and shares["truth"] > 0.0
+
+
 def test_params_with_the_oracle_draw_nothing(real_phantom):
     words = ["study", "speed", "--observation", "params", "--num-envs", "1,2", "--set", "steps=2"]
     done = CliRunner().invoke(app, words, catch_exceptions=False)
