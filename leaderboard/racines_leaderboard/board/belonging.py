@@ -5,12 +5,11 @@ from typing import Any
 
 from racines_data.config import fill, section
 from racines_data.errors import RacinesError
-from racines_envs.agents.onnx.policy import read_policy
-from racines_envs.agents.trace import TraceAgent
 from racines_envs.evaluation.patients import PatientsConfig
 from racines_envs.task.names import tier_of
 from racines_leaderboard.records.tracks import PATIENT_AGENTS, PATIENT_GENERATORS
-from racines_leaderboard.submissions.document import find_submission, rescored
+from racines_leaderboard.submissions.document import find_submission
+from racines_leaderboard.submissions.worlds import view_of
 from racines_models.registry import PATIENTS
 
 
@@ -48,11 +47,7 @@ def board_of(folder: Path, settings: dict[str, Any], asked: str | None = None) -
 
 def _tier(folder: Path, settings: dict[str, Any]) -> str:
     """Return the tier of the task that was handed in for; where none is said, the settings'."""
-    view = None
     document = find_submission(folder.parents[1], folder.parent.name, folder.name)
-    for artefact in rescored(document or {"artefacts": []}):
-        if (path := folder / artefact["path"]).is_file():
-            traced = artefact["kind"] == "trace"
-            view = TraceAgent(path).view if traced else read_policy(path)[1].view
+    view = None if document is None else view_of(folder, document)
     config = fill(PatientsConfig, section(settings, "evaluation_patients"), "evaluation_patients")
     return tier_of(view or config.view)

@@ -43,6 +43,7 @@ from racines_leaderboard.submissions.document import (
     read_document,
 )
 from racines_leaderboard.submissions.probe import Probed, matching_store, probe
+from racines_leaderboard.submissions.worlds import check_world
 from racines_models.exchange.onnx.generator import read_onnx
 from racines_models.trackerless.submission import read_submission as read_motions
 
@@ -132,6 +133,7 @@ def take_in(
     _check_free(target, document, replace, path)
     with _staged(target.parent) as stage, _where_it_lies(stage, path.parent):
         remote = _gather(path, document, stage, opener if fetching else None, limits)
+        check_world(stage, document, str(path))
         probed = probe(stage, document, matching_store(data, document), limits)
         text = yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=100)
         (stage / YAML).write_text(text, encoding="utf-8")
@@ -159,6 +161,7 @@ def look_at(
     _check_own(submissions / document["track"] / document["name"], document, path)
     with tempfile.TemporaryDirectory() as folder, _where_it_lies(Path(folder), path.parent):
         remote = _gather(path, document, Path(folder), None, limits)
+        check_world(Path(folder), document, str(path))
         probed = probe(Path(folder), document, matching_store(data, document), limits)
     return Taken(path.parent, document, remote, probed)
 

@@ -185,7 +185,7 @@ def test_a_track_is_told_by_whom_an_agent_scanned(board):
         read_board(RESULTS, "patients")
 
 
-def test_a_policy_handed_in_is_scored_on_patients(board):
+def test_a_policy_handed_in_is_scored_on_patients(board, monkeypatch):
     path = sound_policy(inbox(board, "in") / "policy.onnx", view="A4C-patients")
     recipe = patients_recipe("patients")
     dataset = {"source": "phantom", "version": recipe["version"], "digest": recipe["recipe_digest"]}
@@ -204,10 +204,27 @@ def test_a_policy_handed_in_is_scored_on_patients(board):
         recompute(folder, Ground("beating", settings, grader=None), RESULTS)
     moving = sound_policy(inbox(board, "other") / "policy.onnx", view="A4C-beating")
     about |= {"name": "other"}
+    with pytest.raises(RacinesError, match=r"dataset\.digest: .*; the world of A4C-beating is"):
+        submitted(board, "policy", moving, recipe["recipe_digest"], **about)
+    with pytest.raises(RacinesError, match=r"dataset\.digest: .*; the world of A4C-beating is"):
+        intake.look_at(moving.parent, board / "leaderboard/submissions")
+    monkeypatch.setattr(intake, "check_world", lambda *_: None)  # by one of another version
     other = submitted(board, "policy", moving, recipe["recipe_digest"], **about)
     assert board_of(other, settings) == "beating"
     with pytest.raises(RacinesError, match=r"other: dataset\.digest: .*; the world of board beat"):
         recompute(other, Ground("beating", settings, grader=None), RESULTS)
+
+
+def test_a_policy_of_the_one_heart_is_refused_before_it_is_taken_in(board):
+    path, recipe = (
+        sound_policy(inbox(board, "in") / "p.onnx", view="SC"),
+        patients_recipe("patients"),
+    )
+    dataset = {"source": "phantom", "version": recipe["version"], "digest": recipe["recipe_digest"]}
+    about = {"track": "patient-agents", "dataset": dataset}
+    with pytest.raises(RacinesError, match="its files are for SC of the one heart: name the task"):
+        submitted(board, "policy", path, recipe["recipe_digest"], **about)
+    assert not (board / "leaderboard/submissions/patient-agents/mine").exists()
 
 
 def test_policies_on_patients_are_the_trainings_of_one_method(board):
