@@ -36,8 +36,8 @@ def check_world(folder: Path, document: dict[str, Any], where: str) -> None:
         return
     if tier_of(view) == HEART_TIER:
         raise RacinesError(
-            f"{where}: track: {PATIENT_AGENTS.name}; its files are for {view} of the one heart: name "
-            f"the task {view}-patients or {view}-beating, or give track: agents"
+            f"{where}: track: {PATIENT_AGENTS.name}; its files are for {view} of the one heart: "
+            f"name the task {view}-patients or {view}-beating, or give track: agents"
         )
     named, here = document["dataset"]["digest"], patients_recipe(tier_of(view))["recipe_digest"]
     if named != here:
